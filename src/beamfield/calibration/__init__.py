@@ -1,0 +1,1 @@
+"""Learn measurement models from logs: algorithms, no files."""

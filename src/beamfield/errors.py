@@ -1,0 +1,68 @@
+"""The errors that beamfield raises on purpose; everything else is a bug or the file system speaking."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class BeamfieldError(Exception):
+    """Base of every error that beamfield raises on purpose.
+
+    The command line prints its text on one line and exits with `exit_code`.
+    """
+
+    exit_code = 1
+
+
+class InvalidInputError(BeamfieldError, ValueError):
+    """An argument is not what the function takes: says what, what was got and what was expected."""
+
+
+class FormatError(BeamfieldError, ValueError):
+    """The content of a file is not what its format promises.
+
+    Parameters
+    ----------
+    path
+        The file.
+    message
+        What is wrong, quoting the offending text with ``!r``.
+    line
+        The line number, counted from 1, if the format has lines.
+    field
+        The key, topic or message that is wrong, if the format has such.
+    """
+
+    def __init__(self, path: str | Path, message: str, *, line: int | None = None, field: str | None = None) -> None:
+        self.path = Path(path)
+        self.line = line
+        self.field = field
+        place = str(path) + (f":{line}" if line is not None else "")
+        super().__init__(f"{place}: {f'{field}: ' if field else ''}{message}")
+
+
+class TooLittleDataError(BeamfieldError):
+    """There is not enough data for what was asked; the text says how much there is and where the rest went."""
+
+    exit_code = 3
+
+
+class MissingDependencyError(BeamfieldError, ImportError):
+    """An optional dependency is not installed.
+
+    Parameters
+    ----------
+    package
+        The package that is missing.
+    extra
+        The extra of beamfield that brings it.
+    purpose
+        What it is needed for.
+    """
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(f"{purpose} needs the package {package!r}: install it with pip install 'beamfield[{extra}]'")
+
+
+class BeamfieldWarning(UserWarning):
+    """Something finished, but its result needs care; the text says which and why."""

@@ -1,0 +1,146 @@
+"""SE(2): planar poses (x, y, theta) in metres and radians, as arrays of shape (..., 3)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+
+FloatArray = NDArray[np.float64]
+
+
+def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
+    """Return poses as float64 of shape (..., 3), or say what is wrong with them.
+
+    Parameters
+    ----------
+    poses
+        (..., 3) x, y in metres, theta in radians.
+    name
+        How to call them in the error.
+
+    Raises
+    ------
+    InvalidInputError
+        If the last axis is not 3 long or a value is not finite.
+    """
+    array = np.asarray(poses, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise InvalidInputError(f"{name}: expected shape (..., 3), got {array.shape}")
+    if not np.isfinite(array).all():
+        where = np.argwhere(~np.isfinite(array))[0]
+        raise InvalidInputError(
+            f"{name}: expected finite numbers, got {array[tuple(where)]} at index {tuple(where.tolist())}"
+        )
+    return array
+
+
+def wrap_angle(angle: ArrayLike) -> FloatArray:
+    """Return the angle in (-pi, pi].
+
+    Examples
+    --------
+    >>> float(wrap_angle(-np.pi)) == np.pi
+    True
+    """
+    angle = np.asarray(angle, dtype=np.float64)
+    wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    return np.asarray(wrapped)
+
+
+def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> FloatArray:
+    """Return a_from_c, the pose of c in a; the arguments broadcast.
+
+    Parameters
+    ----------
+    a_from_b, b_from_c
+        (..., 3) poses, metres and radians.
+
+    Examples
+    --------
+    >>> compose([1.0, 0.0, np.pi / 2], [1.0, 0.0, 0.0]).round(12).tolist()
+    [1.0, 1.0, 1.570796326795]
+    """
+    a, b = np.asarray(a_from_b, dtype=np.float64), np.asarray(b_from_c, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            a[..., 0] + cos * b[..., 0] - sin * b[..., 1],
+            a[..., 1] + sin * b[..., 0] + cos * b[..., 1],
+            wrap_angle(a[..., 2] + b[..., 2]),
+        ],
+        axis=-1,
+    )
+
+
+def invert(a_from_b: ArrayLike) -> FloatArray:
+    """Return b_from_a, the inverse of each pose; shape (..., 3)."""
+    a = np.asarray(a_from_b, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [-cos * a[..., 0] - sin * a[..., 1], sin * a[..., 0] - cos * a[..., 1], wrap_angle(-a[..., 2])],
+        axis=-1,
+    )
+
+
+def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
+    """Return the pose of b seen from a, both given in one frame; shape (..., 3)."""
+    return compose(invert(a), b)
+
+
+def transform_points(a_from_b: ArrayLike, points: ArrayLike) -> FloatArray:
+    """Return points (..., 2) of frame b in frame a; the arguments broadcast."""
+    a, p = np.asarray(a_from_b, dtype=np.float64), np.asarray(points, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [a[..., 0] + cos * p[..., 0] - sin * p[..., 1], a[..., 1] + sin * p[..., 0] + cos * p[..., 1]],
+        axis=-1,
+    )
+
+
+def interpolate_poses(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike, *, max_gap: float = np.inf) -> FloatArray:
+    """Return poses at other times: positions and headings interpolated linearly, headings the short way round.
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds, not decreasing.
+    poses
+        (t, 3) metres and radians.
+    at
+        (n,) seconds.
+    max_gap
+        Longest time in seconds between the two neighbours that are interpolated.
+
+    Returns
+    -------
+    (n, 3) poses; NaN outside the stamps and in gaps longer than `max_gap`.
+    """
+    times = np.asarray(stamps, dtype=np.float64)
+    track = np.asarray(poses, dtype=np.float64)
+    when = np.atleast_1d(np.asarray(at, dtype=np.float64))
+    result: FloatArray = np.full((len(when), 3), np.nan)
+    if len(times) == 0:
+        return result
+    after = np.clip(np.searchsorted(times, when, side="left"), 1, max(1, len(times) - 1))
+    before = after - 1
+    after = np.minimum(after, len(times) - 1)
+    gap = times[after] - times[before]
+    fraction = np.divide(when - times[before], gap, out=np.zeros_like(when), where=gap > 0)
+    inside = (when >= times[0]) & (when <= times[-1])
+    exact = (when == times[before]) | (when == times[after])
+    good = inside & ((gap <= max_gap) | exact)
+    turn = wrap_angle(track[after, 2] - track[before, 2])
+    result[:, :2] = track[before, :2] + fraction[:, None] * (track[after, :2] - track[before, :2])
+    result[:, 2] = wrap_angle(track[before, 2] + fraction * turn)
+    result[~good] = np.nan
+    return result
+
+
+def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> FloatArray:
+    """Return the heading (rotation about z, radians) of quaternions, scalar part last."""
+    x, y, z, w = (np.asarray(v, dtype=np.float64) for v in (x, y, z, w))
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -1,0 +1,1 @@
+"""Read and write files: formats, no algorithms."""

@@ -1,0 +1,1 @@
+"""Maps (section 6.2) and what is computed from them."""

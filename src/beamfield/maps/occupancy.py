@@ -1,0 +1,129 @@
+"""Occupancy grids: the location-based, volumetric maps of section 6.2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, invert, transform_points
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyGrid:
+    """A grid of square cells, each free, occupied or unknown.
+
+    Row 0 has the lowest y, as in nav_msgs/OccupancyGrid. In the grid's own frame the cell (row, col) spans
+    [col s, (col + 1) s) x [row s, (row + 1) s) with s the resolution; `origin` is the pose of that frame in the map.
+
+    Parameters
+    ----------
+    probability
+        (rows, cols) probability that the cell is occupied, in [0, 1]; NaN where nothing is known.
+    resolution
+        Side of a cell in metres.
+    origin
+        (3,) pose (x, y, yaw) of the lower-left corner in the map frame, metres and radians.
+    occupied_thresh
+        Cells with probability >= this are occupied.
+    free_thresh
+        Cells with probability <= this are free; what is neither is unknown.
+
+    Raises
+    ------
+    InvalidInputError
+        If a value is outside its range or the grid is empty.
+    """
+
+    probability: NDArray[np.float32]
+    resolution: float
+    origin: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    occupied_thresh: float = 0.65
+    free_thresh: float = 0.25
+
+    def __post_init__(self) -> None:
+        probability = np.array(self.probability, dtype=np.float32)
+        if probability.ndim != 2 or probability.size == 0:
+            raise InvalidInputError(f"probability: expected a 2-D array with cells, got shape {probability.shape}")
+        with np.errstate(invalid="ignore"):
+            bad = (probability < 0) | (probability > 1)
+        if bad.any():
+            row, col = np.argwhere(bad)[0]
+            raise InvalidInputError(
+                f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col})"
+            )
+        if not (np.isfinite(self.resolution) and self.resolution > 0):
+            raise InvalidInputError(f"resolution: expected a positive number of metres, got {self.resolution}")
+        if not 0.0 <= self.free_thresh < self.occupied_thresh <= 1.0:
+            raise InvalidInputError(
+                "thresholds: expected 0 <= free_thresh < occupied_thresh <= 1, "
+                f"got free_thresh {self.free_thresh} and occupied_thresh {self.occupied_thresh}"
+            )
+        origin = np.array(as_poses(self.origin, "origin"))
+        if origin.shape != (3,):
+            raise InvalidInputError(f"origin: expected (x, y, yaw), got shape {origin.shape}")
+        probability.flags.writeable = False
+        origin.flags.writeable = False
+        object.__setattr__(self, "probability", probability)
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "resolution", float(self.resolution))
+
+    @classmethod
+    def from_ros(cls, data: ArrayLike, resolution: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> OccupancyGrid:
+        """Build a grid from the values of a nav_msgs/OccupancyGrid.
+
+        Parameters
+        ----------
+        data
+            (rows, cols) integers: -1 unknown, 0 to 100 percent occupied; row 0 has the lowest y.
+        resolution, origin
+            As for the class.
+        """
+        values = np.asarray(data)
+        if values.ndim == 2 and values.size and (values.min() < -1 or values.max() > 100):
+            bad = values[(values < -1) | (values > 100)][0]
+            raise InvalidInputError(f"data: expected -1 or 0 to 100, got {bad}")
+        probability = np.where(values < 0, np.nan, values / 100.0).astype(np.float32)
+        return cls(probability, resolution, np.asarray(origin, dtype=np.float64))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        rows, cols = self.probability.shape
+        return rows, cols
+
+    @property
+    def occupied(self) -> BoolArray:
+        """(rows, cols) mask of occupied cells."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.probability >= np.float32(self.occupied_thresh))
+
+    @property
+    def free(self) -> BoolArray:
+        """(rows, cols) mask of free cells."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.probability <= np.float32(self.free_thresh))
+
+    @property
+    def unknown(self) -> BoolArray:
+        """(rows, cols) mask of cells that are neither free nor occupied."""
+        return ~(self.occupied | self.free)
+
+    def to_cells(self, points: ArrayLike) -> FloatArray:
+        """Return map points (..., 2) in metres as fractional (col, row): the cell is their floor."""
+        return transform_points(invert(self.origin), points) / self.resolution
+
+    def to_map(self, cells: ArrayLike) -> FloatArray:
+        """Return fractional (col, row) as map points (..., 2) in metres; inverse of `to_cells`."""
+        return transform_points(self.origin, np.asarray(cells, dtype=np.float64) * self.resolution)
+
+    def look_up(self, mask: BoolArray, points: ArrayLike, *, outside: bool = False) -> BoolArray:
+        """Return the mask's value at map points (..., 2); `outside` for points off the map."""
+        cells = np.floor(self.to_cells(points)).astype(np.int64)
+        col, row = cells[..., 0], cells[..., 1]
+        inside = (col >= 0) & (row >= 0) & (col < self.shape[1]) & (row < self.shape[0])
+        return np.where(inside, mask[np.clip(row, 0, self.shape[0] - 1), np.clip(col, 0, self.shape[1] - 1)], outside)

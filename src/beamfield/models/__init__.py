@@ -1,0 +1,1 @@
+"""Measurement models p(z | x, m), one file per model."""

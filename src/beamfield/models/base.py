@@ -1,0 +1,32 @@
+"""The one interface of all measurement models, and narrow extra abilities that some have."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import FloatArray
+
+Z = TypeVar("Z")
+Z_contra = TypeVar("Z_contra", contravariant=True)
+
+
+class MeasurementModel(Protocol[Z_contra]):
+    """p(z | x, m) with the map m and the parameters fixed at construction."""
+
+    is_normalized: ClassVar[bool]
+    """Whether it is a density over z (a beam model is; a likelihood field is not)."""
+
+    def log_likelihood(self, z: Z_contra, poses: ArrayLike) -> FloatArray:
+        """Return log p(z | x, m) in nats for robot poses (..., 3), shape (...); -inf where impossible, never NaN."""
+        ...
+
+
+class GenerativeModel(MeasurementModel[Z], Protocol[Z]):
+    """A model that can also draw measurements."""
+
+    def sample(self, poses: ArrayLike, rng: np.random.Generator) -> list[Z]:
+        """Return one measurement per pose of (n, 3)."""
+        ...

@@ -1,0 +1,71 @@
+"""The intrinsic parameters of the beam model (6.3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+
+# Weights may miss the sum 1 by this much: they are read from files with a few digits.
+WEIGHT_SUM_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class BeamParameters:
+    """Theta of section 6.3.2: the weights of the four causes and the shapes of two of them.
+
+    Parameters
+    ----------
+    z_hit, z_short, z_max, z_rand
+        Weights of a hit, an unexpected object, a missing return and an unexplained reading; they sum to 1 (6.12).
+    sigma_hit
+        Standard deviation of a hit, metres (6.5).
+    lambda_short
+        Rate of unexpected objects, 1/metre (6.7); 0 makes p_short uniform on [0, z*].
+    range_offset
+        Mean of a hit minus the expected range, metres: a map's wall surface need not be the cell's edge. Beyond the
+        chapter, where it is 0.
+    sigma_slope
+        Growth of the noise with the expected range: a hit's variance is sigma_hit^2 + (sigma_slope z*)^2. Beyond the
+        chapter (but seen in its Figure 6.6), where it is 0.
+
+    Raises
+    ------
+    InvalidInputError
+        If a weight is outside [0, 1], the weights do not sum to 1, sigma_hit <= 0 or another value is negative or not
+        finite.
+    """
+
+    z_hit: float
+    z_short: float
+    z_max: float
+    z_rand: float
+    sigma_hit: float
+    lambda_short: float
+    range_offset: float = 0.0
+    sigma_slope: float = 0.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not np.isfinite(value):
+                raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
+            object.__setattr__(self, item.name, float(value))
+        for name in ("z_hit", "z_short", "z_max", "z_rand"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidInputError(f"{name}: expected a weight in [0, 1], got {getattr(self, name)}")
+        total = self.z_hit + self.z_short + self.z_max + self.z_rand
+        if abs(total - 1.0) > WEIGHT_SUM_TOLERANCE:
+            raise InvalidInputError(f"z_hit + z_short + z_max + z_rand: expected 1, got {total:.9g}")
+        if self.sigma_hit <= 0.0:
+            raise InvalidInputError(f"sigma_hit: expected a positive number of metres, got {self.sigma_hit}")
+        for name in ("lambda_short", "sigma_slope"):
+            if getattr(self, name) < 0.0:
+                raise InvalidInputError(f"{name}: expected a number >= 0, got {getattr(self, name)}")
+
+    @property
+    def weights(self) -> tuple[float, float, float, float]:
+        """(z_hit, z_short, z_max, z_rand)."""
+        return self.z_hit, self.z_short, self.z_max, self.z_rand

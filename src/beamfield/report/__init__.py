@@ -1,0 +1,1 @@
+"""The calibration report: figures and one HTML page."""

@@ -1,0 +1,309 @@
+"""Range finders, scans and logs of scans, in one set of conventions for every sensor and file format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, compose
+
+NO_POSE = np.full(3, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeFinder:
+    """A sensor that measures ranges along beams (or cones) with fixed mounts on the robot.
+
+    Parameters
+    ----------
+    mounts
+        (k, 3) pose of each beam's origin and direction in the robot frame, (x, y, theta)_k,sens of (6.32), in metres
+        and radians. Any order and spacing; one sensor may combine several origins (a merged scan, a sonar ring).
+    max_range
+        Ranges from here on mean "no return": the chapter's z_max (as a distance), in metres.
+    min_range
+        Ranges below mean "too close to measure", in metres.
+    opening_angle
+        Full width of the cone in radians; 0 for a beam.
+    name
+        Topic, frame or message name in the log.
+
+    Raises
+    ------
+    InvalidInputError
+        If the mounts are not finite (k, 3) or the limits are not 0 <= min_range < max_range < inf.
+    """
+
+    mounts: FloatArray
+    max_range: float
+    min_range: float = 0.0
+    opening_angle: float = 0.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        mounts = np.array(as_poses(self.mounts, "mounts"))
+        if mounts.ndim != 2:
+            raise InvalidInputError(f"mounts: expected shape (k, 3), got {mounts.shape}")
+        mounts.flags.writeable = False
+        object.__setattr__(self, "mounts", mounts)
+        if not (0.0 <= self.min_range < self.max_range < np.inf):
+            raise InvalidInputError(
+                "range limits: expected 0 <= min_range < max_range < inf, "
+                f"got min_range {self.min_range} and max_range {self.max_range}"
+            )
+        if not 0.0 <= self.opening_angle < np.pi:
+            raise InvalidInputError(f"opening_angle: expected [0, pi) radians, got {self.opening_angle}")
+
+    @classmethod
+    def from_bearings(cls, bearings: ArrayLike, max_range: float, *, mount: ArrayLike = (0.0, 0.0, 0.0),
+                      **limits: Any) -> RangeFinder:  # fmt: skip
+        """Build a finder whose beams start at one point.
+
+        Parameters
+        ----------
+        bearings
+            (k,) directions in the sensor frame, radians, counter-clockwise; any order and spacing.
+        max_range
+            As for the class.
+        mount
+            (3,) the sensor's pose in the robot frame.
+        **limits
+            `min_range`, `opening_angle`, `name`.
+        """
+        angles = np.asarray(bearings, dtype=np.float64)
+        if angles.ndim != 1:
+            raise InvalidInputError(f"bearings: expected shape (k,), got {angles.shape}")
+        in_sensor = np.column_stack([np.zeros_like(angles), np.zeros_like(angles), angles])
+        return cls(compose(as_poses(mount, "mount"), in_sensor), max_range, **limits)
+
+    @property
+    def n_beams(self) -> int:
+        """Number of beams, k."""
+        return len(self.mounts)
+
+    @property
+    def bearings(self) -> FloatArray:
+        """(k,) direction of each beam in the robot frame, radians."""
+        return self.mounts[:, 2]
+
+    def subset(self, beams: ArrayLike) -> RangeFinder:
+        """Return the finder with only the given beams (indices, slice or mask)."""
+        return replace(self, mounts=self.mounts[np.asarray(beams)])
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One measurement z = {z^1, ..., z^K} of a range finder (6.1).
+
+    Parameters
+    ----------
+    ranges
+        (k,) metres, as in REP 117: +inf or >= max_range: no return (a measurement); NaN: no measurement;
+        -inf or < min_range: too close, dropped.
+    finder
+        The sensor; one range per beam.
+    stamp
+        Seconds.
+    """
+
+    ranges: FloatArray
+    finder: RangeFinder
+    stamp: float = 0.0
+
+    def __post_init__(self) -> None:
+        ranges = np.array(self.ranges, dtype=np.float64)
+        if ranges.shape != (self.finder.n_beams,):
+            raise InvalidInputError(f"ranges: expected shape ({self.finder.n_beams},), got {ranges.shape}")
+        ranges.flags.writeable = False
+        object.__setattr__(self, "ranges", ranges)
+
+    def subset(self, beams: ArrayLike) -> Scan:
+        """Return the scan with only the given beams (indices or mask)."""
+        chosen = np.asarray(beams)
+        return Scan(self.ranges[chosen], self.finder.subset(chosen), self.stamp)
+
+    def every(self, n_beams: int) -> Scan:
+        """Return about equally spaced beams, `n_beams` of them, or all if there are fewer (6.3.4)."""
+        if n_beams < 1:
+            raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
+        k = self.finder.n_beams
+        if n_beams >= k:
+            return self
+        return self.subset(np.round(np.linspace(0, k - 1, n_beams)).astype(np.int64))
+
+
+def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
+    """Return ranges with "no return" as max_range and everything that is no measurement as NaN.
+
+    Parameters
+    ----------
+    ranges
+        (..., k) metres, in the conventions of `Scan`.
+    finder
+        The sensor.
+    """
+    z = np.array(ranges, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        z[z < finder.min_range] = np.nan
+        z[z >= finder.max_range] = finder.max_range
+    return z
+
+
+@dataclass(frozen=True)
+class NoReturnPolicy:
+    """How a reader turned a sensor's own "no return" values into +inf, and why.
+
+    Parameters
+    ----------
+    values
+        Raw values (metres, before conversion) that mean "no return"; every value >= max_range does anyway.
+    share
+        Share of all readings that were converted.
+    origin
+        "declared" by the file, "detected" in the data, "given" by the user, or "none".
+    explanation
+        One sentence for people.
+    """
+
+    values: tuple[float, ...] = ()
+    share: float = 0.0
+    origin: str = "none"
+    explanation: str = "no special value seen"
+
+
+@dataclass(frozen=True, eq=False)
+class SensorLog:
+    """All scans of one sensor, as columns.
+
+    Parameters
+    ----------
+    finder
+        The sensor.
+    stamps
+        (t,) seconds, not decreasing.
+    ranges
+        (t, k) metres in the conventions of `Scan`.
+    poses
+        (t, 3) reference pose of the robot in the map frame per scan; NaN where the log has none.
+    odometry
+        (t, 3) pose of the robot in the odometry frame per scan; NaN where the log has none.
+    no_return
+        What was done about the sensor's "no return" values.
+    """
+
+    finder: RangeFinder
+    stamps: FloatArray
+    ranges: FloatArray
+    poses: FloatArray
+    odometry: FloatArray
+    no_return: NoReturnPolicy = field(default_factory=NoReturnPolicy)
+
+    def __post_init__(self) -> None:
+        t, k = len(self.stamps), self.finder.n_beams
+        for name, shape in (("stamps", (t,)), ("ranges", (t, k)), ("poses", (t, 3)), ("odometry", (t, 3))):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape:
+                raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __iter__(self) -> Iterator[Scan]:
+        return (self.scan(i) for i in range(len(self)))
+
+    def scan(self, index: int) -> Scan:
+        """Return one scan."""
+        return Scan(self.ranges[index], self.finder, float(self.stamps[index]))
+
+    def select(self, scans: ArrayLike) -> SensorLog:
+        """Return the log with only the given scans (indices or mask)."""
+        chosen = np.asarray(scans)
+        return replace(
+            self,
+            stamps=self.stamps[chosen],
+            ranges=self.ranges[chosen],
+            poses=self.poses[chosen],
+            odometry=self.odometry[chosen],
+        )
+
+    def with_poses(self, poses: ArrayLike) -> SensorLog:
+        """Return the log with other reference poses, (t, 3)."""
+        return replace(self, poses=np.asarray(poses, dtype=np.float64))
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether any scan has a reference pose."""
+        return bool(np.isfinite(self.poses).all(axis=-1).any())
+
+    @property
+    def has_odometry(self) -> bool:
+        """Whether any scan has an odometry pose."""
+        return bool(np.isfinite(self.odometry).all(axis=-1).any())
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A trajectory: poses with stamps.
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds, not decreasing.
+    poses
+        (t, 3) metres and radians.
+    """
+
+    stamps: FloatArray
+    poses: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanLog:
+    """What a log file says: one entry per sensor, the odometry at its own rate, and notes on how it was read.
+
+    Parameters
+    ----------
+    sensors
+        The logs of the sensors by name (message or topic name), in the order of the file.
+    odometry
+        The robot's odometry at its own rate; None if the log has none.
+    source
+        Name of the file.
+    notes
+        What a user should know about how the file was read; one sentence each.
+    parameters
+        Parameters that the file itself carries (CARMEN's PARAM lines, for example).
+    """
+
+    sensors: Mapping[str, SensorLog]
+    odometry: Track | None = None
+    source: str = ""
+    notes: tuple[str, ...] = ()
+    parameters: Mapping[str, str] = field(default_factory=dict)
+
+    def only_sensor(self, name: str | None = None) -> SensorLog:
+        """Return the sensor of that name, or the only one there is.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is no such sensor, or no name was given and there are several.
+        """
+        known = ", ".join(repr(n) for n in self.sensors) or "none"
+        if name is None:
+            if len(self.sensors) != 1:
+                raise InvalidInputError(f"{self.source}: which sensor? the log has {known}")
+            return next(iter(self.sensors.values()))
+        if name not in self.sensors:
+            raise InvalidInputError(f"{self.source}: no sensor {name!r}; the log has {known}")
+        return self.sensors[name]

@@ -1,0 +1,131 @@
+"""The beam table: one row per beam with its measured and its expected range; all that learning needs of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import SensorLog, usable_ranges
+
+UnknownRule = Literal["skip", "free", "occupied"]
+Progress = Callable[[int, int], None]
+
+# Scans per call of the ray caster: keeps memory small and progress alive.
+SCANS_PER_CHUNK = 256
+
+
+@dataclass(frozen=True, eq=False)
+class BeamTable:
+    """Beams of a log as columns of length n.
+
+    Parameters
+    ----------
+    ranges
+        Measured range in metres; exactly `max_range` for "no return".
+    expected_ranges
+        z* in metres, at most `max_range`; exactly `max_range` where the ray hits nothing.
+    scan, beam
+        Index of the scan in the log and of the beam in the scan.
+    stamps
+        Time of the scan, seconds.
+    max_range
+        The sensor's limit, metres.
+    n_no_measurement, n_unknown
+        Beams left out because they carry no measurement (NaN, too close), and because their ray enters unknown space
+        before an obstacle.
+    """
+
+    ranges: FloatArray
+    expected_ranges: FloatArray
+    scan: NDArray[np.int32]
+    beam: NDArray[np.int32]
+    stamps: FloatArray
+    max_range: float
+    n_no_measurement: int = 0
+    n_unknown: int = 0
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    def select(self, rows: ArrayLike) -> BeamTable:
+        """Return the table with only the given rows (indices or mask)."""
+        chosen = np.asarray(rows)
+        return BeamTable(
+            self.ranges[chosen],
+            self.expected_ranges[chosen],
+            self.scan[chosen],
+            self.beam[chosen],
+            self.stamps[chosen],
+            self.max_range,
+            self.n_no_measurement,
+            self.n_unknown,
+        )
+
+    @property
+    def hits_nothing(self) -> NDArray[np.bool_]:
+        """Beams whose ray meets no obstacle within `max_range`; learning leaves them out."""
+        return np.asarray(self.expected_ranges >= self.max_range)
+
+
+def build_beam_table(
+    log: SensorLog,
+    grid: OccupancyGrid,
+    scans: ArrayLike,
+    *,
+    unknown: UnknownRule = "skip",
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> BeamTable:
+    """Cast the beams of the given scans from their reference poses.
+
+    Parameters
+    ----------
+    log, grid
+        Scans with reference poses, and the map.
+    scans
+        Indices or mask of the scans to use.
+    unknown
+        What a ray does in unknown cells: "skip" leaves out beams whose ray enters unknown space before an obstacle
+        (their expected range is not known); "free" passes through; "occupied" stops there.
+    threads
+        For the ray caster; None uses all processors.
+    progress
+        Called with (done, total) scans.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map has no obstacle.
+    """
+    if not grid.occupied.any():
+        raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
+    chosen = np.arange(len(log))[np.asarray(scans)]
+    caster = RayCaster(grid, unknown="occupied" if unknown == "occupied" else "free")
+    stopping = RayCaster(grid, unknown="occupied") if unknown == "skip" and grid.unknown.any() else None
+    parts: list[tuple[FloatArray, FloatArray, NDArray[np.int32], NDArray[np.int32]]] = []
+    n_no_measurement = n_unknown = 0
+    for start in range(0, len(chosen), SCANS_PER_CHUNK):
+        rows = chosen[start : start + SCANS_PER_CHUNK]
+        ranges = usable_ranges(log.ranges[rows], log.finder)
+        expected = caster.expected_ranges(log.poses[rows], log.finder, threads=threads)
+        keep = np.isfinite(ranges)
+        n_no_measurement += int((~keep).sum())
+        if stopping is not None:
+            # The same ray stopped by unknown cells is shorter exactly if it enters one before an obstacle.
+            doubtful = keep & (stopping.expected_ranges(log.poses[rows], log.finder, threads=threads) < expected)
+            n_unknown += int(doubtful.sum())
+            keep &= ~doubtful
+        in_chunk, beam = np.nonzero(keep)
+        parts.append((ranges[keep], expected[keep], rows[in_chunk].astype(np.int32), beam.astype(np.int32)))
+        if progress is not None:
+            progress(min(start + SCANS_PER_CHUNK, len(chosen)), len(chosen))
+    ranges, expected, scan, beam = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return BeamTable(ranges, expected, scan, beam, log.stamps[scan], log.finder.max_range, n_no_measurement, n_unknown)

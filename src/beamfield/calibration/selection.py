@@ -1,0 +1,193 @@
+"""Choose the scans of a log that a sensor model can be learned from, and say why the others were dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.geometry import FloatArray, between, compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog, usable_ranges
+
+# In the order in which they are looked for; a scan is dropped for the first that holds.
+REASONS = (
+    "no reference pose",
+    "no usable range",
+    "off the map",
+    "sensor inside a wall",
+    "reference pose jumps",
+    "turning too fast",
+    "standing still",
+)
+
+
+@dataclass(frozen=True)
+class SelectionOptions:
+    """Which scans are used.
+
+    Parameters
+    ----------
+    min_travel, min_turn
+        A scan counts as moving if the robot moved this far (metres) or turned this much (radians) since the last scan
+        that was used; scans of a standing robot repeat one measurement and would count as many.
+    max_turn_rate
+        Scans taken while the robot turns faster (rad/s) are dropped: the beams of one sweep then belong to different
+        headings.
+    max_jump, max_jump_turn
+        A step of the reference between neighbouring scans may differ from the odometry's by this much (metres,
+        radians); without odometry nothing is tested.
+    min_scans
+        Fewer scans than this are too little data.
+    """
+
+    min_travel: float = 0.02
+    min_turn: float = 0.02
+    max_turn_rate: float = 1.5
+    max_jump: float = 0.5
+    max_jump_turn: float = 0.35
+    min_scans: int = 10
+
+    def __post_init__(self) -> None:
+        for name in ("min_travel", "min_turn", "max_turn_rate", "max_jump", "max_jump_turn", "min_scans"):
+            value = getattr(self, name)
+            if not value >= 0:
+                raise InvalidInputError(f"{name}: expected a number >= 0, got {value}")
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Which scans of a log are used.
+
+    Parameters
+    ----------
+    used
+        (t,) mask.
+    reason
+        (t,) index into `REASONS` of why a scan was dropped; -1 for used ones.
+    """
+
+    used: NDArray[np.bool_]
+    reason: NDArray[np.int8]
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """How many scans were dropped for each reason; only reasons that occurred."""
+        counts = np.bincount(self.reason[self.reason >= 0], minlength=len(REASONS))
+        return {name: int(n) for name, n in zip(REASONS, counts, strict=True) if n}
+
+    def describe(self) -> str:
+        """Return one line for people."""
+        why = ", ".join(f"{n} {name}" for name, n in self.dropped.items())
+        return f"{int(self.used.sum())} of {len(self.used)} scans used" + (f"; dropped: {why}" if why else "")
+
+
+def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions | None = None) -> Selection:
+    """Select the scans whose reference pose and readings a model can be learned from.
+
+    Parameters
+    ----------
+    log
+        Scans with reference poses in the map frame.
+    grid
+        The map.
+    options
+        What counts as moving and plausible.
+
+    Returns
+    -------
+    Selection
+        The scans used, and why each other was dropped.
+
+    Raises
+    ------
+    InvalidInputError
+        If the log has no reference poses at all, or all of it lies off the map.
+    TooLittleDataError
+        If fewer than `options.min_scans` scans remain.
+    """
+    options = options or SelectionOptions()
+    if not log.has_poses:
+        raise InvalidInputError(
+            f"{log.finder.name or 'log'}: no scan has a reference pose; give them with a pose file or topic"
+        )
+    reason = np.full(len(log), -1, dtype=np.int8)
+
+    def drop(mask: NDArray[np.bool_], name: str) -> None:
+        reason[mask & (reason < 0)] = REASONS.index(name)
+
+    posed = np.isfinite(log.poses).all(axis=1)
+    drop(~posed, "no reference pose")
+    drop(~np.isfinite(usable_ranges(log.ranges, log.finder)).any(axis=1), "no usable range")
+    origins = _sensor_origins(log)
+    outside = posed & grid.look_up(np.zeros(grid.shape, bool), origins, outside=True)
+    _require_overlap(log, grid, outside, posed)
+    drop(outside, "off the map")
+    drop(posed & grid.look_up(grid.occupied, origins), "sensor inside a wall")
+    drop(_jumps(log, options), "reference pose jumps")
+    drop(_turns_fast(log, options.max_turn_rate), "turning too fast")
+    drop(_stands(log, reason < 0, options), "standing still")
+    selection = Selection(reason < 0, reason)
+    if selection.used.sum() < options.min_scans:
+        raise TooLittleDataError(f"{log.finder.name or 'log'}: {selection.describe()}; need {options.min_scans}")
+    return selection
+
+
+def _sensor_origins(log: SensorLog) -> FloatArray:
+    """(t, 2) where the first beam starts; poses that are NaN are put at the origin (they are dropped anyway)."""
+    poses = np.where(np.isfinite(log.poses), log.poses, 0.0)
+    return compose(poses, log.finder.mounts[0])[:, :2]
+
+
+def _require_overlap(log: SensorLog, grid: OccupancyGrid, outside: NDArray[np.bool_], posed: NDArray[np.bool_]) -> None:
+    if not outside[posed].all():
+        return
+    low, high = log.poses[posed, :2].min(axis=0), log.poses[posed, :2].max(axis=0)
+    rows, cols = grid.shape
+    corners = grid.to_map(np.array([[0, 0], [cols, 0], [0, rows], [cols, rows]]))
+    a, b = corners.min(axis=0), corners.max(axis=0)
+    raise InvalidInputError(
+        f"{log.finder.name or 'log'}: all {int(posed.sum())} reference poses lie off the map: poses span "
+        f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m; "
+        f"the map x {a[0]:.2f} to {b[0]:.2f} m, y {a[1]:.2f} to {b[1]:.2f} m"
+    )
+
+
+def _jumps(log: SensorLog, options: SelectionOptions) -> NDArray[np.bool_]:
+    """Scans before or after which the reference moves otherwise than the odometry."""
+    if not log.has_odometry:
+        return np.zeros(len(log), bool)
+    with np.errstate(invalid="ignore"):
+        step = between(log.poses[:-1], log.poses[1:])
+        driven = between(log.odometry[:-1], log.odometry[1:])
+        error = between(driven, step)
+        bad = (np.hypot(error[:, 0], error[:, 1]) > options.max_jump) | (np.abs(error[:, 2]) > options.max_jump_turn)
+    return np.concatenate([bad, [False]]) | np.concatenate([[False], bad])
+
+
+def _turns_fast(log: SensorLog, max_turn_rate: float) -> NDArray[np.bool_]:
+    """Scans around which the robot turns faster than the limit."""
+    track = log.odometry if log.has_odometry else log.poses
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turn = np.abs(between(track[:-1], track[1:])[:, 2])
+        rate = turn / np.diff(log.stamps)
+        fast = (rate > max_turn_rate) & (turn > 0)
+    return np.concatenate([fast, [False]]) | np.concatenate([[False], fast])
+
+
+def _stands(log: SensorLog, candidates: NDArray[np.bool_], options: SelectionOptions) -> NDArray[np.bool_]:
+    """Candidates that are too close to the last one kept."""
+    still = np.zeros(len(log), bool)
+    last: FloatArray | None = None
+    for i in np.flatnonzero(candidates):
+        pose = log.poses[i]
+        if last is not None:
+            step = between(last, pose)
+            if np.hypot(step[0], step[1]) < options.min_travel and abs(step[2]) < options.min_turn:
+                still[i] = True
+                continue
+        last = pose
+    return still

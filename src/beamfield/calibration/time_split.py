@@ -1,0 +1,58 @@
+"""Split a log by time into blocks for fitting and blocks held out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+
+# Beams of one scan and of scans within some 20 s depend on each other; shorter blocks would share their errors.
+LONGEST_BLOCK_S = 20.0
+FEWEST_BLOCKS = 12
+
+
+def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.int64]:
+    """Return the number of the time block of each stamp, counted from 0.
+
+    Parameters
+    ----------
+    stamps
+        (n,) seconds, in any order.
+    block_s
+        Length of a block in seconds; None: 20 s, or shorter so that the log has at least 12 blocks.
+
+    Raises
+    ------
+    InvalidInputError
+        If the length is not positive.
+    """
+    times = np.asarray(stamps, dtype=np.float64)
+    if len(times) == 0:
+        return np.zeros(0, dtype=np.int64)
+    duration = float(times.max() - times.min())
+    length = min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS) if block_s is None else block_s
+    if block_s is not None and not block_s > 0:
+        raise InvalidInputError(f"block_s: expected a positive number of seconds, got {block_s}")
+    if length <= 0:
+        return np.zeros(len(times), dtype=np.int64)
+    blocks = np.floor((times - times.min()) / length).astype(np.int64)
+    # The last stamp would start a block of its own.
+    return np.minimum(blocks, max(0, int(np.ceil(duration / length)) - 1))
+
+
+def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 3) -> NDArray[np.bool_]:
+    """Return which stamps are held out: every `every`-th block of time, starting in the middle.
+
+    Parameters
+    ----------
+    stamps
+        (n,) seconds.
+    block_s
+        Length of a block, see `time_blocks`.
+    every
+        One block in this many is held out.
+    """
+    if every < 2:
+        raise InvalidInputError(f"every: expected at least 2, got {every}")
+    return np.asarray(time_blocks(stamps, block_s) % every == every // 2)

@@ -1,0 +1,201 @@
+"""Judge a fitted beam model on beams that it was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.calibration.beam_table import BeamTable
+from beamfield.geometry import FloatArray
+from beamfield.models.beam import beam_cdf, beam_log_density, beam_responsibilities
+from beamfield.models.beam_parameters import BeamParameters
+
+
+def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float, sigma: float, rate: float) -> BeamParameters:
+    total = z_hit + z_short + z_max + z_rand
+    return BeamParameters(z_hit / total, z_short / total, z_max / total, z_rand / total, sigma, rate)
+
+
+# Defaults of the stacks' beam models; their weights sum to 1.1 and 1.15, so they are normalised to be densities.
+DEFAULTS: Mapping[str, BeamParameters] = {
+    "nav2 defaults": _normalized(0.5, 0.05, 0.05, 0.5, 0.2, 0.1),
+    "ROS 1 defaults": _normalized(0.95, 0.1, 0.05, 0.05, 0.2, 0.1),
+}
+
+
+def uniform_parameters(max_share: float) -> BeamParameters:
+    """Return the model that knows only how often nothing returns: uniform below max_range.
+
+    Parameters
+    ----------
+    max_share
+        Share of "no return" readings in the data the fit has seen.
+    """
+    # Half a reading more or less keeps log(z_max) finite if the fit blocks have no "no return" at all.
+    share = min(max(max_share, 1e-6), 1.0 - 1e-6)
+    return BeamParameters(0.0, 0.0, share, 1.0 - share, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """Held-out score of one set of parameters.
+
+    Parameters
+    ----------
+    name
+        Which parameters.
+    parameters
+        The parameters.
+    log_likelihood
+        Mean log-likelihood per held-out beam, nats.
+    standard_error
+        Standard error of that mean, from blocks of time.
+    behind_fit, behind_fit_se
+        How much less than the fit per beam, nats, and the standard error of this difference.
+    """
+
+    name: str
+    parameters: BeamParameters
+    log_likelihood: float
+    standard_error: float
+    behind_fit: float = 0.0
+    behind_fit_se: float = 0.0
+
+
+def score_models(
+    models: Mapping[str, BeamParameters], table: BeamTable, blocks: NDArray[np.int64]
+) -> tuple[ModelScore, ...]:
+    """Score sets of parameters on held-out beams; the first is the fit that the others are compared with.
+
+    Parameters
+    ----------
+    models
+        Parameters by name.
+    table
+        Held-out beams; those whose ray hits nothing are left out.
+    blocks
+        (n,) time block of each beam.
+    """
+    rows = ~table.hits_nothing
+    z, expected, block = table.ranges[rows], table.expected_ranges[rows], blocks[rows]
+    scores: list[ModelScore] = []
+    reference: FloatArray | None = None
+    for name, parameters in models.items():
+        density = beam_log_density(z, expected, table.max_range, parameters)
+        if reference is None:
+            reference = density
+        behind = reference - density
+        scores.append(
+            ModelScore(
+                name,
+                parameters,
+                float(density.mean()),
+                block_standard_error(density, block),
+                float(behind.mean()),
+                block_standard_error(behind, block),
+            )
+        )
+    return tuple(scores)
+
+
+def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float:
+    """Return the standard error of a mean whose terms depend on each other within blocks; NaN for one block.
+
+    Parameters
+    ----------
+    values
+        (n,) terms.
+    blocks
+        (n,) block of each.
+    """
+    _, index = np.unique(blocks, return_inverse=True)
+    n_blocks = int(index.max()) + 1 if len(index) else 0
+    if n_blocks < 2:
+        return float("nan")
+    centred = np.bincount(index, weights=values - values.mean(), minlength=n_blocks)
+    return float(np.sqrt(n_blocks / (n_blocks - 1) * (centred**2).sum()) / len(values))
+
+
+def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.Generator) -> FloatArray:
+    """Return the randomised probability integral transform of each beam; uniform on [0, 1] if the model is right.
+
+    "No return" is a point mass: its value is drawn uniformly from [1 - z_max, 1].
+
+    Parameters
+    ----------
+    table
+        Beams; those whose ray hits nothing are left out.
+    parameters
+        The model.
+    rng
+        For the randomisation.
+    """
+    rows = ~table.hits_nothing
+    z, expected = table.ranges[rows], table.expected_ranges[rows]
+    value = beam_cdf(z, expected, table.max_range, parameters)
+    at_max = z >= table.max_range
+    below = 1.0 - parameters.z_max
+    value[at_max] = below + parameters.z_max * rng.random(int(at_max.sum()))
+    return value
+
+
+def pit_deviation(pit: FloatArray) -> float:
+    """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic)."""
+    n = len(pit)
+    if n == 0:
+        return float("nan")
+    ordered = np.sort(pit)
+    steps = np.arange(1, n + 1) / n
+    return float(max((steps - ordered).max(), (ordered - steps + 1.0 / n).max()))
+
+
+def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.int8]:
+    """Return the most likely cause of each beam: 0 hit, 1 short, 2 max, 3 rand."""
+    share = beam_responsibilities(table.ranges, table.expected_ranges, table.max_range, parameters)
+    return np.asarray(share.argmax(axis=-1), dtype=np.int8)
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Mean log-likelihood per beam, scan by scan.
+
+    Parameters
+    ----------
+    scan
+        (s,) index in the log.
+    stamps
+        (s,) seconds.
+    log_likelihood
+        (s,) nats per beam.
+    held_out
+        (s,) whether the scan was held out.
+    """
+
+    scan: NDArray[np.int64]
+    stamps: FloatArray
+    log_likelihood: FloatArray
+    held_out: NDArray[np.bool_]
+
+
+def timeline(table: BeamTable, parameters: BeamParameters, held_out: NDArray[np.bool_]) -> Timeline:
+    """Return how well each scan fits.
+
+    Parameters
+    ----------
+    table
+        Beams; those whose ray hits nothing are left out.
+    parameters
+        The model.
+    held_out
+        (n,) whether each beam was held out.
+    """
+    rows = ~table.hits_nothing
+    density = beam_log_density(table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters)
+    scans, first, index = np.unique(table.scan[rows], return_index=True, return_inverse=True)
+    total = np.bincount(index, weights=density)
+    return Timeline(
+        scans.astype(np.int64), table.stamps[rows][first], total / np.bincount(index), held_out[rows][first]
+    )

@@ -1,0 +1,42 @@
+# The two commands: `make demo` and `make test`. Everything is installed into .venv by the commands themselves.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/installed
+
+.PHONY: demo test lint bench docs wheel clean help
+
+help:  ## Show the commands
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("beamfield needs Python 3.11 or newer, got " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: $(STAMP)  ## Simulate a robot, calibrate its sensor, print truth beside fit
+	$(BIN)/beamfield demo
+
+test: $(STAMP)  ## Run all tests (three lanes: normal, JIT off, doctests)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -q
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/kernels
+
+lint: $(STAMP)  ## Check style, types, import direction and spelling
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/codespell
+
+bench: $(STAMP)  ## Measure speed and memory beside their baselines
+	$(BIN)/python benchmarks/run.py
+
+docs: $(STAMP)  ## Redraw the pictures and tables of the documentation
+	$(BIN)/python docs/make_figures.py
+
+wheel: $(STAMP)  ## Build the wheel into dist/
+	$(BIN)/python -m build --quiet --wheel
+
+clean:  ## Remove what the commands made
+	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis

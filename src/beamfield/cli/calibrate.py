@@ -1,0 +1,239 @@
+"""``beamfield calibrate``: from a log and a map to calibrated parameters and a report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beamfield.cli.progress import StageProgress
+from beamfield.cli.provenance import provenance
+from beamfield.errors import InvalidInputError, TooLittleDataError
+
+if TYPE_CHECKING:
+    from beamfield.calibration.calibrate import CalibrationOptions
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import ScanLog, SensorLog
+
+DESCRIPTION = """
+Learn the parameters of the beam model (z_hit, z_short, z_max, z_rand, sigma_hit, lambda_short) from a log with
+reference poses and a map. Prints a table and writes beam_model.yaml, calibration.json and report.html into the output
+folder, whole or not at all.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the command."""
+    parser = subparsers.add_parser(
+        "calibrate", help="learn a sensor model from a log and a map", description=DESCRIPTION
+    )
+    parser.add_argument(
+        "log", type=Path, metavar="LOG", help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap"
+    )
+    parser.add_argument("--map", type=Path, required=True, metavar="MAP", help="map_server .yaml, Wean .dat, or a bag")
+    parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
+    parser.add_argument("--out", type=Path, default=Path("beamfield_calibration"), metavar="DIR", help="output folder")
+    add_log_options(parser)
+    model = parser.add_argument_group("model")
+    model.add_argument("--unknown", choices=("skip", "free", "occupied"), default="skip",
+                       help="rays that enter unknown cells: leave them out, pass, or stop (default: skip)")  # fmt: skip
+    model.add_argument("--range-offset", choices=("auto", "on", "off"), default="auto",
+                       help="hits centred beside the expected range (default: if held-out likelihood asks)")  # fmt: skip
+    model.add_argument("--sigma-slope", choices=("auto", "on", "off"), default="auto",
+                       help="sigma grows with the expected range (default: if held-out likelihood asks)")  # fmt: skip
+    model.add_argument("--hold", action="append", default=[], metavar="NAME=VALUE", help="hold a parameter; repeatable")
+    model.add_argument("--block", type=float, metavar="S",
+                       help="length of fit and held-out blocks (default: 20 s or less)")  # fmt: skip
+    model.add_argument("--bootstrap", type=int, default=200, metavar="N", help="replicates for the intervals")
+    model.add_argument("--seed", type=int, default=0, help="seed of every random choice")
+    model.add_argument("--no-refine", action="store_true", help="do not refine reference poses to see their error")
+    choice = parser.add_argument_group("scans that are used")
+    choice.add_argument("--min-travel", type=float, metavar="M", help="least motion since the last scan used")
+    choice.add_argument("--min-turn-deg", type=float, metavar="DEG", help="or least turn")
+    choice.add_argument("--max-turn-rate-deg", type=float, metavar="DEG/S", help="drop scans in faster turns")
+    parser.add_argument("--threads", type=int, help="processors to use (default: all)")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.set_defaults(run=run)
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say how a log is read."""
+    group = parser.add_argument_group("reading the log")
+    group.add_argument("--sensor", action="append", metavar="NAME", help="scan topic or sensor; repeatable")
+    group.add_argument("--poses-topic", metavar="TOPIC", help="topic of the reference poses in the bag")
+    group.add_argument("--map-frame", metavar="FRAME", help="name of the map frame in tf")
+    group.add_argument("--base-frame", metavar="FRAME", help="name of the robot's frame in tf")
+    group.add_argument("--no-return", default="detect", metavar="detect|none|V[,V...]",
+                       help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
+    group.add_argument("--max-range", type=float, metavar="M", help="the sensor's limit, if the log is wrong about it")
+    group.add_argument("--min-range", type=float, metavar="M", help="shortest range that counts")
+
+
+def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the keyword arguments of `read_log` that the command line asks for."""
+    given: str = arguments.no_return
+    no_return: str | tuple[float, ...] = given
+    if given not in ("detect", "none"):
+        try:
+            no_return = tuple(float(word) for word in given.split(","))
+        except ValueError:
+            raise InvalidInputError(f"--no-return: expected detect, none or numbers, got {given!r}") from None
+    return {
+        "sensor_topic": arguments.sensor,
+        "poses_topic": arguments.poses_topic,
+        "map_frame": arguments.map_frame,
+        "base_frame": arguments.base_frame,
+        "no_return": no_return,
+        "max_range": arguments.max_range,
+        "min_range": arguments.min_range,
+    }
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Parse, read, calibrate, write."""
+    # The numerical libraries load here, so that --help answers at once.
+    from beamfield.io.atomic import atomic_folder
+    from beamfield.io.read_log import read_log
+    from beamfield.io.read_map import read_map
+    from beamfield.io.trajectory import attach_poses, read_trajectory
+
+    options = _options(arguments)
+    outputs: dict[str, dict[str, str]] = {}
+    text: list[str] = []
+    converged = True
+    with StageProgress(quiet=arguments.quiet) as progress:
+        progress("reading the map", 0, 1)
+        grid = read_map(arguments.map)
+        if not grid.occupied.any():
+            raise InvalidInputError(f"{arguments.map}: the map has no occupied cell, so no ray has an expected range")
+        progress("reading the log", 0, 1)
+        log = read_log(arguments.log, **log_options(arguments))
+        if arguments.poses is not None:
+            log = attach_poses(log, read_trajectory(arguments.poses))
+        origin = _provenance(arguments)
+        chosen = _chosen_sensors(log, arguments)
+        for name, sensor in chosen.items():
+            files, table, good = _calibrate_sensor(arguments.log, sensor, grid, options, origin, log.notes, progress)
+            # Several sensors: a folder each.
+            outputs[_folder_name(name) if len(chosen) > 1 else "."] = files
+            text.append((f"== {name}\n" if len(chosen) > 1 else "") + table)
+            converged &= good
+    with atomic_folder(arguments.out) as folder:
+        for place, files in outputs.items():
+            (folder / place).mkdir(exist_ok=True)
+            for file_name, content in files.items():
+                (folder / place / file_name).write_text(content, encoding="utf-8")
+    for note in log.notes:
+        print(f"note: {note}")
+    print("\n\n".join(text))
+    print(f"\nwrote {', '.join(FILES)} into {arguments.out}")
+    if not converged:
+        print("beamfield: warning: the fit did not converge", file=sys.stderr)
+        return 3
+    return 0
+
+
+FILES = ("beam_model.yaml", "calibration.json", "report.html")
+
+
+def _options(arguments: argparse.Namespace) -> CalibrationOptions:
+    from beamfield.calibration.calibrate import CalibrationOptions
+    from beamfield.calibration.selection import SelectionOptions
+
+    given = {
+        "min_travel": arguments.min_travel,
+        "min_turn": _radians(arguments.min_turn_deg),
+        "max_turn_rate": _radians(arguments.max_turn_rate_deg),
+    }
+    return CalibrationOptions(
+        selection=SelectionOptions(**{name: value for name, value in given.items() if value is not None}),
+        unknown=arguments.unknown,
+        block_s=arguments.block,
+        range_offset=arguments.range_offset,
+        sigma_slope=arguments.sigma_slope,
+        hold=_held(arguments.hold),
+        n_bootstrap=arguments.bootstrap,
+        refine=not arguments.no_refine,
+        seed=arguments.seed,
+        threads=arguments.threads,
+    )
+
+
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else math.radians(degrees)
+
+
+def _held(words: list[str]) -> dict[str, float]:
+    held = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            held[name] = float(value)
+        except ValueError:
+            raise InvalidInputError(f"--hold: expected NAME=NUMBER, got {word!r}") from None
+    return held
+
+
+def _provenance(arguments: argparse.Namespace) -> dict[str, Any]:
+    from beamfield.io.ros_map import image_path
+
+    inputs = [("log", arguments.log), ("map", arguments.map)]
+    if arguments.map.suffix in (".yaml", ".yml"):
+        inputs.append(("map image", image_path(arguments.map)))
+    if arguments.poses is not None:
+        inputs.append(("poses", arguments.poses))
+    files = {"log", "map", "poses", "out", "run", "quiet", "threads", "seed"}
+    given = {name: value for name, value in sorted(vars(arguments).items()) if name not in files}
+    return provenance(inputs, given, arguments.seed)
+
+
+def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str, SensorLog]:
+    """Return the sensors to calibrate: those asked for, or the only one."""
+    if arguments.sensor:
+        return {name: log.only_sensor(name) for name in arguments.sensor}
+    if len(log.sensors) != 1:
+        known = ", ".join(repr(name) for name in log.sensors)
+        raise InvalidInputError(f"{arguments.log}: has several sensors, choose with --sensor: {known}")
+    return log.sensors
+
+
+def _folder_name(sensor: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in sensor.strip("/")) or "sensor"
+
+
+def _calibrate_sensor(
+    path: Path,
+    sensor: SensorLog,
+    grid: OccupancyGrid,
+    options: CalibrationOptions,
+    origin: dict[str, Any],
+    notes: tuple[str, ...],
+    progress: StageProgress,
+) -> tuple[dict[str, str], str, bool]:
+    """Calibrate one sensor and return the files to write, the table to print, and whether the fit converged."""
+    from beamfield.calibration.calibrate import calibrate
+    from beamfield.io.parameters import beam_model_text
+    from beamfield.report.as_json import calibration_as_dict
+    from beamfield.report.html import render_report
+    from beamfield.report.text_table import parameter_table, score_table
+
+    try:
+        result = calibrate(sensor, grid, options, progress=progress)
+    except (InvalidInputError, TooLittleDataError) as error:
+        raise type(error)(f"{path}: {error}") from error
+    progress("writing the report", 0, 1)
+    document = {"provenance": origin, "notes": list(notes), **calibration_as_dict(result)}
+    files = {
+        "beam_model.yaml": beam_model_text(
+            result.parameters, sensor.finder, intervals=result.intervals.intervals, provenance=origin
+        ),
+        "calibration.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
+        "report.html": render_report(result, grid, sensor, origin),
+    }
+    warnings = [f"warning ({f.name}): {f.text}" for f in result.findings if f.severity == "warning"]
+    table = "\n\n".join([result.selection.describe(), parameter_table(result), score_table(result), *warnings])
+    return files, table, result.converged

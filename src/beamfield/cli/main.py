@@ -1,0 +1,72 @@
+"""The command ``beamfield``: finds the subcommand and turns known errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+
+from beamfield import __version__
+from beamfield.cli import calibrate, demo, inspect, simulate
+from beamfield.errors import BeamfieldError, BeamfieldWarning
+
+COMMANDS = (calibrate, inspect, simulate, demo)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser with all subcommands."""
+    parser = argparse.ArgumentParser(
+        prog="beamfield",
+        description="Measurement models of probabilistic robotics: calibrate a range sensor from a log and a map.",
+        epilog="Exit codes: 0 done; 1 a known error, on one line; 2 wrong usage; 3 not converged or too little data.",
+    )
+    parser.add_argument("--version", action="version", version=f"beamfield {__version__}")
+    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        command.add_parser(subparsers)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments
+        Words of the command line without the program's name; None takes them from the process.
+    """
+    parsed = build_parser().parse_args(arguments)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("default", BeamfieldWarning)
+            warnings.showwarning = _show_warning
+            code = int(parsed.run(parsed))
+            sys.stdout.flush()
+            return code
+    except BeamfieldError as error:
+        return _fail(str(error), error.exit_code)
+    except BrokenPipeError:
+        # The reader of our output (head, less) has gone; that is no error.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}", 1)
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"beamfield: error: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    """Print a warning without the place in the code, which says nothing to a user."""
+    print(f"beamfield: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

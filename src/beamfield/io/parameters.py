@@ -1,0 +1,93 @@
+"""Files of model parameters: beamfield's own beam_model.yaml."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.yaml_file import read_yaml
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder
+
+HEADER = """\
+# Beam model p(z | x, m) of a range finder: parameters, their 95 % intervals, and where they come from.
+# z_hit + z_short + z_max + z_rand = 1; sigma_hit and range_offset in metres, lambda_short in 1/metre.
+# A hit is a Gaussian around expected range + range_offset with variance sigma_hit^2 + (sigma_slope * expected range)^2.
+# max_range is the range in metres from which a reading means "no return".
+"""
+
+
+def beam_model_text(
+    parameters: BeamParameters,
+    finder: RangeFinder,
+    *,
+    intervals: Mapping[str, tuple[float, float]] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the text of a beam_model.yaml.
+
+    Parameters
+    ----------
+    parameters
+        The parameters, written so that reading returns the same bits.
+    finder
+        The sensor they belong to.
+    intervals
+        95 % interval per parameter.
+    provenance
+        Plain values that say where the parameters come from.
+    """
+    document: dict[str, Any] = {
+        "beam_model": asdict(parameters),
+        "sensor": {"name": finder.name, "min_range": float(finder.min_range), "max_range": float(finder.max_range)},
+    }
+    if intervals:
+        document["intervals_95"] = {name: [float(low), float(high)] for name, (low, high) in intervals.items()}
+    if provenance:
+        document["provenance"] = dict(provenance)
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    stream = io.StringIO()
+    yaml.dump(document, stream)
+    return HEADER + stream.getvalue()
+
+
+def read_beam_model(path: str | Path) -> tuple[BeamParameters, float]:
+    """Read a beam_model.yaml.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    parameters, max_range
+        The parameters, and the sensor's limit in metres.
+
+    Raises
+    ------
+    FormatError
+        If a parameter is missing, no number, or outside its range; names the line.
+    """
+    file = read_yaml(path)
+    known = {item.name: item for item in fields(BeamParameters)}
+    section = file.value("beam_model")
+    if not isinstance(section, dict):
+        raise file.error(f"expected the parameters' names and values, got {section!r}", "beam_model")
+    for name in section:
+        if name not in known:
+            raise file.error(f"unknown parameter {name!r}; known are {', '.join(known)}", "beam_model", name)
+    optional = {"range_offset", "sigma_slope"} - set(section)
+    values = {name: file.number("beam_model", name) for name in known if name not in optional}
+    try:
+        return BeamParameters(**values), file.number("sensor", "max_range")
+    except InvalidInputError as error:
+        raise FormatError(path, str(error), line=file.lines.get(("beam_model",)), field="beam_model") from error

@@ -1,0 +1,1 @@
+"""Worlds, drives and logs whose truth is known."""

@@ -1,0 +1,59 @@
+"""Read a map, whatever file it is in."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.map_image import MAX_PIXELS
+from beamfield.io.ros_map import read_ros_map
+from beamfield.io.wean_map import read_wean_map
+from beamfield.maps.occupancy import OccupancyGrid
+
+_PICTURES = (".pgm", ".png", ".bmp")
+_BAGS = (".bag", ".mcap", ".db3")
+
+
+def read_map(path: str | os.PathLike[str], *, topic: str | None = None, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
+    """Read an occupancy grid.
+
+    Parameters
+    ----------
+    path
+        A map_server YAML file; Wean Hall's .dat or .dat.gz; or a ROS bag (.bag, .mcap, .db3 or a ROS 2 folder) with a
+        nav_msgs/OccupancyGrid.
+    topic
+        The topic of the map in a bag; None if the bag has only one.
+    max_pixels
+        Larger pictures are refused before they are decoded.
+
+    Raises
+    ------
+    FormatError
+        If the content is not what its format promises, or of no known format.
+    InvalidInputError
+        If `topic` is given for a file that is no bag.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    if source.is_dir() or source.suffix in _BAGS:
+        # Here, because only bags need the extra package that reads them.
+        from beamfield.io.rosbag import read_bag_map
+
+        return read_bag_map(source, topic=topic)
+    if topic is not None:
+        raise InvalidInputError(f"{source}: a topic is chosen in a bag, and this is none; got {topic!r}")
+    if source.suffix in (".yaml", ".yml"):
+        return read_ros_map(source, max_pixels=max_pixels)
+    if source.suffix == ".dat" or source.name.endswith(".dat.gz"):
+        return read_wean_map(source, max_cells=max_pixels)
+    source.stat()  # a name that does not exist is the first thing to say
+    if source.suffix.lower() in _PICTURES:
+        raise FormatError(
+            source, "a picture alone has no resolution and no origin: give the map_server YAML file that names it"
+        )
+    raise FormatError(
+        source, f"expected a map ending in .yaml, .yml, .dat, .dat.gz, {', '.join(_BAGS)} or a bag folder"
+    )

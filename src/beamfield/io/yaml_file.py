@@ -1,0 +1,244 @@
+"""Read a YAML file as hostile input: plain values only, and every error names the line."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, DocumentStartEvent
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from beamfield.errors import FormatError
+
+MAX_BYTES = 200_000  # a parser in pure Python reads this in 3 s at worst
+MAX_DEPTH = 50
+
+# Where a value stands: the keys (and indices of lists) on the way to it.
+Place = tuple[str | int, ...]
+
+_TAG = "tag:yaml.org,2002:"
+_SCALARS = {"null": "construct_yaml_null", "bool": "construct_yaml_bool", "int": "construct_yaml_int",
+            "float": "construct_yaml_float", "str": "construct_yaml_str"}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class YamlFile:
+    """The values of a YAML file whose top level has keys.
+
+    Parameters
+    ----------
+    path
+        The file.
+    values
+        Plain values: dict, list, str, int, float, bool, None.
+    lines
+        Line number, from 1, of each value by its keys.
+    """
+
+    path: Path
+    values: dict[str, Any]
+    lines: Mapping[Place, int]
+
+    def error(self, message: str, *place: str | int) -> FormatError:
+        """Return the error that says what is wrong with the value at a place."""
+        field = ".".join(str(key) for key in place) or None
+        return FormatError(self.path, message, line=self.lines.get(place), field=field)
+
+    def value(self, *place: str | int) -> Any:
+        """Return the value at a place, for example ``value("amcl", "ros__parameters")``.
+
+        Raises
+        ------
+        FormatError
+            If a key is missing.
+        """
+        found: Any = self.values
+        for depth, key in enumerate(place):
+            is_there = key in found if isinstance(found, dict) else isinstance(found, list) and key in range(len(found))
+            if not is_there:
+                parent = ".".join(str(k) for k in place[:depth])
+                raise FormatError(
+                    self.path,
+                    f"the key {key!r} is missing" + (f" in {parent!r}" if parent else ""),
+                    line=self.lines.get(place[:depth]) if depth else None,
+                )
+            found = found[key]
+        return found
+
+    def number(self, *place: str | int) -> float:
+        """Return the finite number at a place.
+
+        Raises
+        ------
+        FormatError
+            If it is missing, no number (true and false are none), or not finite.
+        """
+        value = self.value(*place)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(f"expected a number, got {shorten(value)}", *place)
+        if not math.isfinite(value):
+            raise self.error(f"expected a finite number, got {value!r}", *place)
+        try:
+            return float(value)
+        except OverflowError:
+            raise self.error("expected a number, got one too large for floating point", *place) from None
+
+    def text(self, *place: str | int) -> str:
+        """Return the text at a place.
+
+        Raises
+        ------
+        FormatError
+            If it is missing, no text, or empty.
+        """
+        value = self.value(*place)
+        if not isinstance(value, str) or not value:
+            raise self.error(f"expected text, got {shorten(value)}", *place)
+        return value
+
+
+def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> YamlFile:
+    """Read a YAML file whose top level has keys.
+
+    Parameters
+    ----------
+    path
+        The file, UTF-8.
+    max_bytes
+        Larger files are refused.
+
+    Raises
+    ------
+    FormatError
+        If the file is empty, too large, no UTF-8, no YAML, has several documents, duplicate keys, keys that are no
+        text, anchors and aliases (no file that beamfield reads needs them, and they can expand without bound), or tags
+        of program objects; or if its top level has no keys.
+    OSError
+        As the file system says.
+
+    Notes
+    -----
+    Values follow YAML 1.2: ``yes`` and ``on`` are text, ``1e-3`` is a number.
+    """
+    source = Path(path)
+    text = _read_text(source, max_bytes)
+    yaml = YAML(typ="safe", pure=True)
+    try:
+        _check_events(yaml, text, source)
+        root = YAML(typ="safe", pure=True).compose(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise FormatError(
+            source, f"no valid YAML: {error.problem or error.context}", line=mark.line + 1 if mark else None
+        ) from error
+    except FormatError:
+        raise
+    except (YAMLError, ValueError) as error:
+        raise FormatError(source, f"no valid YAML: {' '.join(str(error).split())}") from error
+    if root is None:
+        raise FormatError(source, "the file is empty")
+    if not isinstance(root, MappingNode):
+        kind = "a list" if isinstance(root, SequenceNode) else f"the text {shorten(root.value)}"
+        raise FormatError(source, f"expected keys with values, got {kind}", line=root.start_mark.line + 1)
+    lines: dict[Place, int] = {}
+    values = _construct(yaml, root, (), lines, source)
+    return YamlFile(source, values, lines)
+
+
+def shorten(value: object, limit: int = 60) -> str:
+    """Return a value as one short line for an error message."""
+    shown = repr(value)
+    return shown if len(shown) <= limit else f"{shown[:limit]}..."
+
+
+def _read_text(path: Path, max_bytes: int) -> str:
+    with path.open("rb") as file:
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise FormatError(path, f"expected a YAML file of at most {max_bytes} bytes, got more")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise FormatError(
+            path, f"no YAML text: byte {content[error.start : error.start + 1]!r} is no UTF-8", line=line
+        ) from error
+
+
+def _check_events(yaml: YAML, text: str, path: Path) -> None:
+    # On the flat stream of events, because the composer recurses into what is nested.
+    depth = documents = 0
+    for event in yaml.parse(text):
+        line = event.start_mark.line + 1
+        documents += isinstance(event, DocumentStartEvent)
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if documents > 1:
+            raise FormatError(path, "expected one YAML document, got a second one", line=line)
+        if depth > MAX_DEPTH:
+            raise FormatError(path, f"nested deeper than {MAX_DEPTH} levels", line=line)
+        if getattr(event, "anchor", None) is not None:
+            mark = "*" if isinstance(event, AliasEvent) else "&"
+            raise FormatError(path, f"anchors and aliases are not read, got {mark + str(event.anchor)!r}", line=line)
+
+
+def _construct(yaml: YAML, node: Node, place: Place, lines: dict[Place, int], path: Path) -> Any:
+    lines[place] = node.start_mark.line + 1
+    if isinstance(node, MappingNode):
+        return _construct_mapping(yaml, node, place, lines, path)
+    if isinstance(node, SequenceNode):
+        _check_tag(node, "seq", path)
+        return [_construct(yaml, item, (*place, i), lines, path) for i, item in enumerate(node.value)]
+    if isinstance(node, ScalarNode):
+        return _construct_scalar(yaml, node, path)
+    raise _tag_error(node, path)
+
+
+def _construct_mapping(yaml: YAML, node: MappingNode, place: Place, lines: dict[Place, int], path: Path) -> Any:
+    _check_tag(node, "map", path)
+    values: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        line = key_node.start_mark.line + 1
+        key = _construct_scalar(yaml, key_node, path) if isinstance(key_node, ScalarNode) else None
+        if not isinstance(key, str):
+            raise FormatError(path, f"expected text as a key, got {shorten(key_node.value)}", line=line)
+        if key in values:
+            raise FormatError(path, f"the key {key!r} is there twice", line=line)
+        values[key] = _construct(yaml, value_node, (*place, key), lines, path)
+        lines[(*place, key)] = line
+    return values
+
+
+def _construct_scalar(yaml: YAML, node: ScalarNode, path: Path) -> Any:
+    kind = _kind(node)
+    if kind in ("timestamp", "merge", "value"):
+        return node.value
+    if kind not in _SCALARS:
+        raise _tag_error(node, path)
+    try:
+        return getattr(yaml.constructor, _SCALARS[kind])(node)
+    except (YAMLError, ValueError, KeyError, IndexError) as error:
+        raise FormatError(
+            path, f"expected a value of type {kind}, got {shorten(node.value)}", line=node.start_mark.line + 1
+        ) from error
+
+
+def _check_tag(node: Node, kind: str, path: Path) -> None:
+    if _kind(node) != kind:
+        raise _tag_error(node, path)
+
+
+def _kind(node: Node) -> str:
+    tag = str(node.tag)
+    return tag.removeprefix(_TAG) if tag.startswith(_TAG) else tag
+
+
+def _tag_error(node: Node, path: Path) -> FormatError:
+    return FormatError(
+        path, f"expected plain values, got the tag {shorten(str(node.tag))}", line=node.start_mark.line + 1
+    )

@@ -174,8 +174,8 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
                 "walls-too-thick" if narrow else "walls-too-thin",
                 "warning",
                 f"The lidar measures {abs(pairs.median_difference):.2f} m {'more' if narrow else 'less'} between "
-                f"opposite walls than the map shows ({pairs.n_pairs} pairs of opposite beams; this hardly depends on the pose). "
-                f"The map's walls are drawn too {'thick' if narrow else 'thin'}, by "
+                f"opposite walls than the map shows ({pairs.n_pairs} pairs of opposite beams; this hardly depends on "
+                f"the pose). The map's walls are drawn too {'thick' if narrow else 'thin'}, by "
                 f"{abs(pairs.median_difference) / 2:.2f} m on each side; "
                 "sigma_hit and range_offset then describe the map, not the sensor.",
                 values,
@@ -243,7 +243,14 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
                 {"n_windows": float(stands.sum()), "first_s": float(begin[stands][0])},
             )
         )
-    slides = ~stands & (slip > np.maximum(0.3, 0.25 * np.maximum(moved, shown)))
+    # Wheels that measure 25 % too far are seen; sideways a robot hardly moves without its odometry noticing.
+    direction = driven[:, :2] / np.maximum(moved, 1e-9)[:, None]
+    sideways = np.abs(reference[:, 1] * direction[:, 0] - reference[:, 0] * direction[:, 1])
+    reach = np.maximum(moved, shown)
+    slides = (slip > np.maximum(0.3, 0.25 * reach)) | (
+        (moved > LEAST_MOTION) & (sideways > np.maximum(0.25, 0.12 * reach))
+    )
+    slides &= ~stands
     if slides.mean() > 0.02 or slides.sum() >= 3:
         found.append(
             Finding(

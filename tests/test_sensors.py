@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.errors import InvalidInputError
+from beamfield.sensors import RangeFinder, Scan, ScanLog, SensorLog, usable_ranges
+
+FINDER = RangeFinder.from_bearings([-1.0, 0.0, 1.0], 10.0, min_range=0.2, mount=[0.3, 0.1, np.pi / 2], name="front")
+
+
+def test_mounts_are_the_sensor_mount_turned_by_each_bearing():
+    np.testing.assert_allclose(FINDER.mounts[:, :2], [[0.3, 0.1]] * 3)
+    np.testing.assert_allclose(FINDER.bearings, np.pi / 2 + np.array([-1.0, 0.0, 1.0]))
+
+
+def test_a_finder_cannot_be_changed():
+    with pytest.raises(ValueError, match="read-only"):
+        FINDER.mounts[0, 0] = 1.0
+
+
+def test_usable_ranges_follow_rep_117():
+    z = usable_ranges([0.1, np.inf, -np.inf], FINDER)
+    np.testing.assert_array_equal(z, [np.nan, 10.0, np.nan])
+    np.testing.assert_array_equal(usable_ranges([np.nan, 10.0, 25.0], FINDER), [np.nan, 10.0, 10.0])
+    np.testing.assert_array_equal(usable_ranges([0.2, 9.99, 0.0], FINDER), [0.2, 9.99, np.nan])
+
+
+@pytest.mark.parametrize("limits", [(-0.1, 5.0), (5.0, 5.0), (0.0, np.inf), (0.0, np.nan)])
+def test_limits_that_make_no_sense_are_refused(limits):
+    with pytest.raises(InvalidInputError, match="range limits"):
+        RangeFinder.from_bearings([0.0], limits[1], min_range=limits[0])
+
+
+def test_a_cone_wider_than_a_half_turn_is_refused():
+    with pytest.raises(InvalidInputError, match="opening_angle"):
+        RangeFinder.from_bearings([0.0], 5.0, opening_angle=4.0)
+
+
+def test_a_scan_needs_a_range_per_beam():
+    with pytest.raises(InvalidInputError, match=r"expected shape \(3,\), got \(2,\)"):
+        Scan(np.ones(2), FINDER)
+
+
+def test_every_picks_equally_spaced_beams_with_their_mounts():
+    finder = RangeFinder.from_bearings(np.linspace(-1, 1, 11), 5.0)
+    scan = Scan(np.arange(11.0) / 10, finder).every(3)
+    np.testing.assert_allclose(scan.ranges, [0.0, 0.5, 1.0])
+    np.testing.assert_allclose(scan.finder.bearings, [-1.0, 0.0, 1.0])
+    assert scan.every(10) is scan
+    with pytest.raises(InvalidInputError, match="n_beams"):
+        scan.every(0)
+
+
+def test_selecting_scans_keeps_columns_together():
+    log = SensorLog(FINDER, np.arange(4.0), np.arange(12.0).reshape(4, 3), np.zeros((4, 3)), np.full((4, 3), np.nan))
+    some = log.select([3, 1])
+    np.testing.assert_array_equal(some.stamps, [3.0, 1.0])
+    np.testing.assert_array_equal(some.ranges[:, 0], [9.0, 3.0])
+    assert log.has_poses
+    assert not log.has_odometry
+    assert [scan.stamp for scan in log] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_columns_of_the_wrong_length_are_refused():
+    with pytest.raises(InvalidInputError, match=r"ranges: expected shape \(4, 3\)"):
+        SensorLog(FINDER, np.arange(4.0), np.ones((4, 2)), np.zeros((4, 3)), np.zeros((4, 3)))
+
+
+def test_asking_for_an_unknown_sensor_lists_the_known():
+    log = SensorLog(FINDER, np.zeros(1), np.ones((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+    both = ScanLog({"front": log, "rear": log}, source="run.bag")
+    with pytest.raises(InvalidInputError, match=r"run.bag: no sensor 'side'; the log has 'front', 'rear'"):
+        both.only_sensor("side")
+    with pytest.raises(InvalidInputError, match="which sensor"):
+        both.only_sensor()
+    assert both.only_sensor("rear") is log

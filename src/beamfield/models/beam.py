@@ -155,7 +155,7 @@ class BeamModel:
         total: FloatArray = np.zeros(len(flat))
         if len(beams) and len(flat):
             self._add_up(z.subset(beams), flat, total)
-        return np.asarray(total * self.exponent).reshape(robot.shape[:-1])
+        return (self.exponent * total).reshape(robot.shape[:-1])
 
     def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return what each beam contributes to `log_likelihood`, (..., k); its sum over beams is that value.

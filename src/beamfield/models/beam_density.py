@@ -1,7 +1,7 @@
 """The beam model on arrays of measured and expected ranges (6.3.1): densities, causes and distribution functions.
 
 For whoever has expected ranges already, as learning has: no map, no poses, no scans. All functions take millions of
-beams, use several threads and allocate nothing but their result.
+beams, use several threads, and allocate nothing but their result if both arrays are float64 of one shape.
 """
 
 from __future__ import annotations
@@ -254,4 +254,4 @@ def _fill(
     run_in_slices(
         lambda a, b: fill(flat_measured[a:b], flat_expected[a:b], view, out[a:b]), flat_measured.size, threads=threads
     )
-    return out.reshape(*measured.shape, *per_beam)
+    return out.reshape((*measured.shape, *per_beam))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtri_exp
 
+from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels.beam import SHORTEST_SUPPORT
 from beamfield.models.beam_density import as_expected_ranges, as_view
@@ -53,13 +54,42 @@ def sample_beams(
     out: FloatArray = np.empty(flat.size)
     for start in range(0, flat.size, CHUNK):
         part = slice(start, min(start + CHUNK, flat.size))
-        out[part] = _sample(flat[part], limit, parameters, rng)
+        n = part.stop - part.start
+        out[part] = _invert(rng.random(n), rng.random(n), flat[part], limit, parameters)
     return out.reshape(expected.shape)
 
 
-def _sample(z_star: FloatArray, max_range: float, parameters: BeamParameters, rng: np.random.Generator) -> FloatArray:
-    cause = np.searchsorted(np.cumsum(parameters.weights)[:3], rng.random(z_star.size), side="right")
-    v = rng.random(z_star.size)
+def beams_from_uniforms(
+    cause_uniforms: ArrayLike,
+    range_uniforms: ArrayLike,
+    expected_ranges: ArrayLike,
+    max_range: float,
+    parameters: BeamParameters,
+) -> FloatArray:
+    """Return the reading that two numbers in [0, 1) stand for, per beam: what `sample_beams` does with its draws.
+
+    If both numbers are uniform and independent of each other, a reading has exactly the distribution of the mixture,
+    whatever the dependence between beams; so dependent beams can be drawn from dependent numbers.
+
+    Parameters
+    ----------
+    cause_uniforms, range_uniforms
+        Numbers in [0, 1) that choose the cause, and the range given the cause; of one shape with the expected ranges.
+    expected_ranges, max_range, parameters
+        As for `sample_beams`.
+    """
+    limit = as_view(parameters, max_range).max_range
+    expected = np.minimum(as_expected_ranges(expected_ranges), limit)
+    u, v = np.asarray(cause_uniforms, dtype=np.float64), np.asarray(range_uniforms, dtype=np.float64)
+    if not u.shape == v.shape == expected.shape:
+        raise InvalidInputError(f"uniforms: expected shape {expected.shape}, got {u.shape} and {v.shape}")
+    return _invert(u.ravel(), v.ravel(), expected.ravel(), limit, parameters).reshape(expected.shape)
+
+
+def _invert(
+    u: FloatArray, v: FloatArray, z_star: FloatArray, max_range: float, parameters: BeamParameters
+) -> FloatArray:
+    cause = np.searchsorted(np.cumsum(parameters.weights)[:3], u, side="right")
     hit, short = cause == 0, cause == 1
     z = v * max_range
     z[hit] = _hit_quantile(v[hit], z_star[hit], max_range, parameters)

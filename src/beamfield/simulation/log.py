@@ -1,0 +1,173 @@
+"""Logs of a simulated robot: true poses, noisy odometry and readings drawn from the beam model itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_sampling import beams_from_uniforms, sample_beams
+from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track
+from beamfield.simulation.dependence import Dependence, dependent_uniforms
+from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
+from beamfield.simulation.trajectory import DriveOptions, drive_through
+
+Progress = Callable[[int, int], None]
+
+# Scans per call of the ray caster: keeps memory small and progress alive.
+SCANS_PER_CHUNK = 256
+MAX_SCANS = 1_000_000
+
+
+def simulate_log(
+    grid: OccupancyGrid,
+    finder: RangeFinder,
+    parameters: BeamParameters,
+    *,
+    duration: float = 180.0,
+    scan_rate: float = 10.0,
+    seed: int = 0,
+    start: float = 100.0,
+    drive: DriveOptions | None = None,
+    odometry_noise: OdometryNoise | None = None,
+    dependence: Dependence | None = None,
+    unknown: Literal["free", "occupied"] = "free",
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> ScanLog:
+    """Drive a robot through a map and record what its range finder would measure.
+
+    Parameters
+    ----------
+    grid
+        The world.
+    finder
+        The sensor.
+    parameters
+        The true parameters of the beam model.
+    duration
+        Length of the log, seconds.
+    scan_rate
+        Scans per second.
+    seed
+        Chooses the drive, the odometry's errors and the readings; the same seed gives the same log.
+    start
+        Stamp of the first scan, seconds.
+    drive, odometry_noise
+        How the robot drives, and how wrong its odometry is.
+    dependence
+        How far neighbouring beams and scans err alike; None: all are independent. Each beam alone has the model's
+        distribution either way.
+    unknown
+        Whether rays pass unknown cells ("free") or stop there ("occupied").
+    threads
+        For the ray caster; None uses all processors.
+    progress
+        Called with (done, total) scans.
+
+    Returns
+    -------
+    ScanLog
+        One sensor, called as the finder or "scan". Its `poses` are the truth and its `odometry` is noisy. Readings
+        without return are +inf.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range, the map has no obstacle or the robot finds no room.
+
+    Notes
+    -----
+    Where a ray meets no obstacle within max_range, nothing can be hit: there the weight z_hit is added to "no return".
+    The model as written cuts p_hit off at max_range instead and would return such readings just below max_range, which
+    no sensor does; learning leaves these beams out (see `calibration.beam_table`).
+
+    All beams of a scan are taken at once, at the scan's stamp.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.3.1: the generative reading of (6.12).
+
+    Examples
+    --------
+    >>> from beamfield.simulation.floor_plan import draw_floor_plan
+    >>> finder = RangeFinder.from_bearings(np.linspace(-1.5, 1.5, 16), max_range=12.0)
+    >>> truth = BeamParameters(z_hit=0.85, z_short=0.1, z_max=0.02, z_rand=0.03, sigma_hit=0.05, lambda_short=0.5)
+    >>> log = simulate_log(draw_floor_plan(), finder, truth, duration=5.0).only_sensor()
+    >>> len(log), log.finder.n_beams
+    (50, 16)
+    """
+    stamps = _stamps(duration, scan_rate, start)
+    drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
+    if not grid.occupied.any():
+        raise InvalidInputError("the map has no occupied cell: there is nothing to measure")
+    truth = drive_through(grid, stamps, seed=int(drive_seed), options=drive)
+    odometry = noisy_odometry(truth.poses, np.random.default_rng(odometry_seed), odometry_noise)
+    expected = _expected_ranges(RayCaster(grid, unknown=unknown), truth.poses, finder, threads, progress)
+    ranges = _draw(expected, finder, parameters, stamps, dependence, np.random.default_rng(reading_seed))
+    policy = NoReturnPolicy((), float(np.isinf(ranges).mean()), "declared", "simulated: no return is +inf")
+    name = finder.name or "scan"
+    sensor = SensorLog(finder, stamps, ranges, truth.poses, odometry, policy)
+    return ScanLog(
+        {name: sensor},
+        odometry=Track(stamps, odometry),
+        source="simulation",
+        notes=("simulated by beamfield: the poses are the truth",),
+    )
+
+
+def _stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
+    for name, value in (("duration", duration), ("scan_rate", scan_rate)):
+        if not 0.0 < value < np.inf:
+            raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")
+    if not np.isfinite(start):
+        raise InvalidInputError(f"start: expected a finite number of seconds, got {start}")
+    n_scans = duration * scan_rate
+    if not 1.0 <= n_scans <= MAX_SCANS:
+        raise InvalidInputError(f"duration x scan_rate: expected 1 to {MAX_SCANS} scans, got {n_scans:g}")
+    return np.asarray(start + np.arange(round(n_scans)) / scan_rate)
+
+
+def _expected_ranges(
+    caster: RayCaster, poses: FloatArray, finder: RangeFinder, threads: int | None, progress: Progress | None
+) -> FloatArray:
+    expected: FloatArray = np.empty((len(poses), finder.n_beams))
+    for first in range(0, len(poses), SCANS_PER_CHUNK):
+        part = slice(first, min(first + SCANS_PER_CHUNK, len(poses)))
+        expected[part] = caster.expected_ranges(poses[part], finder, threads=threads)
+        if progress is not None:
+            progress(part.stop, len(poses))
+    return expected
+
+
+def _draw(
+    expected: FloatArray,
+    finder: RangeFinder,
+    parameters: BeamParameters,
+    stamps: FloatArray,
+    dependence: Dependence | None,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Draw readings, +inf for no return."""
+    nothing = expected >= finder.max_range
+    weights = (0.0, parameters.z_short, parameters.z_max + parameters.z_hit, parameters.z_rand)
+    without_hits = replace(parameters, **dict(zip(("z_hit", "z_short", "z_max", "z_rand"), weights, strict=True)))
+    if dependence is None or dependence.is_none:
+        ranges = sample_beams(expected, finder.max_range, parameters, rng)
+        ranges[nothing] = sample_beams(expected[nothing], finder.max_range, without_hits, rng)
+    else:
+        causes = dependent_uniforms(stamps, finder.bearings, dependence, rng)
+        places = dependent_uniforms(stamps, finder.bearings, dependence, rng)
+        ranges = beams_from_uniforms(causes, places, expected, finder.max_range, parameters)
+        ranges[nothing] = beams_from_uniforms(
+            causes[nothing], places[nothing], expected[nothing], finder.max_range, without_hits
+        )
+    ranges[ranges >= finder.max_range] = np.inf
+    return ranges

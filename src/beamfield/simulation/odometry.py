@@ -1,0 +1,85 @@
+"""Odometry as wheels report it: the true motion with slip and with wheels whose size is not quite known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, between, compose
+
+
+@dataclass(frozen=True)
+class OdometryNoise:
+    """How odometry goes wrong.
+
+    Random errors are sums of independent small ones, so their variance grows with the way driven and the angle turned,
+    however often the odometry is read. (The alphas of the chapter on motion make the standard deviation of one step
+    grow with its length; that noise depends on the rate.)
+
+    Parameters
+    ----------
+    distance
+        Standard deviation of the distance after one metre, metres; grows with the root of the distance.
+    drift
+        Standard deviation of the heading after one metre driven, radians; grows with the root of the distance.
+    turn
+        Standard deviation of the heading after one radian turned, radians; grows with the root of the angle.
+    distance_scale, turn_scale
+        Relative error of every distance and every turn: wheels larger, or further apart, than assumed.
+    """
+
+    distance: float = 0.01
+    drift: float = 0.008
+    turn: float = 0.015
+    distance_scale: float = 0.005
+    turn_scale: float = -0.006
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            low = -1.0 if item.name.endswith("scale") else 0.0
+            if not (np.isfinite(value) and value >= low):
+                raise InvalidInputError(f"{item.name}: expected a finite number >= {low:g}, got {value}")
+
+
+def noisy_odometry(poses: ArrayLike, rng: np.random.Generator, noise: OdometryNoise | None = None) -> FloatArray:
+    """Return what odometry says along a true drive.
+
+    Parameters
+    ----------
+    poses
+        (t, 3) true poses in the map frame, metres and radians.
+    rng
+        Source of randomness.
+    noise
+        How large the errors are.
+
+    Returns
+    -------
+    (t, 3) poses in the odometry frame, which starts at (0, 0, 0). A robot that stands still adds no error.
+
+    Raises
+    ------
+    InvalidInputError
+        If the poses are not finite (t, 3).
+    """
+    truth = as_poses(poses)
+    if truth.ndim != 2:
+        raise InvalidInputError(f"poses: expected shape (t, 3), got {truth.shape}")
+    noise = noise or OdometryNoise()
+    odometry: FloatArray = np.zeros(truth.shape)
+    if len(truth) < 2:
+        return odometry
+    step = between(truth[:-1], truth[1:])
+    distance, angle = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
+    error = rng.standard_normal((len(step), 3))
+    stretch = 1.0 + noise.distance_scale + noise.distance * error[:, 0] / np.sqrt(np.maximum(distance, 1e-12))
+    step[:, :2] *= stretch[:, None]
+    step[:, 2] *= 1.0 + noise.turn_scale
+    step[:, 2] += noise.drift * np.sqrt(distance) * error[:, 1] + noise.turn * np.sqrt(angle) * error[:, 2]
+    for i in range(len(step)):
+        odometry[i + 1] = compose(odometry[i], step[i])
+    return odometry

@@ -1,0 +1,89 @@
+"""One Newton step towards a maximum under bounds and one linear constraint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beamfield.geometry import FloatArray
+
+# Curvatures smaller than this, relative to the largest after scaling, are taken as this: flat directions stay bounded.
+_LEAST_CURVATURE = 1e-9
+
+
+def newton_step(
+    x: FloatArray,
+    gradient: FloatArray,
+    hessian: FloatArray,
+    *,
+    free: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    summed: FloatArray,
+) -> FloatArray:
+    """Return an ascent step d with ``lower <= x + d <= upper`` that leaves the sum over `summed` unchanged.
+
+    Parameters
+    ----------
+    x, gradient, hessian
+        Point (n,), first (n,) and second derivatives (n, n) of what is to be maximised.
+    free
+        Which coordinates may move, bool (n,).
+    lower, upper
+        Bounds (n,).
+    summed
+        Which coordinates keep their sum (the weights of a mixture), bool (n,).
+
+    Notes
+    -----
+    Coordinates at a bound whose derivative points outwards stay there (active set). A coordinate that the step would
+    carry over a bound is put on it and the rest solved again. Where the curvature has the wrong sign it is reversed, so
+    that the step always climbs.
+    """
+    active = np.array(free, dtype=bool)
+    moved = np.zeros_like(x)
+    shares = active & summed
+    if shares.any():
+        pivot = int(np.argmax(np.where(shares, x, -np.inf)))
+        relative = np.where(shares, gradient - gradient[pivot], gradient)
+    else:
+        relative = gradient
+    active &= ~((x <= lower) & (relative <= 0.0)) & ~((x >= upper) & (relative >= 0.0))
+    for _ in range(2 * x.size):
+        step = _solve(gradient + hessian @ moved, hessian, x, active, active & summed, -moved[summed].sum())
+        step += moved
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(step < 0.0, (lower - x) / step, np.where(step > 0.0, (upper - x) / step, np.inf))
+        room = np.where(active, room, np.inf)
+        first = int(np.argmin(room))
+        if room[first] >= 1.0:
+            return step
+        moved[first] = (lower if step[first] < 0.0 else upper)[first] - x[first]
+        active[first] = False
+    return np.zeros_like(x)
+
+
+def _solve(
+    gradient: FloatArray, hessian: FloatArray, x: FloatArray, active: FloatArray, shares: FloatArray, total: float
+) -> FloatArray:
+    """Newton step over the active coordinates, those of `shares` adding up to `total`."""
+    step = np.zeros_like(x)
+    others = np.flatnonzero(active & ~shares)
+    members = np.flatnonzero(shares)
+    pivot = members[np.argmax(x[members])] if members.size else -1
+    columns = [(i, -1) for i in others] + [(i, pivot) for i in members if i != pivot]
+    if members.size:
+        step[pivot] = total
+        gradient = gradient + hessian @ step
+    if not columns:
+        return step
+    basis = np.zeros((x.size, len(columns)))
+    for k, (i, balance) in enumerate(columns):
+        basis[i, k] = 1.0
+        if balance >= 0:
+            basis[balance, k] = -1.0
+    reduced = basis.T @ hessian @ basis
+    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(reduced)), 1e-300))
+    curvature, directions = np.linalg.eigh(reduced * np.outer(scale, scale))
+    strength = np.maximum(np.abs(curvature), _LEAST_CURVATURE * np.abs(curvature).max())
+    slope = directions.T @ (scale * (basis.T @ gradient))
+    return step + basis @ (scale * (directions @ (slope / strength)))

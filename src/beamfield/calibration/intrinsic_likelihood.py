@@ -1,0 +1,270 @@
+"""The log-likelihood of a set of beams as a function of the intrinsic parameters (6.13), prepared for many passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from beamfield.geometry import FloatArray
+from beamfield.kernels import intrinsics as kernels
+from beamfield.kernels.threads import run_in_slices
+from beamfield.models.beam_parameters import BeamParameters
+
+# Order of the working vector theta: the four weights, the variance sigma_hit^2, its slope sigma_slope^2, offset, rate.
+W_HIT, W_SHORT, W_MAX, W_RAND, VARIANCE, SLOPE, OFFSET, RATE = range(8)
+N_PARAMETERS = 8
+# Positions of the kernel's derivatives in theta.
+_KERNEL_ORDER = np.array([W_HIT, W_SHORT, W_RAND, VARIANCE, SLOPE, OFFSET, RATE])
+# Beams that one thread takes at a time; fixed, so that sums have the same bits for any number of threads.
+_BEAMS_PER_TASK = 32 * kernels.BIN_BEAMS
+
+
+@dataclass(frozen=True)
+class ExpectedStatistics:
+    """What the M-step needs to know of the responsibilities.
+
+    Parameters
+    ----------
+    log_likelihood
+        Nats, summed over beams.
+    counts
+        Expected number of beams per cause: hit, short, max, rand; shape (4,).
+    node_ranges
+        Expected ranges of the nodes that stand for all beams, shape (m,).
+    node_hit
+        Node weights of e_hit, e_hit r and e_hit r^2 with r = z - z*, shape (3, m).
+    node_short
+        Node weights of e_short, shape (m,).
+    sum_short_range
+        Sum of e_short z, metres.
+    cut_matters
+        Whether some hit is cut off noticeably at 0 or at the maximum range.
+    """
+
+    log_likelihood: float
+    counts: FloatArray
+    node_ranges: FloatArray
+    node_hit: FloatArray
+    node_short: FloatArray
+    sum_short_range: float
+    cut_matters: bool
+
+
+class IntrinsicLikelihood:
+    """Beams sorted by expected range, and passes over them.
+
+    Parameters
+    ----------
+    ranges, expected_ranges
+        Metres, shape (n,), valid: 0 <= expected range < `max_range`; a range of `max_range` or more is no return.
+    max_range
+        Limit of the sensor, metres.
+    weights
+        How often each beam counts, shape (n,); None for once.
+    threads
+        Number of threads; None uses every processor.
+
+    Notes
+    -----
+    Readings at maximum range only count (6.10): no pass touches them. Memory: two doubles per beam beside the caller's
+    arrays, three with weights.
+    """
+
+    def __init__(
+        self,
+        ranges: FloatArray,
+        expected_ranges: FloatArray,
+        max_range: float,
+        *,
+        weights: FloatArray | None = None,
+        threads: int | None = None,
+    ) -> None:
+        returned = ranges < max_range
+        n_returned = int(np.count_nonzero(returned))
+        order = np.flatnonzero(returned) if n_returned < ranges.size else None
+        expected = expected_ranges if order is None else expected_ranges[order]
+        by_range = np.argsort(expected, kind="stable")
+        self.order = by_range if order is None else order[by_range]
+        self.returned = returned
+        self.expected = np.ascontiguousarray(expected[by_range])
+        self.ranges = np.ascontiguousarray(ranges[self.order])
+        self.max_range = float(max_range)
+        self.threads = threads
+        self._set_weights(weights, n_max=float(ranges.size - n_returned))
+
+    def _set_weights(self, weights: FloatArray | None, n_max: float) -> None:
+        if weights is None:
+            self.weights = np.empty(0)
+            self.n_returned = float(self.ranges.size)
+            self.n_max = n_max
+        else:
+            self.weights = np.ascontiguousarray(weights[self.order])
+            self.n_returned = float(self.weights.sum())
+            self.n_max = float(weights[~self.returned].sum())
+
+    @property
+    def n_beams(self) -> float:
+        """Number of beams, by weight."""
+        return self.n_returned + self.n_max
+
+    def reweighted(self, weights: FloatArray) -> IntrinsicLikelihood:
+        """The same beams, each counted as often as `weights`, shape (n,) in the caller's order, says."""
+        other = self._shallow_copy()
+        other._set_weights(weights, n_max=0.0)
+        return other
+
+    def thinned(self, n: int) -> IntrinsicLikelihood:
+        """About `n` of the beams, evenly spread over the expected ranges; self if there are no more than that."""
+        stride = int(self.ranges.size // max(n, 1))
+        if stride < 2:
+            return self
+        other = self._shallow_copy()
+        # Beams of one expected range keep their order in time: a stride beside a scan's length must not alias with it.
+        chosen = np.sort(np.random.default_rng(0).permutation(self.ranges.size)[: self.ranges.size // stride])
+        other.order = self.order[chosen]
+        other.ranges = self.ranges[chosen]
+        other.expected = self.expected[chosen]
+        other.weights = self.weights[chosen] if self.weights.size else self.weights
+        other.n_returned = float(other.weights.sum()) if other.weights.size else float(chosen.size)
+        other.n_max = self.n_max * other.n_returned / self.n_returned if self.n_returned else self.n_max
+        return other
+
+    def _shallow_copy(self) -> IntrinsicLikelihood:
+        other = object.__new__(IntrinsicLikelihood)
+        other.__dict__.update(self.__dict__)
+        return other
+
+    def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
+        """E-step: one pass over the beams at `theta`, shape (8,)."""
+        bins = self._cut(theta)
+        n_bins = bins[0].size
+        all_moments = bool(slope_is_free or theta[SLOPE] > 0.0)
+        sums = np.zeros((n_bins, 5))
+        moments = np.zeros((n_bins, 4, kernels.TERMS))
+        shapes = self._kernel_parameters(theta)
+
+        def work(first: int, last: int) -> None:
+            kernels.em_pass(
+                self.ranges, self.expected, self.weights, *shapes, *bins, all_moments, first, last, sums, moments
+            )
+
+        self._over_bins(work, bins[1])
+        totals = sums.sum(axis=0)
+        nodes = moments @ kernels.NODE_WEIGHTS
+        log_max = self.n_max * np.log(theta[W_MAX]) if self.n_max > 0.0 and theta[W_MAX] > 0.0 else 0.0
+        if self.n_max > 0.0 and theta[W_MAX] == 0.0:
+            log_max = -np.inf
+        return ExpectedStatistics(
+            log_likelihood=float(totals[0] + log_max),
+            counts=np.array([totals[1], totals[2], self.n_max, totals[3]]),
+            node_ranges=self._node_ranges(bins),
+            node_hit=np.ascontiguousarray(nodes[:, :3].transpose(1, 0, 2).reshape(3, -1)),
+            node_short=np.ascontiguousarray(nodes[:, 3].reshape(-1)),
+            sum_short_range=float(totals[4]),
+            cut_matters=bool(bins[4].any()),
+        )
+
+    def derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Log-likelihood, its gradient (8,) and Hessian (8, 8) at `theta`, the weights taken as independent."""
+        bins = self._cut(theta)
+        n = kernels.N_DERIVATIVES
+        out = np.zeros((bins[0].size, 1 + n + n * (n + 1) // 2))
+        shapes = self._kernel_parameters(theta)
+
+        def work(first: int, last: int) -> None:
+            kernels.newton_pass(self.ranges, self.expected, self.weights, *shapes, *bins, first, last, out)
+
+        self._over_bins(work, bins[1])
+        totals = out.sum(axis=0)
+        inner = np.zeros((n, n))
+        inner[np.tril_indices(n)] = totals[1 + n :]
+        inner += np.tril(inner, -1).T
+        gradient = np.zeros(N_PARAMETERS)
+        hessian = np.zeros((N_PARAMETERS, N_PARAMETERS))
+        gradient[_KERNEL_ORDER] = totals[1 : 1 + n]
+        hessian[np.ix_(_KERNEL_ORDER, _KERNEL_ORDER)] = inner
+        log_likelihood = float(totals[0])
+        if self.n_max > 0.0:
+            share = theta[W_MAX]
+            log_likelihood = log_likelihood + self.n_max * float(np.log(share)) if share > 0.0 else -np.inf
+            gradient[W_MAX] = self.n_max / max(share, 1e-300)
+            hessian[W_MAX, W_MAX] = -self.n_max / max(share, 1e-150) ** 2
+        return log_likelihood, gradient, hessian
+
+    def scores(self, theta: FloatArray) -> FloatArray:
+        """First derivatives of each beam's log-density, shape (n, 8), in the caller's order of beams."""
+        bins = self._cut(theta)
+        out = np.zeros((self.ranges.size, kernels.N_DERIVATIVES))
+        shapes = self._kernel_parameters(theta)
+
+        def work(first: int, last: int) -> None:
+            kernels.score_pass(self.ranges, self.expected, *shapes, *bins, first, last, out)
+
+        self._over_bins(work, bins[1])
+        result = np.zeros((self.returned.size, N_PARAMETERS))
+        result[np.ix_(self.order, _KERNEL_ORDER)] = out
+        if theta[W_MAX] > 0.0:
+            result[~self.returned, W_MAX] = 1.0 / theta[W_MAX]
+        return result
+
+    def _kernel_parameters(self, theta: FloatArray) -> tuple[float, ...]:
+        w_hit, w_short, _, w_rand, v, q, b, rate = (float(value) for value in theta)
+        return self.max_range, w_hit, w_short, w_rand, v, q, b, rate
+
+    def _cut(self, theta: FloatArray) -> tuple[FloatArray, ...]:
+        v, q, b, rate = (float(value) for value in theta[4:])
+        capacity = 4096 + 2 * self.expected.size // kernels.BIN_BEAMS
+        while True:
+            starts, stops = np.empty(capacity, dtype=np.int64), np.empty(capacity, dtype=np.int64)
+            centres, half_widths = np.empty(capacity), np.empty(capacity)
+            edge = np.empty(capacity, dtype=np.bool_)
+            bins = (starts, stops, centres, half_widths, edge)
+            n_bins = kernels.cut_into_bins(self.expected, self.max_range, v, q, b, rate, *bins)
+            if n_bins <= capacity:
+                return tuple(column[:n_bins] for column in bins)
+            capacity = n_bins
+
+    def _over_bins(self, work: Callable[[int, int], None], stops: FloatArray) -> None:
+        # Tasks of about equal numbers of beams: bins differ in size.
+        n_tasks = max(1, self.ranges.size // _BEAMS_PER_TASK)
+        limits = np.searchsorted(stops, np.linspace(0, self.ranges.size, n_tasks + 1)[1:-1], side="left")
+        limits = np.concatenate([[0], limits, [stops.size]])
+
+        def task(first: int, last: int) -> None:
+            work(int(limits[first]), int(limits[last]))
+
+        run_in_slices(task, n_tasks, threads=self.threads, work_per_row=_BEAMS_PER_TASK)
+
+    @staticmethod
+    def _node_ranges(bins: tuple[FloatArray, ...]) -> FloatArray:
+        return np.asarray((bins[2][:, None] + bins[3][:, None] * kernels._NODES).reshape(-1))
+
+
+def theta_of(parameters: BeamParameters) -> FloatArray:
+    """The working vector of parameters."""
+    return np.array(
+        [
+            *parameters.weights,
+            parameters.sigma_hit**2,
+            parameters.sigma_slope**2,
+            parameters.range_offset,
+            parameters.lambda_short,
+        ]
+    )
+
+
+def parameters_of(theta: FloatArray) -> BeamParameters:
+    """The parameters of a working vector."""
+    weights = theta[:4] / theta[:4].sum()
+    return BeamParameters(
+        z_hit=float(weights[W_HIT]),
+        z_short=float(weights[W_SHORT]),
+        z_max=float(weights[W_MAX]),
+        z_rand=float(weights[W_RAND]),
+        sigma_hit=float(np.sqrt(theta[VARIANCE])),
+        lambda_short=float(theta[RATE]),
+        range_offset=float(theta[OFFSET]),
+        sigma_slope=float(np.sqrt(theta[SLOPE])),
+    )

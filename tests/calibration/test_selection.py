@@ -103,7 +103,7 @@ def test_a_log_without_odometry_can_be_used():
 def test_a_log_off_the_map_is_an_error_that_names_both_places():
     log = drive()
     with pytest.raises(InvalidInputError, match=r"all 60 reference poses lie off the map.*x 101\.00 to 106\.90 m"):
-        select_scans(changed(log, poses=log.poses + [100.0, 0.0, 0.0]), room())
+        select_scans(changed(log, poses=log.poses + np.array([100.0, 0.0, 0.0])), room())
 
 
 def test_a_log_without_poses_is_an_error():

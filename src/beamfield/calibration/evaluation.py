@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.geometry import FloatArray
-from beamfield.models.beam import beam_cdf, beam_log_density, beam_responsibilities
+from beamfield.models.beam import beam_log_density, beam_pit, beam_responsibilities
 from beamfield.models.beam_parameters import BeamParameters
 
 
@@ -134,12 +134,7 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
         For the randomisation.
     """
     rows = ~table.hits_nothing
-    z, expected = table.ranges[rows], table.expected_ranges[rows]
-    value = beam_cdf(z, expected, table.max_range, parameters)
-    at_max = z >= table.max_range
-    below = 1.0 - parameters.z_max
-    value[at_max] = below + parameters.z_max * rng.random(int(at_max.sum()))
-    return value
+    return beam_pit(table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters, rng)
 
 
 def pit_deviation(pit: FloatArray) -> float:

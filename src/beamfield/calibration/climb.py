@@ -62,7 +62,8 @@ def climb(
     max_iterations: int,
     accelerate: bool = True,
     em_steps_first: int = EM_STEPS_FIRST,
-    report: Callable[[int], None] = lambda iteration: None,
+    known: tuple[float, FloatArray, FloatArray] | None = None,
+    report: Callable[[int], None] | None = None,
 ) -> Climb:
     """Alternate EM steps and, once they have found their basin, Newton steps on the observed likelihood.
 
@@ -78,14 +79,17 @@ def climb(
         Whether Newton steps are taken; without, this is plain EM.
     em_steps_first
         EM steps before the first Newton step.
+    known
+        Log-likelihood, gradient and Hessian at the start if known already; saves the first passes.
     report
         Called with the number of each iteration.
     """
-    climber = _Climber(likelihood, problem, problem.apply(start))
+    climber = _Climber(likelihood, problem, problem.apply(start), known)
     em_left = em_steps_first
     converged = False
     for iteration in range(max_iterations):
-        report(iteration)
+        if report is not None:
+            report(iteration)
         if accelerate and em_left <= 0:
             gain = climber.newton_step(tolerance)
             if gain is not None and gain < tolerance:
@@ -111,13 +115,26 @@ def climb(
 class _Climber:
     """The state of a climb: a point, its objective, and what passes at that point have found so far."""
 
-    def __init__(self, likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray) -> None:
+    def __init__(
+        self,
+        likelihood: IntrinsicLikelihood,
+        problem: LearningProblem,
+        theta: FloatArray,
+        known: tuple[float, FloatArray, FloatArray] | None,
+    ) -> None:
         self.likelihood = likelihood
         self.problem = problem
         self.theta = theta
-        self.statistics: ExpectedStatistics | None = self._statistics(theta)
+        self.statistics: ExpectedStatistics | None = None
         self.derivatives: tuple[float, FloatArray, FloatArray] | None = None
-        self.objective = self.statistics.log_likelihood + problem.priors.log_density(theta)[0]
+        prior_value, prior_gradient, prior_hessian = problem.priors.log_density(theta)
+        if known is None:
+            self.statistics = self._statistics(theta)
+            self.objective = self.statistics.log_likelihood + prior_value
+        else:
+            value, gradient, hessian = known
+            self.derivatives = value, gradient + prior_gradient, hessian + prior_hessian
+            self.objective = value + prior_value
         self.trace = [self.objective / likelihood.n_beams]
         self.em_steps = 0
         self.newton_steps = 0

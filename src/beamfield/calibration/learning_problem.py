@@ -60,6 +60,11 @@ class LearningProblem:
     upper: FloatArray
     priors: IntrinsicPriors
 
+    @staticmethod
+    def position(name: str) -> int:
+        """Where a parameter of `BeamParameters` stands in the working vector."""
+        return _POSITIONS[name]
+
     def apply(self, theta: FloatArray) -> FloatArray:
         """Return `theta` with held values in place, inside the bounds, the free weights sharing the rest."""
         new = np.clip(np.where(self.free, theta, self.held), self.lower, self.upper)

@@ -1,0 +1,40 @@
+"""All figures of the report in the order of the page."""
+
+from __future__ import annotations
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.report.check_figures import causes_by_bearing, noise_by_range, opposite_widths, pose_shifts
+from beamfield.report.density_figures import mixture, range_histograms, reading_series
+from beamfield.report.drawing import ReportFigure
+from beamfield.report.map_figures import cause_map, fit_map
+from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace, pit_histogram
+from beamfield.sensors import SensorLog
+
+
+def report_figures(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> list[ReportFigure]:
+    """Draw every figure for which the calibration has data.
+
+    Parameters
+    ----------
+    calibration
+        The result of `calibrate`.
+    grid, log
+        The map and the log it was made from.
+    """
+    drawn = [
+        range_histograms(calibration),
+        reading_series(calibration),
+        mixture(calibration),
+        pit_histogram(calibration),
+        cause_map(calibration, grid, log),
+        fit_map(calibration, grid, log),
+        likelihood_over_time(calibration),
+        noise_by_range(calibration),
+        candidate_plot(calibration),
+        likelihood_trace(calibration),
+        causes_by_bearing(calibration, log),
+        opposite_widths(calibration, log),
+        pose_shifts(calibration),
+    ]
+    return [figure for figure in drawn if figure is not None]

@@ -1,0 +1,193 @@
+"""Figures in the map's frame: where each cause occurs, and where scans fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.transforms import Affine2D
+from numpy.typing import NDArray
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.geometry import FloatArray, compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.report.drawing import (
+    CAUSE_COLOURS,
+    CAUSE_NAMES,
+    MODEL,
+    WIDE,
+    ReportFigure,
+    new_figure,
+    png_panel,
+    style,
+)
+from beamfield.report.range_bins import thinned
+from beamfield.sensors import SensorLog
+
+MOST_POINTS = 40_000
+# Metres shown around the data.
+MARGIN = 1.0
+# Free, unknown, occupied.
+MAP_COLOURS = ("#FFFFFF", "#EEF0F2", "#8A929B")
+
+
+def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> ReportFigure:
+    """Draw the end points of the beams on the map, coloured by their most likely cause."""
+    table = calibration.table
+    rows = thinned(np.flatnonzero(~table.hits_nothing), MOST_POINTS)
+    points = end_points(calibration, log, rows)
+    causes = calibration.causes[rows]
+    path = log.poses[calibration.selection.used, :2]
+    limits = _limits(points[causes != 3], path)
+    figure = new_figure(WIDE, _height(limits))
+    axes = figure.add_subplot()
+    _draw_map(axes, grid, limits)
+    shares = np.bincount(calibration.causes[~table.hits_nothing], minlength=4) / max(
+        int((~table.hits_nothing).sum()), 1
+    )
+    sizes, alphas, markers = (1.2, 4.0, 9.0, 4.0), (0.5, 0.7, 0.8, 0.8), ("o", "o", "^", "s")
+    for cause in (0, 3, 1, 2):
+        mine = causes == cause
+        axes.scatter(
+            points[mine, 0],
+            points[mine, 1],
+            s=sizes[cause],
+            marker=markers[cause],
+            color=CAUSE_COLOURS[cause],
+            alpha=alphas[cause],
+            linewidths=0,
+        )
+        axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause],
+                     label=f"{CAUSE_NAMES[cause]} {shares[cause]:.1%}")  # fmt: skip
+    _draw_path(axes, path)
+    _frame(axes, limits)
+    alt = "Map with the end points of the beams, by most likely cause: " + ", ".join(
+        f"{name} {share:.1%}" for name, share in zip(CAUSE_NAMES, shares, strict=True)
+    )
+    return ReportFigure(
+        "cause-map",
+        "Where each cause occurs",
+        (png_panel(figure, alt + ".", wide=True),),
+        f"End points of {len(rows)} beams by their most likely cause, over the map, with the robot's path (circle: "
+        "start, cross: end). Beams without return are drawn where the map expects the obstacle, as triangles: glass, "
+        "black or distant surfaces collect them. A dense group of short points is an object that the map lacks; "
+        "random points in rows behind a wall are an opened door, a moved wall, or poses that are off.",
+        "Section 6.3.3 (the correspondence c_i of a reading); (6.32) projects the end points",
+    )
+
+
+def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> ReportFigure | None:
+    """Draw the path on the map, coloured by how well the scans taken there fit; None for fewer than two scans."""
+    line = calibration.timeline
+    if len(line.scan) < 2:
+        return None
+    poses = log.poses[line.scan]
+    limits = _limits(poses[:, :2], poses[:, :2], margin=3 * MARGIN)
+    figure = new_figure(WIDE, _height(limits))
+    axes = figure.add_subplot()
+    _draw_map(axes, grid, limits)
+    low, high = np.quantile(line.log_likelihood, [0.02, 0.98])
+    order = np.argsort(-line.log_likelihood)
+    dots = axes.scatter(
+        poses[order, 0], poses[order, 1], c=line.log_likelihood[order], s=22, cmap="cividis", vmin=low, vmax=high,
+        edgecolors=MODEL, linewidths=0.2,
+    )  # fmt: skip
+    _frame(axes, limits, with_legend=False)
+    bar = figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.01)
+    bar.set_label("log-likelihood per beam [nats]", fontsize=9, color="#222222")
+    bar.ax.tick_params(labelsize=9)
+    worst = poses[int(np.argmin(line.log_likelihood))]
+    return ReportFigure(
+        "fit-map",
+        "Where scans fit",
+        (
+            png_panel(
+                figure,
+                f"The path on the map, coloured by log-likelihood per beam; the worst scan was taken at x {worst[0]:.1f} "
+                f"m, y {worst[1]:.1f} m.",
+                wide=True,
+            ),
+        ),
+        "One dot per scan where the robot stood, dark where its beams fit badly, with the worst on top. Dark dots "
+        "that come back at one place speak against the map there; dark dots along one stretch of the path only once "
+        "speak against the reference poses.",
+        "Section 6.3.1, (6.2)",
+    )
+
+
+def end_points(calibration: Calibration, log: SensorLog, rows: NDArray[np.int64]) -> FloatArray:
+    """Return (n, 2) where beams end in the map; beams without return end at their expected range.
+
+    Parameters
+    ----------
+    calibration, log
+        The result and the log it was made from.
+    rows
+        Rows of the beam table.
+    """
+    table = calibration.table
+    origin = compose(log.poses[table.scan[rows]], log.finder.mounts[table.beam[rows]])
+    no_return = table.ranges[rows] >= table.max_range
+    reach = np.where(no_return, table.expected_ranges[rows], table.ranges[rows])
+    return np.asarray(origin[:, :2] + reach[:, None] * np.column_stack([np.cos(origin[:, 2]), np.sin(origin[:, 2])]))
+
+
+def _limits(points: FloatArray, path: FloatArray, margin: float = MARGIN) -> tuple[float, float, float, float]:
+    """(x low, x high, y low, y high) of the data; a few stray end points do not count."""
+    both = [path[np.isfinite(path).all(axis=1)]]
+    if len(points) > 20:
+        both.append(np.quantile(points, [0.002, 0.998], axis=0))
+    low, high = np.concatenate(both).min(axis=0) - margin, np.concatenate(both).max(axis=0) + margin
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def _height(limits: tuple[float, float, float, float]) -> float:
+    """Height of the figure in inches for equal axes, within what a page takes."""
+    aspect = (limits[3] - limits[2]) / max(limits[1] - limits[0], 1e-9)
+    return float(np.clip((WIDE - 0.8) * aspect + 0.9, 3.0, 10.5))
+
+
+def _draw_map(axes: Axes, grid: OccupancyGrid, limits: tuple[float, float, float, float]) -> None:
+    """Draw the part of the map that is shown, turned by the origin's yaw."""
+    corners = grid.to_cells(np.array([[limits[i], limits[j]] for i in (0, 1) for j in (2, 3)]))
+    rows, cols = grid.shape
+    col, row = np.floor(corners.min(axis=0)).astype(np.int64)
+    col_end, row_end = np.ceil(corners.max(axis=0)).astype(np.int64)
+    col, row, col_end, row_end = (
+        int(np.clip(v, 0, n)) for v, n in ((col, cols), (row, rows), (col_end, cols), (row_end, rows))
+    )
+    if col >= col_end or row >= row_end:
+        return
+    part = np.s_[row:row_end, col:col_end]
+    shade = np.where(grid.occupied[part], 2, np.where(grid.unknown[part], 1, 0)).astype(np.uint8)
+    s = grid.resolution
+    map_from_grid = Affine2D().rotate(float(grid.origin[2])).translate(float(grid.origin[0]), float(grid.origin[1]))
+    image = axes.imshow(
+        shade,
+        extent=(col * s, col_end * s, row * s, row_end * s),
+        origin="lower",
+        cmap=ListedColormap(MAP_COLOURS),
+        vmin=0,
+        vmax=2,
+        interpolation="nearest",
+        aspect="auto",
+    )
+    image.set_transform(map_from_grid + axes.transData)
+
+
+def _draw_path(axes: Axes, path: FloatArray) -> None:
+    axes.plot(path[:, 0], path[:, 1], color=MODEL, linewidth=1.1, label="robot's path")
+    axes.plot(*path[0], "o", color=MODEL, markersize=6, markerfacecolor="white")
+    axes.plot(*path[-1], "X", color=MODEL, markersize=6.5, markeredgecolor="white", markeredgewidth=0.6)
+
+
+def _frame(axes: Axes, limits: tuple[float, float, float, float], *, with_legend: bool = True) -> None:
+    axes.set_xlim(limits[0], limits[1])
+    axes.set_ylim(limits[2], limits[3])
+    axes.set_aspect("equal")
+    style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")
+    if with_legend:
+        axes.legend(
+            fontsize=9, frameon=False, ncols=5, loc="lower left", bbox_to_anchor=(0.0, 1.0), handletextpad=0.3,
+            columnspacing=1.2, borderaxespad=0.2,
+        )  # fmt: skip

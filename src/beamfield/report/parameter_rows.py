@@ -1,0 +1,119 @@
+"""The fitted parameters as rows of a table: what each means, its unit, and its value with as many digits as it has."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.models.beam_parameters import BeamParameters
+
+UNITS = {
+    "z_hit": "",
+    "z_short": "",
+    "z_max": "",
+    "z_rand": "",
+    "sigma_hit": "m",
+    "lambda_short": "1/m",
+    "range_offset": "m",
+    "sigma_slope": "m/m",
+}
+
+MEANINGS = {
+    "z_hit": "share of readings that measure the mapped obstacle, with noise",
+    "z_short": "share of readings cut short by something that is not in the map",
+    "z_max": "share of readings without return",
+    "z_rand": "share of readings that nothing explains, spread evenly over all ranges",
+    "sigma_hit": "standard deviation of the noise of a hit",
+    "lambda_short": "how fast unexpected objects get rarer with range; 0: equally likely at every range",
+    "range_offset": "mean of a hit minus the range the map predicts; positive: obstacles lie behind the mapped surface",
+    "sigma_slope": "growth of the noise with the expected range z*: variance sigma_hit^2 + (sigma_slope z*)^2",
+}
+
+# Beyond the chapter: shown only where they are fitted or held.
+EXTENSIONS = ("range_offset", "sigma_slope")
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One parameter, ready to print.
+
+    Parameters
+    ----------
+    name
+        Field of `BeamParameters`.
+    value
+        The fitted value with as many digits as its interval supports.
+    interval
+        (low, high) of the 95 % interval, in the same digits; None if there is none.
+    unit
+        SI unit; empty for shares.
+    meaning
+        One line for people.
+    held
+        Whether the value was given, not fitted.
+    """
+
+    name: str
+    value: str
+    interval: tuple[str, str] | None
+    unit: str
+    meaning: str
+    held: bool
+
+    @property
+    def interval_text(self) -> str:
+        """The interval, or why there is none."""
+        if self.interval is not None:
+            return f"[{self.interval[0]}, {self.interval[1]}]"
+        return "held" if self.held else "not determined"
+
+
+def parameter_rows(calibration: Calibration) -> list[ParameterRow]:
+    """Return the parameters in the order of the chapter, then the extensions that are in use."""
+    return [
+        _row(calibration, item.name)
+        for item in fields(BeamParameters)
+        if item.name not in EXTENSIONS or _in_use(calibration, item.name)
+    ]
+
+
+def finite_interval(calibration: Calibration, name: str) -> tuple[float, float] | None:
+    """Return the 95 % interval of a parameter; None if there is none or a bound is not finite."""
+    interval = calibration.intervals.intervals.get(name)
+    if interval is None or name in calibration.options.hold:
+        return None
+    low, high = float(interval[0]), float(interval[1])
+    return (low, high) if math.isfinite(low) and math.isfinite(high) else None
+
+
+def decimals_for(half_width: float) -> int:
+    """Return how many decimals show two significant digits of an uncertainty; between 2 and 6."""
+    if not (math.isfinite(half_width) and half_width > 0.0):
+        return 4
+    return min(6, max(2, 1 - math.floor(math.log10(half_width))))
+
+
+def _in_use(calibration: Calibration, name: str) -> bool:
+    value = getattr(calibration.parameters, name)
+    return value != 0.0 or name in calibration.options.hold or finite_interval(calibration, name) not in (None, (0, 0))
+
+
+def _row(calibration: Calibration, name: str) -> ParameterRow:
+    value = float(getattr(calibration.parameters, name))
+    interval = finite_interval(calibration, name)
+    half_width = (interval[1] - interval[0]) / 2 if interval is not None else math.nan
+    decimals = decimals_for(half_width)
+    return ParameterRow(
+        name,
+        _fixed(value, decimals),
+        None if interval is None else (_fixed(interval[0], decimals), _fixed(interval[1], decimals)),
+        UNITS[name],
+        MEANINGS[name],
+        name in calibration.options.hold,
+    )
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """Fixed-point text; no minus before a zero."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"

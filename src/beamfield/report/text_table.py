@@ -1,0 +1,82 @@
+"""Plain-text tables for the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.report.parameter_rows import parameter_rows
+
+
+def parameter_table(calibration: Calibration) -> str:
+    """Return a table of the parameters, each with its 95 % interval and its unit.
+
+    Parameters
+    ----------
+    calibration
+        The result of `calibrate`.
+    """
+    rows = [
+        (row.name, row.value, row.interval_text, row.unit or "-", row.meaning) for row in parameter_rows(calibration)
+    ]
+    return _aligned(("parameter", "value", "95 % interval", "unit", "meaning"), rows, right=(1,))
+
+
+def score_table(calibration: Calibration) -> str:
+    """Return a table of the held-out log-likelihoods per beam in nats, and a line on the form of the model.
+
+    Parameters
+    ----------
+    calibration
+        The result of `calibrate`.
+    """
+    rows = [
+        (
+            score.name,
+            plus_minus(score.log_likelihood, score.standard_error),
+            "" if i == 0 else plus_minus(score.behind_fit, score.behind_fit_se, sign=True),
+        )
+        for i, score in enumerate(calibration.scores)
+    ]
+    table = _aligned(("held-out beams", "nats per beam", "the fit is ahead by"), rows, right=(1, 2))
+    return f"{table}\n{form_line(calibration)}"
+
+
+def form_line(calibration: Calibration) -> str:
+    """Return one sentence: which form of the hit component was chosen, from which, and for what gain."""
+    chosen = next(c for c in calibration.candidates if c.chosen)
+    others = len(calibration.candidates) - 1
+    name = "the chapter's" if chosen.name == "chapter" else chosen.name
+    if others == 0:
+        return f"Form of the hits: {name} (the only one allowed)."
+    simplest = calibration.candidates[0]
+    if chosen is simplest:
+        return f"Form of the hits: {name}; {others} more tried, none worth an extra parameter on held-out beams."
+    return (
+        f"Form of the hits: {name}, one of {others + 1} tried; "
+        f"{plus_minus(chosen.gain, chosen.gain_se, sign=True)} nats per held-out beam over "
+        f"{'the chapter' if simplest.name == 'chapter' else simplest.name}."
+    )
+
+
+def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> str:
+    """Return ``value ± standard error`` with four decimals; without the error where it is not known."""
+    plus = "+" if sign else ""
+    if not math.isfinite(value):
+        return "-inf" if value < 0 else "+inf" if value > 0 else "unknown"
+    text = f"{value:{plus}.4f}"
+    return f"{text} ± {standard_error:.4f}" if math.isfinite(standard_error) else text
+
+
+def _aligned(header: tuple[str, ...], rows: list[tuple[str, ...]], *, right: tuple[int, ...]) -> str:
+    """Columns padded to their widest cell; the given columns are aligned to the right."""
+    lines = [header, *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    lines.insert(1, tuple("-" * width for width in widths))
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if i in right else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )

@@ -1,0 +1,45 @@
+"""The result in two sentences, for people who read nothing else."""
+
+from __future__ import annotations
+
+import math
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.report.parameter_rows import parameter_rows
+
+# Rivals that the verdict names, and what to call them; the uniform is in the table.
+RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
+
+
+def verdict(calibration: Calibration) -> str:
+    """Return whether the fit beats the defaults, by how much, and how noisy the sensor is in this map."""
+    sentences = [_against_defaults(calibration), _noise(calibration)]
+    if not calibration.converged:
+        sentences.append("The fit did not converge: do not use it as it is.")
+    return " ".join(sentence for sentence in sentences if sentence)
+
+
+def is_good(calibration: Calibration) -> bool:
+    """Return whether the fit converged and beats every other model on held-out beams."""
+    return calibration.converged and all(score.behind_fit > 0 for score in calibration.scores[1:])
+
+
+def _against_defaults(calibration: Calibration) -> str:
+    gains = {RIVALS[s.name]: s.behind_fit for s in calibration.scores if s.name in RIVALS}
+    if not gains:
+        return ""
+    worse = [name for name, gain in gains.items() if not gain > 0]
+    if worse:
+        return f"The fit does not beat {' and '.join(worse)} on held-out beams."
+    amounts = [f"{name} by {_nats(gain)}" for name, gain in gains.items()]
+    return f"The fit beats {' and '.join(amounts)} nats per held-out beam."
+
+
+def _nats(gain: float) -> str:
+    return f"{gain:.2f}" if gain >= 0.1 or not math.isfinite(gain) else f"{gain:.4f}"
+
+
+def _noise(calibration: Calibration) -> str:
+    row = next(row for row in parameter_rows(calibration) if row.name == "sigma_hit")
+    slope = ", growing with range" if calibration.parameters.sigma_slope > 0 else ""
+    return f"sigma_hit is {row.value} m {row.interval_text}{slope}."

@@ -19,9 +19,10 @@ from beamfield.sensors import Track
 STEP = 0.05
 # Paths are planned on cells of about this size, metres: finer ones cost time and change nothing after smoothing.
 PLANNING_CELL = 0.1
-# Places to visit are at least this far apart, and count as seen from this near; metres.
+# Places to visit are at least this far apart, count as seen from this near, and leave no gap wider; metres.
 PLACE_SPACING = 2.5
 PLACE_SEEN = 1.6
+LARGEST_GAP = 4.0
 # Closer goals than this are no better, or the robot would dither in open halls; metres.
 NEAR = 6.0
 # The robot drives on through a place if the next leg turns by less than this (radians), seen over so many planning
@@ -165,7 +166,7 @@ class _FreeSpace:
         return np.asarray(ndimage.map_coordinates(self.clearance, col_row[:, ::-1].T, order=1, mode="nearest"))
 
     def _open_places(self, clearance: FloatArray) -> NDArray[np.int64]:
-        """Nodes where clearance has a local maximum, the most open first, none too close to another."""
+        """Nodes where clearance has a local maximum, the most open first, and more where these leave gaps."""
         size = max(3, round(PLACE_SPACING / self.cell) | 1)
         peaks = self.region & (clearance == ndimage.maximum_filter(clearance, size=size))
         nodes = np.flatnonzero(peaks[self.region])
@@ -175,7 +176,13 @@ class _FreeSpace:
         for i in range(len(nodes)):
             if not kept or np.hypot(*(centres[kept] - centres[i]).T).min() >= PLACE_SPACING:
                 kept.append(i)
-        return np.asarray(nodes[kept])
+        places = [int(node) for node in nodes[kept]]
+        everywhere = self.centres(np.arange(len(self.cells)))
+        gap = np.min([np.hypot(*(everywhere - everywhere[place]).T) for place in places], axis=0)
+        while gap.max() > LARGEST_GAP:
+            places.append(int(np.argmax(gap)))
+            gap = np.minimum(gap, np.hypot(*(everywhere - everywhere[places[-1]]).T))
+        return np.array(places)
 
 
 def _block_minimum(values: FloatArray, factor: int) -> FloatArray:

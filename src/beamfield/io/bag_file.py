@@ -86,11 +86,25 @@ class BagFile:
     def __enter__(self) -> BagFile:
         with _speaking_of(self.path):
             self._stack.enter_context(self._reader)
+        try:
+            self._check_topics()
+        except FormatError:
+            self._stack.close()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
         with _speaking_of(self.path):
             self._stack.close()
+
+    def _check_topics(self) -> None:
+        """Check what metadata.yaml, where every value may be of any type, says about the topics."""
+        for c in self._reader.connections:
+            named = isinstance(c.topic, str) and isinstance(c.msgtype, str)
+            if not named or not isinstance(c.msgcount, int) or c.msgcount < 0:
+                raise FormatError(
+                    self.path, f"expected topic, type and number of messages, got {(c.topic, c.msgtype, c.msgcount)!r}"
+                )
 
     @property
     def topics(self) -> dict[str, str]:

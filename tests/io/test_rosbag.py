@@ -1,0 +1,350 @@
+"""What `read_bag` makes of small bags whose content is known by hand."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
+
+from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError
+from beamfield.io.rosbag import read_bag, read_bag_map
+
+
+def drive(bag: MiniBag, seconds: float = 3.0) -> MiniBag:
+    """A robot that drives along x at 1 m/s and turns by 0.2 rad/s, with its laser 0.2 m ahead, turned by 90 degrees."""
+    bag.tf("base_link", "laser", 100.0, (0.2, 0.0, 0.3), quaternion(yaw=np.pi / 2), static=True)
+    for time in np.arange(0.0, seconds + 0.01, 0.1):
+        bag.tf("odom", "base_link", 100.0 + time, (time, 0.0, 0.0), quaternion(yaw=0.2 * time))
+    return bag
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_scans_odometry_and_mount_come_out_of_every_storage(storage, tmp_path):
+    bag = drive(MiniBag(storage))
+    for time in (0.05, 1.0, 2.55):
+        bag.scan(100.0 + time, [1.0, 2.0, np.inf])
+    log = read_bag(bag.write(tmp_path))
+    sensor = log.only_sensor("/scan")
+    assert sensor.stamps.tolist() == [100.05, 101.0, 102.55]
+    assert np.array_equal(sensor.ranges, [[1.0, 2.0, np.inf]] * 3)
+    expected = [[0.2, 0.0, np.pi / 2 - 0.25], [0.2, 0.0, np.pi / 2], [0.2, 0.0, np.pi / 2 + 0.25]]
+    assert np.allclose(sensor.finder.mounts, expected, atol=1e-12)
+    assert (sensor.finder.min_range, sensor.finder.max_range) == (pytest.approx(0.1), 10.0)
+    assert np.allclose(sensor.odometry, [[0.05, 0, 0.01], [1.0, 0, 0.2], [2.55, 0, 0.51]], atol=1e-6)
+    assert not sensor.has_poses
+    assert log.odometry is not None
+    assert len(log.odometry) == 31
+    assert np.allclose(log.odometry.poses[-1], [3.0, 0.0, 0.6])
+    assert any("no reference" in note or "reference poses: none" in note for note in log.notes)
+
+
+def test_a_sensor_upside_down_has_clockwise_bearings_and_its_mount_mirrored(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 0.0, (0.3, 0.1, 0.5), quaternion(roll=np.pi, yaw=0.4), static=True)
+    bag.scan(1.0, [1.0, 2.0, 3.0], angle_min=-0.5, increment=0.5)
+    log = read_bag(bag.write(tmp_path))
+    # The sensor's x axis points to 0.4 rad; a beam that it calls 0.5 rad to the left leaves to the right.
+    assert np.allclose(log.only_sensor().finder.mounts, [[0.3, 0.1, 0.9], [0.3, 0.1, 0.4], [0.3, 0.1, -0.1]])
+    assert any("upside down" in note for note in log.notes)
+
+
+def test_a_negative_increment_is_kept(tmp_path):
+    path = MiniBag().scan(1.0, [1.0, 2.0, 3.0], angle_min=1.0, increment=-1.0).write(tmp_path)
+    assert np.allclose(read_bag(path).only_sensor().finder.bearings, [1.0, 0.0, -1.0])
+
+
+def test_bearings_are_those_of_the_message_to_a_millionth_of_a_radian(tmp_path):
+    step = 2 * np.pi / 1440
+    path = MiniBag().scan(1.0, np.ones(1440), angle_min=-np.pi, increment=step).write(tmp_path)
+    expected = -np.pi + step * np.arange(1440)
+    assert np.abs(np.angle(np.exp(1j * (read_bag(path).only_sensor().finder.bearings - expected)))).max() < 1e-6
+
+
+def test_a_mount_comes_through_chains_of_static_and_moving_frames_with_ros1_slashes(tmp_path):
+    bag = MiniBag("ros1").tf("/base_link", "/plate", 1.0, (0.1, 0.0, 0.0))
+    bag.tf("/base_link", "/plate", 2.0, (0.1, 0.0, 0.0))
+    bag.tf("/plate", "/laser", 1.5, (0.0, 0.2, 0.0), quaternion(yaw=1.0), static=True)
+    bag.scan(0.5, frame="/laser").scan(1.5, frame="/laser")  # the first one lies before all transforms
+    assert np.allclose(read_bag(bag.write(tmp_path)).only_sensor().finder.mounts[1], [0.1, 0.2, 1.0])
+
+
+def test_a_sensor_that_moves_on_the_robot_is_refused(tmp_path):
+    bag = MiniBag()
+    for time in (1.0, 2.0):
+        bag.tf("base_link", "laser", time, (0.0, 0.0, 0.0), quaternion(yaw=time)).scan(time)
+    with pytest.raises(FormatError, match="'laser' moves on 'base_link'"):
+        read_bag(bag.write(tmp_path))
+
+
+def test_a_tilted_sensor_is_refused_and_a_slight_tilt_noted(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 0.0, q=quaternion(pitch=np.deg2rad(2)), static=True).scan(1.0)
+    assert any("tilted by 2.0 degrees" in note for note in read_bag(bag.write(tmp_path, "slight")).notes)
+    bag = MiniBag().tf("base_link", "laser", 0.0, q=quaternion(pitch=np.deg2rad(30)), static=True).scan(1.0)
+    with pytest.raises(FormatError, match=r"/scan: .*'laser' is tilted by 30\.0 degrees"):
+        read_bag(bag.write(tmp_path, "steep"))
+
+
+def test_without_transforms_the_sensor_sits_at_the_robots_origin_and_a_note_says_so(tmp_path):
+    log = read_bag(MiniBag().scan(1.0).write(tmp_path))
+    assert np.allclose(log.only_sensor().finder.mounts[:, :2], 0.0)
+    assert any("no transforms" in note for note in log.notes)
+
+
+def test_a_given_mount_replaces_the_one_that_the_bag_lacks(tmp_path):
+    bag = MiniBag().tf("odom", "base_link", 1.0).tf("odom", "base_link", 2.0, (1.0, 0.0, 0.0)).scan(1.5)
+    path = bag.write(tmp_path)
+    with pytest.raises(FormatError, match="'laser'"):
+        read_bag(path)
+    sensor = read_bag(path, mount=(0.3, 0.0, 0.1)).only_sensor()
+    assert np.allclose(sensor.finder.mounts[1], [0.3, 0.0, 0.1])
+    assert np.allclose(sensor.odometry, [[0.5, 0.0, 0.0]])
+
+
+def test_the_robots_frame_can_be_named(tmp_path):
+    bag = MiniBag().tf("base_link", "tower", 0.0, (0.0, 1.0, 0.0), static=True)
+    bag.tf("tower", "laser", 0.0, (0.0, 1.0, 0.0), static=True).scan(1.0)
+    path = bag.write(tmp_path)
+    assert read_bag(path).only_sensor().finder.mounts[0, 1] == 2.0
+    assert read_bag(path, base_frame="/tower").only_sensor().finder.mounts[0, 1] == 1.0
+    with pytest.raises(InvalidInputError, match=r"no frame 'mast'.*'tower'"):
+        read_bag(path, base_frame="mast")
+
+
+def test_a_namespaced_robot_is_found(tmp_path):
+    bag = MiniBag().tf("r1/base_link", "r1/laser", 0.0, (0.5, 0.0, 0.0), static=True)
+    bag.tf("r1/odom", "r1/base_link", 1.0).scan(1.0, frame="r1/laser")
+    sensor = read_bag(bag.write(tmp_path)).only_sensor()
+    assert sensor.finder.mounts[0, 0] == 0.5
+    assert sensor.has_odometry
+
+
+def test_reference_poses_come_from_tf_at_the_scans_stamp_and_never_beyond(tmp_path):
+    bag = drive(MiniBag())
+    for time in np.arange(0.5, 2.51, 0.5):
+        bag.tf("map", "odom", 100.0 + time, (10.0, 0.0, 0.0), quaternion(yaw=np.pi / 2))
+    for time in (0.2, 0.75, 2.5, 2.8):
+        bag.scan(100.0 + time)
+    log = read_bag(bag.write(tmp_path))
+    poses = log.only_sensor().poses
+    assert np.isnan(poses[[0, 3]]).all()
+    assert np.allclose(poses[1:3], [[10.0, 0.75, np.pi / 2 + 0.15], [10.0, 2.5, np.pi / 2 + 0.5]], atol=1e-6)
+    assert any("2 of 4 scans have no reference pose" in note for note in log.notes)
+
+
+def test_transforms_far_apart_in_time_are_not_interpolated(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True).scan(1.0).scan(6.0)
+    for time in (0.5, 1.5, 11.5):
+        bag.tf("odom", "base_link", time)
+    assert np.isfinite(read_bag(bag.write(tmp_path)).only_sensor().odometry[:, 0]).tolist() == [True, False]
+
+
+def test_a_pose_topic_that_was_asked_for_goes_before_tf(tmp_path):
+    bag = drive(MiniBag())
+    for time in (0.0, 0.1, 0.2):
+        bag.tf("map", "odom", 100.0 + time).pose(100.0 + time, (5.0, 6.0), 0.1, topic="/mocap", covariance=False)
+    path = bag.scan(100.1).write(tmp_path)
+    assert np.allclose(read_bag(path).only_sensor().poses, [[0.1, 0.0, 0.02]], atol=1e-6)
+    assert np.allclose(read_bag(path, poses_topic="mocap").only_sensor().poses, [[5.0, 6.0, 0.1]])
+
+
+def test_ground_truth_is_found_by_name_and_is_not_taken_for_odometry(tmp_path):
+    bag = MiniBag()
+    for time in (1.0, 2.0):
+        bag.odometry(time, (7.0, time), topic="/base_pose_ground_truth")
+        bag.odometry(time, (0.0, time), topic="/robot/wheel_odometry")
+    log = read_bag(bag.scan(1.5).write(tmp_path))
+    assert np.allclose(log.only_sensor().poses, [[7.0, 1.5, 0.0]])
+    assert np.allclose(log.only_sensor().odometry, [[0.0, 1.5, 0.0]])
+    assert any("/base_pose_ground_truth" in note for note in log.notes)
+
+
+def test_sparse_localisation_is_bridged_by_odometry(tmp_path):
+    bag = drive(MiniBag(), 10.0)
+    # The localiser speaks every 5 s; the correction of the odometry drifts from (0, 0) by 0.1 m each time.
+    for time, drift in ((0.0, 0.0), (5.0, 0.1), (10.0, 0.2)):
+        bag.pose(100.0 + time, (time, drift), 0.2 * time)
+    for time in (2.5, 7.5):
+        bag.scan(100.0 + time)
+    log = read_bag(bag.write(tmp_path))
+    assert np.allclose(log.only_sensor().poses, [[2.5, 0.05, 0.5], [7.5, 0.15, 1.5]], atol=1e-6)
+    assert any("odometry between its poses" in note for note in log.notes)
+
+
+def test_the_odometry_topic_serves_where_tf_has_none_and_is_moved_to_the_robots_frame(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 0.0, static=True)
+    bag.tf("base_link", "base_footprint", 0.0, (-0.5, 0.0, 0.0), static=True)
+    for time in (1.0, 2.0):
+        bag.odometry(time, (time, 0.0), np.pi / 2, child="base_footprint")
+    log = read_bag(bag.scan(1.5).write(tmp_path))
+    # base_link sits half a metre ahead of base_footprint, which looks along y.
+    assert np.allclose(log.only_sensor().odometry, [[1.5, 0.5, np.pi / 2]])
+    assert log.odometry is not None
+    assert len(log.odometry) == 2
+
+
+def test_several_sensors_are_read_unless_one_is_chosen(tmp_path):
+    bag = MiniBag().scan(1.0, topic="/front", frame="f").scan(1.0, [1.0], topic="/rear", frame="r")
+    path = bag.write(tmp_path)
+    assert list(read_bag(path).sensors) == ["/front", "/rear"]
+    assert list(read_bag(path, sensor_topic="rear").sensors) == ["/rear"]
+    assert list(read_bag(path, sensor_topic=["/rear", "/front"]).sensors) == ["/rear", "/front"]
+
+
+def test_header_stamps_count_not_the_times_of_recording(tmp_path):
+    path = MiniBag().scan(5.0, recorded=100.0).scan(6.0, recorded=101.0).write(tmp_path)
+    assert read_bag(path).only_sensor().stamps.tolist() == [5.0, 6.0]
+
+
+def test_times_of_recording_replace_stamps_that_are_all_zero_with_a_note(tmp_path):
+    log = read_bag(MiniBag().scan(0.0, recorded=7.0).scan(0.0, recorded=8.0).write(tmp_path))
+    assert log.only_sensor().stamps.tolist() == [7.0, 8.0]
+    assert any("stamp is 0" in note for note in log.notes)
+
+
+def test_scans_that_swapped_places_on_the_network_are_sorted_with_a_note(tmp_path):
+    bag = MiniBag().scan(1.0, [1, 1, 1], recorded=1.0).scan(1.2, [3, 3, 3], recorded=1.1)
+    log = read_bag(bag.scan(1.1, [2, 2, 2], recorded=1.2).write(tmp_path))
+    assert log.only_sensor().stamps.tolist() == [1.0, 1.1, 1.2]
+    assert log.only_sensor().ranges[:, 0].tolist() == [1.0, 2.0, 3.0]
+    assert any("sorted by their stamps" in note for note in log.notes)
+
+
+def test_given_limits_replace_the_declared_ones_and_include_what_float32_rounded(tmp_path):
+    path = MiniBag().scan(1.0, [0.05, 5.6, 2.0], range_max=30.0).write(tmp_path)
+    finder = read_bag(path, max_range=5.6, min_range=0.2).only_sensor().finder
+    assert np.float32(5.6) >= finder.max_range
+    assert finder.max_range == pytest.approx(5.6)
+    assert finder.min_range == pytest.approx(0.2)
+
+
+def scans_of(tmp_path, ranges, **options):
+    limits = {k: options.pop(k) for k in ("range_min", "range_max") if k in options}
+    bag = MiniBag()
+    for i, row in enumerate(ranges):
+        bag.scan(float(i + 1), row, **limits)
+    return read_bag(bag.write(tmp_path), **options).only_sensor()
+
+
+def ordinary_ranges(rng, n=100, k=20, low=0.5, high=6.0):
+    return rng.uniform(low, high, (n, k)).astype(np.float32)
+
+
+def test_rep117_needs_no_conversion(tmp_path):
+    sensor = scans_of(tmp_path, [[np.inf, np.nan, -np.inf, 10.0, 0.05, 2.0]])
+    assert np.array_equal(
+        sensor.ranges[0], np.array([np.inf, np.nan, -np.inf, 10.0, np.float32(0.05), 2.0]), equal_nan=True
+    )
+    assert sensor.no_return.origin == "declared"
+    assert sensor.no_return.share == pytest.approx(2 / 6)
+
+
+def test_frequent_zeros_mean_no_return_if_nothing_else_does(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    ranges[rng.random(ranges.shape) < 0.3] = 0.0
+    sensor = scans_of(tmp_path, ranges)
+    assert np.array_equal(np.isposinf(sensor.ranges), ranges == 0.0)
+    assert (sensor.no_return.values, sensor.no_return.origin) == ((0.0,), "detected")
+    assert sensor.no_return.share == pytest.approx((ranges == 0.0).mean())
+
+
+def test_zeros_are_too_close_where_infinity_means_no_return(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    ranges[:, 0], ranges[:, 1] = 0.0, np.inf
+    sensor = scans_of(tmp_path, ranges)
+    assert (sensor.ranges[:, 0] == 0.0).all()
+    assert sensor.no_return.values == ()
+
+
+def test_rare_zeros_of_a_sensor_without_lower_limit_are_no_measurement(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    ranges[3, 3] = 0.0
+    sensor = scans_of(tmp_path, ranges, range_min=0.0)
+    assert np.argwhere(np.isnan(sensor.ranges)).tolist() == [[3, 3]]
+    assert "0.05% are 0" in sensor.no_return.explanation
+
+
+def test_a_repeated_greatest_value_below_the_limit_means_no_return(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    ranges[rng.random(ranges.shape) < 0.1] = 8.0
+    sensor = scans_of(tmp_path, ranges)
+    assert np.array_equal(np.isposinf(sensor.ranges), ranges == 8.0)
+    assert (sensor.no_return.values, sensor.no_return.origin) == ((8.0,), "detected")
+
+
+def test_a_far_wall_with_noise_is_not_taken_for_no_return(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    ranges[:, :5] = np.round(rng.normal(8.0, 0.01, (100, 5)), 2)
+    assert scans_of(tmp_path, ranges).no_return.origin == "none"
+
+
+def test_a_policy_can_be_given_or_switched_off(rng, tmp_path):
+    ranges = ordinary_ranges(rng)
+    ranges[:, 0], ranges[:, 1], ranges[:, 2] = 0.0, np.nan, 65.533
+    path = MiniBag()
+    for i, row in enumerate(ranges):
+        path.scan(float(i + 1), row, range_max=80.0)
+    path = path.write(tmp_path)
+    given = read_bag(path, no_return=(65.533, float("nan"))).only_sensor()
+    assert np.isposinf(given.ranges[:, 1:3]).all()
+    assert (given.ranges[:, 0] == 0.0).all()
+    assert (given.no_return.origin, given.no_return.share) == ("given", pytest.approx(0.1))
+    off = read_bag(path, no_return="none").only_sensor()
+    assert np.array_equal(off.ranges, ranges.astype(float), equal_nan=True)
+    with pytest.raises(InvalidInputError, match="'guess'"):
+        read_bag(path, no_return="guess")
+
+
+def test_four_rangers_of_a_drone_are_read_with_their_flow_odometry(tmp_path):
+    bag = MiniBag("ros1")
+    for time in (1.0, 1.1, 1.2):
+        q = quaternion(yaw=0.5)
+        bag.raw(time, [time, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0], "/cf/state_xyzv")
+        bag.raw(time + 0.05, [0.5, 1.0, 1.5, 4.5, 2.4, *q], "/cf/state_ranger_qxyzw")
+    log = read_bag(bag.write(tmp_path))
+    sensor = log.only_sensor("/cf/state_ranger_qxyzw")
+    assert np.allclose(np.rad2deg(sensor.finder.bearings), [-90, 0, 90, 180])
+    assert np.allclose(sensor.ranges[0], [0.5, 1.0, 1.5, 4.5])
+    assert np.allclose(sensor.odometry, [[1.05, 0, 0.5], [1.15, 0, 0.5], [np.nan] * 3], equal_nan=True, atol=1e-6)
+    assert sensor.finder.opening_angle > 0
+
+
+def test_a_single_file_of_a_bag_and_a_folder_that_lost_its_metadata_are_read(tmp_path):
+    for storage in ("sqlite3", "mcap"):
+        folder = MiniBag(storage).scan(1.0).scan(2.0).write(tmp_path, storage)
+        file = next(f for f in folder.iterdir() if f.suffix in (".db3", ".mcap"))
+        assert len(read_bag(file).only_sensor()) == 2
+        (folder / "metadata.yaml").unlink()
+        assert len(read_bag(file).only_sensor()) == 2
+        assert len(read_bag(folder).only_sensor()) == 2
+
+
+def test_a_map_is_the_last_one_published_with_its_origin_turned(tmp_path):
+    for storage in STORAGES:
+        bag = MiniBag(storage).grid(1.0, 1, 1, [0])
+        bag.grid(2.0, 3, 2, [0, 100, -1, 50, 0, 0], xy=(1.0, 2.0), q=quaternion(yaw=0.5), resolution=0.25)
+        grid = read_bag_map(bag.write(tmp_path, storage))
+        assert np.allclose(grid.probability, [[0.0, 1.0, np.nan], [0.5, 0.0, 0.0]], equal_nan=True)
+        assert grid.resolution == 0.25
+        assert np.allclose(grid.origin, [1.0, 2.0, 0.5])
+
+
+def test_maps_are_chosen_by_topic_and_four_zeros_are_no_rotation(tmp_path):
+    bag = MiniBag().grid(1.0, 1, 1, [0], topic="/map").grid(1.0, 1, 1, [100], topic="/costmap", q=(0.0, 0.0, 0.0, 0.0))
+    path = bag.scan(1.0).write(tmp_path)
+    assert read_bag_map(path).free.all()
+    assert read_bag_map(path, "costmap").occupied.all()
+    with pytest.raises(InvalidInputError, match=r"'/scan' holds sensor_msgs/msg/LaserScan"):
+        read_bag_map(path, "/scan")
+
+
+def test_without_rosbags_the_error_names_the_extra(tmp_path, monkeypatch):
+    path = MiniBag().scan(1.0).write(tmp_path)
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(MissingDependencyError, match=r"beamfield\[ros\]"):
+        read_bag(path)
+
+
+def test_topics_without_messages_are_passed_over(tmp_path):
+    path = MiniBag().declare("/dead_scan", LASER_SCAN).scan(1.0).write(tmp_path)
+    assert list(read_bag(path).sensors) == ["/scan"]

@@ -1,0 +1,168 @@
+"""Time the beam model, in ns per pose x beam, beside the same mixture written with NumPy.
+
+Run: python benchmarks/beam_model.py
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.special import erf
+
+from beamfield.kernels.beam import fill_scan_log_likelihood
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel, beam_log_density, beam_responsibilities, sample_beams
+from beamfield.models.beam_density import as_view
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, Scan
+
+MAX_RANGE = 20.0
+PARAMETERS = BeamParameters(z_hit=0.6, z_short=0.15, z_max=0.05, z_rand=0.2, sigma_hit=0.2, lambda_short=0.1)
+N_BEAMS = 60
+N_POSES = 2000
+
+
+def run() -> list[dict[str, Any]]:
+    """Return one row per measurement: what, poses, threads, ns per pose x beam, times faster than NumPy."""
+    rng = np.random.default_rng(7)
+    grid = office(rng)
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
+    truth = np.array([25.0, 25.0, 0.3])
+    model = BeamModel(grid, PARAMETERS, threads=1)
+    scan = model.sample(truth, rng, finder)[0]
+    rows: list[dict[str, Any]] = []
+    for name, poses in {"track": near(truth, rng), "global": anywhere(grid, rng)}.items():
+        rows += given_ranges(name, scan, model.expected(poses, finder))
+        rows += end_to_end(name, grid, scan, poses)
+    return rows + large_scan(grid, truth, rng)
+
+
+def main() -> None:
+    """Print the rows as a Markdown table."""
+    rows = run()
+    print(f"| {' | '.join(rows[0])} |")
+    print(f"|{'---|' * len(rows[0])}")
+    for row in rows:
+        print(f"| {' | '.join(str(value) for value in row.values())} |")
+
+
+def given_ranges(name: str, scan: Scan, expected: np.ndarray) -> list[dict[str, Any]]:
+    """Time the mixture alone: expected ranges are there already."""
+    view = as_view(PARAMETERS, MAX_RANGE)
+    out = np.empty(len(expected))
+    decay = np.exp(-PARAMETERS.lambda_short * scan.ranges)
+
+    def fused() -> np.ndarray:
+        fill_scan_log_likelihood(scan.ranges, decay, expected, view, out)
+        return out
+
+    closed_form = numpy_log_likelihood(scan.ranges, expected)
+    np.testing.assert_allclose(fused(), closed_form, atol=1e-9)
+    baseline = median_ns(lambda: numpy_log_likelihood(scan.ranges, expected), expected.size)
+    timings = {
+        "NumPy closed form, given ranges": baseline,
+        "sum of log densities, given ranges": median_ns(fused, expected.size),
+        "log density per beam, given ranges": median_ns(
+            lambda: beam_log_density(scan.ranges, expected, MAX_RANGE, PARAMETERS, threads=1), expected.size
+        ),
+        "responsibilities, given ranges": median_ns(
+            lambda: beam_responsibilities(scan.ranges, expected, MAX_RANGE, PARAMETERS, threads=1), expected.size
+        ),
+        "drawing samples, given ranges": median_ns(
+            lambda: sample_beams(expected, MAX_RANGE, PARAMETERS, np.random.default_rng(1)), expected.size
+        ),
+    }
+    return [row(what, name, len(expected), 1, ns, baseline) for what, ns in timings.items()]
+
+
+def end_to_end(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -> list[dict[str, Any]]:
+    """Time ray casting and mixture together, as a particle filter would call them."""
+    rows = []
+    for threads in (1, 2):
+        model = BeamModel(grid, PARAMETERS, threads=threads)
+        ns = median_ns(lambda model=model: model.log_likelihood(scan, poses), len(poses) * N_BEAMS)  # type: ignore[misc]
+        rows.append(row("ray casting and mixture", name, len(poses), threads, ns, None))
+    return rows
+
+
+def large_scan(grid: OccupancyGrid, truth: np.ndarray, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Time one call with 180 beams at 20,000 poses."""
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 180, endpoint=False), MAX_RANGE)
+    model = BeamModel(grid, PARAMETERS)
+    scan = model.sample(truth, rng, finder)[0]
+    poses = near(truth, rng, 20_000)
+    ns = median_ns(lambda: model.log_likelihood(scan, poses), len(poses) * 180)
+    return [row("ray casting and mixture, 180 beams", "track", len(poses), "all", ns, None)]
+
+
+def numpy_log_likelihood(ranges: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Return the same sum written with whole arrays, for ranges below MAX_RANGE or equal to it."""
+    p, sigma, rate = PARAMETERS, PARAMETERS.sigma_hit, PARAMETERS.lambda_short
+    scale = 1.0 / (sigma * np.sqrt(2.0))
+    mass = 0.5 * (erf((MAX_RANGE - expected) * scale) + erf(expected * scale))
+    hit = np.exp(-(((ranges - expected) * scale) ** 2)) / (sigma * np.sqrt(2.0 * np.pi) * mass)
+    decay = rate * np.exp(-rate * ranges)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        short = np.where(ranges <= expected, decay / -np.expm1(-rate * expected), 0.0)
+    density = p.z_hit * hit + p.z_short * short + p.z_rand / MAX_RANGE
+    return np.log(np.where(ranges >= MAX_RANGE, p.z_max, density)).sum(axis=-1)
+
+
+def office(rng: np.random.Generator) -> OccupancyGrid:
+    """Return 1000 x 1000 cells of 5 cm: rooms of 2.5 to 7.5 m with doors and some furniture."""
+    cells = np.zeros((1000, 1000), dtype=np.int8)
+    walls = np.cumsum(rng.integers(50, 150, 20))
+    walls = walls[walls < 990]
+    cells[[0, -1], :] = cells[:, [0, -1]] = 100
+    cells[walls, :] = cells[:, walls] = 100
+    doors = np.concatenate([[0], walls])
+    for wall in walls:
+        for start in doors:
+            cells[wall, start + 10 : start + 30] = 0
+            cells[start + 10 : start + 30, wall] = 0
+    for row_, col in rng.integers(10, 980, (150, 2)):
+        cells[row_ : row_ + 8, col : col + 8] = 100
+    cells[490:515, 490:515] = 0
+    return OccupancyGrid.from_ros(cells, 0.05)
+
+
+def near(truth: np.ndarray, rng: np.random.Generator, n: int = N_POSES) -> np.ndarray:
+    """Return poses of a filter that tracks."""
+    return truth + rng.normal(0.0, [0.15, 0.15, 0.05], (n, 3))
+
+
+def anywhere(grid: OccupancyGrid, rng: np.random.Generator, n: int = N_POSES) -> np.ndarray:
+    """Return poses over all free space."""
+    free = np.argwhere(grid.free)
+    row_col = free[rng.integers(0, len(free), n)] + rng.uniform(0.0, 1.0, (n, 2))
+    return np.column_stack([row_col[:, ::-1] * grid.resolution, rng.uniform(-np.pi, np.pi, n)])
+
+
+def row(what: str, poses: str, n: int, threads: int | str, ns: float, baseline: float | None) -> dict[str, Any]:
+    """Return one line of the table."""
+    faster = "" if baseline is None else f"{baseline / ns:.1f}"
+    return {
+        "what": what,
+        "poses": f"{n} {poses}",
+        "threads": threads,
+        "ns per pose x beam": round(ns, 1),
+        "times NumPy": faster,
+    }
+
+
+def median_ns(call: Callable[[], object], n: int, repeats: int = 9) -> float:
+    """Return the median time of a call over n pairs in ns each, after one call to compile and warm up."""
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter_ns()
+        call()
+        times.append((time.perf_counter_ns() - start) / n)
+    return float(np.median(times))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""What every measurement model must offer the contract tests: one `Case` per model, listed in CASES."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel, beam_pit
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, Scan
+
+
+@dataclass(frozen=True)
+class Case:
+    """One model under contract.
+
+    Parameters
+    ----------
+    build
+        (map_from_moved, **options) -> model; the whole map is moved by the pose `map_from_moved`.
+    options
+        Variants of construction; each is tested.
+    measurements
+        Measurements, odd ones included.
+    poses
+        (n, 3), odd ones included, with room to be in the map or out of it.
+    integral
+        (model, pose) -> integral of the density over all measurements of one feature (beam, landmark), plus masses;
+        None for models that are no densities.
+    transform
+        (model, measurements, pose, rng) -> values that are uniform on [0, 1] for measurements drawn at that pose; None
+        for models that cannot draw.
+    options_close_by
+        Options of a second model that is close to the first, for importance sampling.
+    """
+
+    name: str
+    build: Callable[..., Any]
+    options: tuple[dict[str, Any], ...]
+    measurements: tuple[Any, ...]
+    poses: np.ndarray
+    integral: Callable[[Any, np.ndarray], float] | None = None
+    transform: Callable[[Any, list[Any], np.ndarray, np.random.Generator], np.ndarray] | None = None
+    options_close_by: dict[str, Any] | None = None
+
+    def __str__(self) -> str:
+        return self.name
+
+
+# Letters: # occupied, . free, ? unknown. The top line is the highest y.
+FLOOR = """
+##############
+#......#.....#
+#......#.....#
+#..........?.#
+#......#..??.#
+#......#.....#
+##.#####.....#
+#............#
+#.....##.....#
+##############
+"""
+RESOLUTION = 0.5
+FINDER = RangeFinder.from_bearings(np.linspace(-2.0, 2.0, 9), 5.0, mount=(0.11, -0.07, 0.3), name="lidar")
+# The same with a blind zone; samples of the density itself need one without.
+BLIND_FINDER = replace(FINDER, min_range=0.05)
+POSES = np.array(
+    [
+        [1.63, 1.21, 0.4],
+        [1.63, 1.21, 3.5],
+        [2.2, 3.37, -1.2],
+        [5.3, 2.1, 2.9],
+        [3.6, 2.3, 0.1],  # in a wall
+        [-1.37, 2.2, 0.2],  # off the map, looking at it
+        [40.0, 40.0, 0.0],  # off the map, far away
+    ]
+)
+
+
+def draw_floor(origin: np.ndarray) -> OccupancyGrid:
+    """Return the floor as a grid whose lower-left corner has the given pose."""
+    values = {"#": 100, ".": 0, "?": -1}
+    rows = FLOOR.strip().splitlines()[::-1]
+    return OccupancyGrid.from_ros([[values[c] for c in row] for row in rows], RESOLUTION, origin)
+
+
+def build_beam_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> BeamModel:
+    """Return a beam model of the floor; `parameters` as keywords of their own replace the defaults."""
+    values = {"z_hit": 0.6, "z_short": 0.2, "z_max": 0.1, "z_rand": 0.1, "sigma_hit": 0.1, "lambda_short": 0.8}
+    changed = {name: options.pop(name) for name in list(options) if name in BeamParameters.__dataclass_fields__}
+    grid = draw_floor(compose(map_from_moved, np.zeros(3)))
+    return BeamModel(grid, BeamParameters(**{**values, **changed}), **{"finder": FINDER, **options})
+
+
+def integrate_one_beam(model: BeamModel, pose: np.ndarray) -> float:
+    """Return the integral over the range of a single beam, by the midpoint rule, plus the mass at max_range."""
+    finder = RangeFinder(FINDER.mounts[4:5], FINDER.max_range)
+    total = np.exp(model.log_likelihood(Scan([FINDER.max_range], finder), pose))
+    # In a wall, p_short fills the first micrometre.
+    for low, high, n in [(0.0, 2e-6, 100), (2e-6, FINDER.max_range, 200_000)]:
+        ranges = low + (np.arange(n) + 0.5) * (high - low) / n
+        same_ray = RangeFinder(np.repeat(finder.mounts, n, axis=0), FINDER.max_range)
+        density = np.exp(model.beam_log_likelihood(Scan(ranges, same_ray), pose))
+        total += density.mean() * (high - low)
+    return float(total)
+
+
+def beam_transform(model: BeamModel, scans: list[Scan], pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the randomised probability integral transform of all beams of all scans."""
+    ranges = np.array([scan.ranges for scan in scans])
+    return beam_pit(ranges, model.expected(pose, FINDER), FINDER.max_range, model.parameters, rng).ravel()
+
+
+NO_RETURN = [0.0, 1.2, np.inf, 5.0, 4.9999, 7.0, 0.3, 2.0, 2.5]
+NOTHING = [np.nan] * 9
+MIXED = [np.nan, -np.inf, 0.01, 1.0, 2.0, np.nan, np.inf, 0.5, 1.5]
+USUAL = [1.0, 1.1, 1.2, 1.0, 2.1, 2.2, 0.4, 1.5, 1.5]
+
+CASES = [
+    Case(
+        name="beam",
+        build=build_beam_model,
+        options=(
+            {},
+            {"exponent": 0.3, "n_beams": 4},
+            {"unknown": "occupied"},
+            {"range_offset": 0.1, "sigma_slope": 0.05, "lambda_short": 0.0},
+            {"z_hit": 0.9, "z_short": 0.1, "z_max": 0.0, "z_rand": 0.0, "sigma_hit": 0.01},
+        ),
+        measurements=tuple(Scan(ranges, BLIND_FINDER) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)),
+        poses=POSES,
+        integral=integrate_one_beam,
+        transform=beam_transform,
+        options_close_by={"z_hit": 0.55, "z_rand": 0.15, "sigma_hit": 0.105, "lambda_short": 0.7},
+    )
+]
+
+
+@pytest.fixture(params=CASES, ids=str)
+def case(request: pytest.FixtureRequest) -> Case:
+    return request.param
+
+
+@pytest.fixture
+def normalized(case: Case) -> Case:
+    if case.integral is None:
+        pytest.skip(f"{case.name} is no density over measurements")
+    return case
+
+
+@pytest.fixture
+def generative(case: Case) -> Case:
+    if case.transform is None:
+        pytest.skip(f"{case.name} cannot draw measurements")
+    return case

@@ -1,0 +1,145 @@
+"""What holds for every measurement model; a new model joins by an entry in conftest.CASES."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import compose
+
+
+def test_batch_equals_one_by_one(case):
+    for options in case.options:
+        model = case.build(**options)
+        for z in case.measurements:
+            batch = model.log_likelihood(z, case.poses)
+            assert batch.shape == (len(case.poses),)
+            assert batch.tolist() == [float(model.log_likelihood(z, pose)) for pose in case.poses]
+
+
+def test_any_shape_of_poses(case):
+    model, z = case.build(), case.measurements[0]
+    poses = np.stack([case.poses[:3], case.poses[3:6]])
+    assert model.log_likelihood(z, poses).shape == (2, 3)
+    assert model.log_likelihood(z, poses)[1, 2] == model.log_likelihood(z, case.poses[5])
+    assert model.log_likelihood(z, case.poses[0]).shape == ()
+    assert model.log_likelihood(z, np.empty((0, 3))).shape == (0,)
+    assert model.log_likelihood(z, np.empty((4, 0, 3))).shape == (4, 0)
+
+
+@pytest.mark.parametrize("move", [(3.0, -7.0, 0.0), (0.0, 0.0, np.pi / 2), (-120.3, 45.7, 2.1)])
+def test_moving_map_and_poses_together_changes_nothing(case, move):
+    for options in case.options:
+        model, moved = case.build(**options), case.build(np.array(move), **options)
+        for z in case.measurements:
+            expected = model.log_likelihood(z, case.poses)
+            np.testing.assert_allclose(moved.log_likelihood(z, compose(move, case.poses)), expected, rtol=1e-7)
+
+
+def test_never_nan_and_never_plus_infinity(case):
+    for options in case.options:
+        model = case.build(**options)
+        for z in case.measurements:
+            values = model.log_likelihood(z, case.poses)
+            assert not np.isnan(values).any()
+            assert (values < np.inf).all()
+
+
+def test_poses_that_are_no_numbers_are_an_error(case):
+    model = case.build()
+    with pytest.raises(InvalidInputError, match="poses: expected finite numbers, got nan"):
+        model.log_likelihood(case.measurements[0], [[0.0, np.nan, 0.0]])
+    with pytest.raises(InvalidInputError, match=r"poses: expected shape \(\.\.\., 3\)"):
+        model.log_likelihood(case.measurements[0], [[0.0, 0.0]])
+
+
+def test_inputs_are_left_alone(case):
+    model = case.build()
+    for z in case.measurements:
+        poses, before = case.poses.copy(), copy.deepcopy(z)
+        model.log_likelihood(z, poses)
+        assert (poses == case.poses).all()
+        assert pickle.dumps(before) == pickle.dumps(copy.deepcopy(z))
+
+
+def test_survives_pickling(case):
+    for options in case.options:
+        model = case.build(**options)
+        twin = pickle.loads(pickle.dumps(model))
+        for z in case.measurements:
+            assert twin.log_likelihood(z, case.poses).tolist() == model.log_likelihood(z, case.poses).tolist()
+
+
+def test_is_frozen(case):
+    model = case.build()
+    with pytest.raises(AttributeError):
+        model.parameters = None
+
+
+def test_any_number_of_threads_gives_the_same_bits(case, rng):
+    poses = case.poses[0] + rng.normal(0.0, [0.5, 0.5, 1.0], (9001, 3))
+    z = case.measurements[0]
+    one = case.build(threads=1).log_likelihood(z, poses)
+    for threads in (2, 3, 5):
+        assert (case.build(threads=threads).log_likelihood(z, poses) == one).all()
+
+
+def test_one_model_serves_several_threads_at_once(case, rng):
+    poses = case.poses[0] + rng.normal(0.0, [0.5, 0.5, 1.0], (500, 3))
+    model, z = case.build(), case.measurements[0]
+    alone = model.log_likelihood(z, poses)
+    with ThreadPoolExecutor(4) as pool:
+        for result in pool.map(lambda _: model.log_likelihood(z, poses), range(16)):
+            assert (result == alone).all()
+
+
+def test_normalised_models_integrate_to_one(normalized):
+    for options in normalized.options:
+        if "exponent" in options:
+            continue  # a power of a density is none
+        model = normalized.build(**options)
+        assert model.is_normalized
+        for pose in normalized.poses:
+            assert normalized.integral(model, pose) == pytest.approx(1.0, abs=2e-4)
+
+
+def test_samples_follow_the_distribution_function(generative, rng):
+    for options in generative.options:
+        model = generative.build(**options)
+        for pose in generative.poses:
+            samples = model.sample(np.tile(pose, (400, 1)), rng)
+            assert len(samples) == 400
+            uniform = generative.transform(model, samples, pose, rng)
+            assert stats.kstest(uniform, "uniform").pvalue > 1e-4
+
+
+def test_samples_follow_the_density(generative, rng):
+    """For z drawn from p and another density q, the mean of q(z) / p(z) is 1."""
+    model, other = generative.build(), generative.build(**generative.options_close_by)
+    pose = generative.poses[0]
+    samples = model.sample(np.tile(pose, (3000, 1)), rng)
+    log_ratio = [float(other.log_likelihood(z, pose) - model.log_likelihood(z, pose)) for z in samples]
+    ratio = np.exp(log_ratio)
+    assert ratio.mean() == pytest.approx(1.0, abs=4.0 * ratio.std() / np.sqrt(len(ratio)))
+    assert 4.0 * ratio.std() / np.sqrt(len(ratio)) < 0.05
+
+
+def test_samples_repeat_with_the_seed(generative):
+    model = generative.build()
+    first, second = (model.sample(generative.poses, np.random.default_rng(11)) for _ in range(2))
+    for a, b in zip(first, second, strict=True):
+        assert pickle.dumps(a) == pickle.dumps(b)
+
+
+def test_the_true_pose_is_more_likely_than_others_on_average(generative, rng):
+    model, truth = generative.build(), generative.poses[0]
+    others = truth + np.diag([0.3, -0.3, 0.3])
+    samples = model.sample(np.tile(truth, (200, 1)), rng)
+    scores = np.array([model.log_likelihood(z, [truth, *others]) for z in samples]).mean(axis=0)
+    assert scores.argmax() == 0

@@ -387,7 +387,7 @@ def _form_name(offset: bool, slope: bool) -> str:
 
 
 # An extra parameter must gain this much per held-out beam (nats), and twice its standard error.
-LEAST_GAIN = 0.002
+LEAST_GAIN = 0.005
 
 
 def _choose(densities: list[FloatArray], blocks: NDArray[np.int64]) -> int:

@@ -36,7 +36,8 @@ class PoseRefinement:
     shifts
         (r, 3) refined pose seen from the reference pose, metres and radians.
     sigma_before, sigma_after
-        sigma_hit fitted to the odd beams of these scans at the reference and at the refined poses, metres.
+        sigma_hit, one value for all ranges, fitted to the odd beams of these scans at the reference and at the refined
+        poses, metres.
     """
 
     scans: NDArray[np.int64]
@@ -97,8 +98,7 @@ def refine_poses(
                 z[good],
                 expected[good],
                 log.finder.max_range,
-                initial=parameters,
-                hold={"range_offset": parameters.range_offset, "sigma_slope": parameters.sigma_slope},
+                hold={"range_offset": parameters.range_offset},
             )
         except TooLittleDataError:
             return None

@@ -1,0 +1,30 @@
+"""A small simulated log whose truth is known, shared by the tests of the main job."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.floor_plan import draw_floor_plan
+from beamfield.simulation.log import simulate_log
+
+TRUTH = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
+
+
+@pytest.fixture(scope="session")
+def office() -> OccupancyGrid:
+    return draw_floor_plan(seed=3)
+
+
+@pytest.fixture(scope="session")
+def drive(office: OccupancyGrid) -> SensorLog:
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 61), 10.0, name="laser")
+    return simulate_log(office, finder, TRUTH, duration=120.0, scan_rate=4.0, seed=5).only_sensor()
+
+
+@pytest.fixture(scope="session")
+def truth() -> BeamParameters:
+    return TRUTH

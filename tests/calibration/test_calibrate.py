@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamfield.calibration.beam_table import build_beam_table
+from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
+from beamfield.calibration.pose_refinement import refine_poses, refinement_findings
+from beamfield.calibration.time_split import time_blocks
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.geometry import compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+
+OPTIONS = CalibrationOptions(n_bootstrap=60)
+
+
+@pytest.fixture(scope="session")
+def result(drive, office) -> Calibration:
+    return calibrate(drive, office, OPTIONS)
+
+
+def names(calibration: Calibration) -> list[str]:
+    return [finding.name for finding in calibration.findings]
+
+
+def test_the_true_parameters_come_back_within_their_intervals(result, truth):
+    for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
+        low, high = result.intervals.intervals[name]
+        slack = 0.25 * (high - low)  # 60 replicates: the ends are rough
+        assert low - slack <= getattr(truth, name) <= high + slack, name
+        assert high > low, name
+
+
+def test_a_log_without_offset_or_slope_keeps_the_chapters_form(result):
+    chosen = [c.name for c in result.candidates if c.chosen]
+    assert chosen == ["chapter"]
+    assert [c.name for c in result.candidates] == [
+        "chapter", "sigma slope", "range offset", "range offset + sigma slope",
+    ]  # fmt: skip
+    assert result.parameters.range_offset == result.parameters.sigma_slope == 0.0
+
+
+def test_the_fit_beats_the_defaults_on_held_out_beams(result):
+    assert [s.name for s in result.scores] == ["fit", "nav2 defaults", "ROS 1 defaults", "uniform"]
+    assert all(s.behind_fit > 3 * s.behind_fit_se for s in result.scores[1:])
+
+
+def test_fit_and_held_out_blocks_share_no_block_of_time(result):
+    blocks = time_blocks(result.table.stamps)
+    assert not set(blocks[result.held_out]) & set(blocks[~result.held_out])
+    assert result.n_fit == (~result.held_out & ~result.table.hits_nothing).sum()
+
+
+def test_the_pit_of_simulated_beams_is_uniform(result):
+    assert result.pit_deviation < 0.02
+
+
+def test_a_good_log_gives_no_warning_about_map_or_poses(result):
+    assert not {"walls-too-thick", "map-scale", "reference-slides", "pose-in-wall", "pose-error-in-sigma"} & set(
+        names(result)
+    )
+
+
+def test_every_beam_of_the_used_scans_is_accounted_for(result, drive):
+    used = int(result.selection.used.sum()) * drive.finder.n_beams
+    assert len(result.table) + result.table.n_no_measurement + result.table.n_unknown == used
+
+
+def test_the_same_seed_gives_the_same_result(result, drive, office):
+    again = calibrate(drive, office, replace(OPTIONS, threads=1))
+    assert again.parameters == result.parameters
+    assert again.intervals.intervals == result.intervals.intervals
+    np.testing.assert_array_equal(again.pit, result.pit)
+
+
+def test_a_range_offset_is_found_and_kept(drive, office, truth):
+    shifted = np.where(np.isfinite(drive.ranges), drive.ranges + 0.08, drive.ranges)
+    log = replace(drive, ranges=shifted)
+    found = calibrate(log, office, replace(OPTIONS, refine=False))
+    assert found.parameters.range_offset == pytest.approx(0.08, abs=0.01)
+    assert found.parameters.sigma_hit == pytest.approx(truth.sigma_hit, rel=0.1)
+    off = calibrate(log, office, replace(OPTIONS, refine=False, range_offset="off", sigma_slope="off"))
+    assert len(off.candidates) == 1
+    assert off.parameters.range_offset == 0.0
+    assert off.scores[0].log_likelihood < found.scores[0].log_likelihood
+
+
+def test_poses_that_are_off_are_found_and_said_to_raise_sigma(drive, office, rng):
+    noise = np.column_stack([rng.normal(0, 0.08, (len(drive), 2)), rng.normal(0, 0.01, len(drive))])
+    log = drive.with_poses(compose(drive.poses, noise))
+    found = calibrate(log, office, OPTIONS)
+    assert "pose-error-in-sigma" in names(found)
+    assert found.refinement.sigma_after < 0.8 * found.refinement.sigma_before
+    moved = np.hypot(*found.refinement.shifts[:, :2].T)
+    assert np.median(moved) == pytest.approx(0.08 * np.sqrt(np.log(4)), rel=0.35)
+
+
+def test_refinement_leaves_true_poses_where_they_are(drive, office, truth):
+    scans = np.arange(0, len(drive), 10)
+    refined = refine_poses(drive, office, scans, truth)
+    assert np.median(np.hypot(*refined.shifts[:, :2].T)) < 0.03
+    (finding,) = refinement_findings(refined)
+    assert finding.severity == "info"
+
+
+def test_a_map_at_the_wrong_scale_is_found(drive, office):
+    wrong = OccupancyGrid(office.probability, office.resolution * 0.97, office.origin * 0.97)
+    log = drive.with_poses(drive.poses * np.array([0.97, 0.97, 1.0]))
+    assert "map-scale" in names(calibrate(log, wrong, replace(OPTIONS, refine=False)))
+
+
+def test_a_held_parameter_stays(drive, office):
+    found = calibrate(drive, office, replace(OPTIONS, hold={"z_rand": 0.1}, refine=False))
+    assert found.parameters.z_rand == pytest.approx(0.1, abs=1e-12)
+    assert "z_rand" not in found.intervals.intervals
+
+
+def test_progress_is_reported_stage_by_stage(drive, office):
+    seen: list[tuple[str, int, int]] = []
+    calibrate(drive, office, OPTIONS, progress=lambda *step: seen.append(step))
+    stages = list(dict.fromkeys(stage for stage, _, _ in seen))
+    assert stages == ["casting rays", "learning", "bootstrap", "refining poses"]
+    for stage in stages:
+        steps = [(done, total) for name, done, total in seen if name == stage]
+        assert steps[-1][0] == steps[-1][1]
+
+
+def test_a_map_without_obstacles_is_refused(drive):
+    empty = OccupancyGrid(np.zeros((400, 800)), 0.05)
+    with pytest.raises(InvalidInputError, match="no occupied cell"):
+        calibrate(drive, empty, OPTIONS)
+
+
+def test_a_log_far_too_short_is_too_little_data(drive, office):
+    with pytest.raises(TooLittleDataError, match=r"beams in the fit blocks, need 500.*scans used"):
+        calibrate(drive.select(np.arange(0, len(drive), 40)), office, OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("unknown", "wall"), ("range_offset", "yes"), ("sigma_slope", "1"), ("n_bootstrap", 5)]
+)
+def test_options_that_do_not_exist_are_refused_by_name_and_value(option, value):
+    with pytest.raises(InvalidInputError, match=rf"{option}.*{value}"):
+        CalibrationOptions(**{option: value})
+
+
+class TestBeamTable:
+    def test_rows_are_the_beams_of_the_chosen_scans_in_order(self, drive, office):
+        table = build_beam_table(drive, office, [3, 10], unknown="free")
+        assert set(table.scan) == {3, 10}
+        row = int(np.flatnonzero((table.scan == 10) & (table.beam == 20))[0])
+        assert table.ranges[row] == min(drive.ranges[10, 20], 10.0)
+        assert table.stamps[row] == drive.stamps[10]
+        expected = RayCaster(office).expected_ranges(drive.poses[10], drive.finder)[20]
+        assert table.expected_ranges[row] == expected
+
+    def test_no_measurement_and_too_close_are_left_out_and_counted(self, drive, office):
+        ranges = drive.ranges.copy()
+        ranges[0, :5] = np.nan
+        ranges[0, 5] = -np.inf
+        table = build_beam_table(replace(drive, ranges=ranges), office, [0], unknown="free")
+        assert table.n_no_measurement == 6
+        assert len(table) == drive.finder.n_beams - 6
+
+    def test_rays_that_enter_unknown_space_first_are_left_out_unless_asked_for(self, drive, office):
+        state = office.probability.copy()
+        state[:, 300:320] = np.nan
+        veiled = OccupancyGrid(state, office.resolution, office.origin)
+        scans = np.arange(0, len(drive), 20)
+        skip, free, stop = (
+            build_beam_table(drive, veiled, scans, unknown=rule) for rule in ("skip", "free", "occupied")
+        )
+        assert skip.n_unknown > 0
+        assert len(skip) + skip.n_unknown == len(free) == len(stop)
+        assert (stop.expected_ranges <= free.expected_ranges).all()
+        assert (stop.expected_ranges < free.expected_ranges).sum() == skip.n_unknown

@@ -101,7 +101,7 @@ class BeamModel:
     >>> finder = RangeFinder.from_bearings([0.0, np.pi / 2], max_range=8.0)
     >>> model = BeamModel(grid, parameters)
     >>> model.log_likelihood(Scan([1.95, 0.95], finder), [[1.95, 2.95, 0.0], [2.95, 1.95, 0.0]]).round(2).tolist()
-    [2.34, -6.07]
+    [2.36, -7.95]
     """
 
     is_normalized: ClassVar[bool] = True

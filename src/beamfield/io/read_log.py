@@ -1,0 +1,192 @@
+"""Read a log of scans, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.carmen import CARMEN_SCANS, read_carmen
+from beamfield.io.coreslam import N_BEAMS, RANGES_FROM, read_coreslam
+from beamfield.io.g2o import read_g2o
+from beamfield.io.gfs import read_gfs
+from beamfield.io.no_return import NoReturnRule
+from beamfield.io.scan_stamps import StampRule
+from beamfield.io.sonar_log import is_sonar_log, read_sonar_log
+from beamfield.io.text_lines import read_lines
+from beamfield.io.text_scans import LonePoses, TextOptions
+from beamfield.io.wean_log import read_wean_log
+from beamfield.sensors import ScanLog
+
+SUPPORTED = (
+    "CARMEN (FLASER, RLASER, ROBOTLASERn, RAWLASERn), Wean Hall O and L lines, GMapping .gfs, .g2o with ROBOTLASER1, "
+    "CoreSLAM .dat (each plain or gzip), a folder with measurement.txt and poses.txt, ROS 1 .bag, ROS 2 folders, .db3 "
+    "and .mcap"
+)
+
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+BAG_MAGICS = (b"#ROSBAG", b"SQLite format 3\0", b"\x89MCAP0\r\n")
+# Lines without any known word after which a file is given up; odometry may come long before the first scan.
+UNKNOWN_LINES = 100
+
+_Reader = Callable[[Path, TextOptions], ScanLog]
+
+
+def read_log(
+    path: str | Path,
+    *,
+    sensor_topic: str | Sequence[str] | None = None,
+    poses_topic: str | None = None,
+    map_frame: str | None = None,
+    base_frame: str | None = None,
+    no_return: NoReturnRule = "detect",
+    max_range: float | None = None,
+    min_range: float | None = None,
+    stamps: StampRule = "file",
+    lone_poses: LonePoses = "reference",
+) -> ScanLog:
+    """Read a log of range scans; the format is recognised by the content.
+
+    Parameters
+    ----------
+    path
+        CARMEN, Wean Hall, GMapping (.gfs), g2o or CoreSLAM text, plain or gzip; a folder with measurement.txt and
+        poses.txt; a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap (with the extra ``ros``).
+    sensor_topic
+        Topic or message name of the sensor, or several; all if None.
+    poses_topic, map_frame, base_frame
+        Where a bag's reference poses are; see `beamfield.io.rosbag.read_bag`. Text logs have no such choice.
+    no_return
+        "detect" the values that mean "no return", "none", or the values in metres.
+    max_range, min_range
+        The sensor's limits in metres, instead of what the file or the data say.
+    stamps
+        Text logs only: "file", or "order" to number the scans, one second apart.
+    lone_poses
+        Text logs only: what the poses are in a log that has one per scan, "reference" or "odometry".
+
+    Returns
+    -------
+    The log. Its notes say what was not obvious: values for "no return", lost stamps, poses that may be odometry.
+
+    Raises
+    ------
+    FormatError
+        If the format is unknown or the content is damaged: file, line and value are named.
+    InvalidInputError
+        If an option does not fit the log, or there is no sensor of that name.
+    MissingDependencyError
+        If a bag is given and rosbags is not installed.
+    OSError
+        As the file system says.
+
+    Examples
+    --------
+    >>> read_log("corridor.log.gz").only_sensor().finder.n_beams  # doctest: +SKIP
+    180
+    """
+    source = Path(path)
+    if min_range is not None and not 0.0 <= min_range < float("inf"):
+        raise InvalidInputError(f"min_range: expected a finite number of metres >= 0, got {min_range!r}")
+    if _is_bag(source):
+        if stamps != "file" or lone_poses != "reference":
+            raise InvalidInputError(f"{source}: stamps and lone_poses are for text logs, this is a bag")
+        return _read_bag(
+            source,
+            sensor_topic=sensor_topic,
+            poses_topic=poses_topic,
+            map_frame=map_frame,
+            base_frame=base_frame,
+            no_return=no_return,
+            max_range=max_range,
+            min_range=min_range,
+        )
+    for name, value in (("poses_topic", poses_topic), ("map_frame", map_frame), ("base_frame", base_frame)):
+        if value is not None:
+            raise InvalidInputError(
+                f"{name}: expected None for a text log, which has no topics or frames; got {value!r}"
+            )
+    asked = (sensor_topic,) if isinstance(sensor_topic, str) else None if sensor_topic is None else tuple(sensor_topic)
+    options = TextOptions(asked, no_return, max_range, min_range, stamps, lone_poses)
+    log = _text_reader(source)(source, options)
+    return log if asked is None else _only(log, asked)
+
+
+def _is_bag(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "metadata.yaml").exists()
+    if path.suffix in BAG_SUFFIXES:
+        return True
+    with path.open("rb") as file:
+        return file.read(16).startswith(BAG_MAGICS)
+
+
+def _read_bag(path: Path, **options: Any) -> ScanLog:
+    # Text logs need neither rosbags nor the time to import it.
+    from beamfield.io.rosbag import read_bag
+
+    return read_bag(path, **options)
+
+
+def _only(log: ScanLog, asked: tuple[str, ...]) -> ScanLog:
+    sensors = {name: log.sensors[name] for name in asked if name in log.sensors}
+    if len(sensors) < len(asked):
+        missing = ", ".join(repr(name) for name in asked if name not in log.sensors)
+        known = ", ".join(repr(name) for name in log.sensors) or "none of these"
+        raise InvalidInputError(f"{log.source}: no sensor {missing}; the log has {known}")
+    return ScanLog(sensors, log.odometry, log.source, log.notes, log.parameters)
+
+
+def _text_reader(path: Path) -> _Reader:
+    """Return the reader for the first line that shows the format."""
+    if path.is_dir():
+        if is_sonar_log(path):
+            return read_sonar_log
+        raise FormatError(
+            path, f"a folder without metadata.yaml (ROS 2 bag) or measurement.txt; supported: {SUPPORTED}"
+        )
+    carmen_like = False
+    first: tuple[int, str] | None = None
+    unknown = 0
+    for line, text in read_lines(path):
+        words = text.split()
+        if not words or words[0].startswith("#"):
+            continue
+        first = first or (line, text)
+        reader = _reader_of(words)
+        if reader is not None:
+            return reader
+        carmen_like |= words[0] in ("PARAM", "ODOM", "TRUEPOS", "SYNC")
+        unknown += not carmen_like
+        if unknown > UNKNOWN_LINES:
+            break
+    if carmen_like:
+        return read_carmen
+    if first is None:
+        raise FormatError(path, "no scans: the file is empty")
+    start = " ".join(islice(first[1].split(), 4))[:60]
+    raise FormatError(path, f"unknown format, the text begins {start!r}; supported: {SUPPORTED}", line=first[0])
+
+
+def _reader_of(words: list[str]) -> _Reader | None:
+    kind = words[0]
+    if CARMEN_SCANS.match(kind):
+        return read_carmen
+    if kind in ("LASER_READING", "SM_UPDATE", "ODO_UPDATE"):
+        return read_gfs
+    if kind in ("VERTEX_SE2", "EDGE_SE2"):
+        return read_g2o
+    if kind in ("O", "L") and len(words) > 3 and _are_numbers(words[1:4]):
+        return read_wean_log
+    if len(words) >= RANGES_FROM + N_BEAMS // 2 and _are_numbers(words[:4]):
+        return read_coreslam
+    return None
+
+
+def _are_numbers(words: list[str]) -> bool:
+    try:
+        return all(float(word) is not None for word in words)
+    except ValueError:
+        return False

@@ -1,0 +1,120 @@
+"""Lines of text files, plain or compressed with gzip, within limits that a hostile file cannot exceed."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError
+from beamfield.geometry import FloatArray
+
+# A scan of 100,000 beams has about 1 MB of text.
+MAX_LINE_BYTES = 8 * 2**20
+# Logs of ranges shrink to a fifth or a tenth; even constant ranges do not reach 1/200. A bomb reaches 1/1000.
+MAX_EXPANSION = 200
+FREE_BYTES = 64 * 2**20
+
+
+def read_lines(path: str | Path) -> Iterator[tuple[int, str]]:
+    """Yield the number, counted from 1, and the text of each line; nothing but the current line is kept in memory.
+
+    Parameters
+    ----------
+    path
+        A text file, or one compressed with gzip, whatever its name. The text is ASCII; other bytes pass as Latin-1.
+
+    Raises
+    ------
+    FormatError
+        If a line has a NUL byte (the file is binary) or more than `MAX_LINE_BYTES`; if the gzip stream is damaged or
+        ends early, or holds more than `FREE_BYTES` and more than `MAX_EXPANSION` times the size of the file.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    with source.open("rb") as file:
+        compressed = file.read(2) == b"\x1f\x8b"
+        file.seek(0)
+        if not compressed:
+            yield from _decode(source, file, None)
+            return
+        limit = max(FREE_BYTES, MAX_EXPANSION * source.stat().st_size)
+        with io.BufferedReader(gzip.GzipFile(fileobj=file), 2**18) as stream:
+            yield from _decode(source, stream, limit)
+
+
+def _decode(path: Path, stream: io.BufferedIOBase, limit: int | None) -> Iterator[tuple[int, str]]:
+    number, total = 0, 0
+    while True:
+        number += 1
+        try:
+            raw = stream.readline(MAX_LINE_BYTES + 1)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise FormatError(path, f"the gzip stream is damaged or ends early: {error}", line=number) from error
+        if not raw:
+            return
+        total += len(raw)
+        if limit is not None and total > limit:
+            raise FormatError(
+                path,
+                f"the gzip stream holds more than {limit} bytes, {MAX_EXPANSION} times the size of the file: refused",
+                line=number,
+            )
+        if len(raw) > MAX_LINE_BYTES:
+            raise FormatError(path, f"the line is longer than {MAX_LINE_BYTES} bytes", line=number)
+        nul = raw.find(b"\0")
+        if nul >= 0:
+            raise FormatError(
+                path, f"expected text, got binary data: {raw[max(0, nul - 12) : nul + 12]!r}", line=number
+            )
+        yield number, raw.decode("latin-1")
+
+
+def parse_numbers(path: Path, line: int, words: Sequence[str], what: str) -> FloatArray:
+    """Return words as numbers; "nan" and "inf" are numbers.
+
+    Parameters
+    ----------
+    path, line
+        For the error.
+    words
+        The texts of the numbers.
+    what
+        Name of the message, for the error.
+
+    Raises
+    ------
+    FormatError
+        If a word is no number; it is quoted.
+    """
+    try:
+        return np.array(list(map(float, words)))
+    except ValueError:
+        bad = next(word for word in words if not _is_number(word))
+        raise FormatError(path, f"expected a number, got {bad[:40]!r}", line=line, field=what) from None
+
+
+def parse_count(path: Path, line: int, word: str, what: str) -> int:
+    """Return a word as a count of readings.
+
+    Raises
+    ------
+    FormatError
+        If it is no whole number >= 0.
+    """
+    if not word.isascii() or not word.isdigit() or len(word) > 9:
+        raise FormatError(path, f"expected a number of readings, got {word[:40]!r}", line=line, field=what)
+    return int(word)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

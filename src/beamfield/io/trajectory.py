@@ -1,0 +1,328 @@
+"""Trajectories: TUM and CSV files, and how they are attached to a log."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.geometry import FloatArray, interpolate_poses, wrap_angle, yaw_from_quaternion
+from beamfield.io.atomic import write_file
+from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.sensors import ScanLog, SensorLog, Track
+
+TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")
+# A reference at the rate of the scans, or of a SLAM program, has gaps of seconds; a longer one hides motion.
+MAX_GAP = 2.0
+# Files round their times; more than this is another log, or another scan of it.
+SAME_TIME = 0.02
+# A quaternion with a norm further from 1 is something else.
+UNIT_TOLERANCE = 0.01
+MAX_TILT_DEG = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class IndexedTrack(Track):
+    """A trajectory whose poses say which scan they belong to.
+
+    Parameters
+    ----------
+    scan_indices
+        (t,) index of the scan, counted from 0 in the order of the log.
+    """
+
+    scan_indices: NDArray[np.int64]
+
+
+def read_trajectory(path: str | Path) -> Track:
+    """Read reference poses from a file, plain or gzip.
+
+    Three kinds are recognised by their content:
+
+    - TUM: ``t x y z qx qy qz qw``, separated by blanks, without a header. The heading is the yaw of the quaternion.
+    - CSV with a header that names ``t`` (or time, stamp, timestamp), ``x``, ``y`` and ``theta`` (or yaw, or ``map_x``,
+      ``map_y``, ``map_theta``), or ``qx qy qz qw`` instead of the heading. Only rows with ``good`` = 1 are used where
+      there is such a column. With a column ``scan_index`` the result is an `IndexedTrack`.
+    - A log that `beamfield.io.read_log.read_log` reads: the reference poses of its only sensor, or its odometry if
+      there are none, as in the corrected logs that SLAM programs write.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Poses in metres and radians with stamps in seconds that do not decrease.
+
+    Raises
+    ------
+    FormatError
+        If the text is none of these, a number is missing or not finite, stamps run backwards, or there is no pose; the
+        line and the value are named.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    rows = _content_lines(source)
+    first = next(rows, None)
+    if first is None:
+        raise FormatError(source, "no poses: the file is empty")
+    line, words, commented = first
+    names = [word.lower() for word in words]
+    if any(name in TIME_NAMES for name in names) and any(name in ("x", "map_x", "tx") for name in names):
+        return _read_csv(source, line, names, rows)
+    if not commented and len(words) == 8 and _is_number(words[0]):
+        return _read_tum(source, first, rows)
+    return _read_from_log(source, line, words)
+
+
+def write_tum(path: str | Path, track: Track) -> None:
+    """Write a trajectory as TUM lines ``t x y z qx qy qz qw``, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The file to write.
+    track
+        Finite poses; stamps are written with nine decimals, positions with nine.
+
+    Raises
+    ------
+    InvalidInputError
+        If a pose or stamp is not finite.
+    """
+    poses = np.asarray(track.poses, dtype=np.float64)
+    stamps = np.asarray(track.stamps, dtype=np.float64)
+    if not (np.isfinite(poses).all() and np.isfinite(stamps).all()):
+        raise InvalidInputError("track: expected finite poses and stamps; leave out the poses that are not known")
+    lines = ["# timestamp tx ty tz qx qy qz qw"]
+    for stamp, (x, y, theta) in zip(stamps.tolist(), poses.tolist(), strict=True):
+        lines.append(f"{stamp:.9f} {x:.9f} {y:.9f} 0 0 0 {np.sin(theta / 2.0):.12f} {np.cos(theta / 2.0):.12f}")
+    write_file(path, "\n".join(lines) + "\n")
+
+
+def attach_poses(log: ScanLog, track: Track, *, max_gap: float = MAX_GAP) -> ScanLog:
+    """Return the log with the reference poses of a trajectory.
+
+    An `IndexedTrack` belongs to one log: its poses go to the scans of those indices, if the log has one sensor. Its
+    times must then differ from the stamps of those scans by a constant (the same run in another format may count from
+    another zero), unless the log's stamps only number the scans. Scans without a pose in the file have none.
+
+    Any other trajectory, and an `IndexedTrack` on a log with several sensors, is interpolated at the stamps of the
+    scans.
+
+    Parameters
+    ----------
+    log
+        The log; its own reference poses are replaced.
+    track
+        Poses of the robot in the map's frame.
+    max_gap
+        Longest time in seconds between two poses that are interpolated.
+
+    Returns
+    -------
+    The log, with a note. Scans outside the trajectory, or in gaps, have no reference pose (NaN).
+
+    Raises
+    ------
+    InvalidInputError
+        If no scan gets a pose, or indices or times show that the trajectory belongs to another log.
+    """
+    if not max_gap > 0.0:
+        raise InvalidInputError(f"max_gap: expected seconds > 0, got {max_gap!r}")
+    by_index = isinstance(track, IndexedTrack) and len(log.sensors) == 1
+    sensors, notes = {}, list(log.notes)
+    for name, sensor in log.sensors.items():
+        if by_index and isinstance(track, IndexedTrack):
+            poses = _poses_by_index(log.source, sensor, track)
+        else:
+            poses = interpolate_poses(track.stamps, track.poses, sensor.stamps, max_gap=max_gap)
+        known = int(np.count_nonzero(np.isfinite(poses).all(axis=1)))
+        if known == 0:
+            raise InvalidInputError(_nothing_attached(log.source, name, sensor, track, max_gap))
+        how = "by scan index" if by_index else "interpolated at their stamps"
+        notes.append(f"{name}: {known} of {len(sensor)} scans have a reference pose from the given trajectory, {how}")
+        sensors[name] = sensor.with_poses(poses)
+    return replace(log, sensors=sensors, notes=tuple(notes))
+
+
+_Row = tuple[int, list[str], bool]
+
+
+def _content_lines(path: Path) -> Iterator[_Row]:
+    """Yield line, words and whether it is a comment; of the comments only those before the first row."""
+    started = False
+    for line, text in read_lines(path):
+        stripped = text.strip().removeprefix("\u00ef\u00bb\u00bf")  # a byte order mark, read as Latin-1
+        commented = stripped.startswith("#")
+        if not stripped or (commented and started):
+            continue
+        words = [w for w in re.split(r"[,;\s]+", stripped.lstrip("# ")) if w] if "," not in stripped else [
+            w.strip() for w in stripped.lstrip("# ").split(",")
+        ]  # fmt: skip
+        # A comment counts only as the header of a CSV file; TUM files have one that names the same columns.
+        if commented and not ("," in stripped and any(w.lower() in TIME_NAMES for w in words)):
+            continue
+        started = True
+        yield line, words, commented
+
+
+def _read_tum(path: Path, first: _Row, rows: Iterator[_Row]) -> Track:
+    lines, table = [], []
+    row: _Row | None = first
+    while row is not None:
+        line, words, _ = row
+        if len(words) != 8:
+            raise FormatError(path, f"expected 8 numbers (t x y z qx qy qz qw), got {len(words)}", line=line)
+        lines.append(line)
+        table.append(_finite(path, line, words, "pose"))
+        row = next(rows, None)
+    numbers = np.array(table)
+    theta = _yaw(path, lines, numbers[:, 4:])
+    return _checked(path, lines, numbers[:, 0], np.column_stack([numbers[:, 1:3], theta]))
+
+
+def _read_csv(path: Path, header_line: int, names: list[str], rows: Iterator[_Row]) -> Track:
+    columns = {name: i for i, name in reversed(list(enumerate(names)))}
+    time = next(name for name in TIME_NAMES if name in columns)
+    prefix = next(p for p in ("", "map_", "t") if p + "x" in columns)
+    heading = next((n for n in (prefix + "theta", prefix + "yaw", "theta", "yaw") if n in columns), None)
+    quaternion = [n for n in ("qx", "qy", "qz", "qw") if n in columns]
+    if prefix + "y" not in columns or (heading is None and len(quaternion) != 4):
+        raise FormatError(
+            path, f"expected columns for the time, x, y and theta (or qx qy qz qw), got {', '.join(names)!r}",
+            line=header_line,
+        )  # fmt: skip
+    needed = [time, prefix + "x", prefix + "y", *([heading] if heading else quaternion)]
+    lines, table, indices = [], [], []
+    for line, words, _ in rows:
+        if len(words) != len(names):
+            raise FormatError(path, f"expected {len(names)} fields, got {len(words)}", line=line)
+        if "good" in columns and _finite(path, line, [words[columns["good"]]], "good")[0] != 1.0:
+            continue
+        if "scan_index" in columns:
+            word = words[columns["scan_index"]]
+            if not (word.isascii() and word.isdigit() and len(word) < 12):
+                raise FormatError(path, f"expected an index, got {word[:40]!r}", line=line, field="scan_index")
+            indices.append(int(word))
+        lines.append(line)
+        table.append(_finite(path, line, [words[columns[name]] for name in needed], "pose"))
+    if not table:
+        raise FormatError(path, "no poses: no row after the header" + (" with good = 1" if "good" in columns else ""))
+    numbers = np.array(table)
+    theta = numbers[:, 3] if heading else _yaw(path, lines, numbers[:, 3:])
+    track = _checked(path, lines, numbers[:, 0], np.column_stack([numbers[:, 1:3], theta]))
+    if "scan_index" not in columns:
+        return track
+    order = np.array(indices, dtype=np.int64)
+    if (np.diff(order) <= 0).any():
+        where = int(np.argmax(np.diff(order) <= 0)) + 1
+        raise FormatError(path, f"the indices do not increase: {order[where]}", line=lines[where], field="scan_index")
+    return IndexedTrack(track.stamps, track.poses, order)
+
+
+def _read_from_log(path: Path, line: int, words: list[str]) -> Track:
+    # Only files that are no table of poses need the readers of logs.
+    from beamfield.io.read_log import read_log
+
+    try:
+        sensor = read_log(path).only_sensor()
+    except (FormatError, InvalidInputError) as error:
+        start = " ".join(words[:4])[:60]
+        raise FormatError(
+            path,
+            f"expected poses (TUM lines, or CSV with a header t,x,y,theta) or a log, got {start!r} ({error})",
+            line=line,
+        ) from error
+    poses = sensor.poses if sensor.has_poses else sensor.odometry
+    known = np.isfinite(poses).all(axis=1)
+    if not known.any():
+        raise FormatError(path, "the log has scans, but no poses")
+    return Track(sensor.stamps[known], poses[known])
+
+
+def _finite(path: Path, line: int, words: list[str], what: str) -> FloatArray:
+    numbers = parse_numbers(path, line, words, what)
+    if not np.isfinite(numbers).all():
+        bad = words[int(np.argmin(np.isfinite(numbers)))]
+        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
+    return numbers
+
+
+def _yaw(path: Path, lines: list[int], quaternions: FloatArray) -> FloatArray:
+    norms = np.linalg.norm(quaternions, axis=1)
+    if np.abs(norms - 1.0).max() > UNIT_TOLERANCE:
+        worst = int(np.argmax(np.abs(norms - 1.0)))
+        raise FormatError(
+            path,
+            f"expected a unit quaternion, scalar last, got {quaternions[worst].tolist()} of norm {norms[worst]:.4g}",
+            line=lines[worst],
+        )
+    x, y, z, w = (quaternions / norms[:, None]).T
+    # The cosine between the robot's upward axis and the map's.
+    upright = 1.0 - 2.0 * (x * x + y * y)
+    if upright.min() < np.cos(np.radians(MAX_TILT_DEG)):
+        worst = int(np.argmin(upright))
+        tilt = np.degrees(np.arccos(np.clip(upright[worst], -1.0, 1.0)))
+        raise FormatError(
+            path,
+            f"the pose is tilted by {tilt:.3g} degrees; expected a robot on the floor, z upwards",
+            line=lines[worst],
+        )
+    return yaw_from_quaternion(x, y, z, w)
+
+
+def _checked(path: Path, lines: list[int], stamps: FloatArray, poses: FloatArray) -> Track:
+    steps = np.diff(stamps)
+    if (steps < 0.0).any():
+        where = int(np.argmax(steps < 0.0)) + 1
+        raise FormatError(
+            path, f"the stamps run backwards: {stamps[where]:.6f} s after {stamps[where - 1]:.6f} s", line=lines[where]
+        )
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return Track(stamps, poses)
+
+
+def _poses_by_index(source: str, sensor: SensorLog, track: IndexedTrack) -> FloatArray:
+    last = int(track.scan_indices[-1])
+    if last >= len(sensor):
+        raise InvalidInputError(
+            f"{source}: the trajectory has a pose for scan {last}, but the log has {len(sensor)} scans: another log?"
+        )
+    numbered = np.array_equal(sensor.stamps, np.arange(len(sensor)))
+    offsets = track.stamps - sensor.stamps[track.scan_indices]
+    apart = float(np.abs(offsets - np.median(offsets)).max())
+    if apart > SAME_TIME and not numbered:
+        raise InvalidInputError(
+            f"{source}: times and scan indices of the trajectory do not fit the stamps of the log (up to {apart:.3g} s "
+            "apart after the best shift): another log?"
+        )
+    poses = np.full((len(sensor), 3), np.nan)
+    poses[track.scan_indices] = track.poses
+    return poses
+
+
+def _nothing_attached(source: str, name: str, sensor: SensorLog, track: Track, max_gap: float) -> str:
+    def span(stamps: Any) -> str:
+        return f"{stamps[0]:.3f} to {stamps[-1]:.3f} s" if len(stamps) else "no time at all"
+
+    return (
+        f"{source}: no scan of {name!r} gets a pose: the scans are from {span(sensor.stamps)}, the trajectory from "
+        f"{span(track.stamps)}; gaps up to {max_gap:g} s are bridged"
+    )
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

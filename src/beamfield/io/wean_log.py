@@ -1,0 +1,78 @@
+"""Logs in the format of the Wean Hall data of Carnegie Mellon: O and L lines in centimetres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError
+from beamfield.geometry import between, compose
+from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_scans import TextOptions, TextScans, finite_pose, sorted_track
+from beamfield.sensors import ScanLog
+
+N_BEAMS = 180
+CENTIMETRES = np.array([0.01, 0.01, 1.0])
+# The laser's pose is printed with six digits; a mount that moves more than this is another format.
+MOUNT_TOLERANCE = 1e-3
+
+
+def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+    """Read a log of O lines (odometry) and L lines (laser scans).
+
+    ``O x y theta ts`` and ``L x y theta xl yl thetal r1 ... r180 ts``: the robot's and the laser's pose in the frame of
+    the odometry, and 180 ranges counter-clockwise from -90 to +89 degrees; centimetres, radians, seconds. The laser's
+    mount is its pose seen from the robot. There is no reference pose.
+
+    Parameters
+    ----------
+    path
+        Plain or gzip.
+    options
+        What the user says about it; the sensor's name is ``L``.
+
+    Raises
+    ------
+    FormatError
+        If a line is neither, is cut off or has something else than numbers, or the mount is not constant.
+    """
+    source = Path(path)
+    chosen = options or TextOptions()
+    scans = TextScans(source, "L")
+    lasers, odometry, odometry_stamps = [], [], []
+    for line, text in read_lines(source):
+        words = text.split()
+        if not words or words[0].startswith("#"):
+            continue
+        kind, expected = words[0], {"O": 5, "L": 8 + N_BEAMS}.get(words[0])
+        if expected is None:
+            raise FormatError(source, f"expected a line O or L, got {kind[:40]!r}", line=line)
+        if len(words) != expected:
+            raise FormatError(
+                source, f"expected {expected} words, got {len(words)}: the line is cut off?", line=line, field=kind
+            )
+        numbers = parse_numbers(source, line, words[1:], kind)
+        pose = finite_pose(source, line, numbers[:3] * CENTIMETRES, kind)
+        if kind == "O":
+            odometry.append(pose)
+            odometry_stamps.append(numbers[3])
+        else:
+            lasers.append(finite_pose(source, line, numbers[3:6] * CENTIMETRES, kind))
+            scans.add(line, numbers[6:-1] / 100.0, (float(numbers[-1]),), odometry=pose)
+    if not len(scans):
+        raise FormatError(source, f"no scans: no line L among {len(odometry)} lines O")
+    seen = between(np.stack(scans.odometry), np.stack(lasers))
+    mount = np.median(seen, axis=0)
+    off = np.abs(between(mount, seen)).max(axis=1)
+    if off.max() > MOUNT_TOLERANCE:
+        worst = int(np.argmax(off))
+        raise FormatError(
+            source, f"the laser moves on the robot: its mount is {seen[worst].round(4).tolist()}, elsewhere "
+            f"{mount.round(4).tolist()}", line=scans.lines[worst], field="L",
+        )  # fmt: skip
+    bearings = np.radians(-90.0 + np.arange(N_BEAMS))
+    beams = np.column_stack([np.zeros(N_BEAMS), np.zeros(N_BEAMS), bearings])
+    sensor, notes = scans.finish(compose(mount.round(4), beams), chosen)
+    track = sorted_track(odometry_stamps, odometry, "O", notes) if odometry else None
+    return ScanLog({"L": sensor}, track, str(source), tuple(notes))

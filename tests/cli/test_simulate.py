@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamfield.cli import simulate
+from beamfield.errors import BeamfieldError, InvalidInputError
+from beamfield.geometry import yaw_from_quaternion
+from beamfield.io.read_log import read_log
+from beamfield.io.read_map import read_map
+from beamfield.io.ros_map import save_map
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.simulation.floor_plan import draw_floor_plan
+
+FAST = ("--duration", "20", "--scan-rate", "4", "--beams", "31", "--quiet")
+
+
+def run(out: Path, *words: str) -> int:
+    parser = argparse.ArgumentParser()
+    simulate.add_parser(parser.add_subparsers())
+    arguments = parser.parse_args(["simulate", str(out), *FAST, *words])
+    code: int = arguments.run(arguments)
+    return code
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("simulated") / "out"
+    assert run(out, "--format", "both", "--seed", "7", "--range-offset", "0.03") == 0
+    return out
+
+
+def test_all_files_are_written_and_named_on_stdout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "out"
+    assert run(out) == 0
+    assert names(out) == ["log.carmen", "map.pgm", "map.yaml", "truth.json", "truth.tum"]
+    assert names(tmp_path / "new") == ["out"]
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [
+        "simulated 80 scans of 31 beams in 20 s",
+        f"wrote map.yaml, map.pgm, log.carmen, truth.tum, truth.json into {out}",
+    ]
+    assert printed.err == ""
+
+
+def test_the_map_reads_back_as_the_office_of_that_seed(both: Path) -> None:
+    read, drawn = read_map(both / "map.yaml"), draw_floor_plan(seed=7)
+    np.testing.assert_array_equal(read.occupied, drawn.occupied)
+    np.testing.assert_array_equal(read.free, drawn.free)
+    np.testing.assert_allclose(read.origin, drawn.origin)
+    assert read.resolution == drawn.resolution
+
+
+def test_truth_holds_parameters_options_and_the_hashes_of_the_files(both: Path) -> None:
+    truth = json.loads((both / "truth.json").read_text())
+    assert truth["seed"] == 7
+    assert truth["program"].startswith("beamfield ")
+    assert truth["parameters"]["range_offset"] == 0.03
+    assert truth["parameters"]["z_hit"] == 0.82
+    assert truth["options"]["duration"] == 20.0
+    assert truth["scans"] == 80
+    assert sorted(truth["files"]) == ["bag", "log.carmen", "map.pgm", "map.yaml", "truth.tum"]
+    digest = hashlib.sha256((both / "log.carmen").read_bytes()).hexdigest()
+    assert truth["files"]["log.carmen"] == digest
+    assert str(both) not in (both / "truth.json").read_text()
+
+
+def test_both_formats_read_back_as_the_same_log(both: Path) -> None:
+    text, bag = read_log(both / "log.carmen").only_sensor(), read_log(both / "bag").only_sensor()
+    assert len(text) == len(bag) == 80
+    np.testing.assert_allclose(text.finder.mounts, bag.finder.mounts, atol=1e-5)
+    assert text.finder.max_range == pytest.approx(bag.finder.max_range)
+    for log in (text, bag):
+        assert np.isinf(log.ranges).sum() > 0
+    np.testing.assert_array_equal(np.isinf(text.ranges), np.isinf(bag.ranges))
+    returned = np.isfinite(text.ranges)
+    np.testing.assert_allclose(text.ranges[returned], bag.ranges[returned], atol=1e-3)
+    np.testing.assert_allclose(text.poses, bag.poses, atol=1e-5)
+    np.testing.assert_allclose(text.odometry, bag.odometry, atol=1e-5)
+    np.testing.assert_allclose(np.diff(text.stamps), 0.25, atol=1e-5)
+    np.testing.assert_allclose(text.stamps, bag.stamps, atol=1e-5)
+
+
+def test_hits_lie_at_the_expected_ranges_of_the_files_themselves(both: Path) -> None:
+    log, grid = read_log(both / "log.carmen").only_sensor(), read_map(both / "map.yaml")
+    expected = RayCaster(grid).expected_ranges(log.poses, log.finder)
+    error = (log.ranges - expected)[(expected < 12.0) & np.isfinite(log.ranges)]
+    hits = np.abs(error) < 0.2
+    assert hits.mean() > 0.8
+    # The offset of 3 cm, with noise of 4 cm over some 2,000 hits.
+    assert np.median(error[hits]) == pytest.approx(0.03, abs=0.005)
+
+
+def test_the_trajectory_file_holds_the_true_poses(both: Path) -> None:
+    rows = np.loadtxt(both / "truth.tum")
+    log = read_log(both / "log.carmen").only_sensor()
+    np.testing.assert_allclose(rows[:, 0], log.stamps, atol=1e-5)
+    np.testing.assert_allclose(rows[:, 1:3], log.poses[:, :2], atol=1e-5)
+    np.testing.assert_allclose(yaw_from_quaternion(*rows[:, 4:].T), log.poses[:, 2], atol=1e-5)
+
+
+def test_the_same_seed_writes_the_same_files(tmp_path: Path) -> None:
+    for name in ("first", "again"):
+        run(tmp_path / name, "--seed", "5")
+    for name in names(tmp_path / "first"):
+        first, again = (tmp_path / folder / name for folder in ("first", "again"))
+        if name == "log.carmen":
+            # Log lines may carry a host name or a time of writing, which is no part of the simulation.
+            first_log, again_log = read_log(first).only_sensor(), read_log(again).only_sensor()
+            np.testing.assert_array_equal(first_log.ranges, again_log.ranges)
+        else:
+            assert first.read_bytes() == again.read_bytes(), name
+
+
+def test_a_map_of_ones_own_is_driven_through(tmp_path: Path) -> None:
+    cells = np.full((100, 160), 100)
+    cells[2:-2, 2:-2] = 0
+    cells[40:60, 70:90] = 100
+    save_map(OccupancyGrid.from_ros(cells, 0.1, [5.0, -3.0, 0.4]), tmp_path / "hall.yaml")
+    assert run(tmp_path / "out", "--map", str(tmp_path / "hall.yaml"), "--seed", "2") == 0
+    saved = read_map(tmp_path / "out" / "map.yaml")
+    np.testing.assert_array_equal(saved.occupied, cells == 100)
+    log = read_log(tmp_path / "out" / "log.carmen").only_sensor()
+    assert saved.look_up(saved.free, log.poses[:, :2]).all()
+    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
+    assert truth["inputs"]["map"]["name"] == "hall.yaml"
+    assert truth["inputs"]["map image"]["name"] == "hall.pgm"
+
+
+def test_dependence_is_passed_on_in_radians(tmp_path: Path) -> None:
+    run(tmp_path / "out", "--dependence-deg", "180", "--dependence-s", "2.5")
+    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
+    assert truth["dependence"] == {"angle": pytest.approx(np.pi), "time": 2.5}
+
+
+def test_beams_over_a_full_turn_do_not_repeat_the_first(tmp_path: Path) -> None:
+    run(tmp_path / "out", "--fov-deg", "360", "--beams", "8")
+    finder = read_log(tmp_path / "out" / "log.carmen").only_sensor().finder
+    np.testing.assert_allclose(np.diff(np.unwrap(finder.bearings)), np.pi / 4, atol=1e-6)
+
+
+def test_a_folder_that_holds_something_is_left_alone_unless_asked(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InvalidInputError, match=r"not empty; choose another, or replace files with --overwrite"):
+        run(tmp_path)
+    assert names(tmp_path) == ["notes.txt"]
+    assert run(tmp_path, "--overwrite") == 0
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "truth.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--z-hit", "0.5"), r"z_hit \+ z_short \+ z_max \+ z_rand: expected 1, got 0.68"),
+        (("--sigma-hit", "0"), "sigma_hit: expected a positive"),
+        (("--beams", "0"), "--beams: expected 1 to 10000, got 0"),
+        (("--fov-deg", "0"), "--fov-deg: expected more than 0"),
+        (("--fov-deg", "nan"), "--fov-deg: expected more than 0"),
+        (("--max-range", "-1"), "range limits"),
+        (("--duration", "0"), "duration: expected a positive"),
+        (("--seed", "-1"), "--seed: expected a number >= 0"),
+        (("--width", "3"), "building: expected 26 x 20"),
+        (("--robot-radius", "3"), r"no free place for a robot of radius 3 m"),
+        (("--dependence-s", "-1"), "dependence: expected time >= 0"),
+        (("--mount-x", "inf"), "mount: expected finite"),
+    ],
+)
+def test_impossible_options_are_refused_and_nothing_is_written(
+    tmp_path: Path, words: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(BeamfieldError, match=message):
+        run(tmp_path / "out", *words)
+    assert names(tmp_path) == []
+
+
+def test_a_map_that_does_not_exist_is_reported_by_name(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.yaml"):
+        run(tmp_path / "out", "--map", str(tmp_path / "nowhere.yaml"))
+    assert names(tmp_path) == []
+
+
+def test_an_error_while_writing_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("beamfield.io.carmen.write_carmen", fail)
+    with pytest.raises(OSError, match="No space left"):
+        run(tmp_path / "out")
+    assert names(tmp_path) == []

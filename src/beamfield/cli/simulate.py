@@ -187,6 +187,8 @@ def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, logs: tuple[str
     from beamfield.io.bag_writer import write_bag
     from beamfield.io.carmen import write_carmen
     from beamfield.io.ros_map import save_map
+    from beamfield.io.trajectory import write_tum
+    from beamfield.sensors import Track
 
     # Rays ask only for the category of a cell, so a map of one's own loses nothing that matters here.
     save_map(grid, folder / MAP, mode="trinary")
@@ -195,13 +197,7 @@ def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, logs: tuple[str
     if BAG in logs:
         write_bag(folder / BAG, log)
     sensor = log.only_sensor()
-    rows = zip(sensor.stamps, sensor.poses, strict=True)
-    lines = [
-        f"{stamp:.6f} {x:.9f} {y:.9f} 0 0 0 {math.sin(theta / 2):.12f} {math.cos(theta / 2):.12f}\n"
-        for stamp, (x, y, theta) in rows
-    ]
-    header = "# timestamp x y z qx qy qz qw (metres; true pose of the robot in the map)\n"
-    (folder / POSES).write_text(header + "".join(lines), encoding="utf-8")
+    write_tum(folder / POSES, Track(sensor.stamps, sensor.poses))
     return [MAP, Path(MAP).with_suffix(".pgm").name, *logs, POSES]
 
 

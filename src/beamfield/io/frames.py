@@ -14,6 +14,7 @@ from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, yaw_from_quaternion
 
 QUATERNION_TOLERANCE = 0.01  # tf2 refuses quaternions whose length is further than this from 1
+FARTHEST = 1e9  # metres; what lies further away is a damaged number, and overflows when transforms are multiplied
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +262,7 @@ class _Edge:
         if len(self.stamps):
             return
         table = np.array(self._samples, dtype=np.float64)
-        bad = _find_fault(table[:, 1:])
+        bad = find_fault(table[:, 1:])
         if bad is not None:
             row, self.fault = bad
             self.place = self._places[row]
@@ -293,16 +294,17 @@ class _Edge:
         return Transforms(translation, rotation)
 
 
-def _find_fault(values: FloatArray) -> tuple[int, str] | None:
-    """Return the first row that is no transform, and what is wrong with it."""
-    finite = np.asarray(np.isfinite(values).all(axis=1))
+def find_fault(values: FloatArray) -> tuple[int, str] | None:
+    """Return the first row (x, y, z, qx, qy, qz, qw) that is no transform, and what is wrong with it."""
+    with np.errstate(invalid="ignore"):
+        finite = np.asarray((np.abs(values) < FARTHEST).all(axis=1))
     length = np.linalg.norm(np.where(finite[:, None], values, 0.0)[:, 3:], axis=1)
     bad = np.flatnonzero(~finite | (np.abs(length - 1.0) > QUATERNION_TOLERANCE))
     if len(bad) == 0:
         return None
     row = int(bad[0])
     if not finite[row]:
-        return row, f"expected finite numbers, got {values[row].tolist()}"
+        return row, f"expected finite numbers below {FARTHEST:g}, got {values[row].tolist()}"
     return row, f"expected a quaternion of length 1, got {values[row, 3:].tolist()}"
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, compose, interpolate_poses, invert, wrap_angle
 from beamfield.io.bag_file import BagMessage
-from beamfield.io.frames import QUATERNION_TOLERANCE, Transforms, strip_slash
+from beamfield.io.frames import Transforms, find_fault, strip_slash
 from beamfield.io.laser_scan import ordered_stamps
 from beamfield.sensors import Track
 
@@ -85,17 +85,10 @@ class PoseTopicCollector:
         return Track(stamps[last], poses[order][last])
 
     def _check(self, rows: FloatArray) -> None:
-        finite = np.asarray(np.isfinite(rows).all(axis=1))
-        length = np.linalg.norm(np.where(finite[:, None], rows, 0.0)[:, 3:], axis=1)
-        bad = np.flatnonzero(~finite | (np.abs(length - 1.0) > QUATERNION_TOLERANCE))
-        if len(bad) == 0:
-            return
-        row = int(bad[0])
-        what = "a quaternion of length 1" if finite[row] else "finite numbers"
-        values = rows[row, 3:] if finite[row] else rows[row]
-        raise FormatError(
-            self.path, f"pose: expected {what}, got {values.tolist()}", field=f"{self.topic}, message {row + 1}"
-        )
+        fault = find_fault(rows)
+        if fault is not None:
+            row, text = fault
+            raise FormatError(self.path, f"pose: {text}", field=f"{self.topic}, message {row + 1}")
 
 
 def poses_at(track: Track, stamps: FloatArray, max_gap: float,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.errors import FormatError
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.io.carmen import SICK_BEARINGS
 from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
 from beamfield.io.text_scans import TextOptions, TextScans, finite_pose, sorted_track
@@ -22,8 +22,8 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
 
     ``LASER_READING n ranges x y theta ts`` has raw odometry. ``SM_UPDATE p`` and p times ``x y theta log_weight``
     are the particles after that scan, ``RESAMPLE p`` and p indices say which of them go on. The reference poses are the
-    path of the particle with the greatest weight at the end, traced back through the resampling: the path that GMapping's
-    final map is made of.
+    path of the particle with the greatest weight over its whole path, traced back through the resampling: the path that
+    GMapping's corrected log and final map are made of.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
             particles[-1] = parse_numbers(source, line, words[2:], kind).reshape(-1, 4)
         elif kind == "RESAMPLE" and parents:
             _counted(source, line, words, 1, 0)
-            parents[-1] = parse_numbers(source, line, words[2:], kind).astype(np.intp)
+            parents[-1] = np.array([parse_count(source, line, word, kind) for word in words[2:]], dtype=np.intp)
         elif kind not in ("SM_UPDATE", "RESAMPLE"):
             raise FormatError(source, f"expected a line of a GMapping log, got {kind[:40]!r}", line=line)
     if not len(scans):
@@ -89,7 +89,8 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
     sensor, notes = scans.finish(
         beams, chosen, poses=_best_path(source, particles, parents), declared_max=_declared_max(parameters)
     )
-    notes.append("LASER_READING: reference poses are the path of GMapping's best particle")
+    if sensor.has_poses:
+        notes.append("LASER_READING: reference poses are the path of GMapping's best particle")
     track = sorted_track(odometry_stamps, odometry, "ODOM", notes) if odometry else None
     return ScanLog({"LASER_READING": sensor}, track, str(source), tuple(notes), parameters)
 
@@ -110,20 +111,30 @@ def _counted(path: Path, line: int, words: list[str], words_each: int, words_mor
 
 
 def _best_path(path: Path, particles: list[FloatArray | None], parents: list[NDArray[np.intp] | None]) -> FloatArray:
-    """Return (t, 3) poses of the ancestors of the best particle of the last scan; NaN where a scan has no particles."""
+    """Return (t, 3) poses of the particle with the greatest weight over its whole path; NaN where a scan has none."""
+    known = [t for t, cloud in enumerate(particles) if cloud is not None]
     poses = np.full((len(particles), 3), np.nan)
-    index = -1
-    for t in range(len(particles) - 1, -1, -1):
-        cloud, resampled = particles[t], parents[t]
-        if cloud is None or len(cloud) == 0:
-            continue
-        if index < 0:
-            index = int(np.argmax(np.nan_to_num(cloud[:, 3], nan=-np.inf)))
-        elif resampled is not None:
-            index = int(resampled[index]) if index < len(resampled) else -1
-        if not 0 <= index < len(cloud):
-            raise FormatError(path, f"particle {index} of scan {t + 1} is not there: {len(cloud)} particles")
-        poses[t] = cloud[index, :3]
+    earlier, weights = np.zeros(1), np.zeros(1)
+    for t in known:
+        cloud, chosen = particles[t], parents[t]
+        if cloud is None or len(cloud) == 0 or (len(earlier) not in (1, len(cloud))):
+            raise FormatError(
+                path, f"the number of particles changes at scan {t + 1} to {0 if cloud is None else len(cloud)}"
+            )
+        weights = earlier + cloud[:, 3]
+        # Weights start again from 0 after resampling, so those before are carried along the ancestry.
+        earlier = np.broadcast_to(earlier, weights.shape)
+        if chosen is not None:
+            if len(chosen) != len(cloud) or chosen.max() >= len(cloud):
+                raise FormatError(path, f"scan {t + 1}: the resampled indices do not fit its {len(cloud)} particles")
+            weights = earlier = weights[chosen]
+    index = int(np.argmax(weights))
+    for t in reversed(known):
+        cloud, chosen = particles[t], parents[t]
+        if cloud is not None:
+            index = index if chosen is None else int(chosen[index])
+            poses[t] = cloud[index, :3]
+    poses[:, 2] = wrap_angle(poses[:, 2])
     return poses
 
 

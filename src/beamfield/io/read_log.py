@@ -155,7 +155,7 @@ def _text_reader(path: Path) -> _Reader:
         if not words or words[0].startswith("#"):
             continue
         first = first or (line, text)
-        reader = _reader_of(words)
+        reader = _reader_of(words, first[0] == line)
         if reader is not None:
             return reader
         carmen_like |= words[0] in ("PARAM", "ODOM", "TRUEPOS", "SYNC")
@@ -170,7 +170,7 @@ def _text_reader(path: Path) -> _Reader:
     raise FormatError(path, f"unknown format, the text begins {start!r}; supported: {SUPPORTED}", line=first[0])
 
 
-def _reader_of(words: list[str]) -> _Reader | None:
+def _reader_of(words: list[str], is_first: bool) -> _Reader | None:
     kind = words[0]
     if CARMEN_SCANS.match(kind):
         return read_carmen
@@ -180,7 +180,7 @@ def _reader_of(words: list[str]) -> _Reader | None:
         return read_g2o
     if kind in ("O", "L") and len(words) > 3 and _are_numbers(words[1:4]):
         return read_wean_log
-    if len(words) >= RANGES_FROM + N_BEAMS // 2 and _are_numbers(words[:4]):
+    if is_first and len(words) >= RANGES_FROM + N_BEAMS // 2 and _are_numbers(words[:4]):
         return read_coreslam
     return None
 

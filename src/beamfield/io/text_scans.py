@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray, as_poses, wrap_angle
 from beamfield.io.no_return import NoReturnRule, resolve_no_return
 from beamfield.io.scan_stamps import ScanStamps, StampRule, resolve_stamps
 from beamfield.sensors import NO_POSE, RangeFinder, SensorLog, Track
@@ -181,12 +181,13 @@ class TextScans:
 
 
 def finite_pose(path: Path, line: int, pose: FloatArray, what: str) -> FloatArray:
-    """Return a pose, or raise a FormatError that names line and value if a number in it is not finite."""
+    """Return a pose with its heading in (-pi, pi]; if it is not finite, raise a FormatError with line and value."""
     if not np.isfinite(pose).all():
         raise FormatError(
             path, f"expected a finite pose, got {' '.join(map(str, pose.tolist()))}", line=line, field=what
         )
-    return pose
+    x, y, theta = pose
+    return np.array([x, y, wrap_angle(theta)])
 
 
 def sorted_track(stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str]) -> Track | None:

@@ -1,0 +1,81 @@
+"""Lines of plain and compressed text files within limits."""
+
+from __future__ import annotations
+
+import gzip
+
+import pytest
+
+from beamfield.errors import FormatError
+from beamfield.io import text_lines
+from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
+
+
+def test_plain_and_compressed_text_give_the_same_lines_whatever_the_name(tmp_path):
+    text = b"first 1\r\nsecond 2\nlast without end"
+    (tmp_path / "plain.gz").write_bytes(text)
+    (tmp_path / "packed.log").write_bytes(gzip.compress(text))
+    expected = [(1, "first 1\r\n"), (2, "second 2\n"), (3, "last without end")]
+    assert list(read_lines(tmp_path / "plain.gz")) == expected
+    assert list(read_lines(tmp_path / "packed.log")) == expected
+
+
+def test_missing_file_is_the_file_systems_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        list(read_lines(tmp_path / "nothing.log"))
+
+
+def test_binary_junk_is_refused_with_its_bytes(tmp_path):
+    path = tmp_path / "junk.log"
+    path.write_bytes(b"text\nmore \x00\x01\x02")
+    with pytest.raises(FormatError, match=r"junk\.log:2: expected text, got binary data: b'more \\x00"):
+        list(read_lines(path))
+
+
+@pytest.mark.parametrize("cut", [8, 200])
+def test_truncated_gzip_names_the_line_it_reached(tmp_path, cut):
+    packed = gzip.compress(b"".join(b"line %d\n" % i for i in range(5000)))
+    path = tmp_path / "cut.log.gz"
+    path.write_bytes(packed[:-cut])
+    with pytest.raises(FormatError, match="gzip stream is damaged or ends early") as caught:
+        list(read_lines(path))
+    assert caught.value.line is not None
+
+
+def test_damaged_gzip_is_refused(tmp_path):
+    packed = bytearray(gzip.compress(b"".join(b"line %d\n" % i for i in range(5000))))
+    packed[len(packed) // 2] ^= 0xFF
+    path = tmp_path / "damaged.log.gz"
+    path.write_bytes(packed)
+    with pytest.raises(FormatError, match="damaged"):
+        list(read_lines(path))
+
+
+def test_gzip_bomb_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr(text_lines, "FREE_BYTES", 100_000)
+    path = tmp_path / "bomb.log.gz"
+    path.write_bytes(gzip.compress(b"0 0 0 0 0 0 0\n" * 200_000))
+    seen = 0
+    with pytest.raises(FormatError, match="200 times the size of the file: refused"):
+        for _, line in read_lines(path):
+            seen += len(line)
+    assert seen <= max(100_000, 200 * path.stat().st_size)
+
+
+def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(text_lines, "MAX_LINE_BYTES", 1000)
+    path = tmp_path / "long.log"
+    path.write_bytes(b"short\n" + b"1 " * 600)
+    with pytest.raises(FormatError, match=r"long\.log:2: the line is longer than 1000 bytes"):
+        list(read_lines(path))
+
+
+def test_a_word_that_is_no_number_is_quoted(tmp_path):
+    with pytest.raises(FormatError, match=r":7: FLASER: expected a number, got '1\.2x'"):
+        parse_numbers(tmp_path, 7, ["1.0", "1.2x"], "FLASER")
+
+
+@pytest.mark.parametrize("word", ["-1", "1.5", "", "\u0663", "9999999999"])
+def test_a_count_must_be_a_whole_number(tmp_path, word):
+    with pytest.raises(FormatError, match="expected a number of readings"):
+        parse_count(tmp_path, 1, word, "FLASER")

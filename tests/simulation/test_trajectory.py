@@ -49,7 +49,7 @@ def test_a_larger_robot_keeps_a_larger_distance() -> None:
     assert distance_to_obstacles(grid, poses[::2, :2]).min() >= 0.32
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_speed_and_turn_rate_stay_within_their_limits(seed: int) -> None:
     options = DriveOptions(speed=0.7, turn_rate=0.8)
     poses = drive_through(draw_floor_plan(seed=seed), STAMPS, seed=seed, options=options).poses
@@ -95,7 +95,7 @@ def test_the_same_seed_drives_the_same_way_and_another_seed_another() -> None:
 
 def test_a_long_drive_sees_most_of_the_building() -> None:
     grid = draw_floor_plan(seed=0)
-    poses = drive_through(grid, np.arange(0.0, 1500.0, 0.5), seed=0).poses
+    poses = drive_through(grid, np.arange(0.0, 1000.0, 0.5), seed=0).poses
     rows, cols = np.nonzero(clearance_map(grid) > 0.6)
     places = grid.to_map(np.column_stack([cols, rows]) + 0.5)[::37]
     near = [np.hypot(*(poses[:, :2] - place).T).min() < 3.0 for place in places]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, between, compose
+from beamfield.geometry import FloatArray, as_poses, between, wrap_angle
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,9 @@ def noisy_odometry(poses: ArrayLike, rng: np.random.Generator, noise: OdometryNo
     step[:, :2] *= stretch[:, None]
     step[:, 2] *= 1.0 + noise.turn_scale
     step[:, 2] += noise.drift * np.sqrt(distance) * error[:, 1] + noise.turn * np.sqrt(angle) * error[:, 2]
-    for i in range(len(step)):
-        odometry[i + 1] = compose(odometry[i], step[i])
+    heading = np.concatenate([[0.0], np.cumsum(step[:, 2])])
+    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
+    odometry[1:, 0] = np.cumsum(cos * step[:, 0] - sin * step[:, 1])
+    odometry[1:, 1] = np.cumsum(sin * step[:, 0] + cos * step[:, 1])
+    odometry[:, 2] = wrap_angle(heading)
     return odometry

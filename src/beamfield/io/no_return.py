@@ -154,8 +154,9 @@ def _find_codes(z: FloatArray) -> tuple[float, ...]:
 
 def _believed(z: FloatArray, declared: float, codes: tuple[float, ...], notes: list[str]) -> float | None:
     ordinary = np.isfinite(z) & (z > declared * (1.0 + 1e-9))
-    if codes:
-        ordinary &= z < codes[0] * (1.0 - CODE_SPREAD)
+    # Beyond the limit, codes are (almost) one value; measurements spread.
+    largest = codes[0] if codes else float(np.max(z, where=np.isfinite(z), initial=0.0))
+    ordinary &= z < largest * (1.0 - CODE_SPREAD)
     share = float(np.mean(ordinary))
     if share <= CONTRADICTING_SHARE:
         return declared

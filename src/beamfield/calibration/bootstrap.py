@@ -23,10 +23,10 @@ from beamfield.models.beam_parameters import BeamParameters
 
 # Fewer blocks tell too little of how parameters vary from one stretch of time to the next.
 FEWEST_TRUSTED_BLOCKS = 8
-# More beams are thinned to this many. What is lost is noise within blocks, 4 to 24 times smaller than that between them.
+# More beams are thinned to this many. What is lost is noise within blocks, far smaller than that between them.
 MOST_BEAMS = 400_000
-# A replicate is found when one more Newton step promises less than this many nats over all its beams: a fifth of a naive
-# standard error, hence a few per cent of the interval's half width.
+# A replicate is found when one more Newton step promises less than this many nats over all its beams: a fifth of a
+# naive standard error, hence a few per cent of an interval's half width.
 _NATS_LEFT = 0.02
 _MOST_ITERATIONS = 30
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
+
+BoolArray = NDArray[np.bool_]
 
 # Curvatures smaller than this, relative to the largest after scaling, are taken as this: flat directions stay bounded.
 _LEAST_CURVATURE = 1e-9
@@ -15,10 +18,10 @@ def newton_step(
     gradient: FloatArray,
     hessian: FloatArray,
     *,
-    free: FloatArray,
+    free: BoolArray,
     lower: FloatArray,
     upper: FloatArray,
-    summed: FloatArray,
+    summed: BoolArray,
 ) -> FloatArray:
     """Return an ascent step d with ``lower <= x + d <= upper`` that leaves the sum over `summed` unchanged.
 
@@ -63,7 +66,7 @@ def newton_step(
 
 
 def _solve(
-    gradient: FloatArray, hessian: FloatArray, x: FloatArray, active: FloatArray, shares: FloatArray, total: float
+    gradient: FloatArray, hessian: FloatArray, x: FloatArray, active: BoolArray, shares: BoolArray, total: float
 ) -> FloatArray:
     """Newton step over the active coordinates, those of `shares` adding up to `total`."""
     step = np.zeros_like(x)
@@ -86,4 +89,4 @@ def _solve(
     curvature, directions = np.linalg.eigh(reduced * np.outer(scale, scale))
     strength = np.maximum(np.abs(curvature), _LEAST_CURVATURE * np.abs(curvature).max())
     slope = directions.T @ (scale * (basis.T @ gradient))
-    return step + basis @ (scale * (directions @ (slope / strength)))
+    return np.asarray(step + basis @ (scale * (directions @ (slope / strength))))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.calibration.climb import Climb, climb
 from beamfield.calibration.finding import Finding
@@ -52,7 +52,7 @@ class LearningResult:
     converged
         Whether one more step promises less than the tolerance.
     n_beams
-        Beams that were used, by weight.
+        Beams that were used.
     n_excluded
         Beams left out because their ray hits nothing: with z* = max_range the model's readings pile up on two places at
         once, which ruins z_max.
@@ -69,7 +69,7 @@ class LearningResult:
     em_steps: int
     newton_steps: int
     converged: bool
-    n_beams: float
+    n_beams: int
     n_excluded: int
     modes: tuple[Mode, ...]
     findings: tuple[Finding, ...]
@@ -186,7 +186,7 @@ def learn_intrinsic_parameters(
             f"hold z_max: expected more than 0 because {likelihood.n_max:g} readings are at max_range, got 0"
         )
 
-    report = progress or (lambda stage, count: None)
+    report = progress or _silent
     starts = data_driven_starts(likelihood.thinned(SCREENING_BEAMS), problem, n_starts)
     if initial is not None:
         starts.insert(0, problem.apply(theta_of(initial)))
@@ -204,7 +204,11 @@ def learn_intrinsic_parameters(
         for theta in finalists
     ]
     climbs.sort(key=lambda item: -item.objective)
-    return _result(likelihood, problem, climbs, n_excluded)
+    return _result(likelihood, problem, climbs, n_counted, n_excluded)
+
+
+def _silent(stage: str, count: int) -> None:
+    """Report nothing."""
 
 
 def _checked_beams(
@@ -273,7 +277,7 @@ def _differ(theta: FloatArray, other: FloatArray) -> bool:
 
 
 def _result(
-    likelihood: IntrinsicLikelihood, problem: LearningProblem, climbs: list[Climb], n_excluded: int
+    likelihood: IntrinsicLikelihood, problem: LearningProblem, climbs: list[Climb], n_used: int, n_excluded: int
 ) -> LearningResult:
     best = climbs[0]
     distinct: list[Climb] = []
@@ -293,8 +297,16 @@ def _result(
         em_steps=best.em_steps,
         newton_steps=best.newton_steps,
         converged=best.converged,
-        n_beams=n,
+        n_beams=n_used,
         n_excluded=n_excluded,
         modes=modes,
-        findings=identifiability_findings(likelihood, problem, best.theta, modes),
+        findings=(*_convergence_findings(best), *identifiability_findings(likelihood, problem, best.theta, modes)),
     )
+
+
+def _convergence_findings(best: Climb) -> list[Finding]:
+    if best.converged:
+        return []
+    steps = best.em_steps + best.newton_steps
+    text = f"Learning stopped after {steps} iterations before it converged; raise max_iterations."
+    return [Finding("not-converged", "warning", text, {"iterations": float(steps)})]

@@ -139,18 +139,16 @@ class IntrinsicLikelihood:
     def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
         """E-step: one pass over the beams at `theta`, shape (8,)."""
         bins = self._cut(theta)
-        n_bins = bins[0].size
+        n_bins = bins.starts.size
         all_moments = bool(slope_is_free or theta[SLOPE] > 0.0)
         sums = np.zeros((n_bins, 5))
         moments = np.zeros((n_bins, 4, kernels.TERMS))
-        shapes = self._kernel_parameters(theta)
+        mixture = self._mixture(theta)
 
         def work(first: int, last: int) -> None:
-            kernels.em_pass(
-                self.ranges, self.expected, self.weights, *shapes, *bins, all_moments, first, last, sums, moments
-            )
+            kernels.em_pass(self._beams, mixture, bins, all_moments, first, last, sums, moments)
 
-        self._over_bins(work, bins[1])
+        self._over_bins(work, bins)
         totals = sums.sum(axis=0)
         nodes = moments @ kernels.NODE_WEIGHTS
         log_max = self.n_max * np.log(theta[W_MAX]) if self.n_max > 0.0 and theta[W_MAX] > 0.0 else 0.0
@@ -163,20 +161,20 @@ class IntrinsicLikelihood:
             node_hit=np.ascontiguousarray(nodes[:, :3].transpose(1, 0, 2).reshape(3, -1)),
             node_short=np.ascontiguousarray(nodes[:, 3].reshape(-1)),
             sum_short_range=float(totals[4]),
-            cut_matters=bool(bins[4].any()),
+            cut_matters=bool(bins.edge.any()),
         )
 
     def derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Log-likelihood, its gradient (8,) and Hessian (8, 8) at `theta`, the weights taken as independent."""
         bins = self._cut(theta)
         n = kernels.N_DERIVATIVES
-        out = np.zeros((bins[0].size, 1 + n + n * (n + 1) // 2))
-        shapes = self._kernel_parameters(theta)
+        out = np.zeros((bins.starts.size, 1 + n + n * (n + 1) // 2))
+        mixture = self._mixture(theta)
 
         def work(first: int, last: int) -> None:
-            kernels.newton_pass(self.ranges, self.expected, self.weights, *shapes, *bins, first, last, out)
+            kernels.newton_pass(self._beams, mixture, bins, first, last, out)
 
-        self._over_bins(work, bins[1])
+        self._over_bins(work, bins)
         totals = out.sum(axis=0)
         inner = np.zeros((n, n))
         inner[np.tril_indices(n)] = totals[1 + n :]
@@ -197,40 +195,52 @@ class IntrinsicLikelihood:
         """First derivatives of each beam's log-density, shape (n, 8), in the caller's order of beams."""
         bins = self._cut(theta)
         out = np.zeros((self.ranges.size, kernels.N_DERIVATIVES))
-        shapes = self._kernel_parameters(theta)
+        mixture = self._mixture(theta)
 
         def work(first: int, last: int) -> None:
-            kernels.score_pass(self.ranges, self.expected, *shapes, *bins, first, last, out)
+            kernels.score_pass(self._beams, mixture, bins, first, last, out)
 
-        self._over_bins(work, bins[1])
+        self._over_bins(work, bins)
         result = np.zeros((self.returned.size, N_PARAMETERS))
         result[np.ix_(self.order, _KERNEL_ORDER)] = out
         if theta[W_MAX] > 0.0:
             result[~self.returned, W_MAX] = 1.0 / theta[W_MAX]
         return result
 
-    def _kernel_parameters(self, theta: FloatArray) -> tuple[float, ...]:
-        w_hit, w_short, _, w_rand, v, q, b, rate = (float(value) for value in theta)
-        return self.max_range, w_hit, w_short, w_rand, v, q, b, rate
+    @property
+    def _beams(self) -> kernels.Beams:
+        return kernels.Beams(self.ranges, self.expected, self.weights)
 
-    def _cut(self, theta: FloatArray) -> tuple[FloatArray, ...]:
-        v, q, b, rate = (float(value) for value in theta[4:])
+    def _mixture(self, theta: FloatArray) -> kernels.Mixture:
+        w_hit, w_short, _, w_rand, v, q, b, rate = (float(value) for value in theta)
+        return kernels.Mixture(self.max_range, w_hit, w_short, w_rand, v, q, b, rate)
+
+    def _cut(self, theta: FloatArray) -> kernels.Bins:
         capacity = 4096 + 2 * self.expected.size // kernels.BIN_BEAMS
         while True:
-            starts, stops = np.empty(capacity, dtype=np.int64), np.empty(capacity, dtype=np.int64)
-            centres, half_widths = np.empty(capacity), np.empty(capacity)
-            edge = np.empty(capacity, dtype=np.bool_)
-            bins = (starts, stops, centres, half_widths, edge)
-            n_bins = kernels.cut_into_bins(self.expected, self.max_range, v, q, b, rate, *bins)
+            bins = kernels.Bins(
+                np.empty(capacity, dtype=np.int64),
+                np.empty(capacity, dtype=np.int64),
+                np.empty(capacity),
+                np.empty(capacity),
+                np.empty(capacity, dtype=np.bool_),
+            )
+            n_bins = kernels.cut_into_bins(self.expected, self._mixture(theta), bins)
             if n_bins <= capacity:
-                return tuple(column[:n_bins] for column in bins)
+                return kernels.Bins(
+                    bins.starts[:n_bins],
+                    bins.stops[:n_bins],
+                    bins.centres[:n_bins],
+                    bins.half_widths[:n_bins],
+                    bins.edge[:n_bins],
+                )
             capacity = n_bins
 
-    def _over_bins(self, work: Callable[[int, int], None], stops: FloatArray) -> None:
+    def _over_bins(self, work: Callable[[int, int], None], bins: kernels.Bins) -> None:
         # Tasks of about equal numbers of beams: bins differ in size.
         n_tasks = max(1, self.ranges.size // _BEAMS_PER_TASK)
-        limits = np.searchsorted(stops, np.linspace(0, self.ranges.size, n_tasks + 1)[1:-1], side="left")
-        limits = np.concatenate([[0], limits, [stops.size]])
+        limits = np.searchsorted(bins.stops, np.linspace(0, self.ranges.size, n_tasks + 1)[1:-1], side="left")
+        limits = np.concatenate([[0], limits, [bins.stops.size]])
 
         def task(first: int, last: int) -> None:
             work(int(limits[first]), int(limits[last]))
@@ -238,8 +248,8 @@ class IntrinsicLikelihood:
         run_in_slices(task, n_tasks, threads=self.threads, work_per_row=_BEAMS_PER_TASK)
 
     @staticmethod
-    def _node_ranges(bins: tuple[FloatArray, ...]) -> FloatArray:
-        return np.asarray((bins[2][:, None] + bins[3][:, None] * kernels._NODES).reshape(-1))
+    def _node_ranges(bins: kernels.Bins) -> FloatArray:
+        return np.asarray((bins.centres[:, None] + bins.half_widths[:, None] * kernels.NODES).reshape(-1))
 
 
 def theta_of(parameters: BeamParameters) -> FloatArray:

@@ -7,6 +7,7 @@ Where (6.30) and (6.31) maximise it for untruncated densities, these do for a hi
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.calibration.bounded_newton import newton_step
 from beamfield.calibration.intrinsic_likelihood import OFFSET, RATE, SLOPE, VARIANCE, ExpectedStatistics
@@ -46,13 +47,10 @@ def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: Learn
     if x[1] == 0.0 and not free[1] and not statistics.cut_matters:
         return _uncut_shape(statistics, x, free, lower[0], problem)
 
-    weights, weights_r, weights_r2 = statistics.node_hit
     out = np.empty(10)
 
     def evaluate(x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        kernels.hit_objective(
-            statistics.node_ranges, weights, weights_r, weights_r2, problem.max_range, x[0], x[1], x[2], out
-        )
+        kernels.hit_objective(statistics.node_ranges, statistics.node_hit, problem.max_range, x[0], x[1], x[2], out)
         value, gradient, hessian = out[0], out[1:4].copy(), np.zeros((3, 3))
         hessian[np.tril_indices(3)] = out[4:]
         hessian += np.tril(hessian, -1).T
@@ -97,7 +95,7 @@ def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: Learn
 
 
 def _uncut_shape(
-    statistics: ExpectedStatistics, x: FloatArray, free: FloatArray, floor: float, problem: LearningProblem
+    statistics: ExpectedStatistics, x: FloatArray, free: NDArray[np.bool_], floor: float, problem: LearningProblem
 ) -> FloatArray:
     count, sum_r, sum_r2 = statistics.node_hit.sum(axis=1)
     offset = sum_r / count if free[2] else x[2]

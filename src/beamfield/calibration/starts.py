@@ -8,9 +8,9 @@ from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood
 from beamfield.calibration.learning_problem import LearningProblem
 from beamfield.geometry import FloatArray
 
-# Each start: width of a hit relative to the robust spread, lambda relative to 1 / mean of the near shorts, and how hits,
-# shorts and random readings share what returned. They span the ways in which the causes can trade places: shorts uniform
-# or near the sensor, hits narrow or wide, the tail given to shorts or to random readings.
+# Each start: width of a hit relative to the robust spread, lambda relative to 1 / mean of the near shorts, and how
+# hits, shorts and random readings share what returned. They span the ways in which causes can trade places: shorts
+# uniform or near the sensor, hits narrow or wide, the tail given to shorts or to random readings.
 _STARTS = (
     (1.0, 1.0, (0.70, 0.15, 0.15)),
     (1.0, 0.0, (0.75, 0.20, 0.05)),

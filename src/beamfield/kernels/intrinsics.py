@@ -12,6 +12,7 @@ q = sigma_slope^2, C the mass of a hit inside [0, z_max], x = lambda z*.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from beamfield.kernels.jit import fast_kernel, kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+Eight = tuple[float, float, float, float, float, float, float, float]
 
 # Terms of the polynomials in a bin, and most beams in a bin: its scratch arrays stay in the first-level cache.
 TERMS = 8
@@ -33,11 +36,11 @@ TINY_DENSITY = 1e-290
 # Order of the derivatives: (w_hit, w_short, w_rand, v, q, b, lambda).
 N_DERIVATIVES = 7
 
-_NODES = np.cos(np.pi * (np.arange(TERMS) + 0.5) / TERMS)
+NODES = np.cos(np.pi * (np.arange(TERMS) + 0.5) / TERMS)
 # Row k: Chebyshev polynomials T_m at node k.
 _CHEBYSHEV = np.cos(np.outer(np.pi * (np.arange(TERMS) + 0.5) / TERMS, np.arange(TERMS)))
 # Values at the nodes times this: coefficients of 1, t, t^2 ...
-_POWERS = np.linalg.inv(np.vander(_NODES, TERMS, increasing=True)).T.copy()
+_POWERS = np.linalg.inv(np.vander(NODES, TERMS, increasing=True)).T.copy()
 # Chebyshev moments times this: weights at the nodes.
 NODE_WEIGHTS = np.ascontiguousarray((_CHEBYSHEV * np.where(np.arange(TERMS) == 0, 1.0, 2.0) / TERMS).T)
 
@@ -46,26 +49,74 @@ _LN2_HIGH = 6.93145751953125e-1
 _LN2_LOW = 1.42860682030941723212e-6
 _LN2 = 0.6931471805599453
 _HALF_LOG_2PI = 0.9189385332046727
+# Beyond this many sigma the tail of a normal distribution comes from its asymptotic series.
+_DEEP_SIGMAS = 25.0
+
+
+class Beams(NamedTuple):
+    """Beams sorted by expected range; `counts` says how often each counts, or is empty for once."""
+
+    ranges: FloatArray
+    expected: FloatArray
+    counts: FloatArray
+
+
+class Mixture(NamedTuple):
+    """The model's parameters; variance of a hit v + q z*^2, range offset b, rate lambda of shorts."""
+
+    max_range: float
+    w_hit: float
+    w_short: float
+    w_rand: float
+    v: float
+    q: float
+    b: float
+    rate: float
+
+
+class Bins(NamedTuple):
+    """Cuts of the sorted beams: first, last + 1, centre and half width in z*, whether a hit's cut matters."""
+
+    starts: IntArray
+    stops: IntArray
+    centres: FloatArray
+    half_widths: FloatArray
+    edge: BoolArray
+
+
+class Scratch(NamedTuple):
+    """Columns for the beams of one bin: t = (z* - centre) / half width, r, how often each counts, three densities.
+
+    Where a mixture underflows, its densities are divided by e^shift.
+    """
+
+    t: FloatArray
+    r: FloatArray
+    repeats: FloatArray
+    hit: FloatArray
+    short: FloatArray
+    rand: FloatArray
+    shift: FloatArray
 
 
 @kernel
-def cut_into_bins(zs, max_range, v, q, b, lam, starts, stops, centres, half_widths, edge):  # type: ignore[no-untyped-def]
-    """Cut beams sorted by `zs` into bins where all normalisers are polynomials to rounding; returns their number.
+def cut_into_bins(expected: FloatArray, mixture: Mixture, bins: Bins) -> int:
+    """Cut beams sorted by `expected` into bins where all normalisers are polynomials to rounding; returns their number.
 
     A Chebyshev interpolant with 8 nodes over a half width h errs by about (2 a)^-8, a the distance to the nearest
     singularity over h: x / (1 - e^-x) has its at 2 pi i, 1 / v at i sigma / sqrt(q); log C is entire and sigma / 12 is
-    narrow enough. Filled: first and last + 1 beam, centre, half width, whether the cut matters. If the arrays are too
-    short for all bins, the number tells how long they must be.
+    narrow enough. If `bins` is too short for all of them, the number tells how long it must be.
     """
-    n = zs.size
+    max_range, v, q, b, rate = mixture.max_range, mixture.v, mixture.q, mixture.b, mixture.rate
+    n = expected.size
     n_bins = 0
     i = 0
     while i < n:
-        low = zs[i]
+        low = expected[i]
         s = math.sqrt(v + q * low * low)
         width = 0.05 * max_range
-        if lam * low < 40.0:
-            width = min(width, 0.5 / lam) if lam > 0.0 else width
+        if rate > 0.0 and rate * low < 40.0:
+            width = min(width, 0.5 / rate)
         if q > 0.0:
             width = min(width, 0.08 * math.sqrt(low * low + v / q))
         upper = max_range - b - EDGE_SIGMAS * math.sqrt(v + q * max_range * max_range)
@@ -76,152 +127,110 @@ def cut_into_bins(zs, max_range, v, q, b, lam, starts, stops, centres, half_widt
             width = upper - low
         high = low + width
         stop = min(i + BIN_BEAMS, n)
-        if zs[stop - 1] > high:  # the last beam of the bin is the last with zs <= high
+        if expected[stop - 1] > high:  # the last beam of the bin is the last not beyond `high`
             below, above = i, stop - 1
             while above - below > 1:
                 middle = (below + above) // 2
-                if zs[middle] > high:
+                if expected[middle] > high:
                     above = middle
                 else:
                     below = middle
             stop = above
-        if n_bins < starts.size:
-            starts[n_bins] = i
-            stops[n_bins] = stop
-            centres[n_bins] = 0.5 * (zs[i] + zs[stop - 1])
-            half = 0.5 * (zs[stop - 1] - zs[i])
-            half_widths[n_bins] = max(half, 1e-9 * max_range)
-            edge[n_bins] = is_edge
+        if n_bins < bins.starts.size:
+            bins.starts[n_bins] = i
+            bins.stops[n_bins] = stop
+            bins.centres[n_bins] = 0.5 * (expected[i] + expected[stop - 1])
+            bins.half_widths[n_bins] = max(0.5 * (expected[stop - 1] - expected[i]), 1e-9 * max_range)
+            bins.edge[n_bins] = is_edge
         n_bins += 1
         i = stop
     return n_bins
 
 
 @kernel
-def em_pass(  # type: ignore[no-untyped-def]
-    z, zs, counts, max_range, w_hit, w_short, w_rand, v, q, b, lam,
-    starts, stops, centres, half_widths, edge, all_moments, first, last, sums, moments,
-):  # fmt: skip
+def em_pass(
+    beams: Beams,
+    mixture: Mixture,
+    bins: Bins,
+    all_moments: bool,
+    first: int,
+    last: int,
+    sums: FloatArray,
+    moments: FloatArray,
+) -> None:
     """E-step over the bins [first, last): log-likelihood and sufficient statistics per bin.
 
-    `counts` weighs beams, or is empty. ``sums[bin]`` = (log-likelihood, sum e_hit, sum e_short, sum e_rand, sum of
-    e_short z); ``moments[bin, kind]`` = Chebyshev moments in z* of e_hit, e_hit r, e_hit r^2, e_short. Without
-    `all_moments` and off the edges only the moment 0 of hit is filled, which is all that a constant variance needs.
+    ``sums[bin]`` = (log-likelihood, sum e_hit, sum e_short, sum e_rand, sum of e_short z); ``moments[bin, kind]`` =
+    Chebyshev moments in z* of e_hit, e_hit r, e_hit r^2, e_short. Without `all_moments` and off the edges only the
+    moment 0 of hit is filled, which is all that a constant variance needs.
     """
-    coefficients = np.empty((3, TERMS))
-    t = np.empty(BIN_BEAMS)
-    r = np.empty(BIN_BEAMS)
-    count = np.ones(BIN_BEAMS)
-    shift = np.empty(BIN_BEAMS)
-    hit = np.empty(BIN_BEAMS)
-    short = np.empty(BIN_BEAMS)
-    rand = np.empty(BIN_BEAMS)
+    polynomials = np.empty((3, TERMS))
+    scratch = _scratch()
     for j in range(first, last):
-        start, stop = starts[j], stops[j]
-        n = stop - start
-        _normalisers(centres[j], half_widths[j], edge[j], max_range, v, q, b, lam, coefficients)
-        if counts.size:
-            count[:n] = counts[start:stop]
-        _densities(z[start:stop], zs[start:stop], centres[j], 1.0 / half_widths[j], b, lam, coefficients,
-                   1.0 / max_range, t, r, hit, short, rand, shift)  # fmt: skip
-        least = _least_mixture(n, w_hit, w_short, w_rand, hit, short, rand)
-        if least < TINY_DENSITY:
-            _rescale(z[start:stop], zs[start:stop], n, b, lam, coefficients, max_range, w_hit, w_short, w_rand,
-                     t, r, hit, short, rand, shift)  # fmt: skip
-        _responsibilities(n, w_hit, w_short, w_rand, z[start:stop], count, hit, short, rand, shift, sums[j])
-        if all_moments or edge[j]:
-            _moments_of_hit(n, t, r, hit, moments[j])
+        n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
+        _responsibilities(n, mixture, beams.ranges[bins.starts[j] : bins.stops[j]], scratch, sums[j])
+        if all_moments or bins.edge[j]:
+            _moments_of_hit(n, scratch.t, scratch.r, scratch.hit, moments[j])
         else:
-            _first_moments_of_hit(n, r, hit, moments[j])
-        _moments_of_short(n, t, short, moments[j, 3])
+            _first_moments_of_hit(n, scratch.r, scratch.hit, moments[j])
+        _moments_of_short(n, scratch.t, scratch.short, moments[j, 3])
 
 
 @kernel
-def newton_pass(  # type: ignore[no-untyped-def]
-    z, zs, counts, max_range, w_hit, w_short, w_rand, v, q, b, lam,
-    starts, stops, centres, half_widths, edge, first, last, out,
-):  # fmt: skip
+def newton_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: int, out: FloatArray) -> None:
     """Log-likelihood, gradient and Hessian over the bins [first, last).
 
     ``out[bin]`` = log-likelihood, 7 first and 28 second derivatives (lower triangle, row by row), in the order (w_hit,
     w_short, w_rand, v, q, b, lambda), the weights taken as independent.
     """
-    coefficients = np.empty((3, TERMS))
+    polynomials = np.empty((3, TERMS))
     slopes = np.empty((7, TERMS))
-    t = np.empty(BIN_BEAMS)
-    r = np.empty(BIN_BEAMS)
-    count = np.ones(BIN_BEAMS)
-    shift = np.empty(BIN_BEAMS)
-    hit = np.empty(BIN_BEAMS)
-    short = np.empty(BIN_BEAMS)
-    rand = np.empty(BIN_BEAMS)
     scores = np.empty((N_DERIVATIVES, BIN_BEAMS))
+    scratch = _scratch()
     for j in range(first, last):
-        start, stop = starts[j], stops[j]
-        n = stop - start
-        _normalisers(centres[j], half_widths[j], edge[j], max_range, v, q, b, lam, coefficients)
-        _slopes(centres[j], half_widths[j], edge[j], max_range, v, q, b, lam, slopes)
-        if counts.size:
-            count[:n] = counts[start:stop]
-        _densities(z[start:stop], zs[start:stop], centres[j], 1.0 / half_widths[j], b, lam, coefficients,
-                   1.0 / max_range, t, r, hit, short, rand, shift)  # fmt: skip
-        least = _least_mixture(n, w_hit, w_short, w_rand, hit, short, rand)
-        if least < TINY_DENSITY:
-            _rescale(z[start:stop], zs[start:stop], n, b, lam, coefficients, max_range, w_hit, w_short, w_rand,
-                     t, r, hit, short, rand, shift)  # fmt: skip
-        _derivatives(n, w_hit, w_short, w_rand, z[start:stop], zs[start:stop], b, count, t, r, hit, short, rand, shift,
-                     coefficients[1], slopes, scores, out[j])  # fmt: skip
-        _outer_products(n, count, scores, out[j])
+        n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
+        _slopes(bins, j, mixture, slopes)
+        _derivatives(n, beams, bins.starts[j], mixture, scratch, polynomials, slopes, scores, out[j])
+        _outer_products(n, scratch.repeats, scores, out[j])
 
 
 @kernel
-def score_pass(  # type: ignore[no-untyped-def]
-    z, zs, max_range, w_hit, w_short, w_rand, v, q, b, lam, starts, stops, centres, half_widths, edge, first, last, out
-):  # fmt: skip
+def score_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: int, out: FloatArray) -> None:
     """First derivatives of each beam's log-density, ``out[beam]``, in the order of `newton_pass`."""
-    coefficients = np.empty((3, TERMS))
+    polynomials = np.empty((3, TERMS))
     slopes = np.empty((7, TERMS))
-    t = np.empty(BIN_BEAMS)
-    r = np.empty(BIN_BEAMS)
-    count = np.ones(BIN_BEAMS)
-    shift = np.empty(BIN_BEAMS)
-    hit = np.empty(BIN_BEAMS)
-    short = np.empty(BIN_BEAMS)
-    rand = np.empty(BIN_BEAMS)
     scores = np.empty((N_DERIVATIVES, BIN_BEAMS))
     totals = np.empty(1 + N_DERIVATIVES + N_DERIVATIVES * (N_DERIVATIVES + 1) // 2)
+    scratch = _scratch()
     for j in range(first, last):
-        start, stop = starts[j], stops[j]
-        n = stop - start
-        _normalisers(centres[j], half_widths[j], edge[j], max_range, v, q, b, lam, coefficients)
-        _slopes(centres[j], half_widths[j], edge[j], max_range, v, q, b, lam, slopes)
-        _densities(z[start:stop], zs[start:stop], centres[j], 1.0 / half_widths[j], b, lam, coefficients,
-                   1.0 / max_range, t, r, hit, short, rand, shift)  # fmt: skip
-        if _least_mixture(n, w_hit, w_short, w_rand, hit, short, rand) < TINY_DENSITY:
-            _rescale(z[start:stop], zs[start:stop], n, b, lam, coefficients, max_range, w_hit, w_short, w_rand,
-                     t, r, hit, short, rand, shift)  # fmt: skip
-        _derivatives(n, w_hit, w_short, w_rand, z[start:stop], zs[start:stop], b, count, t, r, hit, short, rand, shift,
-                     coefficients[1], slopes, scores, totals)  # fmt: skip
+        n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
+        _slopes(bins, j, mixture, slopes)
+        _derivatives(n, beams, bins.starts[j], mixture, scratch, polynomials, slopes, scores, totals)
         for a in range(N_DERIVATIVES):
             for i in range(n):
-                out[start + i, a] = scores[a, i]
+                out[bins.starts[j] + i, a] = scores[a, i]
 
 
 @kernel
-def hit_objective(zs, weights, weights_r, weights_r2, max_range, v, q, b, out):  # type: ignore[no-untyped-def]
-    """Expected log-likelihood of the hits, from node weights: ``out`` = value, d/d(v, q, b), and vv qv qq bv bq bb."""
+def hit_objective(
+    nodes: FloatArray, weights: FloatArray, max_range: float, v: float, q: float, b: float, out: FloatArray
+) -> None:
+    """Expected log-likelihood of the hits, from the nodes' weights of e_hit, e_hit r and e_hit r^2, shape (3, m).
+
+    ``out`` = value, d/d(v, q, b), and the second derivatives vv qv qq bv bq bb.
+    """
     out[:] = 0.0
-    for k in range(zs.size):
-        w = weights[k]
-        z2 = zs[k] * zs[k]
+    for k in range(nodes.size):
+        w = weights[0, k]
+        z2 = nodes[k] * nodes[k]
         var = v + q * z2
         s = math.sqrt(var)
-        mean = zs[k] + b
+        mean = nodes[k] + b
         log_c, l_m, l_v, l_mm, l_vm, l_vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if mean < EDGE_SIGMAS * s or max_range - mean < EDGE_SIGMAS * s:
             log_c, l_m, l_v, l_mm, l_vm, l_vv = _log_cut_mass(mean, s, max_range)
-        square = weights_r2[k] - 2.0 * b * weights_r[k] + b * b * w
-        linear = weights_r[k] - b * w
+        square = weights[2, k] - 2.0 * b * weights[1, k] + b * b * w
+        linear = weights[1, k] - b * w
         first = 0.5 * square / (var * var) - 0.5 * w / var - w * l_v
         second = -square / (var * var * var) + 0.5 * w / (var * var) - w * l_vv
         cross = -linear / (var * var) - w * l_vm
@@ -238,19 +247,55 @@ def hit_objective(zs, weights, weights_r, weights_r2, max_range, v, q, b, out): 
 
 
 @kernel
-def short_objective(zs, weights, sum_z, lam):  # type: ignore[no-untyped-def]
+def short_objective(
+    nodes: FloatArray, weights: FloatArray, sum_range: float, rate: float
+) -> tuple[float, float, float]:
     """Expected log-likelihood of the shorts up to a constant, from node weights, and its two derivatives in lambda."""
-    value, first, second = -lam * sum_z, -sum_z, 0.0
-    for k in range(zs.size):
-        x = lam * zs[k]
+    value, first, second = -rate * sum_range, -sum_range, 0.0
+    for k in range(nodes.size):
+        x = rate * nodes[k]
         value += weights[k] * math.log(_relative_rate(x))
-        first += weights[k] * zs[k] * _mean_share(x)
-        second += weights[k] * zs[k] * zs[k] * _mean_share_slope(x)
+        first += weights[k] * nodes[k] * _mean_share(x)
+        second += weights[k] * nodes[k] * nodes[k] * _mean_share_slope(x)
     return value, first, second
 
 
 @kernel
-def _exp(x):  # type: ignore[no-untyped-def]
+def _scratch() -> Scratch:
+    return Scratch(
+        np.empty(BIN_BEAMS),
+        np.empty(BIN_BEAMS),
+        np.ones(BIN_BEAMS),
+        np.empty(BIN_BEAMS),
+        np.empty(BIN_BEAMS),
+        np.empty(BIN_BEAMS),
+        np.empty(BIN_BEAMS),
+    )
+
+
+@kernel
+def _fill_densities(
+    beams: Beams, mixture: Mixture, bins: Bins, j: int, polynomials: FloatArray, scratch: Scratch
+) -> int:
+    # Densities of the beams of bin j into `scratch`; returns how many beams it has.
+    start, stop = bins.starts[j], bins.stops[j]
+    n = stop - start
+    _normalisers(bins, j, mixture, polynomials)
+    if beams.counts.size:
+        scratch.repeats[:n] = beams.counts[start:stop]
+    z, expected = beams.ranges[start:stop], beams.expected[start:stop]
+    _densities(
+        z, expected, bins.centres[j], 1.0 / bins.half_widths[j], mixture.b, mixture.rate, 1.0 / mixture.max_range,
+        polynomials, scratch.t, scratch.r, scratch.hit, scratch.short, scratch.rand, scratch.shift,
+    )  # fmt: skip
+    least = _least_mixture(n, mixture.w_hit, mixture.w_short, mixture.w_rand, scratch.hit, scratch.short, scratch.rand)
+    if least < TINY_DENSITY:
+        _rescale(z, expected, n, mixture, polynomials, scratch)
+    return int(n)
+
+
+@kernel
+def _exp(x: float) -> float:
     # Written out because a call of the C library's exp keeps LLVM from vectorising the loop: 1 ns instead of 4.
     # Relative error below 5e-16 on [-708, 709]; clamped outside.
     x = min(max(x, -708.0), 709.0)
@@ -270,11 +315,12 @@ def _exp(x):  # type: ignore[no-untyped-def]
     p = p * y + 0.5
     p = p * y + 1.0
     p = p * y + 1.0
-    return p * np.int64((np.int64(k) + np.int64(1023)) << np.int64(52)).view(np.float64)
+    power: float = np.int64((np.int64(k) + np.int64(1023)) << np.int64(52)).view(np.float64)
+    return p * power
 
 
 @kernel
-def _log(x):  # type: ignore[no-untyped-def]
+def _log(x: float) -> float:
     # As _exp: vectorises. Positive normal numbers only; absolute error below 5e-16 near 1, relative elsewhere.
     bits = np.float64(x).view(np.int64)
     e = (bits - np.int64(0x3FE6A09E667F3BCD)) >> np.int64(52)
@@ -295,7 +341,7 @@ def _log(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _polynomial(c, t):  # type: ignore[no-untyped-def]
+def _polynomial(c: FloatArray, t: float) -> float:
     p = c[7]
     p = p * t + c[6]
     p = p * t + c[5]
@@ -307,40 +353,41 @@ def _polynomial(c, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _normalisers(centre, half_width, edge, max_range, v, q, b, lam, out):  # type: ignore[no-untyped-def]
-    # Polynomials in t = (z* - centre) / half_width: log of a hit's density at its mean, 1 / variance, x / (1 - e^-x).
+def _normalisers(bins: Bins, j: int, mixture: Mixture, out: FloatArray) -> None:
+    # Polynomials in t = (z* - centre) / half width: log of a hit's density at its mean, 1 / variance, x / (1 - e^-x).
     out[:] = 0.0
     for k in range(TERMS):
-        zs = centre + half_width * _NODES[k]
-        var = v + q * zs * zs
-        s = math.sqrt(var)
+        expected = bins.centres[j] + bins.half_widths[j] * NODES[k]
+        s = math.sqrt(mixture.v + mixture.q * expected * expected)
         log_peak = -math.log(s) - _HALF_LOG_2PI
-        if edge:
-            log_peak -= math.log(_cut_mass(zs + b, s, max_range))
-        inverse = 1.0 / var
-        rate = _relative_rate(lam * max(zs, SHORTEST_SUPPORT))
+        if bins.edge[j]:
+            log_peak -= _log_mass(-(expected + mixture.b) / s, (mixture.max_range - expected - mixture.b) / s)
+        inverse = 1.0 / (s * s)
+        relative_rate = _relative_rate(mixture.rate * max(expected, SHORTEST_SUPPORT))
         for m in range(TERMS):
             out[0, m] += log_peak * _POWERS[k, m]
             out[1, m] += inverse * _POWERS[k, m]
-            out[2, m] += rate * _POWERS[k, m]
-    if q == 0.0:  # so that the common case holds without rounding
+            out[2, m] += relative_rate * _POWERS[k, m]
+    if mixture.q == 0.0:  # so that the common case holds without rounding
         out[1, :] = 0.0
-        out[1, 0] = 1.0 / v
+        out[1, 0] = 1.0 / mixture.v
 
 
 @kernel
-def _slopes(centre, half_width, edge, max_range, v, q, b, lam, out):  # type: ignore[no-untyped-def]
+def _slopes(bins: Bins, j: int, mixture: Mixture, out: FloatArray) -> None:
     # Polynomials of the derivatives: of log C in b, v, bb, vb, vv; the mean share of a short and its slope in x.
     out[:] = 0.0
     for k in range(TERMS):
-        zs = centre + half_width * _NODES[k]
-        mean_share = _mean_share(lam * zs)
-        mean_share_slope = _mean_share_slope(lam * zs)
+        expected = bins.centres[j] + bins.half_widths[j] * NODES[k]
+        x = mixture.rate * expected
+        mean_share = _mean_share(x)
+        mean_share_slope = _mean_share_slope(x)
         for m in range(TERMS):
             out[5, m] += mean_share * _POWERS[k, m]
             out[6, m] += mean_share_slope * _POWERS[k, m]
-        if edge:
-            _, l_m, l_v, l_mm, l_vm, l_vv = _log_cut_mass(zs + b, math.sqrt(v + q * zs * zs), max_range)
+        if bins.edge[j]:
+            s = math.sqrt(mixture.v + mixture.q * expected * expected)
+            _, l_m, l_v, l_mm, l_vm, l_vv = _log_cut_mass(expected + mixture.b, s, mixture.max_range)
             for m in range(TERMS):
                 out[0, m] += l_m * _POWERS[k, m]
                 out[1, m] += l_v * _POWERS[k, m]
@@ -350,43 +397,45 @@ def _slopes(centre, half_width, edge, max_range, v, q, b, lam, out):  # type: ig
 
 
 @kernel
-def _cut_mass(mean, s, max_range):  # type: ignore[no-untyped-def]
-    # C, the mass of N(mean, s^2) in [0, max_range]; not below 1e-300 (a mean 37 sigma outside).
-    low = -mean / (s * math.sqrt(2.0))
-    high = (max_range - mean) / (s * math.sqrt(2.0))
+def _log_mass(low: float, high: float) -> float:
+    # log of the standard normal's mass in [low, high].
     if low > 0.0:  # differences of the smaller tails keep their digits
-        mass = 0.5 * (math.erfc(low) - math.erfc(high))
+        near, far = low, high
     elif high < 0.0:
-        mass = 0.5 * (math.erfc(-high) - math.erfc(-low))
+        near, far = -high, -low
     else:
-        mass = 1.0 - 0.5 * (math.erfc(-low) + math.erfc(high))
-    return max(mass, 1e-300)
+        return math.log1p(-0.5 * (math.erfc(-low / math.sqrt(2.0)) + math.erfc(high / math.sqrt(2.0))))
+    log_near = _log_tail(near)
+    return log_near + math.log(-math.expm1(_log_tail(far) - log_near))
 
 
 @kernel
-def _log_cut_mass(mean, s, max_range):  # type: ignore[no-untyped-def]
+def _log_tail(x: float) -> float:
+    # log of the standard normal's mass beyond x > 0.
+    if x < _DEEP_SIGMAS:
+        return math.log(0.5 * math.erfc(x / math.sqrt(2.0)))
+    y = 1.0 / (x * x)
+    series = 1.0 - y * (1.0 - y * (3.0 - y * (15.0 - y * (105.0 - y * (945.0 - y * 10395.0)))))
+    return -0.5 * x * x - math.log(x) - _HALF_LOG_2PI + math.log(series)
+
+
+@kernel
+def _log_cut_mass(mean: float, s: float, max_range: float) -> tuple[float, float, float, float, float, float]:
     # log C and its derivatives in mean, v, mean mean, v mean, v v. C solves the heat equation: dC/dv = C'' / 2.
-    mass = _cut_mass(mean, s, max_range)
     low = -mean / s
     high = (max_range - mean) / s
-    phi_low = math.exp(-0.5 * low * low - _HALF_LOG_2PI)
-    phi_high = math.exp(-0.5 * high * high - _HALF_LOG_2PI)
-    d1 = (phi_low - phi_high) / s / mass
-    d2 = (low * phi_low - high * phi_high) / s**2 / mass
-    d3 = ((low * low - 1.0) * phi_low - (high * high - 1.0) * phi_high) / s**3 / mass
-    d4 = ((low**3 - 3.0 * low) * phi_low - (high**3 - 3.0 * high) * phi_high) / s**4 / mass
-    return (
-        math.log(mass),
-        d1,
-        0.5 * d2,
-        d2 - d1 * d1,
-        0.5 * d3 - 0.5 * d1 * d2,
-        0.25 * d4 - 0.25 * d2 * d2,
-    )
+    log_c = _log_mass(low, high)
+    phi_low = math.exp(-0.5 * low * low - _HALF_LOG_2PI - log_c)
+    phi_high = math.exp(-0.5 * high * high - _HALF_LOG_2PI - log_c)
+    d1 = (phi_low - phi_high) / s
+    d2 = (low * phi_low - high * phi_high) / s**2
+    d3 = ((low * low - 1.0) * phi_low - (high * high - 1.0) * phi_high) / s**3
+    d4 = ((low**3 - 3.0 * low) * phi_low - (high**3 - 3.0 * high) * phi_high) / s**4
+    return log_c, d1, 0.5 * d2, d2 - d1 * d1, 0.5 * d3 - 0.5 * d1 * d2, 0.25 * d4 - 0.25 * d2 * d2
 
 
 @kernel
-def _relative_rate(x):  # type: ignore[no-untyped-def]
+def _relative_rate(x: float) -> float:
     # x / (1 - e^-x): a short's density at z = 0 relative to the uniform one on [0, z*]; 1 at x = 0.
     if x < 1e-5:
         return 1.0 + 0.5 * x + x * x / 12.0
@@ -394,7 +443,7 @@ def _relative_rate(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mean_share(x):  # type: ignore[no-untyped-def]
+def _mean_share(x: float) -> float:
     # 1/x - 1/(e^x - 1): the mean of a short over z*; 1/2 at x = 0.
     if x < 0.01:
         return 0.5 - x / 12.0 + x**3 / 720.0 - x**5 / 30240.0
@@ -404,7 +453,7 @@ def _mean_share(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mean_share_slope(x):  # type: ignore[no-untyped-def]
+def _mean_share_slope(x: float) -> float:
     # Its derivative: minus the variance of a short over z*^2; -1/12 at x = 0.
     if x < 0.1:
         x2 = x * x
@@ -416,13 +465,15 @@ def _mean_share_slope(x):  # type: ignore[no-untyped-def]
 
 
 @fast_kernel
-def _densities(  # type: ignore[no-untyped-def]
-    z, zs, centre, inverse_half_width, b, lam, coefficients, uniform, t, r, hit, short, rand, shift
-):  # fmt: skip
+def _densities(
+    z: FloatArray, zs: FloatArray, centre: float, inverse_half_width: float, b: float, rate: float, uniform: float,
+    polynomials: FloatArray, t: FloatArray, r: FloatArray, hit: FloatArray, short: FloatArray, rand: FloatArray,
+    shift: FloatArray,
+) -> None:  # fmt: skip
     # Component densities of one bin, (6.5), (6.7), (6.11), with their normalisers.
-    log_peak = coefficients[0]
-    inverse_variance = coefficients[1]
-    rate = coefficients[2]
+    log_peak = polynomials[0]
+    inverse_variance = polynomials[1]
+    relative_rate = polynomials[2]
     for i in range(z.size):
         t_i = (zs[i] - centre) * inverse_half_width
         r_i = z[i] - zs[i]
@@ -432,7 +483,7 @@ def _densities(  # type: ignore[no-untyped-def]
         hit[i] = _exp(_polynomial(log_peak, t_i) - 0.5 * d * d * _polynomial(inverse_variance, t_i))
     for i in range(z.size):
         support = max(zs[i], SHORTEST_SUPPORT)
-        s = _polynomial(rate, t[i]) / support * _exp(-lam * z[i])
+        s = _polynomial(relative_rate, t[i]) / support * _exp(-rate * z[i])
         short[i] = s if z[i] <= support else 0.0
     for i in range(z.size):
         rand[i] = uniform
@@ -440,7 +491,9 @@ def _densities(  # type: ignore[no-untyped-def]
 
 
 @fast_kernel
-def _least_mixture(n, w_hit, w_short, w_rand, hit, short, rand):  # type: ignore[no-untyped-def]
+def _least_mixture(
+    n: int, w_hit: float, w_short: float, w_rand: float, hit: FloatArray, short: FloatArray, rand: FloatArray
+) -> float:
     least = 1e300
     for i in range(n):
         least = min(least, w_hit * hit[i] + w_short * short[i] + w_rand * rand[i])
@@ -448,20 +501,22 @@ def _least_mixture(n, w_hit, w_short, w_rand, hit, short, rand):  # type: ignore
 
 
 @kernel
-def _rescale(  # type: ignore[no-untyped-def]
-    z, zs, n, b, lam, coefficients, max_range, w_hit, w_short, w_rand, t, r, hit, short, rand, shift
-):  # fmt: skip
+def _rescale(
+    z: FloatArray, expected: FloatArray, n: int, mixture: Mixture, polynomials: FloatArray, out: Scratch
+) -> None:
     # Where the mixture underflows, divide all densities by e^shift, the largest weighted one.
+    w_hit, w_short, w_rand = mixture.w_hit, mixture.w_short, mixture.w_rand
     for i in range(n):
-        if w_hit * hit[i] + w_short * short[i] + w_rand * rand[i] >= TINY_DENSITY:
+        if w_hit * out.hit[i] + w_short * out.short[i] + w_rand * out.rand[i] >= TINY_DENSITY:
             continue
-        d = r[i] - b
-        log_hit = _polynomial(coefficients[0], t[i]) - 0.5 * d * d * _polynomial(coefficients[1], t[i])
+        d = out.r[i] - mixture.b
+        t = out.t[i]
+        log_hit = _polynomial(polynomials[0], t) - 0.5 * d * d * _polynomial(polynomials[1], t)
         log_short = -math.inf
-        support = max(zs[i], SHORTEST_SUPPORT)
+        support = max(expected[i], SHORTEST_SUPPORT)
         if z[i] <= support:
-            log_short = math.log(_polynomial(coefficients[2], t[i]) / support) - lam * z[i]
-        log_rand = -math.log(max_range)
+            log_short = math.log(_polynomial(polynomials[2], t) / support) - mixture.rate * z[i]
+        log_rand = -math.log(mixture.max_range)
         top = -math.inf
         if w_hit > 0.0:
             top = max(top, log_hit + math.log(w_hit))
@@ -470,17 +525,20 @@ def _rescale(  # type: ignore[no-untyped-def]
         if w_rand > 0.0:
             top = max(top, log_rand + math.log(w_rand))
         if top == -math.inf:  # no component explains it: likelihood 0
-            hit[i], short[i], rand[i], shift[i] = 0.0, 0.0, 0.0, -math.inf
+            out.hit[i], out.short[i], out.rand[i], out.shift[i] = 0.0, 0.0, 0.0, -math.inf
             continue
         # A component of weight 0 may be far denser than the mixture; its gain is kept finite.
-        hit[i] = math.exp(min(log_hit - top, 600.0))
-        short[i] = math.exp(min(log_short - top, 600.0))
-        rand[i] = math.exp(min(log_rand - top, 600.0))
-        shift[i] = top
+        out.hit[i] = math.exp(min(log_hit - top, 300.0))
+        out.short[i] = math.exp(min(log_short - top, 300.0))
+        out.rand[i] = math.exp(min(log_rand - top, 300.0))
+        out.shift[i] = top
 
 
 @fast_kernel
-def _mixture_sums(n, w_hit, w_short, w_rand, z, count, hit, short, rand):  # type: ignore[no-untyped-def]
+def _mixture_sums(
+    n: int, w_hit: float, w_short: float, w_rand: float, z: FloatArray, count: FloatArray, hit: FloatArray,
+    short: FloatArray, rand: FloatArray,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
     # Turns densities into responsibilities times counts; returns the sums of log p, e_hit, e_short, e_rand, e_short z.
     log_sum = 0.0
     sum_hit = 0.0
@@ -504,7 +562,7 @@ def _mixture_sums(n, w_hit, w_short, w_rand, z, count, hit, short, rand):  # typ
 
 
 @kernel
-def _shift_sum(n, count, shift):  # type: ignore[no-untyped-def]
+def _shift_sum(n: int, count: FloatArray, shift: FloatArray) -> float:
     # Not in the fast loop: a shift may be -inf. A beam of count 0 counts for nothing even then.
     total = 0.0
     for i in range(n):
@@ -514,11 +572,11 @@ def _shift_sum(n, count, shift):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _responsibilities(n, w_hit, w_short, w_rand, z, count, hit, short, rand, shift, sums):  # type: ignore[no-untyped-def]
+def _responsibilities(n: int, mixture: Mixture, z: FloatArray, scratch: Scratch, sums: FloatArray) -> None:
     log_sum, sum_hit, sum_short, sum_rand, sum_short_z = _mixture_sums(
-        n, w_hit, w_short, w_rand, z, count, hit, short, rand
+        n, mixture.w_hit, mixture.w_short, mixture.w_rand, z, scratch.repeats, scratch.hit, scratch.short, scratch.rand
     )
-    sums[0] = log_sum + _shift_sum(n, count, shift)
+    sums[0] = log_sum + _shift_sum(n, scratch.repeats, scratch.shift)
     sums[1] = sum_hit
     sums[2] = sum_short
     sums[3] = sum_rand
@@ -526,7 +584,7 @@ def _responsibilities(n, w_hit, w_short, w_rand, z, count, hit, short, rand, shi
 
 
 @fast_kernel
-def _chebyshev_moments(n, t, e):  # type: ignore[no-untyped-def]
+def _chebyshev_moments(n: int, t: FloatArray, e: FloatArray) -> Eight:
     m0, m1, m2, m3, m4, m5, m6, m7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         x = t[i]
@@ -549,12 +607,12 @@ def _chebyshev_moments(n, t, e):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _moments_of_short(n, t, e, out):  # type: ignore[no-untyped-def]
+def _moments_of_short(n: int, t: FloatArray, e: FloatArray, out: FloatArray) -> None:
     out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = _chebyshev_moments(n, t, e)
 
 
 @kernel
-def _moments_of_hit(n, t, r, e, out):  # type: ignore[no-untyped-def]
+def _moments_of_hit(n: int, t: FloatArray, r: FloatArray, e: FloatArray, out: FloatArray) -> None:
     for kind in range(3):
         o = out[kind]
         o[0], o[1], o[2], o[3], o[4], o[5], o[6], o[7] = _chebyshev_moments(n, t, e)
@@ -564,7 +622,7 @@ def _moments_of_hit(n, t, r, e, out):  # type: ignore[no-untyped-def]
 
 
 @fast_kernel
-def _first_moments_of_hit(n, r, e, out):  # type: ignore[no-untyped-def]
+def _first_moments_of_hit(n: int, r: FloatArray, e: FloatArray, out: FloatArray) -> None:
     m0, m1, m2 = 0.0, 0.0, 0.0
     for i in range(n):
         y = e[i] * r[i]
@@ -577,9 +635,11 @@ def _first_moments_of_hit(n, r, e, out):  # type: ignore[no-untyped-def]
 
 
 @fast_kernel
-def _derivative_sums(  # type: ignore[no-untyped-def]
-    n, w_hit, w_short, w_rand, z, zs, b, count, t, r, hit, short, rand, inverse_variance, slopes, scores, out
-):  # fmt: skip
+def _derivative_sums(
+    n: int, w_hit: float, w_short: float, w_rand: float, z: FloatArray, zs: FloatArray, b: float, count: FloatArray,
+    t: FloatArray, r: FloatArray, hit: FloatArray, short: FloatArray, rand: FloatArray, inverse_variance: FloatArray,
+    slopes: FloatArray, scores: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     # Scores per beam, and the part of the Hessian that is not their outer product; see (6.24) with c summed out.
     g_hit, g_short, g_rand, g_v, g_q, g_b, g_lam = (
         scores[0], scores[1], scores[2], scores[3], scores[4], scores[5], scores[6],
@@ -648,17 +708,20 @@ def _derivative_sums(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _derivatives(  # type: ignore[no-untyped-def]
-    n, w_hit, w_short, w_rand, z, zs, b, count, t, r, hit, short, rand, shift, inverse_variance, slopes, scores, out
-):  # fmt: skip
+def _derivatives(
+    n: int, beams: Beams, start: int, mixture: Mixture, scratch: Scratch, polynomials: FloatArray, slopes: FloatArray,
+    scores: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    z, expected = beams.ranges[start : start + n], beams.expected[start : start + n]
     _derivative_sums(
-        n, w_hit, w_short, w_rand, z, zs, b, count, t, r, hit, short, rand, inverse_variance, slopes, scores, out
-    )
-    out[0] += _shift_sum(n, count, shift)
+        n, mixture.w_hit, mixture.w_short, mixture.w_rand, z, expected, mixture.b, scratch.repeats, scratch.t, scratch.r,
+        scratch.hit, scratch.short, scratch.rand, polynomials[1], slopes, scores, out,
+    )  # fmt: skip
+    out[0] += _shift_sum(n, scratch.repeats, scratch.shift)
 
 
 @fast_kernel
-def _outer_products(n, count, scores, out):  # type: ignore[no-untyped-def]
+def _outer_products(n: int, count: FloatArray, scores: FloatArray, out: FloatArray) -> None:
     k = 1 + N_DERIVATIVES
     for a in range(N_DERIVATIVES):
         left = scores[a]

@@ -223,6 +223,7 @@ def scans_of(tmp_path, ranges, **options):
     bag = MiniBag()
     for i, row in enumerate(ranges):
         bag.scan(float(i + 1), row, **limits)
+    tmp_path.mkdir(exist_ok=True)
     return read_bag(bag.write(tmp_path), **options).only_sensor()
 
 
@@ -270,6 +271,10 @@ def test_a_repeated_greatest_value_below_the_limit_means_no_return(rng, tmp_path
     sensor = scans_of(tmp_path, ranges)
     assert np.array_equal(np.isposinf(sensor.ranges), ranges == 8.0)
     assert (sensor.no_return.values, sensor.no_return.origin) == ((8.0,), "detected")
+    assert sensor.finder.max_range == 8.0  # where the sensor falls silent, whatever it declares
+    given = scans_of(tmp_path / "given", ranges, max_range=9.0)
+    assert given.finder.max_range == 9.0
+    assert np.array_equal(np.isposinf(given.ranges), ranges == 8.0)
 
 
 def test_a_far_wall_with_noise_is_not_taken_for_no_return(rng, tmp_path):

@@ -161,14 +161,6 @@ class BagFile:
             yield BagMessage(connection.topic, connection.msgtype, number, recorded * 1e-9, content)
 
 
-def is_bag(path: str | Path) -> bool:
-    """Return whether the path looks like a bag: by the first bytes of a file, or by what a folder holds."""
-    path = Path(path)
-    if path.is_dir():
-        return (path / METADATA).is_file() or bool(_storage_files(path))
-    return _storage_of(path) is not None
-
-
 def seconds(stamp: Any) -> float:
     """Return a ROS time as seconds."""
     return float(stamp.sec + stamp.nanosec * 1e-9)

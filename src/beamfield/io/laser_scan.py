@@ -1,25 +1,19 @@
-"""sensor_msgs/LaserScan messages: bearings, limits, ranges, and what each sensor means by "no return"."""
+"""sensor_msgs/LaserScan messages: bearings, limits and ranges of one sensor, checked to belong together."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
 from beamfield.io.bag_file import BagMessage
-from beamfield.sensors import NoReturnPolicy
-
-NoReturnRule = Literal["detect", "none"] | tuple[float, ...]
 
 STAMP_TOLERANCE = 0.5  # seconds: neighbours may swap on a lossy network; a clock that was set jumps further
 BEARING_TOLERANCE = 1e-3  # radians: what the geometry may change between the messages of one topic
-FREQUENT = 0.01  # share of all readings from which a special value counts as the sensor's way to say "no return"
-RARE = 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +117,7 @@ class LaserScanCollector:
             range_min=self._limits[0],
             range_max=self._limits[1],
             stamps=stamps,
-            ranges=ranges[order],
+            ranges=ranges if (np.diff(order) > 0).all() else ranges[order],
             notes=tuple(self._notes),
         )
 
@@ -223,120 +217,3 @@ def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str])
         )
     order = np.argsort(stamps, kind="stable")
     return stamps[order], order
-
-
-def resolve_limits(
-    scans: LaserScans, path: Path, min_range: float | None, max_range: float | None
-) -> tuple[float, float]:
-    """Return the range limits: the given ones, else those that the messages declare.
-
-    Given limits are rounded to float32, as the ranges are: a sensor that answers 5.6 for "no return" writes
-    5.599999904632568, which a max_range of 5.6 must include.
-
-    Raises
-    ------
-    FormatError
-        If the declared limits are not 0 <= range_min < range_max < inf and no others are given.
-    InvalidInputError
-        If a given limit is not a number, or not within the other.
-    """
-    low = scans.range_min if min_range is None else float(np.float32(min_range))
-    high = scans.range_max if max_range is None else float(np.float32(max_range))
-    if 0.0 <= low < high < np.inf:
-        return low, high
-    if min_range is not None and max_range is not None:
-        raise InvalidInputError(f"expected 0 <= min_range < max_range < inf, got {min_range!r} and {max_range!r}")
-    raise FormatError(
-        path,
-        f"expected limits 0 <= range_min < range_max < inf, got {low!r} and {high!r}; "
-        "give min_range and max_range yourself",
-        field=scans.topic,
-    )
-
-
-def mark_no_return(
-    ranges: FloatArray, min_range: float, max_range: float, rule: NoReturnRule = "detect"
-) -> tuple[FloatArray, NoReturnPolicy]:
-    """Return ranges in which the sensor's own values for "no return" are +inf, and what was done.
-
-    REP 117 needs no conversion: +inf, and what reaches max_range, is no return; NaN is no measurement; -inf, and what
-    falls short of min_range, is too close. Where a driver says it otherwise, "detect" looks for it, only in data in
-    which (almost) nothing else says "no return":
-
-    1. zeros, if they are at least `FREQUENT`;
-    2. one value below max_range that is the greatest of all and far more frequent than the values next to it.
-
-    A zero that is not explained so is no range: it becomes NaN if min_range is 0 (else it is too close anyway).
-
-    Parameters
-    ----------
-    ranges
-        (t, k) metres, as published, of float32 precision.
-    min_range, max_range
-        The sensor's limits, metres.
-    rule
-        "detect"; "none" to convert nothing; or the values (metres, NaN is allowed) that mean "no return".
-
-    References
-    ----------
-    REP 117, "Informational Distance Measurements".
-    """
-    if rule == "none":
-        return ranges, NoReturnPolicy(explanation="not looked for, as asked")
-    if not isinstance(rule, str):
-        return _convert_given(ranges, rule)
-    if rule != "detect":
-        raise InvalidInputError(f"no_return: expected 'detect', 'none' or a tuple of metres, got {rule!r}")
-    with np.errstate(invalid="ignore"):
-        declared = float(np.mean(ranges >= max_range))
-    zero = ranges == 0.0
-    zeros = float(zero.mean())
-    if declared < RARE and zeros >= FREQUENT:
-        return _converted(ranges, zero, (0.0,), "detected", "are 0 and nothing else says that nothing came back")
-    special = _find_repeated_maximum(ranges) if declared < RARE else None
-    if special is not None:
-        return _converted(
-            ranges, ranges == special, (special,), "detected", f"are exactly {special:.6g} m, the greatest of all"
-        )
-    text = (
-        f"{declared:.2%} of the readings are +inf or reach {max_range:.6g} m"
-        if declared
-        else f"no reading is +inf or reaches {max_range:.6g} m"
-    )
-    if zeros and min_range <= 0.0:
-        text += f"; {zeros:.2%} are 0, taken as no measurement"
-        ranges = np.where(zero, np.nan, ranges)
-    missing = float(np.isnan(ranges).mean())
-    if declared < RARE and missing >= FREQUENT:
-        text += f"; {missing:.2%} are NaN: no measurement, unless no_return names NaN as this sensor's word for it"
-    return ranges, NoReturnPolicy(share=declared, origin="declared" if declared else "none", explanation=text)
-
-
-def _convert_given(ranges: FloatArray, values: tuple[float, ...]) -> tuple[FloatArray, NoReturnPolicy]:
-    mask = np.zeros(ranges.shape, dtype=bool)
-    for value in values:
-        mask |= np.isnan(ranges) if np.isnan(value) else ranges == float(np.float32(value))
-    listed = ", ".join(f"{v:.6g}" for v in values)
-    return _converted(ranges, mask, tuple(float(v) for v in values), "given", f"are one of the given values ({listed})")
-
-
-def _converted(ranges: FloatArray, mask: NDArray[np.bool_], values: tuple[float, ...], origin: str,
-               why: str) -> tuple[FloatArray, NoReturnPolicy]:  # fmt: skip
-    share = float(mask.mean())
-    return np.where(mask, np.inf, ranges), NoReturnPolicy(values, share, origin, f"{share:.2%} of the readings {why}")
-
-
-def _find_repeated_maximum(ranges: FloatArray) -> float | None:
-    """Return the greatest value if it is repeated as no measurement is: more than ten times as often as others near."""
-    finite: Any = ranges[np.isfinite(ranges) & (ranges > 0.0)]
-    if len(finite) == 0:
-        return None
-    top = float(finite.max())
-    near, counts = np.unique(finite[finite >= 0.9 * top], return_counts=True)
-    repeated = int(counts[-1])
-    others = int(counts[:-1].max()) if len(near) > 1 else 0
-    # In data that are one value only, that value may be a wall: nothing to compare it with.
-    alone = repeated == len(finite)
-    if alone or repeated < max(20, 2 * RARE * ranges.size) or repeated <= 10 * others:
-        return None
-    return top

@@ -14,9 +14,11 @@ from beamfield.io.bag_file import BagFile, BagMessage, seconds
 from beamfield.io.bag_frames import BagContent, beam_mounts, choose_base, find_odometry, find_reference, says_truth
 from beamfield.io.bag_map import read_bag_map
 from beamfield.io.frames import TransformBuffer
-from beamfield.io.laser_scan import LaserScanCollector, NoReturnRule, mark_no_return, resolve_limits
+from beamfield.io.laser_scan import LaserScanCollector
 from beamfield.io.multiranger import OPENING_ANGLE, RawDataCollector, ranger_topics, read_rangers
+from beamfield.io.no_return import NoReturnRule
 from beamfield.io.pose_topic import ODOMETRY, POSE_TYPES, PoseTopicCollector
+from beamfield.io.scan_ranges import resolve_limits, resolve_scan_ranges
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
 __all__ = ["read_bag", "read_bag_map"]
@@ -56,7 +58,7 @@ def read_bag(
     mount
         (3,) pose of the sensor in the robot's frame, metres and radians, instead of the one that /tf says.
     no_return
-        What means "no return" besides +inf and ranges that reach the limit: see `mark_no_return`.
+        What means "no return" besides +inf and ranges that reach the limit: see `resolve_scan_ranges`.
     max_range, min_range
         The sensor's limits in metres, instead of the declared ones.
 
@@ -104,17 +106,18 @@ def read_bag(
         notes += scans.notes
         beams = beam_mounts(content, scans, base, mount, notes)
         low, high = resolve_limits(scans, content.path, min_range, max_range)
-        ranges, policy = mark_no_return(scans.ranges, low, high, no_return)
+        found = resolve_scan_ranges(scans.ranges, low, high, no_return, limit_given=max_range is not None)
+        notes += [f"{scans.topic}: {note}" for note in found.notes]
         cone = OPENING_ANGLE if scans.topic in content.cones else 0.0
         poses = reference_at(scans.stamps)
         _note_missing(scans.topic, poses, notes)
         sensors[scans.topic] = SensorLog(
-            finder=RangeFinder(beams, high, min_range=low, opening_angle=cone, name=scans.topic),
+            finder=RangeFinder(beams, found.max_range, min_range=low, opening_angle=cone, name=scans.topic),
             stamps=scans.stamps,
-            ranges=ranges,
+            ranges=found.ranges,
             poses=poses,
             odometry=odometry.at(scans.stamps),
-            no_return=policy,
+            no_return=found.policy,
         )
     return ScanLog(sensors, odometry.track, str(path), tuple(notes))
 

@@ -41,13 +41,7 @@ Z95 = 1.96
 
 def noise_by_range(calibration: Calibration) -> ReportFigure | None:
     """Mean and spread of the hits by expected range, beside the model's; None with too few hits."""
-    table, parameters = calibration.table, calibration.parameters
-    rows = thinned(np.flatnonzero(~table.hits_nothing & (table.ranges < table.max_range)), MOST_BEAMS)
-    expected = table.expected_ranges[rows]
-    hit = beam_responsibilities(table.ranges[rows], expected, table.max_range, parameters)[:, 0]
-    residual = table.ranges[rows] - expected
-    blocks = time_blocks(table.stamps, calibration.options.block_s)[rows]
-    points = _by_expected_range(expected, residual, hit, blocks, parameters.range_offset)
+    parameters, points = calibration.parameters, noise_points(calibration)
     if len(points) == 0:
         return None
     z = np.linspace(0.0, float(points[:, 0].max()) * 1.05, 100)
@@ -57,7 +51,14 @@ def noise_by_range(calibration: Calibration) -> ReportFigure | None:
     )
     offset = np.full_like(z, parameters.range_offset)
     mean = _line_panel(
-        "offset", "Mean of the hits", points[:, [0, 1, 2]], z, offset, "measured minus expected [m]", "model's mean"
+        "offset",
+        "Mean of the hits",
+        points[:, [0, 1, 2]],
+        z,
+        offset,
+        "measured minus expected [m]",
+        "model's mean",
+        least=0.3 * parameters.sigma_hit,
     )
     return ReportFigure(
         "noise",
@@ -65,11 +66,30 @@ def noise_by_range(calibration: Calibration) -> ReportFigure | None:
         (spread, mean),
         "Dots: standard deviation and mean of measured minus expected range, over readings weighted by their "
         "probability of being a hit, in groups of equal size by expected range; bars are 95 % intervals from blocks of "
-        "time. Lines: the fitted model. Dots that rise along the line's left show noise that grows with range "
+        "time. Lines: the fitted model. Dots that rise to the right show noise that grows with range "
         "(sigma_slope; errors of the reference heading do the same). A mean off zero means that mapped walls are "
         "drawn too thick (positive) or too thin (negative), or the sensor has a bias.",
         "Section 6.3.2; Figure 6.6 (the smaller the range, the more accurate the measurement)",
     )
+
+
+def noise_points(calibration: Calibration) -> FloatArray:
+    """Return mean and spread of the hits in groups of equal size by expected range.
+
+    Readings are weighted by their probability of being a hit.
+
+    Returns
+    -------
+    (g, 5) metres: expected range, mean of measured minus expected range, its standard error, standard deviation about
+    the model's range offset, its standard error; no row with too few hits.
+    """
+    table, parameters = calibration.table, calibration.parameters
+    rows = thinned(np.flatnonzero(~table.hits_nothing & (table.ranges < table.max_range)), MOST_BEAMS)
+    expected = table.expected_ranges[rows]
+    hit = beam_responsibilities(table.ranges[rows], expected, table.max_range, parameters)[:, 0]
+    residual = table.ranges[rows] - expected
+    blocks = time_blocks(table.stamps, calibration.options.block_s)[rows]
+    return _by_expected_range(expected, residual, hit, blocks, parameters.range_offset)
 
 
 def causes_by_bearing(calibration: Calibration, log: SensorLog) -> ReportFigure:
@@ -115,8 +135,9 @@ def causes_by_bearing(calibration: Calibration, log: SensorLog) -> ReportFigure:
             ),
         ),
         "Share of readings that are not hits, by direction. A narrow tower of short readings is a part of the robot "
-        "that the sensor sees (mask those beams); a rise to one side is a sensor mounted at another angle than the "
-        "log says, or a floor or ramp that is hit.",
+        "that the sensor sees (mask those beams); a broad rise where beams are long, ahead in a corridor, "
+        "is people, or small errors of the heading; a rise to one side, a sensor mounted at another angle than the log "
+        "says.",
         "Section 6.3.1 (each beam has its own cause)",
     )
 
@@ -153,10 +174,11 @@ def opposite_widths(calibration: Calibration, log: SensorLog) -> ReportFigure | 
                 wide=True,
             ),
         ),
-        "The sum of two opposite beams is the width of the room there and hardly depends on the pose, so this judges the "
-        f"map alone. Median difference {fit.median_difference:+.3f} m; line: scale {plus_minus(fit.scale, fit.scale_se)}, "
-        f"widening {plus_minus(fit.widening, fit.widening_se)} m. A cloud above zero: walls drawn too thick, by half of it "
-        "on each side. A cloud that climbs or falls: a map at the wrong scale.",
+        "The sum of two opposite beams is the width of the room there and hardly depends on the pose, so this judges "
+        f"the map alone. Median difference {fit.median_difference:+.3f} m; line: scale "
+        f"{plus_minus(fit.scale, fit.scale_se)}, widening {plus_minus(fit.widening, fit.widening_se)} m. A cloud above "
+        "zero: walls drawn too thick, by half of it on each side. A cloud that climbs or falls: a wrong "
+        "scale of the map.",
         "Not in the chapter; checks that the map deserves the trust that (6.4) puts in z*",
     )
 
@@ -194,9 +216,9 @@ def pose_shifts(calibration: Calibration) -> ReportFigure | None:
             svg_panel(turn, "turn", f"Histogram of their turns, median {np.median(degrees):.2f} degrees."),
         ),
         f"{len(shifts)} reference poses were moved to where every other beam likes them best. On the remaining beams "
-        f"sigma_hit goes from {refinement.sigma_before:.4f} to {refinement.sigma_after:.4f} m: the difference is error "
-        "of the reference poses that the sensor is not to blame for. A cloud that is not centred at zero is a sensor "
-        "mounted elsewhere than the log says, or a delay between scans and poses.",
+        f"sigma_hit goes from {refinement.sigma_before:.4f} to {refinement.sigma_after:.4f} m: a large "
+        "drop is error of the reference poses, for which the sensor is not to blame. A cloud that is not "
+        "centred at zero is a sensor mounted elsewhere than the log says, or a delay between scans and poses.",
         "Section 6.3.2: learning needs the positions X of (6.13)",
     )
 
@@ -204,7 +226,7 @@ def pose_shifts(calibration: Calibration) -> ReportFigure | None:
 def _by_expected_range(
     expected: FloatArray, residual: FloatArray, hit: FloatArray, blocks: NDArray[np.int64], offset: float
 ) -> FloatArray:
-    """(g, 5) expected range, mean and its standard error, standard deviation about the offset and its standard error."""
+    """(g, 5) expected range, mean, its standard error, standard deviation about the offset, its standard error."""
     if hit.sum() < FEWEST_HITS:
         return np.empty((0, 5))
     edges = np.unique(np.quantile(expected, np.linspace(0, 1, RANGE_BINS + 1)))
@@ -230,7 +252,7 @@ def _by_expected_range(
 
 
 def _line_panel(
-    name: str, title: str, points: FloatArray, z: FloatArray, line: FloatArray, y: str, label: str
+    name: str, title: str, points: FloatArray, z: FloatArray, line: FloatArray, y: str, label: str, least: float = 0.0
 ) -> Panel:
     """Dots with whiskers and the model's line."""
     figure = new_figure(NARROW, 3.2)
@@ -244,8 +266,9 @@ def _line_panel(
         axes.set_ylim(0, float(max((points[:, 1] + whisker).max(), line.max())) * 1.25)
     else:
         axes.axhline(0, color=QUIET, linewidth=0.8)
-        low, high = axes.get_ylim()
-        axes.set_ylim(low, high + 0.25 * (high - low))
+        low = min(float((points[:, 1] - whisker).min()), -least, float(line.min()))
+        high = max(float((points[:, 1] + whisker).max()), least, float(line.max()))
+        axes.set_ylim(low - 0.08 * (high - low), high + 0.3 * (high - low))
     style(axes, title=title, x="expected range z* [m]", y=y)
     legend(axes, loc="upper left", ncols=2)
     text = ", ".join(f"{v:.3f} m at {r:.1f} m" for r, v, _ in points)

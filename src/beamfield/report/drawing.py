@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+import math
 import re
 import threading
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from PIL import Image
 
 # Okabe and Ito's palette: told apart by colour-blind readers, and in grey by their lightness.
@@ -111,12 +113,39 @@ def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = 
     axes.set_ylabel(y, fontsize=9, color="#222222")
 
 
+def log_scale(axes: Axes) -> None:
+    """Make the y axis logarithmic, labelled at powers of ten."""
+    axes.set_yscale("log")
+    # Matplotlib's own labels go through its formula parser: slow, and state shared by all threads.
+    axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _power_of_ten(value: float, _position: int | None = None) -> str:
+    exponent = round(math.log10(value)) if value > 0 else 0
+    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
 def legend(axes: Axes, **where: Any) -> None:
     """Add a legend in the report's look; nothing if no artist has a label."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
             fontsize=8, frameon=True, framealpha=0.9, edgecolor=GRID, facecolor="white", fancybox=False, **where
         )
+
+
+def legend_above(axes: Axes) -> None:
+    """Add a legend in one line above the axes, where it hides nothing."""
+    axes.legend(
+        fontsize=8.5,
+        frameon=False,
+        ncols=6,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        handletextpad=0.4,
+        columnspacing=1.2,
+        borderaxespad=0.2,
+    )
 
 
 def svg_panel(figure: Figure, name: str, alt: str, *, wide: bool = False) -> Panel:
@@ -157,8 +186,9 @@ def png_panel(figure: Figure, alt: str, *, wide: bool = False, dpi: int = 144) -
     figure.set_dpi(dpi)
     canvas = FigureCanvasAgg(figure)
     with _DRAWING:
-        canvas.draw()
-    image = Image.fromarray(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+        canvas.draw()  # type: ignore[no-untyped-call]
+        pixels = np.array(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+    image = Image.fromarray(np.ascontiguousarray(pixels))
     buffer = io.BytesIO()
     image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
     data = base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -24,6 +24,12 @@ from beamfield.report.text_table import form_line, plus_minus
 from beamfield.report.verdict import is_good, verdict
 from beamfield.sensors import SensorLog
 
+AMCL = (
+    "AMCL's beam model (laser_model_type: beam) has the six parameters under these names, in ROS 1 with the prefix "
+    "laser_, and laser_max_range. It leaves out the normalisers of (6.4) and (6.7) and sums cubes, so these "
+    "values are a start there, not an optimum."
+)
+
 SECTIONS = {
     "parameters": "Parameters",
     "score": "Score",
@@ -67,8 +73,8 @@ def render_report(
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{_text(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{body}\n"
-        "<footer>Section, figure and equation numbers are those of chapter 6 of Probabilistic Robotics (Thrun, Burgard, "
-        f"Fox). Made by {_text(_program(origin))}.</footer>\n</body>\n</html>\n"
+        "<footer>Section, figure and equation numbers are those of chapter 6 of Probabilistic Robotics (Thrun, "
+        f"Burgard, Fox). Made by {_text(_program(origin))}.</footer>\n</body>\n</html>\n"
     )
 
 
@@ -136,23 +142,25 @@ def _finding(finding: Finding) -> str:
 def _parameters(calibration: Calibration, log: SensorLog) -> str:
     rows = "\n".join(
         f'<tr><td class="w"><code>{row.name}</code></td><td class="n">{row.value}</td>'
-        f'<td class="w">{row.interval_text}</td><td class="w">{row.unit or "1"}</td><td>{row.meaning}</td></tr>'
+        f'<td class="w">{row.interval_text}</td><td class="w">{row.unit or "-"}</td>'
+        f'<td class="meaning">{row.meaning}</td></tr>'
         for row in parameter_rows(calibration)
     )
+    head = '<th>parameter</th><th class="n">value</th><th>95 % interval</th><th>unit</th><th>meaning</th>'
     return (
-        '<h2 id="parameters">Parameters</h2>\n<div class="scroll"><table><thead><tr><th>parameter</th>'
-        f'<th class="n">value</th><th>95 % interval</th><th>unit</th><th>meaning</th></tr></thead>\n<tbody>{rows}</tbody>'
-        f"</table></div>\n<p>{_interval_line(calibration)}</p>\n{_snippets(calibration, log)}"
+        '<h2 id="parameters">Parameters</h2>\n'
+        f'<table class="parameters"><thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table>\n'
+        f"<p>{_interval_line(calibration)}</p>\n{_snippets(calibration, log)}"
     )
 
 
 def _interval_line(calibration: Calibration) -> str:
-    intervals: Any = calibration.intervals
-    n, length = getattr(intervals, "n_blocks", None), getattr(intervals, "block_s", None)
-    blocks = f" ({n} blocks of {length:.3g} s)" if isinstance(n, int) and isinstance(length, float | int) else ""
+    if not calibration.intervals.intervals:
+        return "There are no intervals: they need several blocks of time, and there is only one."
+    n_blocks, n_replicates = calibration.intervals.n_blocks, calibration.options.n_bootstrap
     return (
-        f"The intervals come from drawing whole blocks of time anew{blocks}: beams of one scan and neighbouring scans "
-        "share their errors and do not count as independent."
+        f"The intervals come from drawing {n_blocks} blocks of time anew, {n_replicates} times: beams of one scan and "
+        "neighbouring scans share their errors and do not count as independent."
     )
 
 
@@ -169,6 +177,7 @@ def _snippets(calibration: Calibration, log: SensorLog) -> str:
                 log,
             )
         )
+    parts.append(f"<p>{AMCL}</p>")
     return "\n".join(parts)
 
 
@@ -181,6 +190,7 @@ def _snippet(head: str, parameters: BeamParameters, log: SensorLog) -> str:
     names = ["z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"]
     names += [name for name in EXTENSIONS if getattr(parameters, name) != 0.0]
     lines = [f"{name}: {getattr(parameters, name):.6g}" for name in names] + [f"max_range: {log.finder.max_range:.6g}"]
+    lines.insert(0, f"# beam model of {log.finder.name!r}, by beamfield {__version__}")
     return f"<p>{_text(head)}</p>\n<pre>{_text(chr(10).join(lines))}</pre>"
 
 
@@ -206,16 +216,16 @@ def _data(calibration: Calibration, log: SensorLog) -> str:
     scans += [(f"dropped: {reason}", n) for reason, n in selection.dropped.items()]
     beams = [
         ("readings in the used scans", len(table) + table.n_no_measurement + table.n_unknown),
-        ("fitted", calibration.n_fit),
+        ("fitted", round(calibration.n_fit)),
         ("held out", int((calibration.held_out & ~table.hits_nothing).sum())),
         ("left out: no measurement (NaN, too close)", table.n_no_measurement),
         ("left out: the ray enters unknown space first", table.n_unknown),
         (f"left out: the ray hits nothing within {table.max_range:g} m", nothing),
     ]
     policy = log.no_return
+    tables = "".join(f'<div class="scroll">{_counts(rows)}</div>' for rows in (scans, beams))
     return (
-        '<h2 id="data">Data used</h2>\n'
-        f'<div class="panels"><div class="scroll">{_counts(scans)}</div><div class="scroll">{_counts(beams)}</div></div>\n'
+        f'<h2 id="data">Data used</h2>\n<div class="panels">{tables}</div>\n'
         f"<p>No return: {policy.share:.2%} of the log's readings were converted ({_text(policy.origin)}: "
         f"{_text(policy.explanation)}). The sensor's limit is {log.finder.max_range:g} m. "
         f"{_duration(calibration)}</p>"
@@ -227,7 +237,8 @@ def _duration(calibration: Calibration) -> str:
     if len(stamps) == 0:
         return ""
     share = float(np.mean(calibration.held_out))
-    return f"The used scans span {np.ptp(stamps):.0f} s; {share:.0%} of their beams, in whole blocks of time, are held out."
+    span = float(np.ptp(stamps))
+    return f"The used scans span {span:.0f} s; {share:.0%} of their beams, in whole blocks of time, are held out."
 
 
 def _counts(rows: list[tuple[str, int]]) -> str:
@@ -243,9 +254,10 @@ def _figure(figure: ReportFigure) -> str:
     panels = "\n".join(
         f'<div class="{"wide" if panel.wide else "narrow"}">{panel.markup}</div>' for panel in figure.panels
     )
+    caption = f'{_text(figure.caption)} <span class="source">[{_text(figure.source)}]</span>'
     return (
         f'<figure id="{figure.name}">\n<h3>{_text(figure.title)}</h3>\n<div class="panels">{panels}</div>\n'
-        f'<figcaption>{_text(figure.caption)} <span class="source">[{_text(figure.source)}]</span></figcaption>\n</figure>'
+        f"<figcaption>{caption}</figcaption>\n</figure>"
     )
 
 

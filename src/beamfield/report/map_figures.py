@@ -17,6 +17,7 @@ from beamfield.report.drawing import (
     MODEL,
     WIDE,
     ReportFigure,
+    legend_above,
     new_figure,
     png_panel,
     style,
@@ -45,8 +46,9 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     shares = np.bincount(calibration.causes[~table.hits_nothing], minlength=4) / max(
         int((~table.hits_nothing).sum()), 1
     )
-    sizes, alphas, markers = (1.2, 4.0, 9.0, 4.0), (0.5, 0.7, 0.8, 0.8), ("o", "o", "^", "s")
-    for cause in (0, 3, 1, 2):
+    sizes, alphas, markers = (1.2, 4.0, 5.0, 4.0), (0.6, 0.7, 0.7, 0.8), ("o", "o", "^", "s")
+    # From below to above; hits cover the missing returns of a wall that is mostly seen.
+    for order, cause in enumerate((2, 0, 3, 1)):
         mine = causes == cause
         axes.scatter(
             points[mine, 0],
@@ -56,9 +58,11 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
             color=CAUSE_COLOURS[cause],
             alpha=alphas[cause],
             linewidths=0,
+            zorder=2 + 0.1 * order,
         )
-        axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause],
-                     label=f"{CAUSE_NAMES[cause]} {shares[cause]:.1%}")  # fmt: skip
+    for cause, name in enumerate(CAUSE_NAMES):
+        label = f"{name} {shares[cause]:.1%}"
+        axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause], label=label)
     _draw_path(axes, path)
     _frame(axes, limits)
     alt = "Map with the end points of the beams, by most likely cause: " + ", ".join(
@@ -83,7 +87,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         return None
     poses = log.poses[line.scan]
     limits = _limits(poses[:, :2], poses[:, :2], margin=3 * MARGIN)
-    figure = new_figure(WIDE, _height(limits))
+    figure = new_figure(WIDE, _height(limits) + 0.6)
     axes = figure.add_subplot()
     _draw_map(axes, grid, limits)
     low, high = np.quantile(line.log_likelihood, [0.02, 0.98])
@@ -93,9 +97,10 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         edgecolors=MODEL, linewidths=0.2,
     )  # fmt: skip
     _frame(axes, limits, with_legend=False)
-    bar = figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.01)
+    bar = figure.colorbar(dots, ax=axes, location="top", shrink=0.5, aspect=35, pad=0.01, anchor=(0.0, 0.0))
     bar.set_label("log-likelihood per beam [nats]", fontsize=9, color="#222222")
     bar.ax.tick_params(labelsize=9)
+    bar.outline.set_visible(False)
     worst = poses[int(np.argmin(line.log_likelihood))]
     return ReportFigure(
         "fit-map",
@@ -103,8 +108,8 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         (
             png_panel(
                 figure,
-                f"The path on the map, coloured by log-likelihood per beam; the worst scan was taken at x {worst[0]:.1f} "
-                f"m, y {worst[1]:.1f} m.",
+                f"The path on the map, coloured by log-likelihood per beam; the worst scan was taken at x "
+                f"{worst[0]:.1f} m, y {worst[1]:.1f} m.",
                 wide=True,
             ),
         ),
@@ -144,7 +149,7 @@ def _limits(points: FloatArray, path: FloatArray, margin: float = MARGIN) -> tup
 def _height(limits: tuple[float, float, float, float]) -> float:
     """Height of the figure in inches for equal axes, within what a page takes."""
     aspect = (limits[3] - limits[2]) / max(limits[1] - limits[0], 1e-9)
-    return float(np.clip((WIDE - 0.8) * aspect + 0.9, 3.0, 10.5))
+    return float(np.clip((WIDE - 0.7) * aspect + 0.85, 2.0, 10.5))
 
 
 def _draw_map(axes: Axes, grid: OccupancyGrid, limits: tuple[float, float, float, float]) -> None:
@@ -187,7 +192,4 @@ def _frame(axes: Axes, limits: tuple[float, float, float, float], *, with_legend
     axes.set_aspect("equal")
     style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")
     if with_legend:
-        axes.legend(
-            fontsize=9, frameon=False, ncols=5, loc="lower left", bbox_to_anchor=(0.0, 1.0), handletextpad=0.3,
-            columnspacing=1.2, borderaxespad=0.2,
-        )  # fmt: skip
+        legend_above(axes)

@@ -40,7 +40,7 @@ figure h3 { font-size: 1.08rem; margin: 1.8rem 0 .5rem; }
 svg.plot, figure img { display: block; width: 100%; height: auto; }
 svg.plot * { stroke-linejoin: round; stroke-linecap: butt; }
 figcaption { font-size: .94rem; color: #30373e; max-width: 80ch; margin-top: .6rem; }
-figcaption .source { color: #5b6570; white-space: normal; }
+figcaption .source { color: #5b6570; }
 details { margin: .6rem 0; }
 summary { cursor: pointer; font-weight: 600; }
 footer { margin-top: 3rem; color: #5b6570; font-size: .86rem; border-top: 1px solid #d8dee4; padding-top: .6rem; }
@@ -50,6 +50,11 @@ footer { margin-top: 3rem; color: #5b6570; font-size: .86rem; border-top: 1px so
   .verdict { font-size: 1.08rem; }
   .panels .wide svg.plot, .panels .wide img { min-width: 600px; }
   td, th { padding-right: .6rem; }
+  table.parameters thead { display: none; }
+  table.parameters tr { display: flex; flex-wrap: wrap; column-gap: .8rem; border-bottom: 1px solid #d8dee4;
+    padding: .45rem 0; }
+  table.parameters td { border: 0; padding: 0; }
+  table.parameters td.meaning { flex-basis: 100%; color: #47505a; font-size: .92rem; }
 }
 @media print {
   body { max-width: none; padding: 0; font-size: 10.5pt; }

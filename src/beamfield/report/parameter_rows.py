@@ -88,10 +88,10 @@ def finite_interval(calibration: Calibration, name: str) -> tuple[float, float] 
 
 
 def decimals_for(half_width: float) -> int:
-    """Return how many decimals show two significant digits of an uncertainty; between 2 and 6."""
+    """Return how many decimals show two significant digits of an uncertainty; between 3 and 6."""
     if not (math.isfinite(half_width) and half_width > 0.0):
         return 4
-    return min(6, max(2, 1 - math.floor(math.log10(half_width))))
+    return min(6, max(3, 1 - math.floor(math.log10(half_width))))
 
 
 def _in_use(calibration: Calibration, name: str) -> bool:

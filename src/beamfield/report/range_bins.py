@@ -60,9 +60,10 @@ def typical_bins(table: BeamTable) -> list[RangeBin]:
     return bins
 
 
-def fullest_bin(bins: list[RangeBin]) -> RangeBin:
-    """Return the group with the most readings."""
-    return max(bins, key=lambda group: len(group.rows))
+def telling_bin(bins: list[RangeBin]) -> RangeBin:
+    """Return the farthest group with many readings: far from zero, short readings have room to show."""
+    most = max(len(group.rows) for group in bins)
+    return max((group for group in bins if 4 * len(group.rows) >= most), key=lambda group: group.centre)
 
 
 def thinned(rows: NDArray[np.int64], most: int) -> NDArray[np.int64]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.calibrate import LEAST_GAIN, Calibration
 from beamfield.calibration.evaluation import Timeline, block_standard_error
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
@@ -17,6 +17,8 @@ from beamfield.report.drawing import (
     WIDE,
     ReportFigure,
     legend,
+    legend_above,
+    log_scale,
     new_figure,
     png_panel,
     style,
@@ -42,12 +44,12 @@ def score_plot(calibration: Calibration) -> ReportFigure:
     )
     return ReportFigure(
         "scores",
-        "Held-out score",
+        "Log-likelihood per beam",
         (svg_panel(figure, "scores", alt, wide=True),),
         "Mean log-likelihood of beams from blocks of time that the fit has not seen, with 95 % intervals from these "
         "blocks. The intervals of two models overlap more than their difference is uncertain, because both are scored "
-        "on the same beams: the table gives the uncertainty of the differences. One nat more makes a beam e = 2.7 times "
-        "as likely.",
+        "on the same beams: the table gives the uncertainty of the differences. One nat more makes a beam 2.7 times as "
+        "likely.",
         "Section 6.3.2, (6.13)",
     )
 
@@ -59,7 +61,13 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
         return None
     figure = new_figure(WIDE, 0.55 + 0.42 * len(candidates))
     axes = figure.add_subplot()
-    _dots(axes, [(c.name, c.gain, c.gain_se) for c in candidates], highlight=[c.chosen for c in candidates])
+    _dots(axes, [(c.name, c.gain, c.gain_se) for c in candidates], highlight=[c.chosen for c in candidates], decimals=4)
+    # A span of less than the least gain that counts would blow noise up.
+    low, high = axes.get_xlim()
+    axes.set_xlim(min(low, -LEAST_GAIN), max(high, 1.5 * LEAST_GAIN))
+    if max(high, -low) < 20 * LEAST_GAIN:
+        axes.axvline(LEAST_GAIN, color=HELD_OUT, linewidth=1.0, linestyle="--", label="least gain worth a parameter")
+        legend_above(axes)
     axes.axvline(0.0, color=QUIET, linewidth=0.8)
     style(axes, x=f"gain over {candidates[0].name!r} per held-out beam [nats]", grid="x")
     alt = "Dot plot of held-out gains: " + "; ".join(f"{c.name} {plus_minus(c.gain, c.gain_se)}" for c in candidates)
@@ -183,7 +191,7 @@ def likelihood_trace(calibration: Calibration) -> ReportFigure | None:
     shown = np.where(np.isfinite(missing) & (missing > 0), missing, np.nan)
     axes.plot(np.arange(len(trace)), shown, color=FIT, linewidth=1.2, marker="o", markersize=3.5)
     if np.isfinite(shown).any():
-        axes.set_yscale("log")
+        log_scale(axes)
     axes.set_xlim(0, len(trace) - 1)
     style(axes, x="iteration", y="nats per beam still missing")
     state = "converged" if calibration.converged else "did not converge"
@@ -205,7 +213,7 @@ def likelihood_trace(calibration: Calibration) -> ReportFigure | None:
     )
 
 
-def _dots(axes: Axes, values: list[tuple[str, float, float]], *, highlight: list[bool]) -> None:
+def _dots(axes: Axes, values: list[tuple[str, float, float]], *, highlight: list[bool], decimals: int = 3) -> None:
     """One line per value, from top to bottom: dot, 95 % whiskers, number."""
     y = np.arange(len(values))[::-1]
     for place, (_, value, error), filled in zip(y, values, highlight, strict=True):
@@ -222,7 +230,12 @@ def _dots(axes: Axes, values: list[tuple[str, float, float]], *, highlight: list
             markersize=7,
         )
         axes.annotate(
-            f"{value:.3f}", (value, place), xytext=(0, 7), textcoords="offset points", ha="center", fontsize=8.5
+            f"{round(value, decimals) + 0.0:.{decimals}f}",
+            (value, place),
+            xytext=(0, 7),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8.5,
         )
     axes.set_yticks(y, [name for name, _, _ in values])
     axes.set_ylim(-0.6, len(values) - 0.3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.report.parameter_rows import parameter_rows
@@ -38,7 +39,7 @@ def score_table(calibration: Calibration) -> str:
         )
         for i, score in enumerate(calibration.scores)
     ]
-    table = _aligned(("held-out beams", "nats per beam", "the fit is ahead by"), rows, right=(1, 2))
+    table = _aligned(("held-out beams", "nats per beam ± s.e.", "the fit is ahead by"), rows, right=(1, 2))
     return f"{table}\n{form_line(calibration)}"
 
 
@@ -68,7 +69,7 @@ def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> st
     return f"{text} ± {standard_error:.4f}" if math.isfinite(standard_error) else text
 
 
-def _aligned(header: tuple[str, ...], rows: list[tuple[str, ...]], *, right: tuple[int, ...]) -> str:
+def _aligned(header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: tuple[int, ...]) -> str:
     """Columns padded to their widest cell; the given columns are aligned to the right."""
     lines = [header, *rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]

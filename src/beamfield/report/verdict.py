@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from beamfield.calibration.calibrate import Calibration
 from beamfield.report.parameter_rows import parameter_rows
 
@@ -13,7 +15,7 @@ RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
 
 def verdict(calibration: Calibration) -> str:
     """Return whether the fit beats the defaults, by how much, and how noisy the sensor is in this map."""
-    sentences = [_against_defaults(calibration), _noise(calibration)]
+    sentences = [_against_defaults(calibration), _noise(calibration), _warnings(calibration)]
     if not calibration.converged:
         sentences.append("The fit did not converge: do not use it as it is.")
     return " ".join(sentence for sentence in sentences if sentence)
@@ -40,6 +42,17 @@ def _nats(gain: float) -> str:
 
 
 def _noise(calibration: Calibration) -> str:
-    row = next(row for row in parameter_rows(calibration) if row.name == "sigma_hit")
-    slope = ", growing with range" if calibration.parameters.sigma_slope > 0 else ""
-    return f"sigma_hit is {row.value} m {row.interval_text}{slope}."
+    parameters, rows = calibration.parameters, parameter_rows(calibration)
+    sigma = next(row for row in rows if row.name == "sigma_hit")
+    text = f"{sigma.name} is {sigma.value} m {sigma.interval_text}"
+    expected = calibration.table.expected_ranges[~calibration.table.hits_nothing]
+    if parameters.sigma_slope == 0.0 or len(expected) == 0:
+        return f"{text}."
+    typical = float(np.median(expected))
+    spread = math.hypot(parameters.sigma_hit, parameters.sigma_slope * typical)
+    return f"{text} and grows with range, to a noise of {spread:.3f} m at {typical:.1f} m, the median expected range."
+
+
+def _warnings(calibration: Calibration) -> str:
+    n = sum(finding.severity == "warning" for finding in calibration.findings)
+    return "" if n == 0 else f"Read the {f'{n} warnings' if n > 1 else 'warning'} before you trust it."

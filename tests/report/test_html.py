@@ -1,0 +1,257 @@
+"""The page: complete, self-contained, safe."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from beamfield.calibration.calibrate import CalibrationOptions
+from beamfield.calibration.finding import Finding
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.report.html import render_report
+from beamfield.report.parameter_rows import parameter_rows
+from beamfield.report.score_figures import candidate_plot, likelihood_trace
+from beamfield.report.text_table import plus_minus
+from beamfield.sensors import NoReturnPolicy
+
+FIGURES = {
+    "scores",
+    "histograms",
+    "readings",
+    "mixture",
+    "pit",
+    "cause-map",
+    "fit-map",
+    "timeline",
+    "noise",
+    "candidates",
+    "trace",
+    "bearings",
+    "opposite",
+    "refinement",
+}
+VOID = {"meta", "img", "br", "hr", "input", "link"}
+
+
+class Page(HTMLParser):
+    """What a browser would see: balance of tags, ids, figures, text alternatives."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        self.tags.append((tag, values))
+        if "id" in values:
+            self.ids.append(values["id"])
+        self.links += [values[name] for name in ("href", "src") if name in values]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        values = dict(attrs)
+        self.tags.append((tag, values))
+        if "id" in values:
+            self.ids.append(values["id"])
+        self.links += [values[name] for name in ("href", "src") if name in values]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join("".join(self.words).split())
+
+    @property
+    def figures(self) -> set[str]:
+        return {values["id"] for tag, values in self.tags if tag == "figure"}
+
+
+def render(case, **changes) -> str:
+    return render_report(replace(case.calibration, **changes), case.grid, case.log, case.provenance)
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Leave the figures out where only words are tested: they take seconds."""
+    monkeypatch.setattr("beamfield.report.html.report_figures", lambda *_: [])
+
+
+@pytest.fixture(scope="module")
+def text(case) -> str:
+    return render(case)
+
+
+@pytest.fixture(scope="module")
+def page(text) -> Page:
+    return Page(text)
+
+
+def test_every_figure_is_there_with_caption_and_text_alternative(page):
+    assert page.figures == FIGURES
+    assert sum(tag == "figcaption" for tag, _ in page.tags) == len(FIGURES)
+    pictures = [values for tag, values in page.tags if tag == "img" or values.get("class") == "plot"]
+    assert len(pictures) >= len(FIGURES)
+    assert all(len(values.get("alt") or values.get("aria-label") or "") > 20 for values in pictures)
+
+
+def test_nothing_is_fetched_and_nothing_runs(text, page):
+    assert "http" not in text
+    assert "<script" not in text
+    assert "@import" not in text
+    assert all(link.startswith(("#", "data:image/png;base64,")) for link in page.links)
+    assert not any(name.startswith("on") for _, values in page.tags for name in values)
+
+
+def test_ids_are_unique_and_every_link_inside_the_page_has_its_target(text, page):
+    assert len(set(page.ids)) == len(page.ids)
+    targets = {link[1:] for link in page.links if link.startswith("#")} | set(re.findall(r"url\(#([^)]+)\)", text))
+    assert targets <= set(page.ids)
+
+
+def test_numbers_in_the_tables_are_the_calibrations(case, text):
+    for row in parameter_rows(case.calibration):
+        assert f'<code>{row.name}</code></td><td class="n">{row.value}</td>' in text
+        assert row.interval_text in text
+    for score in case.calibration.scores:
+        assert plus_minus(score.log_likelihood, score.standard_error) in text
+    snippet = text[text.index("<pre>") : text.index("</pre>")]
+    assert "sigma_hit: 0.05\n" in snippet
+    assert "max_range: 10" in snippet
+
+
+def test_head_names_inputs_date_and_program(page):
+    assert "log drive.log · map room.yaml · recorded 2023-11-14 22:13 UTC · beamfield 0.0.test" in page.text
+    assert "ab" * 32 in page.text
+
+
+def test_verdict_tells_the_gain_over_the_defaults(case, page):
+    nav2, ros1 = case.calibration.scores[1:3]
+    assert f"beats nav2's defaults by {nav2.behind_fit:.2f} and ROS 1's by {ros1.behind_fit:.2f} nats" in page.text
+    assert "sigma_hit is 0.0500 m [0.0480, 0.0525]." in page.text
+    assert "Read the warning before you trust it." in page.text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_verdict_admits_a_fit_that_is_not_better(case):
+    scores = list(case.calibration.scores)
+    scores[2] = replace(scores[2], behind_fit=-0.01)
+    learning = replace(case.calibration.learning, converged=False)
+    text = Page(render(case, scores=tuple(scores), learning=learning)).text
+    assert "does not beat ROS 1's on held-out beams" in text
+    assert "did not converge" in text
+    assert "verdict bad" in render(case, scores=tuple(scores))
+
+
+def test_warnings_come_before_the_parameters_and_the_rest_is_folded(text):
+    warning, folded = text.index("The map is poor."), text.index("The poses are good.")
+    assert text.index('id="warnings"') < warning < text.index('id="parameters"')
+    assert text.rindex("<details>", 0, folded) > warning
+
+
+def test_dropped_scans_and_beams_are_counted(page):
+    assert "scans in the log120used117dropped: standing still3" in page.text.replace(" used ", "used")
+    assert "left out: no measurement (NaN, too close)5" in page.text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_text_from_files_is_escaped(case):
+    evil = '<script>alert("x")</script>&\''
+    log = replace(
+        case.log,
+        finder=replace(case.log.finder, name=evil),
+        no_return=NoReturnPolicy((), 0.0, "given", evil),
+    )
+    provenance = {"inputs": {"log": {"name": evil, "sha256": evil}, evil: evil}, evil: [evil], "program": evil}
+    findings = (Finding("n", "warning", evil), Finding(evil, "info", evil))
+    text = render_report(replace(case.calibration, findings=findings), case.grid, log, provenance)
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "alert(" in Page(text).text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_line_break_in_a_name_cannot_add_a_line_to_the_snippet(case):
+    log = replace(case.log, finder=replace(case.log.finder, name="/scan\nz_hit: 1"))
+    text = render_report(case.calibration, case.grid, log)
+    assert not re.search(r"^z_hit: 1$", text, flags=re.MULTILINE)
+
+
+def test_the_page_is_small(text):
+    assert len(text) < 3_000_000
+
+
+def test_the_same_calibration_gives_the_same_page_also_from_threads(case, text):
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        pages = list(pool.map(lambda _: render(case), range(2)))
+    assert pages == [text, text]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_chapters_form_can_be_copied_where_another_was_chosen(case):
+    first, second = case.calibration.candidates
+    wide = replace(first.result, parameters=replace(first.result.parameters, sigma_hit=0.0777))
+    chosen = (replace(first, result=wide, chosen=False), replace(second, gain=0.25, chosen=True))
+    parameters = replace(case.calibration.parameters, range_offset=0.03)
+    text = render(case, candidates=chosen, parameters=parameters)
+    assert "range_offset: 0.03" in text
+    assert "sigma_hit: 0.0777" in text
+    assert "0.2500 nats less per held-out beam" in text
+
+
+HALF_CIRCLE = np.radians(np.arange(-80, 81, 4.0))
+ONE_BEAM = np.zeros(1)
+DEGENERATE = {
+    "hits only, half a circle, no refinement, no date": (
+        {
+            "truth": BeamParameters(1.0, 0.0, 0.0, 0.0, 0.05, 0.0),
+            "bearings": HALF_CIRCLE,
+            "with_refinement": False,
+            "start": 0.0,
+        },
+        {"opposite", "refinement"},
+    ),
+    "no hit": ({"truth": BeamParameters(0.0, 0.5, 0.2, 0.3, 0.05, 0.0)}, {"noise", "opposite"}),
+    "one beam and one expected range": ({"bearings": ONE_BEAM, "n_scans": 600, "same_place": True}, {"opposite"}),
+    "one held-out block, long limit": ({"options": CalibrationOptions(block_s=50.0), "max_range": 80.0}, set()),
+    "noise that grows": ({"truth": BeamParameters(0.8, 0.1, 0.05, 0.05, 0.03, 0.3, 0.1, 0.02)}, set()),
+}
+
+
+@pytest.mark.parametrize(("changes", "missing"), DEGENERATE.values(), ids=DEGENERATE.keys())
+def test_degenerate_calibrations_have_a_page(make_case, changes, missing):
+    page = Page(render(make_case(**changes)))
+    assert page.figures == FIGURES - missing
+    assert "nan" not in page.text.lower().replace("no measurement (nan", "")
+
+
+def test_unknown_standard_errors_do_not_reach_the_page(case):
+    scores = tuple(replace(s, standard_error=float("nan"), behind_fit_se=float("nan")) for s in case.calibration.scores)
+    candidates = tuple(replace(c, gain_se=float("nan")) for c in case.calibration.candidates)
+    intervals = replace(case.calibration.intervals, intervals={}, standard_errors={}, n_blocks=1)
+    page = Page(render(case, scores=scores, candidates=candidates, intervals=intervals))
+    assert "not determined" in page.text
+    assert "There are no intervals" in page.text
+    assert "nan" not in page.text.lower().replace("no measurement (nan", "")
+
+
+def test_one_candidate_and_a_short_trace_have_no_figure_of_their_own(case):
+    learning = replace(case.calibration.learning, trace=(0.5,))
+    calibration = replace(case.calibration, candidates=case.calibration.candidates[:1], learning=learning)
+    assert candidate_plot(calibration) is None
+    assert likelihood_trace(calibration) is None

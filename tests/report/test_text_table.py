@@ -1,0 +1,99 @@
+"""The tables for the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamfield.calibration.calibrate import CalibrationOptions
+from beamfield.report.parameter_rows import decimals_for, parameter_rows
+from beamfield.report.text_table import form_line, parameter_table, plus_minus, score_table
+
+
+def cells(table: str) -> dict[str, str]:
+    """First word of each line -> the line."""
+    return {line.split()[0]: line for line in table.splitlines() if line.strip()}
+
+
+def test_each_parameter_stands_with_its_value_interval_and_unit(case):
+    lines = cells(parameter_table(case.calibration))
+    assert lines["sigma_hit"].split()[1:5] == ["0.0500", "[0.0480,", "0.0525]", "m"]
+    assert lines["lambda_short"].split()[1:5] == ["0.300", "[0.288,", "0.315]", "1/m"]
+    assert lines["z_hit"].split()[1:5] == ["0.800", "[0.768,", "0.840]", "-"]
+
+
+def test_extensions_stand_only_where_they_are_in_use(case):
+    assert "range_offset" not in parameter_table(case.calibration)
+    assert "sigma_slope" not in parameter_table(case.calibration)
+    other = replace(case.calibration, parameters=replace(case.calibration.parameters, range_offset=0.03))
+    assert cells(parameter_table(other))["range_offset"].split()[1] == "0.0300"
+
+
+def test_a_held_parameter_is_marked_and_has_no_interval(case):
+    held = replace(case.calibration, options=CalibrationOptions(hold={"lambda_short": 0.3}))
+    assert cells(parameter_table(held))["lambda_short"].split()[2] == "held"
+
+
+def test_an_interval_that_is_not_finite_is_not_printed(case):
+    intervals = {**case.calibration.intervals.intervals, "z_short": (float("nan"), float("nan"))}
+    broken = replace(case.calibration, intervals=replace(case.calibration.intervals, intervals=intervals))
+    table = parameter_table(broken)
+    assert "not determined" in cells(table)["z_short"]
+    assert "nan" not in table
+
+
+@pytest.mark.parametrize(
+    ("half_width", "decimals"),
+    [(0.2, 3), (0.013, 3), (0.0023, 4), (0.00012, 5), (1e-9, 6), (0.0, 4), (float("nan"), 4)],
+)
+def test_digits_follow_the_uncertainty(half_width, decimals):
+    assert decimals_for(half_width) == decimals
+
+
+def test_a_zero_has_no_minus(case):
+    parameters = replace(case.calibration.parameters, range_offset=-1e-9)
+    rows = parameter_rows(replace(case.calibration, parameters=parameters))
+    assert next(row for row in rows if row.name == "range_offset").value == "0.0000"
+
+
+def test_scores_stand_in_nats_with_their_standard_errors(case):
+    table = score_table(case.calibration)
+    for score in case.calibration.scores:
+        line = next(line for line in table.splitlines() if line.startswith(score.name))
+        assert f"{score.log_likelihood:.4f} ± {score.standard_error:.4f}" in line
+    nav2 = case.calibration.scores[1]
+    assert f"{nav2.behind_fit:+.4f} ± {nav2.behind_fit_se:.4f}" in table
+    assert table.splitlines()[-1] == form_line(case.calibration)
+
+
+def test_columns_line_up(case):
+    lines = parameter_table(case.calibration).splitlines()
+    starts = [i for i in range(1, len(lines[1])) if lines[1][i - 1] == " " and lines[1][i] == "-"]
+    for line in lines[2:]:
+        assert all(line[i - 1] == " " for i in starts)
+
+
+def test_the_form_says_what_was_chosen_and_for_what_gain(case):
+    assert "none worth an extra parameter" in form_line(case.calibration)
+    first, second = case.calibration.candidates
+    chosen = (replace(first, chosen=False), replace(second, chosen=True, gain=0.25, gain_se=0.03))
+    text = form_line(replace(case.calibration, candidates=chosen))
+    assert "range offset" in text
+    assert "+0.2500 ± 0.0300" in text
+    assert "only one" in form_line(replace(case.calibration, candidates=(first,)))
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (1.25, 0.5, "1.2500 ± 0.5000"),
+        (1.25, np.nan, "1.2500"),
+        (-np.inf, np.nan, "-inf"),
+        (np.inf, np.nan, "+inf"),
+        (np.nan, 1.0, "unknown"),
+    ],
+)
+def test_unknown_errors_and_infinite_values_are_words(value, error, text):
+    assert plus_minus(value, error) == text

@@ -42,9 +42,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     model.add_argument("--unknown", choices=("skip", "free", "occupied"), default="skip",
                        help="rays that enter unknown cells: leave them out, pass, or stop (default: skip)")  # fmt: skip
     model.add_argument("--range-offset", choices=("auto", "on", "off"), default="auto",
-                       help="hits centred beside the expected range (default: if held-out likelihood asks)")  # fmt: skip
+                       help="hits beside the expected range (default: if held-out likelihood asks)")  # fmt: skip
     model.add_argument("--sigma-slope", choices=("auto", "on", "off"), default="auto",
-                       help="sigma grows with the expected range (default: if held-out likelihood asks)")  # fmt: skip
+                       help="sigma grows with range (default: if held-out likelihood asks)")  # fmt: skip
     model.add_argument("--hold", action="append", default=[], metavar="NAME=VALUE", help="hold a parameter; repeatable")
     model.add_argument("--block", type=float, metavar="S",
                        help="length of fit and held-out blocks (default: 20 s or less)")  # fmt: skip
@@ -71,6 +71,10 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
                        help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
     group.add_argument("--max-range", type=float, metavar="M", help="the sensor's limit, if the log is wrong about it")
     group.add_argument("--min-range", type=float, metavar="M", help="shortest range that counts")
+    group.add_argument("--stamps", choices=("file", "order"), default="file",
+                       help="text logs: the file's stamps, or scans numbered one second apart")  # fmt: skip
+    group.add_argument("--lone-poses", choices=("reference", "odometry"), default="reference",
+                       help="text logs with one pose per scan: what it is (default: reference)")  # fmt: skip
 
 
 def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -90,6 +94,8 @@ def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
         "no_return": no_return,
         "max_range": arguments.max_range,
         "min_range": arguments.min_range,
+        "stamps": arguments.stamps,
+        "lone_poses": arguments.lone_poses,
     }
 
 

@@ -1,0 +1,28 @@
+"""Run every benchmark and print its table: ``python benchmarks/run.py [NAME ...]``."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+import sys
+
+import numba
+import numpy
+
+BENCHMARKS = ("raycast", "beam_model", "learning")
+
+
+def main(names: list[str]) -> None:
+    """Run the named benchmarks, or all."""
+    print(
+        f"Python {platform.python_version()}, numpy {numpy.__version__}, numba {numba.__version__}, "
+        f"{platform.machine()}, {numba.config.NUMBA_NUM_THREADS} processors\n"
+    )
+    for name in names or BENCHMARKS:
+        print(f"## {name}\n", flush=True)
+        importlib.import_module(name).main()
+        print(flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

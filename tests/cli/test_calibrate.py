@@ -1,0 +1,288 @@
+"""The main job as a user runs it: by the content of what it prints and writes."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamfield.cli.main import main
+from beamfield.io.parameters import read_beam_model
+from beamfield.models.beam_parameters import BeamParameters
+
+FILES = ("beam_model.yaml", "calibration.json", "report.html")
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short simulated log with its map, as files."""
+    folder = tmp_path_factory.mktemp("world")
+    code = main([
+        "simulate", str(folder), "--overwrite", "--seed", "4", "--duration", "60", "--scan-rate", "4", "--beams", "61",
+        "--format", "both", "--quiet",
+    ])  # fmt: skip
+    assert code == 0
+    return folder
+
+
+@pytest.fixture
+def copy(world: Path, tmp_path: Path) -> Path:
+    """A copy of the world that a test may damage."""
+    target = tmp_path / "damaged"
+    shutil.copytree(world, target)
+    return target
+
+
+def calibrate(folder: Path, out: Path, *more: str) -> int:
+    return main([
+        "calibrate", str(folder / "log.carmen"), "--map", str(folder / "map.yaml"), "--out", str(out), "--quiet",
+        "--bootstrap", "40", *more,
+    ])  # fmt: skip
+
+
+def fails(capsys: pytest.CaptureFixture[str], code: int, expected: int = 1) -> str:
+    """Check that a command failed on one line without a traceback, and return the line."""
+    assert code == expected
+    captured = capsys.readouterr()
+    lines = captured.err.strip().splitlines()
+    assert len(lines) == 1, captured.err
+    assert lines[0].startswith("beamfield: error: ")
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def out(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result for the world."""
+    folder = tmp_path_factory.mktemp("result") / "out"
+    assert calibrate(world, folder) == 0
+    return folder
+
+
+class TestResult:
+    def test_three_files_are_written(self, out: Path):
+        assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
+
+    def test_the_yaml_holds_the_same_parameters_as_the_json(self, out: Path):
+        parameters, max_range = read_beam_model(out / "beam_model.yaml")
+        document = json.loads((out / "calibration.json").read_text())
+        for name, entry in document["parameters"].items():
+            assert getattr(parameters, name) == entry["value"]
+        assert max_range == 12.0
+
+    def test_the_provenance_names_inputs_by_hash_and_no_folder(self, out: Path, world: Path):
+        origin = json.loads((out / "calibration.json").read_text())["provenance"]
+        assert set(origin["inputs"]) == {"log", "map", "map image"}
+        assert origin["inputs"]["log"]["name"] == "log.carmen"
+        assert len(origin["inputs"]["map image"]["sha256"]) == 64
+        assert origin["seed"] == 0
+        for name in FILES:
+            assert str(world) not in (out / name).read_text()
+
+    def test_the_page_is_one_file_that_names_the_parameters(self, out: Path):
+        page = (out / "report.html").read_text()
+        assert page.count("<html") == 1
+        for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
+            assert name in page
+
+
+def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert calibrate(world, tmp_path / "out") == 0
+    text = capsys.readouterr().out
+    for words in ("scans used", "sigma_hit", "95 % interval", "nav2 defaults", "ROS 1 defaults", "uniform"):
+        assert words in text
+
+
+def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, tmp_path: Path):
+    assert calibrate(world, tmp_path / "text") == 0
+    code = main([
+        "calibrate", str(world / "bag"), "--map", str(world / "map.yaml"), "--out", str(tmp_path / "bag"), "--quiet",
+        "--bootstrap", "40",
+    ])  # fmt: skip
+    assert code == 0
+    text, bag = (read_beam_model(tmp_path / name / "beam_model.yaml")[0] for name in ("text", "bag"))
+    for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
+        # The bag's ranges are float32, the text's have a few digits.
+        assert getattr(text, name) == pytest.approx(getattr(bag, name), rel=5e-3, abs=1e-4), name
+
+
+def test_poses_come_from_a_file_if_one_is_given(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert calibrate(world, tmp_path / "out", "--poses", str(world / "truth.tum")) == 0
+    assert "reference pose from the given trajectory" in capsys.readouterr().out
+    origin = json.loads((tmp_path / "out" / "calibration.json").read_text())["provenance"]
+    assert origin["inputs"]["poses"]["name"] == "truth.tum"
+
+
+def test_a_held_parameter_and_a_fixed_form_are_respected(world: Path, tmp_path: Path):
+    code = calibrate(
+        world, tmp_path / "out", "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off", "--no-refine"
+    )
+    assert code == 0
+    parameters, _ = read_beam_model(tmp_path / "out" / "beam_model.yaml")
+    assert parameters.z_max == pytest.approx(0.1, abs=1e-12)
+    assert parameters.range_offset != 0.0
+    assert parameters.sigma_slope == 0.0
+
+
+class TestBadInput:
+    """Each: one line that names file, place and value; exit code 1, or 3 for too little data; nothing written."""
+
+    @pytest.fixture(autouse=True)
+    def nothing_is_written(self, tmp_path: Path):
+        yield
+        assert not (tmp_path / "out").exists()
+
+    def test_a_missing_log(self, copy, tmp_path, capsys):
+        (copy / "log.carmen").unlink()
+        assert "log.carmen" in fails(capsys, calibrate(copy, tmp_path / "out"))
+
+    def test_a_missing_map(self, copy, tmp_path, capsys):
+        (copy / "map.yaml").unlink()
+        assert "map.yaml" in fails(capsys, calibrate(copy, tmp_path / "out"))
+
+    def test_a_missing_image(self, copy, tmp_path, capsys):
+        (copy / "map.pgm").unlink()
+        assert "map.pgm" in fails(capsys, calibrate(copy, tmp_path / "out"))
+
+    def test_a_truncated_log(self, copy, tmp_path, capsys):
+        text = (copy / "log.carmen").read_text()
+        (copy / "log.carmen").write_text(text[: len(text) * 2 // 3])
+        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert f"log.carmen:{text[: len(text) * 2 // 3].count(chr(10)) + 1}" in line
+
+    def test_a_truncated_gzip(self, copy, tmp_path, capsys):
+        packed = gzip.compress((copy / "log.carmen").read_bytes())
+        (copy / "log.carmen").write_bytes(packed[: len(packed) // 2])
+        assert "log.carmen" in fails(capsys, calibrate(copy, tmp_path / "out"))
+
+    def test_a_log_of_another_kind(self, copy, tmp_path, capsys):
+        (copy / "log.carmen").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
+        assert "log.carmen" in fails(capsys, calibrate(copy, tmp_path / "out"))
+
+    def test_a_number_that_is_none(self, copy, tmp_path, capsys):
+        lines = (copy / "log.carmen").read_text().splitlines()
+        row = next(i for i, line in enumerate(lines) if line.startswith("FLASER") and i > 20)
+        words = lines[row].split()
+        words[7] = "4,5"
+        lines[row] = " ".join(words)
+        (copy / "log.carmen").write_text("\n".join(lines) + "\n")
+        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert f"log.carmen:{row + 1}" in line
+        assert "'4,5'" in line
+
+    def test_a_resolution_of_zero(self, copy, tmp_path, capsys):
+        self._change_map(copy, "resolution", "0.0")
+        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert "map.yaml" in line
+        assert "resolution" in line
+
+    def test_a_bomb_of_an_image(self, copy, tmp_path, capsys):
+        (copy / "map.pgm").write_bytes(b"P5\n900000 900000\n255\n" + bytes(100))
+        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert "map.pgm" in line
+        assert "900000" in line
+
+    def test_a_map_without_obstacles(self, copy, tmp_path, capsys):
+        header, pixels = (copy / "map.pgm").read_bytes().split(b"255\n", 1)
+        (copy / "map.pgm").write_bytes(header + b"255\n" + pixels.replace(b"\0", b"\xfe"))
+        assert "no occupied cell" in fails(capsys, calibrate(copy, tmp_path / "out"))
+
+    def test_a_log_that_lies_off_the_map(self, copy, tmp_path, capsys):
+        self._change_map(copy, "origin", "[500.0, 500.0, 0.0]")
+        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert "log.carmen" in line
+        assert "lie off the map" in line
+
+    def test_poses_that_are_nan(self, copy, tmp_path, capsys):
+        lines = (copy / "truth.tum").read_text().splitlines()
+        lines[5] = "102.0 nan 1 0 0 0 0 1"
+        (copy / "truth.tum").write_text("\n".join(lines) + "\n")
+        line = fails(capsys, calibrate(copy, tmp_path / "out", "--poses", str(copy / "truth.tum")))
+        assert "truth.tum:6" in line
+
+    def test_poses_of_another_day_leave_too_little_data(self, copy, tmp_path, capsys):
+        lines = (copy / "truth.tum").read_text().splitlines()
+        moved = [lines[0]] + [f"{float(x.split()[0]) + 1e6} {x.split(maxsplit=1)[1]}" for x in lines[1:]]
+        (copy / "truth.tum").write_text("\n".join(moved) + "\n")
+        line = fails(capsys, calibrate(copy, tmp_path / "out", "--poses", str(copy / "truth.tum")))
+        assert "pose" in line
+
+    def test_too_little_data_has_its_own_exit_code(self, copy, tmp_path, capsys):
+        lines = (copy / "log.carmen").read_text().splitlines()
+        scans = [line for line in lines if line.startswith("FLASER")]
+        rest = [line for line in lines if not line.startswith(("FLASER", "ODOM"))]
+        (copy / "log.carmen").write_text("\n".join(rest + scans[:6]) + "\n")
+        line = fails(capsys, calibrate(copy, tmp_path / "out"), 3)
+        assert "of 6 scans used" in line
+
+    def test_an_option_that_is_no_number(self, copy, tmp_path, capsys):
+        line = fails(capsys, calibrate(copy, tmp_path / "out", "--no-return", "many"))
+        assert "'many'" in line
+
+    def test_an_unknown_sensor(self, copy, tmp_path, capsys):
+        line = fails(capsys, calibrate(copy, tmp_path / "out", "--sensor", "REAR"))
+        assert "'REAR'" in line
+
+    def test_holding_a_parameter_that_does_not_exist(self, copy, tmp_path, capsys):
+        assert "z_foo" in fails(capsys, calibrate(copy, tmp_path / "out", "--hold", "z_foo=0.1"))
+
+    @staticmethod
+    def _change_map(folder: Path, key: str, value: str) -> None:
+        lines = (folder / "map.yaml").read_text().splitlines()
+        changed = [f"{key}: {value}" if line.startswith(f"{key}:") else line for line in lines]
+        assert changed != lines
+        (folder / "map.yaml").write_text("\n".join(changed) + "\n")
+
+
+def test_wrong_usage_has_exit_code_two(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["calibrate"])
+    assert stop.value.code == 2
+    assert "LOG" in capsys.readouterr().err
+
+
+def test_an_output_that_cannot_be_written_is_one_line(world, tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    line = fails(capsys, calibrate(world, tmp_path / "file"))
+    assert "file" in line
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_a_beam_model_file_reads_back_to_the_same_bits(tmp_path):
+    from beamfield.io.parameters import beam_model_text
+    from beamfield.sensors import RangeFinder
+
+    values = np.random.default_rng(1).dirichlet(np.ones(4))
+    parameters = BeamParameters(*values, 0.1 / 3, 2.0 / 3, -0.01 / 7, 1e-3 / 3)
+    finder = RangeFinder.from_bearings([0.0], 29.999999, name="/sc: an")
+    path = tmp_path / "beam_model.yaml"
+    path.write_text(beam_model_text(parameters, finder, intervals={"z_hit": (0.1, 0.2)}))
+    assert read_beam_model(path) == (parameters, 29.999999)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("z_hit: ", "z_hitt: ", "z_hit"),
+        ("sigma_hit: 0.5", "sigma_hit: -0.5", "sigma_hit"),
+        ("sigma_hit: 0.5", "sigma_hit: wide", "sigma_hit"),
+        ("z_rand: 0.25", "z_rand: 0.5", "expected 1"),
+        ("beam_model:", "model:", "beam_model"),
+    ],
+)
+def test_a_damaged_beam_model_file_names_file_and_field(tmp_path, old, new, words):
+    from beamfield.errors import FormatError
+    from beamfield.io.parameters import beam_model_text
+    from beamfield.sensors import RangeFinder
+
+    text = beam_model_text(
+        BeamParameters(0.25, 0.25, 0.25, 0.25, 0.5, 1.0), RangeFinder.from_bearings([0.0], 10.0, name="s")
+    )
+    assert old in text
+    path = tmp_path / "beam_model.yaml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(FormatError, match=rf"beam_model\.yaml.*{words}"):
+        read_beam_model(path)

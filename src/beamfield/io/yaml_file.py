@@ -82,12 +82,13 @@ class YamlFile:
         value = self.value(*place)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(f"expected a number, got {shorten(value)}", *place)
-        if not math.isfinite(value):
-            raise self.error(f"expected a finite number, got {value!r}", *place)
         try:
-            return float(value)
+            number = float(value)
         except OverflowError:
             raise self.error("expected a number, got one too large for floating point", *place) from None
+        if not math.isfinite(number):
+            raise self.error(f"expected a finite number, got {value!r}", *place)
+        return number
 
     def text(self, *place: str | int) -> str:
         """Return the text at a place.
@@ -206,7 +207,8 @@ def _construct_mapping(yaml: YAML, node: MappingNode, place: Place, lines: dict[
         line = key_node.start_mark.line + 1
         key = _construct_scalar(yaml, key_node, path) if isinstance(key_node, ScalarNode) else None
         if not isinstance(key, str):
-            raise FormatError(path, f"expected text as a key, got {shorten(key_node.value)}", line=line)
+            found = shorten(key_node.value) if isinstance(key_node, ScalarNode) else "a list or map"
+            raise FormatError(path, f"expected text as a key, got {found}", line=line)
         if key in values:
             raise FormatError(path, f"the key {key!r} is there twice", line=line)
         values[key] = _construct(yaml, value_node, (*place, key), lines, path)

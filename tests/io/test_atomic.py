@@ -1,0 +1,224 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from beamfield.errors import InvalidInputError
+from beamfield.io.atomic import atomic_file, atomic_files, atomic_folder, write_file
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+class Interrupt(Exception):
+    pass
+
+
+def test_a_file_appears_with_its_content_and_nothing_is_left_beside_it(tmp_path):
+    with atomic_file(tmp_path / "a.txt") as part:
+        part.write_text("new")
+        assert not (tmp_path / "a.txt").exists()
+    assert (tmp_path / "a.txt").read_text() == "new"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_the_temporary_name_keeps_the_suffix_because_writers_choose_the_format_by_it(tmp_path):
+    with atomic_file(tmp_path / "picture.png") as part:
+        assert part.suffix == ".png"
+        assert part.parent == tmp_path
+        part.write_bytes(b"x")
+
+
+@pytest.mark.parametrize("error", [Interrupt, KeyboardInterrupt])
+def test_an_error_leaves_the_old_file_as_it_was(tmp_path, error):
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def write() -> None:
+        with atomic_file(target) as part:
+            part.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        write()
+    assert target.read_text() == "old"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_a_killed_writer_leaves_the_old_file_as_it_was(tmp_path):
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    program = (
+        "import os, signal, sys\n"
+        "from beamfield.io.atomic import atomic_file\n"
+        "with atomic_file(sys.argv[1]) as part:\n"
+        "    part.write_text('half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(target)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert target.read_text() == "old"
+
+
+def test_new_files_honour_the_umask_and_old_files_keep_their_permissions(tmp_path):
+    old = tmp_path / "old.txt"
+    old.write_text("old")
+    old.chmod(0o640)
+    before = os.umask(0o027)
+    try:
+        write_file(tmp_path / "new.txt", "new")
+        write_file(old, "changed")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "new.txt").stat().st_mode & 0o777 == 0o640
+    assert old.stat().st_mode & 0o777 == 0o640
+    old.chmod(0o604)
+    write_file(old, "again")
+    assert old.stat().st_mode & 0o777 == 0o604
+
+
+def test_a_link_stays_a_link_and_its_target_is_replaced(tmp_path):
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to("real.txt")
+    write_file(tmp_path / "link.txt", "new")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "real.txt").read_text() == "new"
+
+
+def test_text_is_written_as_utf8_and_bytes_as_they_are(tmp_path):
+    write_file(tmp_path / "a", "Å\n")
+    write_file(tmp_path / "b", b"\xff\r\n")
+    assert (tmp_path / "a").read_bytes() == b"\xc3\x85\n"
+    assert (tmp_path / "b").read_bytes() == b"\xff\r\n"
+
+
+def test_a_block_that_writes_nothing_is_an_error(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"a\.txt.*not created"), atomic_file(tmp_path / "a.txt"):
+        pass
+    assert names(tmp_path) == []
+
+
+def test_a_folder_a_device_or_a_missing_folder_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(IsADirectoryError):
+        write_file(tmp_path, "x")
+    with pytest.raises(FileNotFoundError):
+        write_file(tmp_path / "none" / "a.txt", "x")
+    with pytest.raises(InvalidInputError, match="regular file"):
+        write_file(os.devnull, "x")
+    assert names(tmp_path) == []
+
+
+def test_files_that_belong_together_come_together_or_not_at_all(tmp_path):
+    (tmp_path / "b").write_text("old")
+
+    def write() -> None:
+        with atomic_files([tmp_path / "a", tmp_path / "b"]) as (a, _b):
+            a.write_text("new")  # and the second file is never written
+
+    with pytest.raises(InvalidInputError, match="not created"):
+        write()
+    assert names(tmp_path) == ["b"]
+    with atomic_files([tmp_path / "a", tmp_path / "b"]) as (a, b):
+        a.write_text("1")
+        b.write_text("2")
+    assert [(tmp_path / n).read_text() for n in names(tmp_path)] == ["1", "2"]
+
+
+def test_a_rename_that_fails_puts_the_renamed_files_back(tmp_path, monkeypatch):
+    (tmp_path / "a").write_text("old a")
+    replace = Path.replace
+
+    def fail_on_c(self: Path, target: Path) -> Path:
+        if Path(target).name == "c":
+            raise OSError(28, "No space left on device")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", fail_on_c)
+
+    def write() -> None:
+        with atomic_files([tmp_path / n for n in "abc"]) as parts:
+            for part in parts:
+                part.write_text("new")
+
+    with pytest.raises(OSError, match="No space"):
+        write()
+    assert names(tmp_path) == ["a"]
+    assert (tmp_path / "a").read_text() == "old a"
+
+
+def test_a_new_folder_appears_whole_with_its_parents(tmp_path):
+    with atomic_folder(tmp_path / "x" / "y" / "out") as folder:
+        (folder / "a").write_text("1")
+        (folder / "sub").mkdir()
+        (folder / "sub" / "b").write_text("2")
+        assert not (tmp_path / "x" / "y" / "out").exists()
+    out = tmp_path / "x" / "y" / "out"
+    assert (out / "a").read_text() + (out / "sub" / "b").read_text() == "12"
+    assert names(out.parent) == ["out"]
+
+
+def test_an_error_leaves_no_folder_and_no_parents_behind(tmp_path):
+    def write() -> None:
+        with atomic_folder(tmp_path / "x" / "y" / "out") as folder:
+            (folder / "a").write_text("1")
+            raise Interrupt
+
+    with pytest.raises(Interrupt):
+        write()
+    assert names(tmp_path) == []
+
+
+def test_an_existing_folder_keeps_the_files_that_are_not_ours(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "thesis.tex").write_text("precious")
+    (out / "a").write_text("old")
+    with atomic_folder(out) as folder:
+        (folder / "a").write_text("new")
+        (folder / "sub").mkdir()
+        (folder / "sub" / "b").write_text("2")
+    assert names(out) == ["a", "sub", "thesis.tex"]
+    assert (out / "a").read_text() == "new"
+    assert (out / "thesis.tex").read_text() == "precious"
+    assert names(tmp_path) == ["out"]
+
+
+def test_an_error_leaves_an_existing_folder_as_it_was(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "a").write_text("old")
+    replace = Path.replace
+
+    def fail_on_z(self: Path, target: Path) -> Path:
+        if Path(target).name == "z":
+            raise OSError(28, "No space left on device")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", fail_on_z)
+
+    def write() -> None:
+        with atomic_folder(out) as folder:
+            (folder / "a").write_text("new")
+            (folder / "sub").mkdir()
+            (folder / "sub" / "z").write_text("2")
+
+    with pytest.raises(OSError, match="No space"):
+        write()
+    assert names(tmp_path) == ["out"]
+    assert names(out) == ["a"]
+    assert (out / "a").read_text() == "old"
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(NotADirectoryError), atomic_folder(tmp_path / "out"):
+        pytest.fail("the block must not run")
+    assert names(tmp_path) == ["out"]

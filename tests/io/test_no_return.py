@@ -69,6 +69,12 @@ def test_the_far_wall_of_a_robot_that_stands_still_is_no_code():
     assert resolve_no_return(z).policy.origin == "none"
 
 
+def test_coarse_steps_are_no_codes(rng):
+    # In steps of a metre every value is frequent, also the largest.
+    z = rng.integers(1, 10, (100, 50)).astype(float)
+    assert resolve_no_return(z).policy.origin == "none"
+
+
 def test_readings_of_one_value_only_are_no_codes():
     assert resolve_no_return(np.full((100, 10), 3.0)).policy.origin == "none"
 

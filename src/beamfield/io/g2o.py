@@ -86,7 +86,8 @@ def _parse_scan(
     if not np.isfinite(head[:3]).all():
         raise FormatError(path, f"expected finite angles, got {head[:3].tolist()}", line=line, field=kind)
     ranges = parse_numbers(path, line, words[9 : 9 + n], kind)
-    poses = finite_pose(path, line, parse_numbers(path, line, words[10 + n + m : 16 + n + m], kind), kind)
+    poses = parse_numbers(path, line, words[10 + n + m : 16 + n + m], kind)
+    poses = np.concatenate([finite_pose(path, line, poses[:3], kind), finite_pose(path, line, poses[3:], kind)])
     stamps = parse_numbers(path, line, (words[-3], words[-1]), kind)
     return head, ranges, poses, (float(stamps[0]), float(stamps[1]))
 

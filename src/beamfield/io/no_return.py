@@ -18,6 +18,7 @@ NoReturnRule = Literal["detect", "none"] | tuple[float, ...]
 # 32.759 ... 32.767 m) are 40 to 10,000 times as frequent as the values in the tenth below them, and lie within 0.3 %.
 CODE_SPREAD = 0.002  # relative distance below the most frequent code in which further codes lie
 CONTRAST = 30.0  # how much more frequent than the values below it a code must be
+VALUES_BELOW = 10
 SHARE_OF_OUTLIERS = 1e-4  # of the readings may lie beyond the codes
 FREQUENT_ZEROS = 0.01
 # A limit that a parameter file declares is not believed when more than this share of the readings contradict it.
@@ -61,7 +62,7 @@ def resolve_no_return(
     1. Readings that reach the limit (`max_range`, else `declared_max` unless more than `CONTRADICTING_SHARE` of the
        readings are ordinary ones beyond it) are no return.
     2. "detect" looks for *codes*: the most frequent value in the top tenth of the readings, and its neighbours within
-       0.2 %, if it is `CONTRAST` times as frequent as the values of the tenth below it. Without a limit from (1) the
+       0.2 %, if it is `CONTRAST` times as frequent as the values next below it. Without a limit from (1) the
        smallest code is the limit.
     3. "detect" takes zeros as no return if at least 1 % of the readings are 0 and nothing else means "no return".
     4. Without any limit so far, it is set just beyond the largest reading, and a note says so.
@@ -141,8 +142,10 @@ def _find_codes(z: FloatArray) -> tuple[float, ...]:
     in_reach = values >= 0.9 * top
     peak = int(np.argmax(np.where(in_reach, counts, 0)))
     lowest = values[peak] * (1.0 - CODE_SPREAD)
-    below = counts[(values >= 0.9 * values[peak]) & (values < lowest)]
-    # The 90 % quantile, because a second code (or a beam that is stuck) below must not hide the first.
+    # The values of the tenth below, or the next ones where that is (almost) empty.
+    first, end = (int(i) for i in np.searchsorted(values, (0.9 * values[peak], lowest)))
+    below = counts[max(0, min(first, end - VALUES_BELOW)) : end]
+    # Their 90 % quantile, because a second code (or a beam that is stuck) below must not hide the first.
     ordinary = max(1.0, float(np.quantile(below, 0.9))) if below.size else 1.0
     enough = max(10.0, SHARE_OF_OUTLIERS * z.size)
     # Data of one value only: it may be a wall, there is nothing to compare it with.

@@ -158,8 +158,18 @@ def test_an_unknown_topic_and_one_of_another_type(tmp_path):
 def test_frames_that_do_not_connect(tmp_path):
     bag = MiniBag().tf("odom", "base_link", 1.0).tf("tower", "laser", 1.0, static=True).scan(1.0)
     path = bag.write(tmp_path)
-    refuse(path, r"'base_link'.*'laser'; the log has \{'odom', 'base_link'\}; \{'tower', 'laser'\}")
+    refuse(path, r"'base_link' .*'laser' of /scan; the log has \{'odom', 'base_link'\}; \{'tower', 'laser'\}")
     refuse(path, "'base_link' and 'laser'", base_frame="base_link")
+
+
+def test_only_the_sensors_without_a_chain_are_named(tmp_path):
+    bag = MiniBag().tf("base_link", "laser", 1.0, static=True).scan(1.0).scan(1.0, topic="/depth", frame="camera")
+    path = bag.write(tmp_path)
+    text = refuse(path, "'base_link' and the sensor's frame 'camera' of /depth")
+    assert "/scan" not in text
+    assert list(read_bag(path, sensor_topic="/scan").sensors) == ["/scan"]
+    path = MiniBag().tf("chassis", "mast", 1.0).scan(1.0).write(tmp_path, "other")
+    refuse(path, "no frame base_link or base_footprint.*'laser' of /scan.*{'chassis', 'mast'}")
 
 
 def test_a_map_frame_that_is_not_there_or_does_not_connect(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.geometry import between, compose
+from beamfield.io.read_log import read_log
 from beamfield.io.rosbag import read_bag
 
 pytestmark = pytest.mark.real
@@ -134,6 +135,19 @@ def test_the_mcap_has_the_numbers_of_the_text_that_it_was_made_from(data):
     turn = angles(found[:, 2] - expected[2])
     assert gap.max() < 1e-6
     assert turn.max() < 1e-6
+
+
+def test_the_mcap_and_the_text_give_the_same_log(data):
+    bag, text = read_log(data / "derived_wean_mcap" / "bag"), read_log(data / "wean_hall" / "robotdata1.log.gz")
+    in_bag, in_text = bag.only_sensor(), text.only_sensor()
+    assert np.allclose(in_bag.stamps - 1e9, in_text.stamps, atol=1e-6)
+    assert np.allclose(in_bag.finder.mounts, in_text.finder.mounts, atol=1e-6)
+    assert in_bag.finder.max_range == pytest.approx(in_text.finder.max_range, abs=0.01)
+    silent = np.isposinf(in_text.ranges)
+    assert np.array_equal(in_bag.ranges >= in_bag.finder.max_range, silent)
+    assert np.abs(in_bag.ranges - in_text.ranges)[~silent].max() < 4e-6
+    assert np.allclose(bag.odometry.stamps - 1e9, text.odometry.stamps, atol=1e-6)
+    assert np.allclose(bag.odometry.poses, text.odometry.poses, atol=1e-9)
 
 
 def test_a_laser_at_its_mount_sees_what_the_chain_of_frames_says(data):

@@ -103,18 +103,28 @@ def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> st
         return base
     children = [topic.child for topic in content.pose_topics.values() if topic.child]
     named = [f for f in frames.frames if f.rsplit("/", 1)[-1] in BASE_FRAMES]
-    candidates = list(dict.fromkeys([*BASE_FRAMES, *children, *named]))
+    candidates = [f for f in dict.fromkeys([*BASE_FRAMES, *children, *named]) if f in frames]
     for candidate in candidates:
-        if candidate in frames and all(frames.connected(candidate, s) for s in sensor_frames):
+        if all(frames.connected(candidate, s) for s in sensor_frames):
             return candidate
     if not sensor_frames:
         return ""
-    wanted = ", ".join(repr(f) for f in dict.fromkeys(sensor_frames))
-    tried = ", ".join(repr(f) for f in candidates)
-    raise FormatError(
+    raise _unconnected(content, candidates, sensor_frames)
+
+
+def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list[str]) -> FormatError:
+    """Return the error for sensors that no frame of the robot reaches, with those that the best one lacks."""
+    frames = content.frames
+    reached = [[f for f in sensor_frames if frames.connected(c, f)] for c in candidates]
+    best = max(range(len(candidates)), key=lambda i: len(reached[i]), default=None)
+    robot = "the robot (no frame base_link or base_footprint)" if best is None else f"the robot {candidates[best]!r}"
+    known = [] if best is None else reached[best]
+    lost = [s for s in content.scans if strip_slash(s.frame) in sensor_frames and strip_slash(s.frame) not in known]
+    sensors = ", ".join(f"{strip_slash(s.frame)!r} of {s.topic}" for s in lost)
+    return FormatError(
         content.path,
-        f"no chain of transforms connects the robot (tried the frames {tried}) and the sensor's frame {wanted}; "
-        f"the log has {frames.describe()}; name the robot's frame, or give the sensor's mount",
+        f"no chain of transforms connects {robot} and the sensor's frame {sensors}; the log has {frames.describe()}; "
+        "choose other topics, name the robot's frame, or give the sensor's mount",
     )
 
 

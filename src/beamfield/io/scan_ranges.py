@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.laser_scan import LaserScans
-from beamfield.io.no_return import NoReturnRule, ResolvedRanges, resolve_no_return
+from beamfield.io.no_return import NoReturnRule, ResolvedRanges
 from beamfield.sensors import NoReturnPolicy
 
 FREQUENT = 0.01  # share of all readings from which a special value counts as the sensor's way to say "no return"
 RARE = 0.001  # share up to which the ways of REP 117 do not count as the sensor's own
+CONTRAST = 10.0  # how much more frequent than its neighbours a value must be that is no measurement
+ENOUGH = 20
 
 
 def resolve_limits(
@@ -56,8 +58,9 @@ def resolve_scan_ranges(
     in which less than `RARE` of the readings say "no return" in those ways:
 
     1. zeros, if they are at least `FREQUENT`;
-    2. values at the top end that are far too frequent to be measurements (`resolve_no_return`). They are the sensor's
-       true limit then, unless the user gives one.
+    2. one value below max_range that is the greatest of all and `CONTRAST` times as frequent as any other in the tenth
+       below it. It is the sensor's true limit then, unless the user gives one. Drivers write one value; a far wall in
+       front of a robot that stands is frequent too, but its noise spreads it over neighbouring values.
 
     A zero that is not explained so is no range: it becomes NaN if min_range is 0 (else it is too close anyway).
 
@@ -94,11 +97,23 @@ def resolve_scan_ranges(
         if float(zero.mean()) >= FREQUENT:
             why = "are 0, and nothing else says that nothing came back"
             return _converted(ranges, max_range, zero, (0.0,), "detected", why)
-        limit = {"max_range" if limit_given else "declared_max": max_range}
-        found = resolve_no_return(ranges, rule="detect", **limit)
-        if found.policy.origin == "detected":
-            return found
+        code = _find_repeated_maximum(ranges)
+        if code is not None:
+            why = f"are exactly {code:.6g} m, the greatest value and far more frequent than those below it"
+            return _converted(ranges, max_range if limit_given else code, ranges == code, (code,), "detected", why)
     return _declared(ranges, min_range, max_range, declared, zero)
+
+
+def _find_repeated_maximum(ranges: FloatArray) -> float | None:
+    """Return the greatest value if it is repeated as no measurement is."""
+    readings = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    top = float(readings.max(initial=0.0))
+    near, counts = np.unique(readings[readings >= 0.9 * top], return_counts=True)
+    # Where nothing else is near, or at all, the value may be a wall: there is nothing to compare it with.
+    if len(counts) == 0 or counts[-1] == len(readings):
+        return None
+    others = counts[:-1].max(initial=1)
+    return top if counts[-1] >= max(ENOUGH, 2 * RARE * ranges.size, CONTRAST * others) else None
 
 
 def _given(ranges: FloatArray, max_range: float, values: tuple[float, ...]) -> ResolvedRanges:

@@ -1,0 +1,106 @@
+"""Redraw the pictures of the documentation from the simulated demo: ``python docs/make_figures.py``."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
+from beamfield.calibration.evaluation import likely_causes
+from beamfield.cli.main import main as beamfield
+from beamfield.geometry import compose, transform_points
+from beamfield.io.read_log import read_log
+from beamfield.io.read_map import read_map
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import beam_log_density
+from beamfield.sensors import SensorLog
+
+HERE = Path(__file__).parent
+CAUSES = (("hit", "#0072b2"), ("short", "#d55e00"), ("max", "#009e73"), ("rand", "#cc79a7"))
+EXPECTED = 3.0
+
+
+def main() -> None:
+    """Draw every picture."""
+    matplotlib.rcParams["svg.hashsalt"] = "beamfield"
+    with tempfile.TemporaryDirectory() as folder:
+        beamfield(["demo", "--out", folder, "--quiet"])
+        world = Path(folder) / "world"
+        log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
+    result = calibrate(log, grid, CalibrationOptions(n_bootstrap=20, refine=False))
+    (HERE / "images").mkdir(exist_ok=True)
+    figure = readme_picture(result, grid, log)
+    figure.savefig(HERE / "images" / "demo.svg", metadata={"Date": None}, bbox_inches="tight")
+
+
+def readme_picture(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> Figure:
+    """Draw what the demo finds: one scan in the map by cause, and readings with the fitted density."""
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.75, 1))
+    draw_scan_in_map(left, result, grid, log)
+    draw_readings(right, result)
+    return figure
+
+
+def draw_scan_in_map(axes, result: Calibration, grid: OccupancyGrid, log: SensorLog) -> None:
+    rows, cols = grid.shape
+    (x0, y0), (x1, y1) = grid.to_map([[0, 0], [cols, rows]])
+    shade = np.full((rows, cols), 0.86)
+    shade[grid.free], shade[grid.occupied] = 1.0, 0.25
+    axes.imshow(shade, origin="lower", extent=(x0, x1, y0, y1), cmap="gray", vmin=0, vmax=1, interpolation="none")
+    axes.plot(log.poses[:, 0], log.poses[:, 1], color="0.55", lw=0.8)
+    # The scan that sees most of the building.
+    scan = int(np.argmax(np.bincount(result.table.scan, weights=result.table.expected_ranges)))
+    table = result.table.select(result.table.scan == scan)
+    cause = likely_causes(table, result.parameters)
+    rays = compose(log.poses[scan], log.finder.mounts[table.beam])
+    drawn = np.where(cause == 2, table.expected_ranges, table.ranges)
+    ends = transform_points(rays, np.column_stack([drawn, np.zeros(len(drawn))]))
+    for number, (name, color) in enumerate(CAUSES):
+        chosen = cause == number
+        for start, end in zip(rays[chosen, :2], ends[chosen], strict=True):
+            axes.plot([start[0], end[0]], [start[1], end[1]], color=color, lw=0.4, alpha=0.35)
+        axes.plot(ends[chosen, 0], ends[chosen, 1], "o", ms=2.5, color=color, label=f"{name} ({chosen.sum()})")
+    axes.plot(*log.poses[scan, :2], "k^", ms=5)
+    axes.set(xlabel="x [m]", ylabel="y [m]", title="one scan in the map: each beam's most likely cause")
+    axes.legend(loc="upper right", fontsize=8, framealpha=0.95)
+    axes.set_xlim(x0 + 0.5, x1 - 0.5)
+    axes.set_ylim(y0 + 0.5, y1 - 0.5)
+
+
+def draw_readings(axes, result: Calibration) -> None:
+    table, limit = result.table, result.table.max_range
+    near = np.abs(table.expected_ranges - EXPECTED) < 0.1
+    z, expected = table.ranges[near], table.expected_ranges[near]
+    edges = np.concatenate([np.arange(0.0, 2.6, 0.2), np.arange(2.6, 3.4, 0.02), np.arange(3.4, limit + 0.1, 0.2)])
+    counts, _ = np.histogram(z[z < limit], edges)
+    axes.stairs(counts / len(z) / np.diff(edges), edges, fill=True, color="0.8", label=f"{len(z)} readings")
+    grid_z = np.concatenate([np.linspace(0.01, 2.5, 120), np.linspace(2.5, 3.5, 250), np.linspace(3.5, limit, 90)[:-1]])
+    sample = expected[:: max(1, len(expected) // 400)]
+    density = np.exp(beam_log_density(grid_z[None, :], sample[:, None], limit, result.parameters)).mean(axis=0)
+    axes.plot(grid_z, density, color="#0072b2", lw=1.5, label="fitted density")
+    share = (z >= limit).mean()
+    axes.plot(
+        [limit],
+        [share],
+        "D",
+        color="#009e73",
+        ms=5,
+        label=f"no return: {share:.1%} (fit {result.parameters.z_max:.1%})",
+    )
+    axes.set(
+        yscale="log",
+        xlabel="measured range z [m]",
+        ylabel="density [1/m]",
+        title=f"readings where z* is {EXPECTED:g} m",
+    )
+    axes.set_ylim(2e-3, 30)
+    axes.legend(fontsize=8)
+
+
+if __name__ == "__main__":
+    main()

@@ -16,7 +16,8 @@ from beamfield.sensors import NoReturnPolicy
 FREQUENT = 0.01  # share of all readings from which a special value counts as the sensor's way to say "no return"
 RARE = 0.001  # share up to which the ways of REP 117 do not count as the sensor's own
 CONTRAST = 10.0  # how much more frequent than its neighbours a value must be that is no measurement
-ENOUGH = 20
+NEIGHBOURS = 10  # different values to compare with
+ENOUGH = 20  # readings
 
 
 def resolve_limits(
@@ -108,12 +109,16 @@ def _find_repeated_maximum(ranges: FloatArray) -> float | None:
     """Return the greatest value if it is repeated as no measurement is."""
     readings = ranges[np.isfinite(ranges) & (ranges > 0.0)]
     top = float(readings.max(initial=0.0))
-    near, counts = np.unique(readings[readings >= 0.9 * top], return_counts=True)
-    # Where nothing else is near, or at all, the value may be a wall: there is nothing to compare it with.
-    if len(counts) == 0 or counts[-1] == len(readings):
-        return None
-    others = counts[:-1].max(initial=1)
-    return top if counts[-1] >= max(ENOUGH, 2 * RARE * ranges.size, CONTRAST * others) else None
+    # The tenth below, or more where that is almost empty: a simulated robot that stands repeats every range it sees.
+    counts = np.empty(0, dtype=np.int64)
+    for nearest in (0.9 * top, 0.5 * top, 0.0):
+        counts = np.unique(readings[readings >= nearest], return_counts=True)[1]
+        if len(counts) > NEIGHBOURS:
+            break
+    if len(counts) < 2:
+        return None  # one value only: it may be a wall, there is nothing to compare it with
+    enough = max(ENOUGH, 2 * RARE * ranges.size, CONTRAST * counts[:-1].max())
+    return top if counts[-1] >= enough else None
 
 
 def _given(ranges: FloatArray, max_range: float, values: tuple[float, ...]) -> ResolvedRanges:

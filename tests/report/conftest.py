@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -184,9 +183,3 @@ def _intervals(truth: BeamParameters) -> IntervalResult:
         n_blocks=9,
         findings=(),
     )
-
-
-@pytest.fixture(autouse=True)
-def _no_home_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports must not depend on the time zone."""
-    monkeypatch.setitem(os.environ, "TZ", "Pacific/Auckland")

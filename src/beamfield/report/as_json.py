@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from beamfield import __version__
-from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.calibrate import Calibration, Candidate
 from beamfield.calibration.selection import Selection
 from beamfield.models.beam_density import CAUSES
 from beamfield.models.beam_parameters import BeamParameters
@@ -89,7 +89,7 @@ def _parameters(calibration: Calibration) -> dict[str, Any]:
     return table
 
 
-def _candidate(candidate: Any) -> dict[str, Any]:
+def _candidate(candidate: Candidate) -> dict[str, Any]:
     document: dict[str, Any] = plain(candidate)
     # The chosen candidate's trace stands under "learning"; the others' say nothing more.
     document["result"].pop("trace", None)

@@ -46,9 +46,9 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     shares = np.bincount(calibration.causes[~table.hits_nothing], minlength=4) / max(
         int((~table.hits_nothing).sum()), 1
     )
-    sizes, alphas, markers = (1.2, 4.0, 5.0, 4.0), (0.6, 0.7, 0.7, 0.8), ("o", "o", "^", "s")
-    # From below to above; hits cover the missing returns of a wall that is mostly seen.
-    for order, cause in enumerate((2, 0, 3, 1)):
+    sizes, alphas, markers = (1.2, 4.0, 3.0, 4.0), (0.6, 0.7, 0.6, 0.8), ("o", "o", "^", "s")
+    # From below to above.
+    for order, cause in enumerate((0, 2, 3, 1)):
         mine = causes == cause
         axes.scatter(
             points[mine, 0],
@@ -191,5 +191,7 @@ def _frame(axes: Axes, limits: tuple[float, float, float, float], *, with_legend
     axes.set_ylim(limits[2], limits[3])
     axes.set_aspect("equal")
     style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")
+    # Off the map nothing is known either.
+    axes.set_facecolor(MAP_COLOURS[1])
     if with_legend:
         legend_above(axes)

@@ -104,7 +104,7 @@ def _mixture_panel(expected: float, parameters: BeamParameters, max_range: float
     right.set_xlim(-0.6, 0.6)
     right.set_ylim(0, max(1.3 * parameters.z_max, 0.01))
     right.set_xticks([0], [f"{max_range:.4g}"])
-    style(right, x="max [m]", y="probability [1]", grid="y")
+    style(right, x="z [m]", y="probability [1]", grid="y")
     right.annotate(f"{parameters.z_max:.1%}", (0, parameters.z_max), xytext=(0, 3), textcoords="offset points",
                    ha="center", fontsize=8)  # fmt: skip
     weights = ", ".join(f"{name} {weight:.3f}" for name, weight in zip(CAUSE_NAMES, parameters.weights, strict=True))

@@ -76,8 +76,8 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
         "Which form of the hit component",
         (svg_panel(figure, "candidates", alt, wide=True),),
         f"{form_line(calibration)} A range offset lets hits lie beside the expected range (walls drawn too thick or "
-        "too thin); a sigma slope lets the noise grow with range. The filled dot is the form that was kept: the "
-        "simplest whose held-out gain is more than its noise.",
+        "too thin); a sigma slope lets the noise grow with range. The filled dot is the form that was kept: a "
+        f"further parameter must gain {LEAST_GAIN:g} nats per held-out beam and twice the standard error.",
         "Section 6.3.2; Figure 6.6 (narrower peaks at shorter range)",
     )
 

@@ -1,0 +1,115 @@
+"""Wean Hall's .dat maps."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.wean_map import read_wean_map
+
+HEADER = (
+    "robot_specifications->global_mapsize_x   30\n"
+    "robot_specifications->resolution         10\n"
+    "robot_specifications->autoshifted_x      0\n"
+    "\n"
+)
+# Two lines, so two cells in x; three numbers each, so three in y. The value is the probability of being free.
+CELLS = "global_map[0]: 2 3\n1.000 0.789 -1.000\n0.000 0.100 0.5 \n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_it(content: str | bytes, name: str = "a.dat"):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write_it
+
+
+def test_lines_are_x_numbers_are_y_and_values_are_free(write):
+    grid = read_wean_map(write(HEADER + CELLS))
+    expected = np.array([[0.0, 1.0], [1 - 0.789, 0.9], [np.nan, 0.5]]).astype(np.float32)
+    np.testing.assert_array_equal(grid.probability, expected)
+    assert grid.resolution == 0.1
+    assert grid.origin.tolist() == [0.0, 0.0, 0.0]
+    # The point x = 0.15 m, y = 0.05 m: second line, first number.
+    assert grid.look_up(grid.occupied, [0.15, 0.05])
+
+
+def test_a_compressed_file_is_the_same_whatever_its_name(write):
+    plain = read_wean_map(write(HEADER + CELLS))
+    for name in ("b.dat.gz", "b.dat"):
+        packed = read_wean_map(write(gzip.compress((HEADER + CELLS).encode()), name))
+        np.testing.assert_array_equal(packed.probability, plain.probability)
+
+
+def test_windows_line_ends_and_a_last_line_without_end_are_read(write):
+    text = (HEADER + CELLS).rstrip("\n").replace("\n", "\r\n")
+    assert read_wean_map(write(text)).shape == (3, 2)
+
+
+def test_thresholds_are_the_callers(write):
+    grid = read_wean_map(write(HEADER + CELLS), occupied_thresh=0.95, free_thresh=0.1)
+    assert grid.occupied.sum() == 1
+    assert grid.free.sum() == 1
+    with pytest.raises(InvalidInputError, match="thresholds"):
+        read_wean_map(write(HEADER + CELLS), occupied_thresh=0.1, free_thresh=0.5)
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "message"),
+    [
+        ("", 1, "got the end of the file"),
+        ("hello\n", 1, r"got b'hello\n'"),
+        (HEADER, 5, "got the end of the file"),
+        (CELLS, 1, "expected 'robot_specifications->resolution' before the map"),
+        (HEADER.replace("10\n", "ten\n") + CELLS, 2, "resolution: expected a number, got b'ten'"),
+        (HEADER.replace("10\n", "nan\n") + CELLS, 2, "resolution: expected a number, got b'nan'"),
+        (HEADER.replace("10\n", "0\n") + CELLS, None, "resolution: expected a positive number of centimetres, got 0.0"),
+        (HEADER.replace("10\n", "-5\n") + CELLS, None, "got -5.0"),
+        (HEADER.replace("     0\n", "     50\n") + CELLS, None, "autoshifted_x: expected a map that is not shifted"),
+        (HEADER + "global_map[0]: 0 3\n", 5, "expected a map with cells, got 0 x 3"),
+        (HEADER + "global_map[0]: 99999 99999\n", 5, "99999 x 99999 cells are more than the limit of 400000000"),
+        (HEADER + CELLS.replace("2 3", "3 3"), 8, "truncated: expected 3 lines of numbers, got 2"),
+        (HEADER + CELLS.replace("2 3", "1 3"), 7, "expected 1 lines of numbers, got more: b'0.000"),
+        (HEADER + CELLS.replace("2 3", "2 4"), 6, "expected 4 numbers, got 3"),
+        (HEADER + CELLS.replace("0.789", "x"), 6, "expected a number, got b'x'"),
+        (HEADER + CELLS.replace("0.5", "nan"), 7, "expected -1 or a probability in [0, 1], got b'nan'"),
+        (HEADER + CELLS.replace("0.5", "1.5"), 7, "got b'1.5'"),
+        (HEADER + CELLS.replace("0.5", "-0.5"), 7, "got b'-0.5'"),
+        ("\n" * 200, None, "within 100 lines"),
+    ],
+)
+def test_a_damaged_map_is_named_with_its_line(write, content, line, message):
+    path = write(content)
+    with pytest.raises(FormatError) as caught:
+        read_wean_map(path)
+    assert caught.value.line == line
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_gzip_file_is_named(write):
+    packed = gzip.compress((HEADER + CELLS).encode())
+    no_such_block = packed[:10] + b"\xff" + packed[11:]
+    wrong_checksum = packed[:-8] + b"\0\0\0\0" + packed[-4:]
+    for content in (packed[:-12], packed[:5], no_such_block, wrong_checksum):
+        with pytest.raises(FormatError, match=r"a\.dat: damaged gzip file"):
+            read_wean_map(write(content))
+
+
+def test_the_limit_of_cells_can_be_set(write):
+    with pytest.raises(FormatError, match="2 x 3 cells are more than the limit of 5"):
+        read_wean_map(write(HEADER + CELLS), max_cells=5)
+    with pytest.raises(InvalidInputError, match="max_cells"):
+        read_wean_map(write(HEADER + CELLS), max_cells=0)
+
+
+def test_a_file_of_one_endless_line_is_refused_without_reading_it_all(write):
+    packed = gzip.compress((HEADER + "global_map[0]: 2 3\n").encode() + b"0 " * 10_000_000)
+    with pytest.raises(FormatError, match="expected 3 numbers, got 49"):
+        read_wean_map(write(packed))

@@ -284,6 +284,12 @@ def test_a_far_wall_with_noise_is_not_taken_for_no_return(rng, tmp_path):
         assert scans_of(tmp_path / str(step), ranges).no_return.origin == "none"
 
 
+def test_a_sensor_that_only_says_too_close_has_no_special_value(rng, tmp_path):
+    ranges = rng.uniform(0.01, 0.09, (100, 20)).astype(np.float32)
+    ranges[:, :10] = 0.095
+    assert scans_of(tmp_path, ranges).no_return.origin == "none"
+
+
 def test_a_simulated_robot_that_stands_shows_no_special_value(rng, tmp_path):
     ranges = np.tile(ordinary_ranges(rng, n=1), (100, 1))
     ranges[:, 7] = 9.0  # one beam through a door

@@ -153,6 +153,8 @@ def test_an_unknown_topic_and_one_of_another_type(tmp_path):
     refuse(path, "'/scan' holds sensor_msgs/msg/LaserScan, expected poses", InvalidInputError, poses_topic="/scan")
     with pytest.raises(InvalidInputError, match="got both"):
         read_bag(path, poses_topic="/odom", map_frame="map")
+    with pytest.raises(InvalidInputError, match="at least one topic"):
+        read_bag(path, sensor_topic=[])
 
 
 def test_frames_that_do_not_connect(tmp_path):

@@ -131,6 +131,8 @@ def _scan_topics(bag: BagFile, asked: str | Sequence[str] | None) -> list[str]:
             raise FormatError(bag.path, f"no scans (sensor_msgs/LaserScan) in this bag; it has {bag.describe()}")
         return filled
     names = [asked] if isinstance(asked, str) else list(asked)
+    if not names:
+        raise InvalidInputError("sensor_topic: expected at least one topic, or None for all, got none")
     topics = [bag.find_topic(name) for name in names]
     for topic in topics:
         if bag.topics[topic] != LASER_SCAN and topic not in rangers:

@@ -98,16 +98,16 @@ def resolve_scan_ranges(
         if float(zero.mean()) >= FREQUENT:
             why = "are 0, and nothing else says that nothing came back"
             return _converted(ranges, max_range, zero, (0.0,), "detected", why)
-        code = _find_repeated_maximum(ranges)
+        code = _find_repeated_maximum(ranges, min_range)
         if code is not None:
             why = f"are exactly {code:.6g} m, the greatest value and far more frequent than those below it"
             return _converted(ranges, max_range if limit_given else code, ranges == code, (code,), "detected", why)
     return _declared(ranges, min_range, max_range, declared, zero)
 
 
-def _find_repeated_maximum(ranges: FloatArray) -> float | None:
+def _find_repeated_maximum(ranges: FloatArray, min_range: float) -> float | None:
     """Return the greatest value if it is repeated as no measurement is."""
-    readings = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    readings = ranges[np.isfinite(ranges) & (ranges > min_range)]
     top = float(readings.max(initial=0.0))
     # The tenth below, or more where that is almost empty: a simulated robot that stands repeats every range it sees.
     counts = np.empty(0, dtype=np.int64)

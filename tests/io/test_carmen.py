@@ -208,6 +208,8 @@ BAD = {
     "empty scan": ("FLASER 0 0 0 0 0 0 0 2 host 2", "the scan has no readings"),
     "nan pose": (flaser(2, laser="nan 0 0"), "expected a finite pose, got nan 0"),
     "infinite odometry": (flaser(2, robot="0 inf 0"), "expected a finite pose, got 0.0 inf"),
+    "absurd pose": (flaser(2, laser="1e300 0 0"), r"expected a finite pose, got 1e\+300"),
+    "absurd range": (flaser(2, "1 2 1e300 4"), r"expected a range in metres, got 1e\+300"),
     "junk": ("12 monkeys", "expected the name of a CARMEN message, got '12'"),
     "short odometry": ("ODOM 1 2 3", "expected 10 words"),
     "nan odometry": ("ODOM 1 nan 3 0 0 0 1 host 1", "expected a finite pose"),

@@ -94,6 +94,7 @@ BAD = {
     "tum nan": ("1 2 3 0 0 0 0 1\n2 nan 3 0 0 0 0 1\n", r":2: pose: expected a finite number, got 'nan'"),
     "quaternion": ("1 2 3 0 0 0 0 1\n2 2 3 0 0 0 0 0.5\n", r":2: expected a unit quaternion.*norm 0\.5"),
     "tilted": ("1 2 3 0 0.7071 0 0 0.7071\n", r":1: the pose is tilted by 90 degrees"),
+    "overflow": ("1 2 3 0 0 0 0 1e300\n", r":1: pose: expected a finite number, got '1e300'"),
     "unknown": ("hello\n", r"expected poses \(TUM lines, or CSV.*got 'hello'"),
 }
 

@@ -28,6 +28,7 @@ SICK_BEARINGS = {180: (-90.0, 1.0), 181: (-90.0, 1.0), 360: (-90.0, 0.5), 361: (
 # The poses of public logs have six digits or more; a pose in the frame of the odometry follows it closer than this.
 CONSTANT = 2e-3
 SAME_FRAME = 0.1
+ANGLE_LIMIT = 1e3  # radians, or degrees by mistake: anything beyond is no angle
 
 
 def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog:
@@ -181,10 +182,10 @@ def _parse_laser(content: _Content, line: int, words: list[str]) -> None:
     _expect_words(content, line, words, 10 + n + m + own + 3, f"{n} readings, {m} remission values and {own + 3} more")
     head = parse_numbers(path, line, words[2:6], kind)
     geometry = (float(head[0]), float(head[2]), float(head[1]))
-    if content.geometry.setdefault(kind, geometry) != geometry or not np.isfinite(head[:3]).all():
+    if content.geometry.setdefault(kind, geometry) != geometry or not (np.abs(head[:3]) < ANGLE_LIMIT).all():
         raise FormatError(
             path, f"start angle, resolution and field of view {geometry} differ from those of the first scan, "
-            f"{content.geometry[kind]}, or are not finite", line=line, field=kind,
+            f"{content.geometry[kind]}, or are no angles", line=line, field=kind,
         )  # fmt: skip
     if np.isfinite(head[3]) and head[3] > 0.0:
         content.limits.setdefault(kind, float(head[3]))

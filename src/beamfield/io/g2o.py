@@ -13,6 +13,7 @@ from beamfield.io.text_scans import TextOptions, TextScans, finite_pose
 from beamfield.sensors import ScanLog
 
 MOUNT_TOLERANCE = 2e-3
+ANGLE_LIMIT = 1e3
 
 
 def read_g2o(path: str | Path, options: TextOptions | None = None) -> ScanLog:
@@ -83,8 +84,8 @@ def _parse_scan(
     m = parse_count(path, line, words[9 + n] if len(words) > 9 + n else "", kind)
     _expect(path, line, words, 10 + n + m + 14)
     head = parse_numbers(path, line, words[2:6], kind)
-    if not np.isfinite(head[:3]).all():
-        raise FormatError(path, f"expected finite angles, got {head[:3].tolist()}", line=line, field=kind)
+    if not (np.abs(head[:3]) < ANGLE_LIMIT).all():
+        raise FormatError(path, f"expected angles in radians, got {head[:3].tolist()}", line=line, field=kind)
     ranges = parse_numbers(path, line, words[9 : 9 + n], kind)
     poses = parse_numbers(path, line, words[10 + n + m : 16 + n + m], kind)
     poses = np.concatenate([finite_pose(path, line, poses[:3], kind), finite_pose(path, line, poses[3:], kind)])

@@ -47,7 +47,7 @@ def resolve_stamps(
     rounded until they are all equal), and they run forwards. Single steps back, at most 1 % of all and none longer than
     1 s, pass: clocks of two computers differ. There the scans stay in the order of the file and the stamp that is too
     early is raised to the one before it. In the Intel log, where this occurs, the heading turns steadily in the order
-    of the file and jumps to and fro in the order of the stamps.
+    of the file and jumps back and forth in the order of the stamps.
 
     If no column is usable because the stamps are lost, scans are numbered, one second apart. If they run backwards
     otherwise, that is an error, because two runs may have been joined or a clock was set.

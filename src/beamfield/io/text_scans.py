@@ -21,6 +21,8 @@ LonePoses = Literal["reference", "odometry"]
 # A robot that stands still may read the same range on a beam forever; one that moves this far does not.
 MOVED = 1.0
 SCANS_FOR_STUCK = 50
+# Metres or radians; no place on Earth is so far away, and arithmetic with such numbers overflows sooner or later.
+ABSURD = 1e9
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,9 @@ class TextScans:
                 line,
                 f"the scan has {len(ranges)} beams, the first one (line {self.lines[0]}) has {len(self.ranges[0])}",
             )
+        absurd = np.isfinite(ranges) & (np.abs(ranges) > ABSURD)
+        if absurd.any():
+            raise self.error(line, f"expected a range in metres, got {float(ranges[np.argmax(absurd)])!r}")
         self.lines.append(line)
         self.ranges.append(ranges)
         self.stamps.append(stamps)
@@ -182,7 +187,7 @@ class TextScans:
 
 def finite_pose(path: Path, line: int, pose: FloatArray, what: str) -> FloatArray:
     """Return a pose with its heading in (-pi, pi]; if it is not finite, raise a FormatError with line and value."""
-    if not np.isfinite(pose).all():
+    if not (np.abs(pose) < ABSURD).all():
         raise FormatError(
             path, f"expected a finite pose, got {' '.join(map(str, pose.tolist()))}", line=line, field=what
         )

@@ -25,6 +25,8 @@ SAME_TIME = 0.02
 # A quaternion with a norm further from 1 is something else.
 UNIT_TOLERANCE = 0.01
 MAX_TILT_DEG = 20.0
+# Seconds, metres, radians, or nanoseconds by mistake: squares of anything beyond overflow.
+ABSURD = 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,8 +253,9 @@ def _read_from_log(path: Path, line: int, words: list[str]) -> Track:
 
 def _finite(path: Path, line: int, words: list[str], what: str) -> FloatArray:
     numbers = parse_numbers(path, line, words, what)
-    if not np.isfinite(numbers).all():
-        bad = words[int(np.argmin(np.isfinite(numbers)))]
+    finite = np.abs(numbers) < ABSURD
+    if not finite.all():
+        bad = words[int(np.argmin(finite))]
         raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
     return numbers
 

@@ -46,8 +46,8 @@ def range_histograms(calibration: Calibration) -> ReportFigure:
         "what the fitted model predicts for these very beams. Above, the hits near z* on a linear scale: the black "
         "curve should follow the grey peak in place, width and height. Below, all ranges on a logarithmic scale: the "
         "slope left of z* is unexpected objects (short), the floor right of it unexplained readings (rand), the bar at "
-        "the end the readings without return (max), a probability drawn as an area. A grey peak away "
-        "from the black one means that the map lacks an obstacle there, or shows one that is gone.",
+        "the end the readings without return (max), a probability drawn as an area (// marks ranges left out). A grey "
+        "peak away from the black one means that the map lacks an obstacle there, or shows one that is gone.",
         "Section 6.3.2; Figures 6.5 and 6.6",
     )
 

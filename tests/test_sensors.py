@@ -57,6 +57,8 @@ def test_selecting_scans_keeps_columns_together():
     some = log.select([3, 1])
     np.testing.assert_array_equal(some.stamps, [3.0, 1.0])
     np.testing.assert_array_equal(some.ranges[:, 0], [9.0, 3.0])
+    assert len(log.select([])) == 0
+    np.testing.assert_array_equal(log.select(np.array([False, True, True, False])).stamps, [1.0, 2.0])
     assert log.has_poses
     assert not log.has_odometry
     assert [scan.stamp for scan in log] == [0.0, 1.0, 2.0, 3.0]

@@ -224,7 +224,8 @@ class SensorLog:
 
     def select(self, scans: ArrayLike) -> SensorLog:
         """Return the log with only the given scans (indices or mask)."""
-        chosen = np.asarray(scans)
+        # An empty list would become an array of floats, which selects nothing.
+        chosen = np.arange(len(self))[np.asarray(scans, dtype=None if np.size(scans) else np.int64)]
         return replace(
             self,
             stamps=self.stamps[chosen],

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.reference_checks import map_findings, opposite_beams, pose_findings
+from beamfield.calibration.opposite_beams import map_findings, opposite_beams
+from beamfield.calibration.reference_checks import pose_findings
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog

@@ -222,9 +222,9 @@ class TestBadInput:
         line = fails(capsys, calibrate(copy, tmp_path / "out", "--no-return", "many"))
         assert "'many'" in line
 
-    def test_an_unknown_sensor(self, copy, tmp_path, capsys):
+    def test_an_unknown_sensor_lists_the_known(self, copy, tmp_path, capsys):
         line = fails(capsys, calibrate(copy, tmp_path / "out", "--sensor", "REAR"))
-        assert "'REAR'" in line
+        assert "no sensor 'REAR'; the log has 'FLASER'" in line
 
     def test_holding_a_parameter_that_does_not_exist(self, copy, tmp_path, capsys):
         assert "z_foo" in fails(capsys, calibrate(copy, tmp_path / "out", "--hold", "z_foo=0.1"))

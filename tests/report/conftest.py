@@ -23,8 +23,8 @@ from beamfield.calibration.evaluation import (
     uniform_parameters,
 )
 from beamfield.calibration.finding import Finding
+from beamfield.calibration.opposite_beams import opposite_beams
 from beamfield.calibration.pose_refinement import PoseRefinement
-from beamfield.calibration.reference_checks import opposite_beams
 from beamfield.calibration.selection import REASONS, Selection
 from beamfield.calibration.time_split import held_out_mask, time_blocks
 from beamfield.maps.occupancy import OccupancyGrid

@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from beamfield.calibration.opposite_beams import opposite_pairs
 from beamfield.calibration.time_split import time_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.check_figures import noise_points
 from beamfield.report.density_figures import averaged_cdf
 from beamfield.report.map_figures import end_points
-from beamfield.report.opposite_pairs import opposite_pairs
 from beamfield.report.range_bins import range_step, telling_bin, thinned, typical_bins
 from beamfield.report.score_figures import PIT_BINS, pit_band
 

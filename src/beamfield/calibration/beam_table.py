@@ -123,9 +123,12 @@ def build_beam_table(
             doubtful = keep & (stopping.expected_ranges(log.poses[rows], log.finder, threads=threads) < expected)
             n_unknown += int(doubtful.sum())
             keep &= ~doubtful
-        in_chunk, beam = np.nonzero(keep)
-        parts.append((ranges[keep], expected[keep], rows[in_chunk].astype(np.int32), beam.astype(np.int32)))
+        in_chunk, in_scan = np.nonzero(keep)
+        parts.append((ranges[keep], expected[keep], rows[in_chunk].astype(np.int32), in_scan.astype(np.int32)))
         if progress is not None:
             progress(min(start + SCANS_PER_CHUNK, len(chosen)), len(chosen))
-    ranges, expected, scan, beam = (np.concatenate(column) for column in zip(*parts, strict=True))
+    ranges = np.concatenate([part[0] for part in parts])
+    expected = np.concatenate([part[1] for part in parts])
+    scan = np.concatenate([part[2] for part in parts])
+    beam = np.concatenate([part[3] for part in parts])
     return BeamTable(ranges, expected, scan, beam, log.stamps[scan], log.finder.max_range, n_no_measurement, n_unknown)

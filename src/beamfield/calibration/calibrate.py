@@ -25,8 +25,9 @@ from beamfield.calibration.evaluation import (
     uniform_parameters,
 )
 from beamfield.calibration.finding import Finding
+from beamfield.calibration.opposite_beams import OppositeBeams, map_findings, opposite_beams
 from beamfield.calibration.pose_refinement import PoseRefinement, refine_poses, refinement_findings
-from beamfield.calibration.reference_checks import OppositeBeams, map_findings, opposite_beams, pose_findings
+from beamfield.calibration.reference_checks import pose_findings
 from beamfield.calibration.selection import Selection, SelectionOptions, select_scans
 from beamfield.calibration.time_split import held_out_mask, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError

@@ -119,9 +119,9 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
     def drop(mask: NDArray[np.bool_], name: str) -> None:
         reason[mask & (reason < 0)] = REASONS.index(name)
 
-    posed = np.isfinite(log.poses).all(axis=1)
+    posed = np.asarray(np.isfinite(log.poses).all(axis=1))
     drop(~posed, "no reference pose")
-    drop(~np.isfinite(usable_ranges(log.ranges, log.finder)).any(axis=1), "no usable range")
+    drop(np.asarray(~np.isfinite(usable_ranges(log.ranges, log.finder)).any(axis=1)), "no usable range")
     origins = _sensor_origins(log)
     outside = posed & grid.look_up(np.zeros(grid.shape, bool), origins, outside=True)
     _require_overlap(log, grid, outside, posed)
@@ -165,7 +165,12 @@ def _jumps(log: SensorLog, options: SelectionOptions) -> NDArray[np.bool_]:
         driven = between(log.odometry[:-1], log.odometry[1:])
         error = between(driven, step)
         bad = (np.hypot(error[:, 0], error[:, 1]) > options.max_jump) | (np.abs(error[:, 2]) > options.max_jump_turn)
-    return np.concatenate([bad, [False]]) | np.concatenate([[False], bad])
+    return _either_side(bad)
+
+
+def _either_side(steps: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(t,) scans before and after the given steps, (t - 1,)."""
+    return np.asarray(np.concatenate([steps, [False]]) | np.concatenate([[False], steps]), dtype=np.bool_)
 
 
 def _turns_fast(log: SensorLog, max_turn_rate: float) -> NDArray[np.bool_]:
@@ -175,7 +180,7 @@ def _turns_fast(log: SensorLog, max_turn_rate: float) -> NDArray[np.bool_]:
         turn = np.abs(between(track[:-1], track[1:])[:, 2])
         rate = turn / np.diff(log.stamps)
         fast = (rate > max_turn_rate) & (turn > 0)
-    return np.concatenate([fast, [False]]) | np.concatenate([[False], fast])
+    return _either_side(fast)
 
 
 def _stands(log: SensorLog, candidates: NDArray[np.bool_], options: SelectionOptions) -> NDArray[np.bool_]:

@@ -38,7 +38,7 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
         return np.zeros(len(times), dtype=np.int64)
     blocks = np.floor((times - times.min()) / length).astype(np.int64)
     # The last stamp would start a block of its own.
-    return np.minimum(blocks, max(0, int(np.ceil(duration / length)) - 1))
+    return np.asarray(np.minimum(blocks, max(0, int(np.ceil(duration / length)) - 1)))
 
 
 def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 3) -> NDArray[np.bool_]:

@@ -67,6 +67,8 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--poses-topic", metavar="TOPIC", help="topic of the reference poses in the bag")
     group.add_argument("--map-frame", metavar="FRAME", help="name of the map frame in tf")
     group.add_argument("--base-frame", metavar="FRAME", help="name of the robot's frame in tf")
+    group.add_argument("--mount", type=float, nargs=3, metavar=("X", "Y", "YAW_DEG"),
+                       help="the sensor's pose on the robot, for a bag without /tf_static")  # fmt: skip
     group.add_argument("--no-return", default="detect", metavar="detect|none|V[,V...]",
                        help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
     group.add_argument("--max-range", type=float, metavar="M", help="the sensor's limit, if the log is wrong about it")
@@ -91,6 +93,7 @@ def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
         "poses_topic": arguments.poses_topic,
         "map_frame": arguments.map_frame,
         "base_frame": arguments.base_frame,
+        "mount": None if arguments.mount is None else (*arguments.mount[:2], math.radians(arguments.mount[2])),
         "no_return": no_return,
         "max_range": arguments.max_range,
         "min_range": arguments.min_range,

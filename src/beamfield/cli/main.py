@@ -63,7 +63,7 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
-def _show_warning(message: Warning | str, *_: object) -> None:
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning without the place in the code, which says nothing to a user."""
     print(f"beamfield: warning: {' '.join(str(message).split())}", file=sys.stderr)
 

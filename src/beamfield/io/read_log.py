@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.carmen import CARMEN_SCANS, read_carmen
@@ -41,6 +44,7 @@ def read_log(
     poses_topic: str | None = None,
     map_frame: str | None = None,
     base_frame: str | None = None,
+    mount: ArrayLike | None = None,
     no_return: NoReturnRule = "detect",
     max_range: float | None = None,
     min_range: float | None = None,
@@ -58,6 +62,8 @@ def read_log(
         Topic or message name of the sensor, or several; all if None.
     poses_topic, map_frame, base_frame
         Where a bag's reference poses are; see `beamfield.io.rosbag.read_bag`. Text logs have no such choice.
+    mount
+        (3,) the sensor's pose on the robot, metres and radians, for a bag that does not say; text logs say.
     no_return
         "detect" the values that mean "no return", "none", or the values in metres.
     max_range, min_range
@@ -99,24 +105,32 @@ def read_log(
             poses_topic=poses_topic,
             map_frame=map_frame,
             base_frame=base_frame,
+            mount=mount,
             no_return=no_return,
             max_range=max_range,
             min_range=min_range,
         )
-    for name, value in (("poses_topic", poses_topic), ("map_frame", map_frame), ("base_frame", base_frame)):
+    bag_options = {"poses_topic": poses_topic, "map_frame": map_frame, "base_frame": base_frame, "mount": mount}
+    for name, value in bag_options.items():
         if value is not None:
             raise InvalidInputError(
                 f"{name}: expected None for a text log, which has no topics or frames; got {value!r}"
             )
     asked = (sensor_topic,) if isinstance(sensor_topic, str) else None if sensor_topic is None else tuple(sensor_topic)
     options = TextOptions(asked, no_return, max_range, min_range, stamps, lone_poses)
-    log = _text_reader(source)(source, options)
-    return log if asked is None else _only(log, asked)
+    reader = _text_reader(source)
+    log = reader(source, options)
+    if asked is None:
+        return log
+    if not set(asked) <= set(log.sensors):
+        # Read once more without the choice, to say what there is to choose from.
+        log = reader(source, replace(options, sensors=None))
+    return _only(log, asked)
 
 
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
-        return (path / "metadata.yaml").exists()
+        return any(file.name == "metadata.yaml" or file.suffix in BAG_SUFFIXES for file in path.iterdir())
     if path.suffix in BAG_SUFFIXES:
         return True
     with path.open("rb") as file:
@@ -134,7 +148,7 @@ def _only(log: ScanLog, asked: tuple[str, ...]) -> ScanLog:
     sensors = {name: log.sensors[name] for name in asked if name in log.sensors}
     if len(sensors) < len(asked):
         missing = ", ".join(repr(name) for name in asked if name not in log.sensors)
-        known = ", ".join(repr(name) for name in log.sensors) or "none of these"
+        known = ", ".join(repr(name) for name in log.sensors)
         raise InvalidInputError(f"{log.source}: no sensor {missing}; the log has {known}")
     return ScanLog(sensors, log.odometry, log.source, log.notes, log.parameters)
 

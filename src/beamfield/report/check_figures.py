@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.evaluation import block_standard_error
+from beamfield.calibration.opposite_beams import opposite_pairs
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import beam_responsibilities
@@ -26,7 +27,6 @@ from beamfield.report.drawing import (
     style,
     svg_panel,
 )
-from beamfield.report.opposite_pairs import opposite_pairs
 from beamfield.report.range_bins import thinned
 from beamfield.report.text_table import plus_minus
 from beamfield.sensors import SensorLog

@@ -87,6 +87,6 @@ def _solve(
     reduced = basis.T @ hessian @ basis
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(reduced)), 1e-300))
     curvature, directions = np.linalg.eigh(reduced * np.outer(scale, scale))
-    strength = np.maximum(np.abs(curvature), _LEAST_CURVATURE * np.abs(curvature).max())
+    strength = np.maximum(np.abs(curvature), max(_LEAST_CURVATURE * np.abs(curvature).max(), 1e-300))
     slope = directions.T @ (scale * (basis.T @ gradient))
     return np.asarray(step + basis @ (scale * (directions @ (slope / strength))))

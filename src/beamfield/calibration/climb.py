@@ -12,6 +12,10 @@ from beamfield.calibration.intrinsic_likelihood import (
     N_PARAMETERS,
     SLOPE,
     VARIANCE,
+    W_HIT,
+    W_MAX,
+    W_RAND,
+    W_SHORT,
     ExpectedStatistics,
     IntrinsicLikelihood,
 )
@@ -208,6 +212,12 @@ class _Climber:
     def _valid(self, x: FloatArray) -> FloatArray:
         theta = x.copy()
         theta[VARIANCE] = np.exp(x[VARIANCE]) if self.problem.free[VARIANCE] else self.theta[VARIANCE]
+        if self.problem.free[:4].all() and not self.problem.priors.counts.any():
+            # Whatever the other parameters are, the best z_max is the share of readings at max range: keep it exact.
+            share = self.likelihood.n_max / self.likelihood.n_beams
+            others = [W_HIT, W_SHORT, W_RAND]
+            theta[others] *= (1.0 - share) / max(theta[others].sum(), 1e-300)
+            theta[W_MAX] = share
         return self.problem.apply(theta)
 
 

@@ -1,8 +1,8 @@
 """What the data cannot tell about the intrinsic parameters, by name.
 
-A finding rests on two numbers. *Rarity*: how many beams a cause has by its responsibilities. *Share of information*: the
-variance that a parameter would have if the cause of every beam were known, over the variance that it has; EM's rate of
-convergence is 1 minus its smallest value. Two causes are confounded if that share is small and the error is large
+A finding rests on two numbers. *Rarity*: how many beams a cause has by its responsibilities. *Share of information*:
+the variance that a parameter would have if the cause of every beam were known, over the variance that it has; EM's rate
+of convergence is 1 minus its smallest value. Two causes are confounded if that share is small and the error is large
 against the weights, not if one of them is merely rare.
 """
 
@@ -141,7 +141,8 @@ def _sigma_findings(
     share = 1.0 / (2.0 * counts[W_HIT] * max(relative_variance, 1e-300))
     error = DEPENDENCE * float(np.sqrt(relative_variance))
     if share < SMALL_SHARE and error > 0.25:
-        text = f"sigma_hit = {sigma:.3g} m trades places with shorts or random readings: {100 * error:.0f} % uncertain."
+        percent = f"{100 * error:.0f} %"
+        text = f"sigma_hit = {sigma:.3g} m is {percent} uncertain: hits trade places with shorts or random readings."
         values = {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)}
         return [Finding("sigma-confounded", "warning", text, values)]
     return []

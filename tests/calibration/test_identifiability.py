@@ -1,0 +1,89 @@
+"""What the data cannot tell is named, and nothing is named where they can."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.calibration.em import learn_intrinsic_parameters
+from beamfield.calibration.identifiability import Mode, identifiability_findings
+from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, theta_of
+from beamfield.calibration.learning_problem import learning_problem
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_sampling import sample_beams
+
+MAX_RANGE = 8.0
+
+
+def names(truth: BeamParameters, expected: tuple[float, float] = (1.0, 7.0), n: int = 20_000, **options) -> set[str]:
+    rng = np.random.default_rng(6)
+    z_star = rng.uniform(*expected, n)
+    z = sample_beams(z_star, MAX_RANGE, truth, rng)
+    result = learn_intrinsic_parameters(z, z_star, MAX_RANGE, **options)
+    assert all(finding.text and finding.severity in ("info", "warning") for finding in result.findings)
+    return {finding.name for finding in result.findings}
+
+
+def test_nothing_is_named_where_the_data_tell_all():
+    assert names(BeamParameters(0.7, 0.15, 0.05, 0.1, 0.05, 0.8)) == set()
+
+
+def test_no_shorts():
+    found = names(BeamParameters(0.85, 0.0, 0.05, 0.1, 0.05, 0.8), n=3000)
+    assert found & {"no-shorts", "lambda-undetermined", "shorts-and-random-confounded", "shorts-uniform"}
+    expected = np.linspace(1.0, 7.0, 2000)
+    z = expected + 0.05 * np.abs(np.sin(np.arange(2000.0)))
+    result = learn_intrinsic_parameters(z, expected, MAX_RANGE)
+    assert {"no-shorts", "lambda-undetermined"} <= {finding.name for finding in result.findings}
+
+
+def test_no_max_readings():
+    assert names(BeamParameters(0.75, 0.15, 0.0, 0.1, 0.05, 0.8)) == {"no-max-readings"}
+
+
+def test_uniform_shorts():
+    rng = np.random.default_rng(2)
+    expected = rng.uniform(1.0, 7.0, 3000)
+    z = rng.normal(expected, 0.05)
+    z[:600] = expected[:600] * np.sqrt(rng.random(600))  # more of them far from the sensor than near
+    result = learn_intrinsic_parameters(z, expected, MAX_RANGE)
+    assert result.parameters.lambda_short == 0.0
+    assert "shorts-uniform" in {finding.name for finding in result.findings}
+
+
+def test_hits_so_wide_that_they_look_random():
+    found = names(BeamParameters(0.5, 0.0, 0.1, 0.4, 3.0, 0.5), n=3000)
+    assert found & {"hits-and-random-confounded", "sigma-confounded", "several-modes"}
+
+
+def test_shorts_and_random_readings_beyond_the_same_wall():
+    # All walls near the maximum range: uniform shorts and random readings cover the same ground.
+    found = names(BeamParameters(0.8, 0.1, 0.05, 0.05, 0.05, 0.0), expected=(7.9, 7.99), n=5000)
+    assert "shorts-and-random-confounded" in found
+
+
+def test_held_parameters_are_not_questioned():
+    found = names(
+        BeamParameters(0.85, 0.0, 0.0, 0.15, 0.05, 0.8),
+        n=3000,
+        hold={"z_short": 0.0, "z_max": 0.0, "lambda_short": 0.8},
+    )
+    assert found == set()
+
+
+@pytest.mark.parametrize(("gap", "named"), [(1e-4, True), (0.5, False)])
+def test_modes_of_nearly_equal_likelihood(gap, named):
+    rng = np.random.default_rng(6)
+    expected = rng.uniform(1.0, 7.0, 5000)
+    truth = BeamParameters(0.7, 0.15, 0.05, 0.1, 0.05, 0.8)
+    likelihood = IntrinsicLikelihood(sample_beams(expected, MAX_RANGE, truth, rng), expected, MAX_RANGE)
+    modes = (Mode(truth, -1.0), Mode(BeamParameters(0.5, 0.35, 0.05, 0.1, 0.2, 0.8), -1.0 - gap))
+    findings = identifiability_findings(likelihood, learning_problem(MAX_RANGE), theta_of(truth), modes)
+    assert ("several-modes" in {finding.name for finding in findings}) == named
+
+
+@pytest.mark.oracle
+def test_the_set_where_components_trade_places_says_so(oracle):
+    with np.load(oracle / "calibration" / "sim_C.npz", allow_pickle=False) as file:
+        result = learn_intrinsic_parameters(file["z"], file["zs"], float(file["zmax"]))
+    assert "shorts-and-random-confounded" in {finding.name for finding in result.findings}

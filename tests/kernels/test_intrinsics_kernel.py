@@ -1,0 +1,165 @@
+"""Passes of learning against the beam model's density and numerical derivatives; passes with the JIT off as well."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, parameters_of
+from beamfield.kernels import intrinsics as kernels
+from beamfield.models.beam_density import beam_log_density, beam_responsibilities
+
+MAX_RANGE = 8.0
+# w_hit, w_short, w_max, w_rand, sigma^2, sigma_slope^2, offset, lambda
+THETAS = {
+    "plain": [0.6, 0.15, 0.05, 0.2, 0.1**2, 0.0, 0.0, 0.7],
+    "uniform short": [0.6, 0.15, 0.05, 0.2, 0.1**2, 0.0, 0.0, 0.0],
+    "steep short": [0.6, 0.15, 0.05, 0.2, 0.1**2, 0.0, 0.0, 60.0],
+    "wide hit": [0.6, 0.15, 0.05, 0.2, 3.0**2, 0.0, 0.0, 0.7],
+    "sharp hit": [0.6, 0.15, 0.05, 0.2, 0.002**2, 0.0, 0.0, 0.7],
+    "offset and slope": [0.6, 0.15, 0.05, 0.2, 0.1**2, 0.05**2, 0.17, 0.7],
+    "negative offset": [0.6, 0.15, 0.05, 0.2, 0.05**2, 0.01**2, -0.3, 2.0],
+    "no random": [0.8, 0.15, 0.05, 0.0, 0.1**2, 0.0, 0.0, 0.7],
+    "no short": [0.7, 0.0, 0.05, 0.25, 0.1**2, 0.0, 0.0, 0.7],
+}
+
+
+def beams(n: int = 300) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(4)
+    expected = np.concatenate([rng.uniform(0.0, MAX_RANGE, n), [0.0, 1e-7, 1e-4, 0.01, 7.9999]])
+    z = np.where(
+        rng.random(expected.size) < 0.6, rng.normal(expected, 0.15), rng.uniform(0.0, MAX_RANGE, expected.size)
+    )
+    z[:10] = MAX_RANGE
+    return np.clip(z, 0.0, MAX_RANGE), expected
+
+
+@pytest.fixture(params=list(THETAS))
+def theta(request: pytest.FixtureRequest) -> np.ndarray:
+    return np.array(THETAS[request.param])
+
+
+def test_log_likelihood_is_the_beam_models(theta):
+    z, expected = beams()
+    want = beam_log_density(z, expected, MAX_RANGE, parameters_of(theta))
+    for i in (slice(None), slice(10, None), slice(300, 305), slice(20, 21)):
+        likelihood = IntrinsicLikelihood(z[i], expected[i], MAX_RANGE)
+        got = likelihood.expected_statistics(theta).log_likelihood
+        assert got == pytest.approx(want[i].sum(), rel=1e-12, abs=1e-12)
+        assert likelihood.derivatives(theta)[0] == pytest.approx(want[i].sum(), rel=1e-12, abs=1e-12)
+
+
+def test_statistics_are_the_responsibilities(theta):
+    z, expected = beams()
+    e = beam_responsibilities(z, expected, MAX_RANGE, parameters_of(theta))
+    r = z - expected
+    got = IntrinsicLikelihood(z, expected, MAX_RANGE).expected_statistics(theta, slope_is_free=True)
+    assert got.counts == pytest.approx(e.sum(axis=0), rel=1e-11, abs=1e-11)
+    assert got.sum_short_range == pytest.approx(e[:, 1] @ z, rel=1e-11, abs=1e-11)
+    # Nodes stand for the beams in every sum of a smooth function of the expected range.
+    for function in (np.ones_like, np.square, lambda x: np.exp(-0.7 * x)):
+        at_beams, at_nodes = function(expected), function(got.node_ranges)
+        want = [(e[:, 0] * at_beams).sum(), (e[:, 0] * r * at_beams).sum(), (e[:, 0] * r**2 * at_beams).sum()]
+        assert got.node_hit @ at_nodes == pytest.approx(want, rel=1e-10, abs=1e-10)
+        assert got.node_short @ at_nodes == pytest.approx((e[:, 1] * at_beams).sum(), rel=1e-10, abs=1e-10)
+
+
+def test_counts_are_repeated_beams(theta):
+    z, expected = beams(60)
+    counts = np.random.default_rng(0).integers(0, 4, z.size)
+    weighted = IntrinsicLikelihood(z, expected, MAX_RANGE, weights=counts.astype(float))
+    repeated = IntrinsicLikelihood(np.repeat(z, counts), np.repeat(expected, counts), MAX_RANGE)
+    assert weighted.n_beams == repeated.n_beams
+    got, want = weighted.expected_statistics(theta), repeated.expected_statistics(theta)
+    assert got.log_likelihood == pytest.approx(want.log_likelihood, rel=1e-12)
+    assert got.counts == pytest.approx(want.counts, rel=1e-11, abs=1e-12)
+    assert weighted.derivatives(theta)[1] == pytest.approx(repeated.derivatives(theta)[1], rel=1e-9, abs=1e-9)
+
+
+def test_derivatives_are_those_of_the_log_likelihood(theta):
+    z, expected = beams()
+    z = np.where(np.abs(z - expected) > 0.5, np.minimum(z, expected), z)  # no outliers that only underflow explains
+    likelihood = IntrinsicLikelihood(z, expected, MAX_RANGE)
+    _, gradient, hessian = likelihood.derivatives(theta)
+    scores = likelihood.scores(theta)
+    assert scores.sum(axis=0) == pytest.approx(gradient, rel=1e-10, abs=1e-8)
+    for i in range(8):
+        step = 1e-5 * (theta[i] if theta[i] > 0.0 else 1e-3)
+        if theta[i] == 0.0 and i != 6:
+            continue  # on a bound: differences would leave it
+        up, down = theta.copy(), theta.copy()
+        up[i] += step
+        down[i] -= step
+        slope = (likelihood.derivatives(up)[0] - likelihood.derivatives(down)[0]) / (2.0 * step)
+        curvature = (likelihood.derivatives(up)[1] - likelihood.derivatives(down)[1]) / (2.0 * step)
+        scale = np.sqrt(np.abs(np.diag(hessian)) + 1.0)
+        assert abs(slope - gradient[i]) <= 1e-5 * scale[i] * (1.0 + np.sqrt(z.size))
+        assert np.all(np.abs(curvature - hessian[i]) <= 1e-4 * scale[i] * scale)
+
+
+def test_beams_that_only_an_underflowing_hit_explains_keep_a_finite_likelihood():
+    theta = np.array([0.95, 0.0, 0.05, 0.0, 0.01**2, 0.0, 0.0, 0.0])
+    z, expected = np.full(30, 6.0), np.full(30, 3.0)
+    got = IntrinsicLikelihood(z, expected, MAX_RANGE).expected_statistics(theta)
+    want = 30 * (np.log(0.95) + stats.norm.logpdf(300.0) - np.log(0.01))
+    assert got.log_likelihood == pytest.approx(want, rel=1e-12)
+    assert got.counts == pytest.approx([30.0, 0.0, 0.0, 0.0])
+
+
+def test_an_impossible_beam_has_likelihood_zero_not_nan():
+    theta = np.array([0.0, 0.95, 0.05, 0.0, 0.1**2, 0.0, 0.0, 0.0])
+    got = IntrinsicLikelihood(np.array([4.0, 1.0]), np.array([3.0, 3.0]), MAX_RANGE).expected_statistics(theta)
+    assert got.log_likelihood == -math.inf
+    assert np.isfinite(got.counts).all()
+
+
+def test_exp_and_log_are_the_c_librarys():
+    x = np.concatenate([np.linspace(-700.0, 700.0, 999), np.linspace(-1.0, 1.0, 999), [0.0]])
+    got, want = np.array([kernels._exp(v) for v in x]), np.exp(x)
+    assert np.all(np.abs(got / want - 1.0) <= 1e-15 + 4e-17 * np.abs(x))
+    assert kernels._exp(-1e9) < 1e-300
+    y = np.exp(x[(x > -690.0) & (x < 690.0)])
+    assert np.array([kernels._log(v) for v in y]) == pytest.approx(np.log(y), rel=2e-15, abs=2e-15)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-1.0, 2.0), (-40.0, 50.0), (3.0, 4.0), (-4.0, -3.0), (24.9, 60.0), (25.1, 60.0), (100.0, 130.0)]
+)
+def test_log_mass_of_the_normal_distribution(low, high):
+    near = max(low, -high, 0.0)
+    if near > 0.0:
+        far = high if low > 0.0 else -low
+        integral = integrate.quad(lambda t: math.exp(-near * t - 0.5 * t * t), 0.0, far - near, epsabs=0, epsrel=1e-13)
+        want = math.log(integral[0]) - 0.5 * near * near - 0.5 * math.log(2.0 * math.pi)
+    else:
+        want = math.log(stats.norm.cdf(high) - stats.norm.cdf(low))
+    assert kernels._log_mass(low, high) == pytest.approx(want, rel=1e-11, abs=1e-12)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-6, 9.9e-3, 1.01e-2, 0.099, 0.101, 1.0, 30.0, 699.0, 701.0])
+def test_shapes_of_a_short_are_continuous_and_right(x):
+    if x == 0.0:
+        assert (kernels._relative_rate(x), kernels._mean_share(x), kernels._mean_share_slope(x)) == (1.0, 0.5, -1 / 12)
+        return
+    # Mean and variance of an exponential distribution with rate x cut to [0, 1].
+    density = integrate.quad(lambda u: math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)[0]
+    mean = integrate.quad(lambda u: u * math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)[0] / density
+    square = integrate.quad(lambda u: (u - mean) ** 2 * math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)
+    assert kernels._relative_rate(x) == pytest.approx(1.0 / density, rel=1e-12)
+    assert kernels._mean_share(x) == pytest.approx(mean, rel=1e-11)
+    assert kernels._mean_share_slope(x) == pytest.approx(-square[0] / density, rel=1e-9)
+
+
+def test_any_number_of_threads_gives_the_same_bits():
+    rng = np.random.default_rng(1)
+    expected = rng.uniform(0.1, 7.9, 120_000)
+    z = np.clip(rng.normal(expected, 0.1), 0.0, MAX_RANGE)
+    theta = np.array(THETAS["offset and slope"])
+    one = IntrinsicLikelihood(z, expected, MAX_RANGE, threads=1)
+    many = IntrinsicLikelihood(z, expected, MAX_RANGE, threads=5)
+    assert one.expected_statistics(theta).log_likelihood == many.expected_statistics(theta).log_likelihood
+    assert np.array_equal(one.derivatives(theta)[2], many.derivatives(theta)[2])
+    assert np.array_equal(one.scores(theta), many.scores(theta))

@@ -1,0 +1,229 @@
+"""What ``beamfield inspect`` says about a map or a log, as plain values; units are in the names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import RangeFinder, ScanLog, SensorLog
+
+Facts = dict[str, Any]
+
+
+def map_facts(grid: OccupancyGrid, notes: Sequence[str] = ()) -> Facts:
+    """Return size, place and categories of a map, with what its reader should know about the file."""
+    rows, cols = grid.shape
+    cells = {}
+    for name, mask in (("free", grid.free), ("occupied", grid.occupied), ("unknown", grid.unknown)):
+        count = int(mask.sum())
+        cells[name] = {"count": count, "share": count / mask.size, "area_m2": count * grid.resolution**2}
+    return {
+        "kind": "map",
+        "rows": rows,
+        "cols": cols,
+        "resolution_m": grid.resolution,
+        "width_m": cols * grid.resolution,
+        "height_m": rows * grid.resolution,
+        "origin": {"x_m": float(grid.origin[0]), "y_m": float(grid.origin[1]), "yaw_rad": float(grid.origin[2])},
+        "occupied_thresh": grid.occupied_thresh,
+        "free_thresh": grid.free_thresh,
+        "cells": cells,
+        "notes": [*notes, *_map_notes(grid)],
+    }
+
+
+def log_facts(log: ScanLog) -> Facts:
+    """Return what a log holds: each sensor, the odometry, the notes of its reader."""
+    odometry = None
+    if log.odometry is not None:
+        odometry = {"poses": len(log.odometry), **_timing(log.odometry.stamps), **_path(log.odometry.poses)}
+    return {
+        "kind": "log",
+        "sensors": {name: _sensor_facts(sensor) for name, sensor in log.sensors.items()},
+        "odometry": odometry,
+        "notes": list(log.notes),
+        "parameters": dict(log.parameters),
+    }
+
+
+def path_length(poses: FloatArray) -> float:
+    """Return the sum of the distances between neighbouring known poses, in metres."""
+    known = poses[np.isfinite(poses).all(axis=-1)]
+    return float(np.hypot(*np.diff(known[:, :2], axis=0).T).sum())
+
+
+def _map_notes(grid: OccupancyGrid) -> list[str]:
+    notes = []
+    if not grid.occupied.any():
+        notes.append("no cell is occupied: no beam has an expected range in this map")
+    if not grid.free.any():
+        notes.append("no cell is free: no pose is plausible in this map")
+    return notes
+
+
+def _sensor_facts(sensor: SensorLog) -> Facts:
+    return {
+        "scans": len(sensor),
+        **_timing(sensor.stamps),
+        "beams": _beam_facts(sensor.finder),
+        "min_range_m": sensor.finder.min_range,
+        "max_range_m": sensor.finder.max_range,
+        "readings": _reading_facts(sensor.ranges, sensor.finder),
+        "no_return": {
+            "values_m": list(sensor.no_return.values),
+            "origin": sensor.no_return.origin,
+            "explanation": sensor.no_return.explanation,
+        },
+        "reference_poses": _path(sensor.poses),
+        "odometry": _path(sensor.odometry),
+    }
+
+
+def _timing(stamps: FloatArray) -> Facts:
+    duration = float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
+    return {
+        "start_s": float(stamps[0]) if len(stamps) else None,
+        "duration_s": duration,
+        "rate_hz": (len(stamps) - 1) / duration if duration > 0 else None,
+    }
+
+
+def _beam_facts(finder: RangeFinder) -> Facts:
+    turns = np.asarray(wrap_angle(np.diff(finder.bearings)))
+    origins = np.unique(finder.mounts[:, :2].round(6), axis=0)
+    uniform = bool(len(turns)) and float(np.ptp(turns)) <= 1e-3 * float(np.abs(turns).max()) + 1e-6
+    return {
+        "count": finder.n_beams,
+        "first_bearing_rad": float(finder.bearings[0]) if finder.n_beams else None,
+        "last_bearing_rad": float(finder.bearings[-1]) if finder.n_beams else None,
+        "span_rad": float(np.abs(turns).sum()),
+        "step_rad": float(np.median(turns)) if uniform else None,
+        "opening_angle_rad": finder.opening_angle,
+        "origins_m": origins.tolist(),
+    }
+
+
+def _reading_facts(ranges: FloatArray, finder: RangeFinder) -> Facts:
+    def share(mask: NDArray[np.bool_]) -> float:
+        return float(mask.mean()) if mask.size else 0.0
+
+    with np.errstate(invalid="ignore"):
+        no_return, too_close = ranges >= finder.max_range, ranges < finder.min_range
+        measured = ranges[(ranges >= finder.min_range) & ~no_return]
+    return {
+        "count": ranges.size,
+        "measured_share": measured.size / ranges.size if ranges.size else 0.0,
+        "no_return_share": share(no_return),
+        "no_measurement_share": share(np.isnan(ranges)),
+        "too_close_share": share(too_close),
+        "scans_without_measurement": int((~np.isfinite(ranges)).all(axis=1).sum()),
+        "shortest_m": float(measured.min()) if measured.size else None,
+        "median_m": float(np.median(measured)) if measured.size else None,
+        "longest_m": float(measured.max()) if measured.size else None,
+    }
+
+
+def _path(poses: FloatArray) -> Facts:
+    known = np.isfinite(poses).all(axis=-1)
+    return {"known": int(known.sum()), "path_length_m": path_length(poses) if known.any() else None}
+
+
+# ----------------------------------------------------------------------------------------------------------------- text
+
+
+def map_text(facts: Mapping[str, Any]) -> str:
+    """Return the facts of a map as lines to read."""
+    origin, resolution = facts["origin"], facts["resolution_m"]
+    lines = [
+        (
+            f"map of {facts['cols']} x {facts['rows']} cells of {resolution:.6g} m: "
+            f"{facts['width_m']:.2f} m x {facts['height_m']:.2f} m"
+        ),
+        (
+            f"  origin      x {origin['x_m']:.6g} m, y {origin['y_m']:.6g} m, "
+            f"yaw {math.degrees(origin['yaw_rad']):.6g} degrees"
+        ),
+        f"  thresholds  occupied from {facts['occupied_thresh']:.6g}, free up to {facts['free_thresh']:.6g}",
+    ]
+    for name, cell in facts["cells"].items():
+        lines.append(f"  {name:<10}{cell['count']:>12,} cells {cell['share']:>7.2%} {cell['area_m2']:>10.1f} m2")
+    return "\n".join(lines + _note_lines(facts))
+
+
+def log_text(facts: Mapping[str, Any]) -> str:
+    """Return the facts of a log as lines to read."""
+    sensors = facts["sensors"]
+    lines = [f"log with {len(sensors)} sensor{'' if len(sensors) == 1 else 's'}"]
+    for name, sensor in sensors.items():
+        lines += ["", f"sensor {name!r}", *(f"  {key:<18}{value}" for key, value in _sensor_rows(sensor))]
+    odometry = facts["odometry"]
+    if odometry is not None:
+        lines += ["", f"odometry            {odometry['poses']:,} poses{_when(odometry)}, {_length(odometry)}"]
+    return "\n".join(lines + _note_lines(facts))
+
+
+def _sensor_rows(sensor: Mapping[str, Any]) -> list[tuple[str, str]]:
+    readings = sensor["readings"]
+    rows = [
+        ("scans", f"{sensor['scans']:,}{_when(sensor)}"),
+        ("beams", _beams_row(sensor["beams"])),
+        ("mounted at", _mount_row(sensor["beams"])),
+        ("limits", f"{sensor['min_range_m']:.4g} m to {sensor['max_range_m']:.4g} m"),
+        ("readings", (f"{readings['count']:,}: {readings['measured_share']:.2%} measured, "
+                     f"{readings['no_return_share']:.2%} no return, {readings['no_measurement_share']:.2%} NaN, "
+                     f"{readings['too_close_share']:.2%} too close")),
+        ("no return", sensor["no_return"]["explanation"]),
+    ]  # fmt: skip
+    if readings["shortest_m"] is not None:
+        rows.append(
+            ("measured ranges", (f"{readings['shortest_m']:.3f} m to {readings['longest_m']:.3f} m, "
+                                f"median {readings['median_m']:.3f} m"))
+        )  # fmt: skip
+    if readings["scans_without_measurement"]:
+        rows.append(("empty scans", f"{readings['scans_without_measurement']:,} scans measured nothing"))
+    for title, key in (("reference poses", "reference_poses"), ("odometry", "odometry")):
+        poses = sensor[key]
+        text = f"{poses['known']:,} of {sensor['scans']:,} scans, {_length(poses)}" if poses["known"] else "none"
+        rows.append((title, text))
+    return rows
+
+
+def _when(timing: Mapping[str, Any]) -> str:
+    rate = timing["rate_hz"]
+    return f" in {timing['duration_s']:.1f} s" + (f" ({rate:.3g} per second)" if rate is not None else "")
+
+
+def _length(poses: Mapping[str, Any]) -> str:
+    length = poses["path_length_m"]
+    return "no pose known" if length is None else f"path of {length:.1f} m"
+
+
+def _beams_row(beams: Mapping[str, Any]) -> str:
+    if beams["count"] < 2:
+        return f"{beams['count']}"
+    first, last, span = (math.degrees(beams[f"{k}_rad"]) for k in ("first_bearing", "last_bearing", "span"))
+    text = f"{beams['count']} from {first:.1f} to {last:.1f} degrees, spanning {span:.1f}"
+    if beams["step_rad"] is None:
+        return text + ", unevenly spaced"
+    step = math.degrees(beams["step_rad"])
+    text += f", every {abs(step):.3g}, {'clockwise' if step < 0 else 'counter-clockwise'}"
+    cone = math.degrees(beams["opening_angle_rad"])
+    return text + (f", cones of {cone:.1f} degrees" if cone else "")
+
+
+def _mount_row(beams: Mapping[str, Any]) -> str:
+    origins = beams["origins_m"]
+    if len(origins) != 1:
+        return f"{len(origins)} places on the robot"
+    return f"x {origins[0][0]:.3f} m, y {origins[0][1]:.3f} m on the robot"
+
+
+def _note_lines(facts: Mapping[str, Any]) -> list[str]:
+    notes = facts["notes"]
+    return ["", "notes", *(f"  - {note}" for note in notes)] if notes else []

@@ -1,0 +1,272 @@
+"""Draw maps, scans, trajectories and ranges: matplotlib Axes in, the same Axes out, units on every axis.
+
+Matplotlib is imported when something is drawn, so that importing beamfield stays quick.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import RangeFinder, Scan, usable_ranges
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Free, unknown, occupied.
+MAP_COLOURS = ("#FFFFFF", "#E1E5EA", "#3C444D")
+SCAN_COLOUR = "#D55E00"
+PATH_COLOUR = "#0072B2"
+NO_RETURN_COLOUR = "#009E73"
+
+
+def draw_map(grid: OccupancyGrid, ax: Axes, *, max_side: int = 2000) -> Axes:
+    """Draw a map in metres, in the map frame, turned by the yaw of its origin: free white, unknown grey, occupied dark.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    ax
+        Where to draw.
+    max_side
+        Larger maps are drawn with at most so many pixels a side; a pixel is dark if any of its cells is occupied, so
+        thin walls stay.
+
+    Returns
+    -------
+    The axes.
+
+    Raises
+    ------
+    InvalidInputError
+        If `max_side` is not positive.
+    """
+    from matplotlib.colors import ListedColormap
+    from matplotlib.transforms import Affine2D
+
+    if max_side < 1:
+        raise InvalidInputError(f"max_side: expected at least 1, got {max_side}")
+    step = -(-max(grid.shape) // max_side)
+    categories = _categories(grid, step)
+    rows, cols = categories.shape
+    # The last pixel of a coarser picture may stand over the map's edge.
+    extent = (0.0, cols * step * grid.resolution, 0.0, rows * step * grid.resolution)
+    x, y, yaw = grid.origin
+    in_map = Affine2D().rotate(yaw).translate(x, y)
+    ax.imshow(
+        categories,
+        origin="lower",
+        extent=extent,
+        transform=in_map + ax.transData,
+        cmap=ListedColormap(MAP_COLOURS),
+        vmin=0,
+        vmax=2,
+        interpolation="nearest",
+        zorder=0,
+    )
+    corners = grid.to_map([[0, 0], [grid.shape[1], 0], grid.shape[::-1], [0, grid.shape[0]]])
+    ax.set_xlim(corners[:, 0].min(), corners[:, 0].max())
+    ax.set_ylim(corners[:, 1].min(), corners[:, 1].max())
+    return _in_metres(ax)
+
+
+def draw_trajectory(
+    poses: ArrayLike, ax: Axes, *, label: str = "trajectory", color: str = PATH_COLOUR, ends: bool = True
+) -> Axes:
+    """Draw the way a robot went; it breaks where a pose is missing.
+
+    Parameters
+    ----------
+    poses
+        (t, 3) poses, or (t, 2) positions, in metres; NaN where there is none.
+    ax
+        Where to draw.
+    label
+        Name in a legend.
+    color
+        Of the line.
+    ends
+        Mark the start with a circle and the end with a square.
+
+    Returns
+    -------
+    The axes.
+
+    Raises
+    ------
+    InvalidInputError
+        If the shape is another.
+    """
+    track = np.asarray(poses, dtype=np.float64)
+    if track.ndim != 2 or track.shape[1] not in (2, 3):
+        raise InvalidInputError(f"poses: expected shape (t, 3) or (t, 2), got {track.shape}")
+    ax.plot(track[:, 0], track[:, 1], color=color, linewidth=1.3, label=label, zorder=4)
+    known = track[np.isfinite(track[:, :2]).all(axis=1)]
+    if ends and len(known):
+        for position, marker, name in ((known[0], "o", "start"), (known[-1], "s", "end")):
+            ax.plot(
+                position[0], position[1], marker, color=color, markeredgecolor="white", markersize=7, label=name,
+                linestyle="none", zorder=5,
+            )  # fmt: skip
+    return _in_metres(ax)
+
+
+def draw_scan(
+    scan: Scan,
+    pose: ArrayLike,
+    ax: Axes,
+    *,
+    label: str = "scan",
+    color: str = SCAN_COLOUR,
+    size: float = 6.0,
+    rays: bool = False,
+) -> Axes:
+    """Draw the end points of a scan seen from a pose, equation (6.32); beams without a measured range have none.
+
+    Parameters
+    ----------
+    scan
+        The scan.
+    pose
+        (3,) pose of the robot in the frame of the axes, metres and radians.
+    ax
+        Where to draw.
+    label
+        Name in a legend.
+    color, size
+        Of the points; the size is an area in points squared, as in matplotlib.
+    rays
+        Also draw each beam: to its end point if it measured something, and as a dotted stub of a tenth of max_range
+        if nothing came back.
+
+    Returns
+    -------
+    The axes.
+
+    Raises
+    ------
+    InvalidInputError
+        If the pose is not finite (3,).
+    """
+    from matplotlib.collections import LineCollection
+
+    place = as_poses(pose, "pose")
+    if place.shape != (3,):
+        raise InvalidInputError(f"pose: expected (x, y, theta), got shape {place.shape}")
+    points = end_points(scan.ranges, scan.finder, place)
+    if rays:
+        starts = compose(place, scan.finder.mounts)
+        z = usable_ranges(scan.ranges, scan.finder)
+        stubs = np.where(z >= scan.finder.max_range, 0.1 * scan.finder.max_range, np.nan)
+        direction = np.column_stack([np.cos(starts[:, 2]), np.sin(starts[:, 2])])
+        for ends, style, shade, name in (
+            (points, "solid", color, "measured"),
+            (starts[:, :2] + stubs[:, None] * direction, "dotted", NO_RETURN_COLOUR, "no return"),
+        ):
+            seen = np.isfinite(ends).all(axis=1)
+            lines = np.stack([starts[seen, :2], ends[seen]], axis=1)
+            collection = LineCollection(
+                list(lines), colors=shade, linewidths=0.6, alpha=0.45, linestyles=style, zorder=2,
+                label=name if seen.any() else None,
+            )  # fmt: skip
+            ax.add_collection(collection)
+        ax.autoscale_view()
+    ax.scatter(points[:, 0], points[:, 1], s=size, color=color, linewidths=0, label=label, zorder=3)
+    return _in_metres(ax)
+
+
+def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes, *, bins: int = 80) -> Axes:
+    """Draw the histogram of the measured ranges; the legend says what share is no return, NaN or too close.
+
+    Parameters
+    ----------
+    ranges
+        (..., k) metres in the conventions of `Scan`.
+    finder
+        The sensor.
+    ax
+        Where to draw.
+    bins
+        Number of bins from the shortest to the longest measured range.
+
+    Returns
+    -------
+    The axes; the vertical one is logarithmic, because rare long ranges matter.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no reading at all.
+    """
+    z = np.asarray(ranges, dtype=np.float64)
+    if z.size == 0:
+        raise InvalidInputError("ranges: expected at least one reading, got none")
+    usable = usable_ranges(z, finder)
+    measured = usable[usable < finder.max_range]
+    no_return = np.mean(usable >= finder.max_range)
+    if measured.size:
+        ax.hist(measured, bins=bins, color=PATH_COLOUR, label=f"measured: {measured.size / z.size:.1%}")
+        ax.set_yscale("log")
+        # Room for the legend above the highest bin.
+        ax.set_ylim(0.7, 12.0 * ax.get_ylim()[1])
+    reaches_limit = bool(measured.size) and float(measured.max()) > 0.6 * finder.max_range
+    if reaches_limit or not measured.size:
+        ax.axvline(finder.max_range, color=NO_RETURN_COLOUR, linewidth=1.2, linestyle="--")
+    ax.plot([], [], color=NO_RETURN_COLOUR, linestyle="--",
+            label=f"no return ({finder.max_range:.4g} m or more): {no_return:.1%}")  # fmt: skip
+    rest = np.isnan(usable).mean()
+    if rest > 0:
+        ax.plot([], [], linestyle="none", label=f"too close or no measurement: {rest:.1%}")
+    ax.set_xlabel("range [m]")
+    ax.set_ylabel("readings per bin")
+    ax.legend(loc="upper right", fontsize=8, framealpha=1.0)
+    return ax
+
+
+def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> FloatArray:
+    """Return where beams end, equation (6.32).
+
+    Parameters
+    ----------
+    ranges
+        (..., k) metres in the conventions of `Scan`.
+    finder
+        The sensor.
+    poses
+        (..., 3) pose of the robot for each scan; may be NaN.
+
+    Returns
+    -------
+    (..., k, 2) metres in the frame of the poses; NaN where nothing was measured or the pose is unknown.
+    """
+    z = usable_ranges(ranges, finder)
+    z[z >= finder.max_range] = np.nan
+    beams = compose(np.asarray(poses, dtype=np.float64)[..., None, :], finder.mounts)
+    direction = np.stack([np.cos(beams[..., 2]), np.sin(beams[..., 2])], axis=-1)
+    return np.asarray(beams[..., :2] + z[..., None] * direction)
+
+
+def _categories(grid: OccupancyGrid, step: int) -> NDArray[np.uint8]:
+    """Return 0 free, 1 unknown, 2 occupied for blocks of step x step cells."""
+    occupied, free = (_any_in_block(mask, step) for mask in (grid.occupied, grid.free))
+    return np.where(occupied, 2, np.where(free, 0, 1)).astype(np.uint8)
+
+
+def _any_in_block(mask: NDArray[np.bool_], step: int) -> NDArray[Any]:
+    if step == 1:
+        return mask
+    rows, cols = (np.arange(0, n, step) for n in mask.shape)
+    return np.asarray(np.logical_or.reduceat(np.logical_or.reduceat(mask, rows, axis=0), cols, axis=1))
+
+
+def _in_metres(ax: Axes) -> Axes:
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    return ax

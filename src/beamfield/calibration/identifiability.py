@@ -133,8 +133,8 @@ def _sigma_findings(
     sigma = float(np.sqrt(variance))
     if variance <= problem.lower[VARIANCE]:
         text = (
-            f"sigma_hit is at its floor of {sigma:.3g} m: many readings equal the expected range exactly, as in a noise-"
-            "free simulation, and the likelihood grows without bound as sigma_hit shrinks."
+            f"sigma_hit is at its floor of {sigma:.3g} m: many readings equal the expected range exactly, as in a "
+            "simulation without noise, and the likelihood grows without bound as sigma_hit shrinks."
         )
         return [Finding("sigma-at-floor", "warning", text, {"sigma_hit": sigma})]
     relative_variance = float(covariance[VARIANCE, VARIANCE]) / (4.0 * variance**2)

@@ -31,8 +31,8 @@ BIN_BEAMS = 1024
 EDGE_SIGMAS = 9.0
 # Support of p_short when z* is shorter, metres; the same as in kernels/beam.py.
 SHORTEST_SUPPORT = 1e-6
-# Densities below this are computed again in log space.
-TINY_DENSITY = 1e-290
+# Mixtures below this are computed again in log space; squares of a density over its mixture must not overflow.
+TINY_DENSITY = 1e-140
 # Order of the derivatives: (w_hit, w_short, w_rand, v, q, b, lambda).
 N_DERIVATIVES = 7
 

@@ -89,7 +89,7 @@ def main() -> None:
         if r["trace"]:
             trace = r["trace"]
             fall = max(0.0, float(-np.diff(trace).min()))
-            steps = " | ".join(f"{trace[k - 1]:.5f}" for k in (1, 2, 3, 5, 10, N_ITERATIONS))
+            steps = " | ".join(f"{trace[min(k, len(trace)) - 1]:.5f}" for k in (1, 2, 3, 5, 10, N_ITERATIONS))
             print(f"| {r['case']} | {r['way']} | {steps} | {fall:.5f} |")
 
 

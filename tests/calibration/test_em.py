@@ -16,7 +16,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
-from reference import table_6_2
+from tests.reference import table_6_2
 
 # What makes learning hard: hits cut at 0, hits cut at the maximum range, shorts far from 0, shorts near it.
 CASES = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.em import LearningResult, learn_intrinsic_parameters
-from reference import table_6_2
+from tests.reference import table_6_2
 
 pytestmark = pytest.mark.oracle
 

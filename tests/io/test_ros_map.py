@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.ros_map import image_path, read_ros_map, save_map
+from beamfield.io.ros_map import image_path, read_ros_map, ros_map_notes, save_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 DEFAULTS = {
@@ -366,3 +366,15 @@ def test_a_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space"):
         save_map(OccupancyGrid([[1.0, 1.0]], 0.1), tmp_path / "a.yaml")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+# ---------------------------------------------------------------------------------------------------------------- notes
+
+
+def test_a_note_says_when_the_grey_of_unknown_counts_as_free(write):
+    (note,) = ros_map_notes(write([205, 255, 0, 205], free_thresh="0.25"))
+    assert "50.0% of the pixels have grey 205" in note
+    assert "free_thresh 0.25 they count as free" in note
+    for keys in ({"free_thresh": "0.196"}, {"negate": "yes"}, {"mode": "raw"}):
+        assert ros_map_notes(write([205, 255], **keys)) == []
+    assert ros_map_notes(write([204, 255])) == []

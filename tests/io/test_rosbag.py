@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
+from tests.io.mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
 
 from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.rosbag import read_bag, read_bag_map

@@ -8,7 +8,7 @@ import struct
 
 import numpy as np
 import pytest
-from mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
+from tests.io.mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 from beamfield.io.rosbag import read_bag, read_bag_map

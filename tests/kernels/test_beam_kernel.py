@@ -10,7 +10,7 @@ import pytest
 from scipy import integrate, special, stats
 
 from beamfield.kernels import beam
-from reference.beam_tables import integral, p_hit, p_short
+from tests.reference.beam_tables import integral, p_hit, p_short
 
 MAX_RANGE = 8.0
 THETA = beam.BeamView(0.6, 0.15, 0.05, 0.2, 0.1, 0.7, 0.0, 0.0, MAX_RANGE)
@@ -205,7 +205,7 @@ def test_product_of_many_beams_is_the_sum_of_their_logs():
     expected[1, :60] = 0.0
     for view in (THETA, NO_RAND, THETA._replace(sigma_hit=1e-5), THETA._replace(sigma_hit=1e-150)):
         out = np.empty(3)
-        beam.fill_scan_log_likelihood(ranges, np.exp(-0.7 * ranges), expected, view, out)
+        beam.fill_scan_log_likelihood(ranges, expected, view, out)
         each = np.empty(expected.size)
         beam.fill_log_density(np.tile(ranges, 3), expected.ravel(), view, each)
         np.testing.assert_allclose(out, each.reshape(3, -1).sum(axis=1), rtol=1e-13)

@@ -12,7 +12,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.models.beam_density import beam_cdf, beam_components, beam_log_density, beam_pit, beam_responsibilities
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
-from reference.beam_tables import beam_range_finder_model
+from tests.reference.beam_tables import beam_range_finder_model
 
 MAX_RANGE = 8.0
 PARAMETERS = BeamParameters(z_hit=0.6, z_short=0.15, z_max=0.05, z_rand=0.2, sigma_hit=0.1, lambda_short=0.7)

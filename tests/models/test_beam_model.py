@@ -17,7 +17,7 @@ from beamfield.models import beam
 from beamfield.models.beam import BeamModel, beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, Scan
-from reference.beam_tables import beam_range_finder_model, expected_range_by_small_steps
+from tests.reference.beam_tables import beam_range_finder_model, expected_range_by_small_steps
 
 PARAMETERS = BeamParameters(z_hit=0.6, z_short=0.2, z_max=0.1, z_rand=0.1, sigma_hit=0.1, lambda_short=0.5)
 MAX_RANGE = 8.0

@@ -197,15 +197,45 @@ def test_responsibilities_survive_underflow():
     assert beam.responsibilities(7.5, 1.5, NO_RAND) == (1.0, 0.0, 0.0, 0.0)
 
 
+def test_vectorised_exponential_is_exact_to_rounding():
+    x = -np.concatenate([[0.0], np.geomspace(1e-10, 708.0, 3000)])
+    np.testing.assert_allclose([beam.quick_exp(v) for v in x], np.exp(x), rtol=5e-16)
+    assert beam.quick_exp(-1e9) == beam.quick_exp(-math.inf) == beam.quick_exp(-708.0)
+
+
+def test_vectorised_normal_distribution_function_is_exact_to_rounding():
+    t = np.linspace(0.0, 9.0, 5000)
+    np.testing.assert_allclose([beam.quick_normal_below(v) for v in t], special.ndtr(t), rtol=0, atol=5e-16)
+
+
+def adversarial_beams(rng, n_poses):
+    """Return ranges (k,) and expected ranges (n_poses, k): all special values against each other, and random ones."""
+    special_values = [0.0, 5e-324, 1e-7, 1e-6, 2e-6, 0.3, 0.83, 7.17, 7.9999, math.nextafter(MAX_RANGE, 0.0), MAX_RANGE]
+    ranges = np.concatenate([special_values, rng.uniform(0.0, MAX_RANGE, 29)])
+    expected = rng.uniform(0.0, 9.0, (n_poses, ranges.size))
+    for i, value in enumerate([*special_values, np.nan, 9.0, np.inf]):
+        expected[i] = value
+    expected[14:20] = np.clip(ranges + rng.normal(0.0, 0.1, (6, ranges.size)), 0.0, None)
+    return ranges, expected
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_vectorised_loops_equal_the_scalar_formulas(variant):
+    view = VARIANTS[variant]
+    ranges, expected = adversarial_beams(np.random.default_rng(8), 40)
+    flat_ranges, flat_expected = np.tile(ranges, len(expected)), expected.ravel()
+    out = np.empty(flat_ranges.size)
+    beam.fill_log_density(flat_ranges, flat_expected, view, out)
+    capped = np.where(np.isnan(flat_expected), np.nan, np.minimum(flat_expected, MAX_RANGE))
+    one_by_one = [beam.log_mixture(z, z_star, view) for z, z_star in zip(flat_ranges, capped, strict=True)]
+    np.testing.assert_allclose(out, one_by_one, rtol=1e-12, atol=1e-13)
+
+
 def test_product_of_many_beams_is_the_sum_of_their_logs():
-    rng = np.random.default_rng(5)
-    ranges = np.concatenate([rng.uniform(0.0, MAX_RANGE, 200), [MAX_RANGE, 0.0]])
-    expected = rng.uniform(0.0, 9.0, (3, ranges.size))
-    expected[0, :4] = np.nan
-    expected[1, :60] = 0.0
+    ranges, expected = adversarial_beams(np.random.default_rng(5), 37)
     for view in (THETA, NO_RAND, THETA._replace(sigma_hit=1e-5), THETA._replace(sigma_hit=1e-150)):
-        out = np.empty(3)
+        out = np.empty(37)
         beam.fill_scan_log_likelihood(ranges, expected, view, out)
         each = np.empty(expected.size)
-        beam.fill_log_density(np.tile(ranges, 3), expected.ravel(), view, each)
-        np.testing.assert_allclose(out, each.reshape(3, -1).sum(axis=1), rtol=1e-13)
+        beam.fill_log_density(np.tile(ranges, 37), expected.ravel(), view, each)
+        np.testing.assert_allclose(out, each.reshape(37, -1).sum(axis=1), rtol=1e-13)

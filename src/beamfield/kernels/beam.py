@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.jit import kernel
+from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +36,17 @@ SHORTEST_SUPPORT = 1e-6
 SMALL_DENSITY = 1e-290
 # Products of densities are turned into logarithms before they leave these bounds.
 SMALL_PRODUCT, LARGE_PRODUCT = 1e-150, 1e150
+
+# exp underflows below this.
+SMALLEST_EXPONENT = -708.0
+LOG2_E = 1.4426950408889634
+LOG_2_HIGH, LOG_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+# Beams of one pass of the vectorised loops: their densities stay in the nearest cache.
+BLOCK = 512
+# The normal distribution function and its derivative at every 1/32 sigma from 0 to WHOLE_SIGMAS.
+NODES_PER_SIGMA = 32.0
+_BELOW = np.array([0.5 * math.erfc(-n / 32.0 * SQRT_HALF) for n in range(267)])
+_SLOPE = np.array([INV_SQRT_2PI * math.exp(-0.5 * (n / 32.0) ** 2) for n in range(267)])
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
@@ -274,14 +285,157 @@ def mixture_cdf(z: float, z_star: float, view: BeamView) -> float:
     )
 
 
-# --- many beams -------------------------------------------------------------------------------------------------------
+# --- many beams: the same formulas in a form that vectorises ----------------------------------------------------------
+
+
+@inlined_kernel
+def quick_exp(x: float) -> float:
+    """Return exp(x) for -708 <= x <= 0, exp(-708) for anything below and NaN; within 3e-16, relatively.
+
+    x = n log 2 + r with |r| <= log(2) / 2; a Taylor polynomial gives exp(r), the exponent's bits give 2^n. A call of
+    math.exp would keep the loop from being vectorised.
+    """
+    x = x if x > SMALLEST_EXPONENT else SMALLEST_EXPONENT
+    n = math.floor(x * LOG2_E + 0.5)
+    r = (x - n * LOG_2_HIGH) - n * LOG_2_LOW
+    p = 1.0 / 6227020800.0
+    p = p * r + 1.0 / 479001600.0
+    p = p * r + 1.0 / 39916800.0
+    p = p * r + 1.0 / 3628800.0
+    p = p * r + 1.0 / 362880.0
+    p = p * r + 1.0 / 40320.0
+    p = p * r + 1.0 / 5040.0
+    p = p * r + 1.0 / 720.0
+    p = p * r + 1.0 / 120.0
+    p = p * r + 1.0 / 24.0
+    p = p * r + 1.0 / 6.0
+    p = p * r + 0.5
+    p = p * r + 1.0
+    p = p * r + 1.0
+    return p * np.int64((np.int64(n) + 1023) << 52).view(np.float64)
+
+
+@inlined_kernel
+def quick_normal_below(t: float) -> float:
+    """Return the standard normal distribution function for 0 <= t, within 4e-16; that of the nearer limit outside.
+
+    A Taylor series of order 6 around the nearest node: the next term is below 3e-16.
+    """
+    t = t if t < WHOLE_SIGMAS else WHOLE_SIGMAS
+    t = t if t > 0.0 else 0.0
+    i = int(t * NODES_PER_SIGMA + 0.5)
+    n = i / NODES_PER_SIGMA
+    d = t - n
+    m = n * n
+    series = 1.0 / 120.0 * (m * (m - 6.0) + 3.0) - d / 720.0 * n * (m * (m - 10.0) + 15.0)
+    series = (m - 1.0) / 6.0 - d * (n * (m - 3.0) / 24.0 - d * series)
+    return _BELOW[i] + _SLOPE[i] * d * (1.0 - d * (0.5 * n - d * series))
+
+
+@kernel
+def limit_factor(view: BeamView) -> float:
+    """Return the factor of `hit_normaliser` for z* = max_range (rays that hit nothing); -1 if it has an edge."""
+    sigma = hit_sigma(view.max_range, view)
+    factor, edge = hit_normaliser(view.max_range + view.range_offset, sigma, view.max_range)
+    return factor if edge == 0.0 else -1.0
+
+
+@inlined_kernel
+def quick_hit(z: float, z_star: float, at_limit: float, view: BeamView) -> float:
+    """Return p_hit for 0 <= z < max_range; negative or NaN where it needs `hit_density`."""
+    slope = view.sigma_slope * z_star
+    scale = 1.0 / math.sqrt(view.sigma_hit * view.sigma_hit + slope * slope)
+    mean = z_star + view.range_offset
+    rest = view.max_range - mean
+    u = (z - mean) * scale
+    # With the mean in [0, max_range] at least half of the mass is, so that this sum keeps its digits unless the
+    # interval is a narrow slice of the normal.
+    mass = quick_normal_below(mean * scale) + quick_normal_below(rest * scale) - 1.0
+    factor = INV_SQRT_2PI * scale / mass
+    factor = factor if min(min(mean, rest), mass - 0.4) >= 0.0 else -1.0
+    factor = at_limit if z_star == view.max_range else factor
+    return factor * quick_exp(-0.5 * u * u)
+
+
+@inlined_kernel
+def quick_short(z: float, z_star: float, view: BeamView) -> float:
+    """Return p_short for 0 <= z < max_range."""
+    support = z_star if z_star > SHORTEST_SUPPORT else SHORTEST_SUPPORT
+    x = view.lambda_short * support
+    # x / (1 - exp(-x)): the difference loses digits for small x, and the series' next term is below the last one.
+    y = x * x
+    series = 1.0 + 0.5 * x + y * (1.0 / 12.0 - y * (1.0 / 720.0 - y * (1.0 / 30240.0)))
+    ratio = x / (1.0 - quick_exp(-x))
+    density = (series if x < 0.1 else ratio) / support * quick_exp(-view.lambda_short * z)
+    return density if z <= support else 0.0
+
+
+@kernel
+def fill_quick(ranges: Floats, expected: Floats, at_limit: float, view: BeamView, out: Floats) -> None:
+    """Fill out (n,) with `mixture`, and with a negative number or NaN for the few beams that need the full formulas."""
+    rand = view.z_rand / view.max_range
+    for i in range(ranges.size):
+        z, z_star = ranges[i], expected[i]
+        known = (z >= 0.0) & (z_star >= 0.0)
+        z_star = z_star if z_star < view.max_range else view.max_range
+        hit = quick_hit(z, z_star, at_limit, view)
+        p = view.z_hit * hit + view.z_short * quick_short(z, z_star, view) + rand
+        p = p if hit >= 0.0 else -1.0
+        p = p if z < view.max_range else view.z_max
+        out[i] = p if known else -1.0
 
 
 @kernel
 def fill_log_density(ranges: Floats, expected: Floats, view: BeamView, out: Floats) -> None:
     """Fill out (n,) with `log_mixture` of ranges (n,) and expected (n,)."""
-    for i in range(ranges.size):
-        out[i] = log_mixture(ranges[i], min(expected[i], view.max_range), view)
+    at_limit = limit_factor(view)
+    for start in range(0, ranges.size, BLOCK):
+        stop = min(start + BLOCK, ranges.size)
+        fill_quick(ranges[start:stop], expected[start:stop], at_limit, view, out[start:stop])
+        for i in range(start, stop):
+            if out[i] > SMALL_DENSITY:
+                out[i] = math.log(out[i])
+            else:
+                out[i] = log_mixture(ranges[i], min(expected[i], view.max_range), view)
+
+
+@kernel
+def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, out: Floats) -> None:
+    """Fill out (n,) with the sum over beams of `log_mixture`: (6.2) in log space, for one scan at n poses.
+
+    `ranges` (k,) and `expected` (n, k). Densities are multiplied while the product stays far from the limits of a
+    double and only then turned into a logarithm: a rounding error per factor is all it costs, less than adding
+    logarithms does.
+    """
+    # Several poses per pass, because the rest of a vectorised loop is done beam by beam.
+    k = ranges.size
+    n_together = max(1, BLOCK // k)
+    tiled = np.empty(n_together * k)
+    for i in range(tiled.size):
+        tiled[i] = ranges[i % k]
+    density = np.empty(tiled.size)
+    at_limit = limit_factor(view)
+    for start in range(0, expected.shape[0], n_together):
+        n = min(n_together, expected.shape[0] - start)
+        fill_quick(tiled[: n * k], expected[start : start + n].reshape(-1), at_limit, view, density[: n * k])
+        for i in range(n):
+            out[start + i] = sum_of_logs(density[i * k : (i + 1) * k], ranges, expected[start + i], view)
+
+
+@kernel
+def sum_of_logs(density: Floats, ranges: Floats, expected: Floats, view: BeamView) -> float:
+    """Return the sum of the logarithms of what `fill_quick` found, and `log_mixture` where it found none."""
+    total, product = 0.0, 1.0
+    for j in range(ranges.size):
+        p = density[j]
+        if SMALL_PRODUCT < p < LARGE_PRODUCT:
+            product *= p
+            if product < SMALL_PRODUCT or product > LARGE_PRODUCT:
+                total += math.log(product)
+                product = 1.0
+        else:
+            total += log_mixture(ranges[j], min(expected[j], view.max_range), view)
+    return total + math.log(product)
 
 
 @kernel
@@ -310,33 +464,3 @@ def fill_cdf(ranges: Floats, expected: Floats, view: BeamView, out: Floats) -> N
     """Fill out (n,) with `mixture_cdf`."""
     for i in range(ranges.size):
         out[i] = mixture_cdf(ranges[i], min(expected[i], view.max_range), view)
-
-
-@kernel
-def fill_scan_log_likelihood(ranges: Floats, decay: Floats, expected: Floats, view: BeamView, out: Floats) -> None:
-    """Fill out (n,) with the sum over beams of `log_mixture`: (6.2) in log space, for one scan at n poses.
-
-    `ranges` (k,) are measurements, `expected` (n, k); `decay` (k,) is exp(-lambda z), the part of (6.7) that no pose
-    changes. Densities are multiplied while the product stays far from the limits of a double and only then turned into
-    a logarithm: a rounding error per factor is all it costs, less than adding logarithms does.
-    """
-    for i in range(expected.shape[0]):
-        total, product = 0.0, 1.0
-        for j in range(ranges.size):
-            z, z_star = ranges[j], min(expected[i, j], view.max_range)
-            if not is_measurement(z, z_star):
-                continue
-            if z >= view.max_range:
-                p = view.z_max
-            else:
-                p = view.z_hit * hit_density(z, z_star, view) + view.z_rand / view.max_range
-                if z <= max(z_star, SHORTEST_SUPPORT):
-                    p += view.z_short * short_factor(z_star, view.lambda_short) * decay[j]
-            if SMALL_PRODUCT < p < LARGE_PRODUCT:
-                product *= p
-                if product < SMALL_PRODUCT or product > LARGE_PRODUCT:
-                    total += math.log(product)
-                    product = 1.0
-            else:
-                total += log_mixture(z, z_star, view)
-        out[i] = total + math.log(product)

@@ -15,6 +15,11 @@ def kernel(function: F) -> F:
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
+def inlined_kernel(function: F) -> F:
+    """Compile a scalar function into its callers, so that their loops can be vectorised however long it is."""
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function))
+
+
 def fast_kernel(function: F) -> F:
     """Compile a kernel that may reorder sums and assumes finite numbers.
 

@@ -253,13 +253,12 @@ class BeamModel:
         """Fill out (n,) with the sum over beams, chunk by chunk so that memory does not grow with the poses."""
         ranges = usable_ranges(scan.ranges, scan.finder)
         view = as_view(self.parameters, scan.finder.max_range)
-        decay = np.exp(-self.parameters.lambda_short * ranges)
         step = max(1, RAYS_PER_CHUNK // len(ranges))
         for start in range(0, len(poses), step):
             part, expected = out[start : start + step], self.expected(poses[start : start + step], scan.finder)
             run_in_slices(
                 lambda a, b, part=part, expected=expected: fill_scan_log_likelihood(  # type: ignore[misc]
-                    ranges, decay, expected[a:b], view, part[a:b]
+                    ranges, expected[a:b], view, part[a:b]
                 ),
                 len(part),
                 threads=self.threads,

@@ -312,7 +312,8 @@ def quick_exp(x: float) -> float:
     p = p * r + 0.5
     p = p * r + 1.0
     p = p * r + 1.0
-    return p * np.int64((np.int64(n) + 1023) << 52).view(np.float64)
+    power: float = np.int64((np.int64(n) + 1023) << 52).view(np.float64)
+    return p * power
 
 
 @inlined_kernel
@@ -329,7 +330,8 @@ def quick_normal_below(t: float) -> float:
     m = n * n
     series = 1.0 / 120.0 * (m * (m - 6.0) + 3.0) - d / 720.0 * n * (m * (m - 10.0) + 15.0)
     series = (m - 1.0) / 6.0 - d * (n * (m - 3.0) / 24.0 - d * series)
-    return _BELOW[i] + _SLOPE[i] * d * (1.0 - d * (0.5 * n - d * series))
+    below: float = _BELOW[i] + _SLOPE[i] * d * (1.0 - d * (0.5 * n - d * series))
+    return below
 
 
 @kernel
@@ -351,8 +353,9 @@ def quick_hit(z: float, z_star: float, at_limit: float, view: BeamView) -> float
     # With the mean in [0, max_range] at least half of the mass is, so that this sum keeps its digits unless the
     # interval is a narrow slice of the normal.
     mass = quick_normal_below(mean * scale) + quick_normal_below(rest * scale) - 1.0
-    factor = INV_SQRT_2PI * scale / mass
-    factor = factor if min(min(mean, rest), mass - 0.4) >= 0.0 else -1.0
+    sound = (mean >= 0.0) & (rest >= 0.0) & (mass > 0.4)
+    factor = INV_SQRT_2PI * scale / (mass if sound else 1.0)
+    factor = factor if sound else -1.0
     factor = at_limit if z_star == view.max_range else factor
     return factor * quick_exp(-0.5 * u * u)
 
@@ -365,8 +368,9 @@ def quick_short(z: float, z_star: float, view: BeamView) -> float:
     # x / (1 - exp(-x)): the difference loses digits for small x, and the series' next term is below the last one.
     y = x * x
     series = 1.0 + 0.5 * x + y * (1.0 / 12.0 - y * (1.0 / 720.0 - y * (1.0 / 30240.0)))
-    ratio = x / (1.0 - quick_exp(-x))
-    density = (series if x < 0.1 else ratio) / support * quick_exp(-view.lambda_short * z)
+    large = x if x > 0.1 else 0.1
+    ratio = large / (1.0 - quick_exp(-large)) if x > 0.1 else series
+    density = ratio / support * quick_exp(-view.lambda_short * z)
     return density if z <= support else 0.0
 
 

@@ -11,6 +11,8 @@ BoolArray = NDArray[np.bool_]
 
 # Curvatures smaller than this, relative to the largest after scaling, are taken as this: flat directions stay bounded.
 _LEAST_CURVATURE = 1e-9
+# Keeps quotients of vanishing numbers finite.
+_TINY = 1e-100
 
 
 def newton_step(
@@ -85,8 +87,8 @@ def _solve(
         if balance >= 0:
             basis[balance, k] = -1.0
     reduced = basis.T @ hessian @ basis
-    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(reduced)), 1e-300))
+    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(reduced)), _TINY))
     curvature, directions = np.linalg.eigh(reduced * np.outer(scale, scale))
-    strength = np.maximum(np.abs(curvature), max(_LEAST_CURVATURE * np.abs(curvature).max(), 1e-300))
+    strength = np.maximum(np.abs(curvature), max(_LEAST_CURVATURE * np.abs(curvature).max(), _TINY))
     slope = directions.T @ (scale * (basis.T @ gradient))
     return np.asarray(step + basis @ (scale * (directions @ (slope / strength))))

@@ -11,6 +11,8 @@ from beamfield.geometry import FloatArray
 
 # Directions flatter than this, relative to the steepest after scaling, get the variance that this curvature gives.
 _LEAST_CURVATURE = 1e-12
+# Parameters of which the data say less than this (a variance of 1e20) count as unknown to that degree.
+_LEAST_INFORMATION = 1e-20
 
 
 def naive_covariance(likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray) -> FloatArray:
@@ -50,9 +52,9 @@ def _inverse_information(
     information = -basis.T @ hessian @ basis
     if not information.size:
         return basis, information
-    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(information)), 1e-300))
+    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(information)), _LEAST_INFORMATION))
     curvature, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    curvature = np.maximum(curvature, _LEAST_CURVATURE * max(float(curvature.max()), 1e-300))
+    curvature = np.maximum(curvature, _LEAST_CURVATURE)
     inverse = (directions / curvature) @ directions.T * np.outer(scale, scale)
     return basis, inverse
 

@@ -15,6 +15,7 @@ import numpy as np
 from beamfield.calibration.curvature import naive_covariance
 from beamfield.calibration.finding import Finding
 from beamfield.calibration.intrinsic_likelihood import (
+    OFFSET,
     RATE,
     VARIANCE,
     W_HIT,
@@ -60,8 +61,9 @@ def identifiability_findings(
     """Name what these beams leave open at the maximum `theta`.
 
     The names: ``no-returns``, ``no-max-readings``, ``no-hits``, ``no-shorts``, ``no-random``, ``lambda-undetermined``,
-    ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``, ``sigma-confounded``, ``hits-and-shorts-confounded``,
-    ``hits-and-random-confounded``, ``shorts-and-random-confounded``, ``several-modes``.
+    ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``, ``sigma-confounded``, ``offset-at-limit``,
+    ``hits-and-shorts-confounded``, ``hits-and-random-confounded``, ``shorts-and-random-confounded``,
+    ``several-modes``.
     """
     if likelihood.n_returned == 0.0:
         return (
@@ -78,6 +80,7 @@ def identifiability_findings(
         *_absent_causes(counts, problem),
         *_rate_findings(likelihood, problem, theta, counts, covariance),
         *_sigma_findings(problem, theta, counts, covariance),
+        *_offset_findings(problem, theta),
         *_confounded_causes(likelihood, problem, theta, counts, covariance),
         *_mode_findings(likelihood, modes),
     )
@@ -146,6 +149,14 @@ def _sigma_findings(
         values = {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)}
         return [Finding("sigma-confounded", "warning", text, values)]
     return []
+
+
+def _offset_findings(problem: LearningProblem, theta: FloatArray) -> list[Finding]:
+    offset = float(theta[OFFSET])
+    if not problem.free[OFFSET] or problem.lower[OFFSET] < offset < problem.upper[OFFSET]:
+        return []
+    text = f"range_offset is at its limit of {offset:.3g} m: hits are not near the map's walls; check map and poses."
+    return [Finding("offset-at-limit", "warning", text, {"range_offset": offset})]
 
 
 def _confounded_causes(

@@ -19,8 +19,10 @@ from beamfield.models.beam_parameters import BeamParameters
 SIGMA_FLOOR_SHARE = 1e-5
 # Shorts nearer to the sensor than this share of the maximum range cannot be told from 0.
 SHORTEST_MEAN_SHARE = 1e-4
-# A map's surface is not further from its cells than this, metres; keeps hits and shorts from trading names.
+# A map's surface is not further from its cells than this many metres, nor than this share of the maximum range; keeps
+# hits and shorts from trading names.
 LARGEST_OFFSET = 1.0
+LARGEST_OFFSET_SHARE = 0.1
 LARGEST_SIGMA_SLOPE = 1.0
 
 _POSITIONS = {
@@ -112,12 +114,13 @@ def learning_problem(
     held_theta[[VARIANCE, SLOPE]] **= 2
     lower = np.zeros(N_PARAMETERS)
     lower[VARIANCE] = (SIGMA_FLOOR_SHARE * max_range) ** 2
-    lower[OFFSET] = -LARGEST_OFFSET
+    largest_offset = min(LARGEST_OFFSET, LARGEST_OFFSET_SHARE * max_range)
+    lower[OFFSET] = -largest_offset
     upper = np.ones(N_PARAMETERS)
     # A hit wider than the sensor's range cannot be told from a uniform density.
     upper[VARIANCE] = max_range**2
     upper[SLOPE] = LARGEST_SIGMA_SLOPE**2
-    upper[OFFSET] = LARGEST_OFFSET
+    upper[OFFSET] = largest_offset
     upper[RATE] = 1.0 / (SHORTEST_MEAN_SHARE * max_range)
     # Held values are the caller's business, also outside these bounds.
     lower = np.where(free_theta, lower, held_theta)

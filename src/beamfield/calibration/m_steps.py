@@ -16,15 +16,17 @@ from beamfield.geometry import FloatArray
 from beamfield.kernels import intrinsics as kernels
 
 _MOST_STEPS = 50
+# A cause with fewer expected beams than this is dying: its shape stays what it was.
+_LEAST_COUNT = 1e-12
 
 
 def m_step(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> FloatArray:
     """Return the working vector that maximises the expected log-likelihood plus log prior, held parameters kept."""
     new = theta.copy()
     new[:4] = _weights(statistics.counts + problem.priors.counts, theta, problem)
-    if problem.free[[VARIANCE, SLOPE, OFFSET]].any() and statistics.counts[0] > 0.0:
+    if problem.free[[VARIANCE, SLOPE, OFFSET]].any() and statistics.counts[0] > _LEAST_COUNT:
         new[[VARIANCE, SLOPE, OFFSET]] = _hit_shape(statistics, theta, problem)
-    if problem.free[RATE] and (statistics.counts[1] > 0.0 or problem.priors.short_beams > 0.0):
+    if problem.free[RATE] and (statistics.counts[1] > _LEAST_COUNT or problem.priors.short_beams > 0.0):
         new[RATE] = _rate(statistics, theta, problem)
     return new
 

@@ -1,0 +1,188 @@
+"""Occupancy mapping: one exact traversal per beam, each cell changed at most once per scan.
+
+All lengths are in cells, all cells in the order (column, row), with the conventions of the ray caster: coordinates
+within 1e-9 cells of a border are on it, crossings within 1e-9 cells of each other are a corner and the ray goes on in
+the cell behind it. A reading that ends exactly on the border of a cell has entered it, as the ray caster's range has,
+so a perfect reading marks the very cell that the caster hit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+Floats = NDArray[np.float64]
+
+# The ray caster's tolerances, see kernels/raycast.py; a test holds the two together.
+TIE = 1e-9
+SNAP = 1e-9
+PARALLEL = 1e-12
+HUGE = 1e300
+
+# What a reading does to the cells on its way.
+SKIP, HIT, PASS = 0, 1, 2
+
+
+@kernel
+def update_log_odds(
+    poses: Floats,
+    fan: Floats,
+    lengths: Floats,
+    kinds: NDArray[np.uint8],
+    steps: NDArray[np.float32],
+    first_stamp: int,
+    log_odds: NDArray[np.float32],
+    stamps: NDArray[np.int32],
+) -> int:
+    """Enter scans into a grid of log-odds.
+
+    Parameters
+    ----------
+    poses
+        (t, 4) x, y in cells, cos and sin of the heading, in the grid's frame.
+    fan
+        (4, k) x, y in cells, cos and sin of each beam in the robot frame.
+    lengths
+        (t, k) how far each beam is followed, in cells.
+    kinds
+        (t, k) uint8: SKIP, HIT (the last cell is occupied) or PASS (the last cell is passed like the others).
+    steps
+        (4,) float32: what a hit adds, what a pass adds, the lowest and the highest value.
+    first_stamp
+        A number above all stamps so far, minus the values that this call uses: scan i writes first_stamp + 2 i for
+        cells that were passed and one more for cells that were hit.
+    log_odds
+        (rows, cols) float32, changed.
+    stamps
+        (rows, cols) int32, changed: the last scan that changed a cell; negative where none did.
+
+    Returns
+    -------
+    Number of beams that leave the grid; they are not entered.
+    """
+    k = fan.shape[1]
+    rows, cols = log_odds.shape
+    hit, passed, low, high = steps[0], steps[1], steps[2], steps[3]
+    outside = 0
+    for i in range(poses.shape[0]):
+        x, y, c, s = poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3]
+        pass_stamp = first_stamp + 2 * i
+        hit_stamp = pass_stamp + 1
+        # Hits first: a cell that one beam hits and another one passes has been hit.
+        for b in range(k):
+            if kinds[i, b] == HIT:
+                col, row = _last_cell(
+                    x + c * fan[0, b] - s * fan[1, b],
+                    y + s * fan[0, b] + c * fan[1, b],
+                    c * fan[2, b] - s * fan[3, b],
+                    s * fan[2, b] + c * fan[3, b],
+                    lengths[i, b],
+                )
+                if 0 <= col < cols and 0 <= row < rows and stamps[row, col] != hit_stamp:
+                    stamps[row, col] = hit_stamp
+                    log_odds[row, col] = min(max(log_odds[row, col] + hit, low), high)
+        for b in range(k):
+            if kinds[i, b] != SKIP:
+                outside += _pass(
+                    x + c * fan[0, b] - s * fan[1, b],
+                    y + s * fan[0, b] + c * fan[1, b],
+                    c * fan[2, b] - s * fan[3, b],
+                    s * fan[2, b] + c * fan[3, b],
+                    lengths[i, b],
+                    kinds[i, b] == PASS,
+                    pass_stamp,
+                    passed,
+                    low,
+                    high,
+                    log_odds,
+                    stamps,
+                )
+    return outside
+
+
+@kernel
+def last_cells(x: Floats, y: Floats, c: Floats, s: Floats, lengths: Floats, cells: NDArray[np.int64]) -> None:
+    """Fill cells (n, 2) int64 with the (col, row) in which rays of the given lengths end."""
+    for i in range(x.shape[0]):
+        cells[i, 0], cells[i, 1] = _last_cell(x[i], y[i], c[i], s[i], lengths[i])
+
+
+@kernel
+def _last_cell(x: float, y: float, c: float, s: float, length: float) -> tuple[int, int]:
+    """Return (col, row) of the cell that a ray has entered last."""
+    ox, first_col, inv_c, c_abs = _start(x, c)
+    oy, first_row, inv_s, s_abs = _start(y, s)
+    n_i, n_j = _edges_until(length, ox, c_abs, inv_c), _edges_until(length, oy, s_abs, inv_s)
+    return int(first_col - n_i if c <= -PARALLEL else first_col + n_i), int(
+        first_row - n_j if s <= -PARALLEL else first_row + n_j
+    )
+
+
+@kernel
+def _pass(
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    length: float,
+    whole: bool,
+    stamp: int,
+    passed: float,
+    low: float,
+    high: float,
+    log_odds: NDArray[np.float32],
+    stamps: NDArray[np.int32],
+) -> int:
+    """Mark the cells of a ray, without the last one unless `whole`; return 1 if the ray leaves the grid."""
+    rows, cols = log_odds.shape
+    ox, first_col, inv_c, c_abs = _start(x, c)
+    oy, first_row, inv_s, s_abs = _start(y, s)
+    n_i, n_j = int(_edges_until(length, ox, c_abs, inv_c)), int(_edges_until(length, oy, s_abs, inv_s))
+    step_col = -1 if c <= -PARALLEL else 1
+    step_row = -1 if s <= -PARALLEL else 1
+    col, row = int(first_col), int(first_row)
+    end_col, end_row = col + step_col * n_i, row + step_row * n_j
+    if min(col, end_col) < 0 or max(col, end_col) >= cols or min(row, end_row) < 0 or max(row, end_row) >= rows:
+        return 1
+    i, j = 0, 0
+    while i < n_i or j < n_j:
+        if stamps[row, col] < stamp:
+            stamps[row, col] = stamp
+            log_odds[row, col] = min(max(log_odds[row, col] + passed, low), high)
+        tx = (i + 1 - ox) * inv_c if i < n_i else HUGE
+        ty = (j + 1 - oy) * inv_s if j < n_j else HUGE
+        if tx <= ty + TIE:
+            i += 1
+            col += step_col
+        if ty <= tx + TIE:
+            j += 1
+            row += step_row
+    if whole and stamps[row, col] < stamp:
+        stamps[row, col] = stamp
+        log_odds[row, col] = min(max(log_odds[row, col] + passed, low), high)
+    return 0
+
+
+@kernel
+def _start(x: float, c: float) -> tuple[float, float, float, float]:
+    """Return offset in the cell, cell, 1 / |c| and |c| of one axis; the offset counts in the ray's direction."""
+    nearest = np.floor(x + 0.5)
+    x = nearest if abs(x - nearest) <= SNAP else x
+    cell = np.floor(x)
+    speed = abs(c) if abs(c) >= PARALLEL else 0.0
+    return 1.0 - (x - cell) if c <= -PARALLEL else x - cell, cell, 1.0 / speed if speed > 0 else HUGE, speed
+
+
+@kernel
+def _edges_until(length: float, offset: float, speed: float, inverse: float) -> float:
+    """Return how many edges of one axis a ray has crossed at a length; one that it reaches exactly counts."""
+    if speed == 0.0:
+        return 0.0
+    n: float = np.floor(offset + length * speed)
+    while n > 0 and (n - offset) * inverse > length + TIE:
+        n -= 1
+    while (n + 1 - offset) * inverse <= length + TIE:
+        n += 1
+    return n

@@ -1,0 +1,91 @@
+"""What all models that compare a local map with the global one have in common."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.kernels import correlation as kernels
+from beamfield.kernels.threads import run_in_slices
+from beamfield.maps.mapping import InverseSensorModel, scan_map
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import Scan
+
+# What these models take as a measurement: a scan, or a local map in the robot's frame.
+LocalMap = Scan | OccupancyGrid
+
+
+class LocalCells(NamedTuple):
+    """The defined cells of a local map.
+
+    Parameters
+    ----------
+    x, y
+        (L,) centres in the robot frame, in cells of the global map.
+    probability
+        (L,) float32.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    probability: NDArray[np.float32]
+
+
+class OverlapSums(NamedTuple):
+    """Sums over the cells that both maps define, each (n,) for n poses; values are probabilities less 0.5."""
+
+    n: FloatArray
+    local: FloatArray
+    map: FloatArray
+    product: FloatArray
+    local_square: FloatArray
+    map_square: FloatArray
+
+
+def local_cells(z: LocalMap, resolution: float, inverse_model: InverseSensorModel) -> LocalCells:
+    """Return the defined cells of a measurement; a scan is turned into a map of that resolution first."""
+    local = scan_map(z, resolution=resolution, inverse_model=inverse_model) if isinstance(z, Scan) else z
+    rows, cols = np.nonzero(~np.isnan(local.probability))
+    centres = local.to_map(np.column_stack([cols, rows]) + 0.5) / resolution
+    return LocalCells(centres[:, 0].copy(), centres[:, 1].copy(), local.probability[rows, cols])
+
+
+def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
+    """Return ((rows + 2) * (cols + 2),) probabilities less 0.5, in a frame of undefined cells, as kernels take them."""
+    values = np.full((grid.shape[0] + 2, grid.shape[1] + 2), kernels.UNDEFINED, np.float32)
+    defined = ~np.isnan(grid.probability)
+    values[1:-1, 1:-1][defined] = grid.probability[defined] - np.float32(0.5)
+    values.flags.writeable = False
+    return values.reshape(-1)
+
+
+def poses_in_cells(grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
+    """Return (n, 4) x, y in cells and cos, sin of the heading of poses (n, 3), in the grid's frame."""
+    heading = poses[:, 2] - grid.origin[2]
+    return np.column_stack([grid.to_cells(poses[:, :2]), np.cos(heading), np.sin(heading)])
+
+
+def overlap_sums(
+    grid: OccupancyGrid, table: NDArray[np.float32], cells: LocalCells, poses: FloatArray, threads: int | None
+) -> OverlapSums:
+    """Return the sums over the cells that both maps define, at poses (n, 3)."""
+    starts = poses_in_cells(grid, poses)
+    values = cells.probability - np.float32(0.5)
+    sums = np.empty((len(poses), 6))
+    run_in_slices(
+        lambda a, b: kernels.fill_sums(starts[a:b], cells.x, cells.y, values, table, *grid.shape, sums[a:b]),
+        len(poses),
+        threads=threads,
+        work_per_row=len(cells.x),
+    )
+    return OverlapSums(*sums.T)
+
+
+def check_min_overlap(min_overlap: float) -> None:
+    """Refuse a least share of common cells that is none."""
+    if not 0.0 < min_overlap <= 1.0:
+        raise InvalidInputError(f"min_overlap: expected a share in (0, 1], got {min_overlap}")

@@ -60,17 +60,17 @@ def given_ranges(name: str, scan: Scan, expected: np.ndarray) -> list[dict[str, 
 
     closed_form = numpy_log_likelihood(scan.ranges, expected)
     np.testing.assert_allclose(fused(), closed_form, atol=1e-9)
-    baseline = median_ns(lambda: numpy_log_likelihood(scan.ranges, expected), expected.size)
+    baseline = least_ns(lambda: numpy_log_likelihood(scan.ranges, expected), expected.size)
     timings = {
         "NumPy closed form, given ranges": baseline,
-        "sum of log densities, given ranges": median_ns(fused, expected.size),
-        "log density per beam, given ranges": median_ns(
+        "sum of log densities, given ranges": least_ns(fused, expected.size),
+        "log density per beam, given ranges": least_ns(
             lambda: beam_log_density(scan.ranges, expected, MAX_RANGE, PARAMETERS, threads=1), expected.size
         ),
-        "responsibilities, given ranges": median_ns(
+        "responsibilities, given ranges": least_ns(
             lambda: beam_responsibilities(scan.ranges, expected, MAX_RANGE, PARAMETERS, threads=1), expected.size
         ),
-        "drawing samples, given ranges": median_ns(
+        "drawing samples, given ranges": least_ns(
             lambda: sample_beams(expected, MAX_RANGE, PARAMETERS, np.random.default_rng(1)), expected.size
         ),
     }
@@ -82,7 +82,7 @@ def end_to_end(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) ->
     rows = []
     for threads in (1, 2):
         model = BeamModel(grid, PARAMETERS, threads=threads)
-        ns = median_ns(lambda model=model: model.log_likelihood(scan, poses), len(poses) * N_BEAMS)  # type: ignore[misc]
+        ns = least_ns(lambda model=model: model.log_likelihood(scan, poses), len(poses) * N_BEAMS)  # type: ignore[misc]
         rows.append(row("ray casting and mixture", name, len(poses), threads, ns, None))
     return rows
 
@@ -93,7 +93,7 @@ def large_scan(grid: OccupancyGrid, truth: np.ndarray, rng: np.random.Generator)
     model = BeamModel(grid, PARAMETERS)
     scan = model.sample(truth, rng, finder)[0]
     poses = near(truth, rng, 20_000)
-    ns = median_ns(lambda: model.log_likelihood(scan, poses), len(poses) * 180)
+    ns = least_ns(lambda: model.log_likelihood(scan, poses), len(poses) * 180)
     return [row("ray casting and mixture, 180 beams", "track", len(poses), "all", ns, None)]
 
 
@@ -152,15 +152,15 @@ def row(what: str, poses: str, n: int, threads: int | str, ns: float, baseline: 
     }
 
 
-def median_ns(call: Callable[[], object], n: int, repeats: int = 9) -> float:
-    """Return the median time of a call over n pairs in ns each, after one call to compile and warm up."""
+def least_ns(call: Callable[[], object], n: int, repeats: int = 15) -> float:
+    """Return the least time of a call over n pairs in ns each, after one to compile: other programs only add to it."""
     call()
     times = []
     for _ in range(repeats):
         start = time.perf_counter_ns()
         call()
         times.append((time.perf_counter_ns() - start) / n)
-    return float(np.median(times))
+    return min(times)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -108,7 +109,7 @@ def building(rng: np.random.Generator, size: int = 1200) -> NDArray[np.bool_]:
     occupied = np.zeros((size, size), bool)
     corridor, wall = 44, 3
     bands = np.linspace(0, size, 5).astype(int)
-    for low, high in zip(bands[:-1], bands[1:], strict=True):
+    for low, high in pairwise(bands):
         # Every band: a corridor along x with rooms of random width on both sides of it.
         middle = (low + high) // 2
         for side, (near, far) in enumerate(((middle - corridor // 2, low), (middle + corridor // 2, high))):

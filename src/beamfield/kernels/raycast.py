@@ -5,18 +5,23 @@ columns and rows; then it is followed by the *edges* it crosses: column edge X a
 edge Y at ty(Y) = (Y - y) / sin. The cells of the ray are the merge of these two sorted sequences, so the path depends
 on the ray alone and not on how it is followed. Two edges within `TIE` of each other are a corner.
 
-`free_rectangles` stores for every cell and direction quadrant the side of the largest free square that starts there; a ray
-that enters a cell may jump to the exit of its square. `trace_ray` follows one ray so, in float64. `_cast_block` follows
-many at once in float32, keeps for each the closest approach to any corner, and hands every ray for which float32 cannot
-decide an exit to `trace_ray`. The range is computed in float64 from the edges of the cell that was hit: it does not
-depend on which of the two found the cell.
+`free_rectangles` stores for every cell and direction quadrant a large free rectangle that starts there; a ray that
+enters a cell may jump to the exit of its rectangle. `trace_ray` follows one ray so, in float64. `_cast_block` follows
+many at once in float32, keeps for each how close it came to a corner, and leaves every ray for which float32 cannot
+decide where it went to `trace_ray`. The range is computed in float64 from the edges of the cell that was hit, so it
+does not depend on which of the two found that cell.
 """
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from fractions import Fraction
+from typing import NamedTuple
 
-from beamfield.kernels.jit import kernel
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import inlined_kernel, kernel
 
 # Crossings of a column and a row edge closer than this, in cells, are one crossing of a corner.
 TIE = 1e-9
@@ -30,26 +35,74 @@ FAR = 1e12
 HUGE = 1e300
 # Stands for the slope 1 / 0 in float32; its product with any distance in a grid is finite.
 STEEP = 1e30
+# Bound of the float32 error of the coordinate at which a ray crosses an edge: DOUBT_PER_CELL (reach + slope), with the
+# length of the ray in cells and the larger of |tan| and |1 / tan|. With u = 2^-24, rounding offset, slope, difference,
+# product and sum is at most u (1 + 3 reach + slope), and choosing the wrong edge at most u (2 + 6 reach + 6 slope).
+DOUBT_PER_CELL = 2.0**-21
 
-# Rays that walk in lockstep. Measured: ...
+# Rays that walk in lockstep. Measured: 128 is 10 % slower, 512 the same.
 BLOCK = 256
-# A row of a buffer: BLOCK rays, and room for a vector that is stored beyond them.
+# Length of a float64 row: BLOCK rays, and room for a vector that is stored beyond them.
 STRIDE = BLOCK + 8
 # Jumps before a block hands its unfinished rays to the pool, and jumps of the pool between two clearances.
-FIRST_STEPS = 5
+FIRST_STEPS = 4
 MORE_STEPS = 3
-# The state of each ray: rows of ONE float32 buffer, because LLVM vectorises only loops whose arrays it can prove apart.
+# State of each ray in float32: rows of ONE buffer, because LLVM vectorises only loops whose arrays it can prove apart.
 FX, FY, SLOPE, INVERSE_SLOPE, COL, ROW, DOUBT, LAST_COL, LAST_ROW, LIMIT = (np.intp(i * BLOCK) for i in range(10))
 STATE_ROWS = 10
-# The same rays in float64: start, direction, and offset in the cell and inverse direction after the reflection.
-X, Y, C, S, OX, OY, IC, IS = (np.intp(i * STRIDE) for i in range(8))
-RAY_ROWS = 8
+# The same rays in float64: start cell and offset in it, direction; then offset and 1 / direction after the reflection.
+CELL_X, CELL_Y, OFFSET_X, OFFSET_Y, COS, SIN, OX, OY, IX, IY = (np.intp(i * STRIDE) for i in range(10))
+RAY_ROWS = 10
 
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
+# pi / 2 in three parts: n times the first and the second is exact for |n| < 2^20.
+_HALF_PI = Fraction("1.5707963267948966192313216916397514420985846996875529")
+HALF_PI_1 = math.floor(_HALF_PI * 2**32) / 2.0**32
+HALF_PI_2 = math.floor((_HALF_PI - Fraction(HALF_PI_1)) * 2**65) / 2.0**65
+HALF_PI_3 = float(_HALF_PI - Fraction(HALF_PI_1) - Fraction(HALF_PI_2))
+# Headings beyond this, in radians, take their cosine from the C library.
+MANY_TURNS = 1e6
+
+
+Floats = NDArray[np.float64]
+Cells = NDArray[np.int32]
+
+
+class Terrain(NamedTuple):
+    """What rays run through, and how far."""
+
+    table: NDArray[np.uint16]  # free_rectangles, flat
+    rows: int
+    cols: int
+    resolution: float  # metres per cell
+    max_range: float  # metres
+    max_cells: float  # the same in cells
+
+
+class Lanes(NamedTuple):
+    """Rays in lockstep."""
+
+    ray: NDArray[np.float64]  # RAY_ROWS rows of STRIDE
+    state: NDArray[np.float32]  # STATE_ROWS rows of BLOCK
+    base: NDArray[np.int32]  # index of the start cell in the table
+
+
+class Scratch(NamedTuple):
+    """Working memory of one thread."""
+
+    block: Lanes
+    pool: Lanes
+    owner: NDArray[np.int64]  # index of the result of each ray in the pool, -1 for a free place
+    free: NDArray[np.int64]  # stack of free places in the pool
+    chosen: NDArray[np.int64]
+    looked_up: NDArray[np.uint32]
+    size: NDArray[np.uint16]
+    alive: NDArray[np.uint8]
+
 
 @kernel
-def free_rectangles(stops, rectangles):
+def free_rectangles(stops: NDArray[np.bool_], rectangles: NDArray[np.uint16]) -> None:
     """Fill the table of free rectangles.
 
     Parameters
@@ -57,8 +110,8 @@ def free_rectangles(stops, rectangles):
     stops
         (rows, cols) bool: cells that stop a ray.
     rectangles
-        (4, rows + 2, cols + 2) uint16, overwritten: width + 256 height (each at most 255) of a large rectangle without a
-        stop that starts at the cell and extends in the direction of the quadrant; 0 in stops and in the frame around
+        (4, rows + 2, cols + 2) uint16, overwritten: width + 256 height (each at most 255) of a large rectangle without
+        stops that starts at the cell and extends in the direction of the quadrant; 0 in stops and in the frame around
         the map. Quadrant 1 is mirrored in x, 2 in y, 3 in both, so that each extends to growing indices.
     """
     rows, cols = stops.shape
@@ -70,132 +123,126 @@ def free_rectangles(stops, rectangles):
         for r in range(rows, 0, -1):
             source = stops[rows - r if quadrant & 2 else r - 1]
             here, above = table[r], table[r + 1]
-            width, height, free_right = np.int32(0), np.int32(0), np.int32(0)
+            width, height, free_right = 0, 0, 0
             for c in range(cols, 0, -1):
                 if source[cols - c if quadrant & 1 else c - 1]:
-                    width, height, free_right, free_above[c] = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
+                    width, height, free_right, free_above[c] = 0, 0, 0, 0
                     continue
-                free_right = np.int32(free_right + 1)
-                free_above[c] = np.int32(free_above[c] + 1)
+                free_right += 1
+                free_above[c] += 1
                 # The right neighbour's rectangle made wider, or that of the cell above made higher: the one with
                 # the larger w h / (w + h), which a ray leaves later on the average over directions. Measured: 2.4
-                # jumps per ray; the larger area 2.6, adding the largest square as a third choice 2.3, that alone 4.3.
-                wide_w, wide_h = min(width + 1, 255), max(min(height, free_above[c]), 1)
-                high_w, high_h = max(min(above[c] & 255, free_right), 1), min((above[c] >> 8) + 1, 255)
+                # jumps per ray; choosing by area 2.6, the largest square as a third choice 2.3, that alone 4.3.
+                wide_w, wide_h = min(width + 1, 255), max(min(height, int(free_above[c])), 1)
+                over = int(np.int64(above[c]))
+                high_w, high_h = max(min(over & 255, free_right), 1), min((over >> 8) + 1, 255)
                 wide = wide_w * wide_h * (high_w + high_h) >= high_w * high_h * (wide_w + wide_h)
-                width, height = np.int32(wide_w if wide else high_w), np.int32(wide_h if wide else high_h)
-                here[c] = np.uint16(width | height << 8)
+                width, height = wide_w if wide else high_w, wide_h if wide else high_h
+                here[c] = width + 256 * height
 
 
 @kernel
-def cast_fan(poses, fan, rectangles, max_cells, ranges):
+def cast_fan(
+    poses: Floats, frame: tuple[float, float, float], fan: Floats, same_mount: bool, terrain: Terrain, ranges: Floats
+) -> None:
     """Cast the beams of a sensor from many poses.
 
     Parameters
     ----------
     poses
-        (n, 4) x, y in cells, cos and sin of the heading, in the grid's frame.
+        (n, 3) robot poses in the map frame, metres and radians.
+    frame
+        (x, y, yaw) of the grid's origin in the map frame.
     fan
-        (4, k + 8) x, y in cells, cos and sin of each beam in the robot frame; the last 8 columns are never used, but read.
-    rectangles
-        Table of `free_rectangles`.
-    max_cells
-        Longest range, in cells.
+        (4, k + 8) x, y in cells, cos and sin of each beam in the robot frame; the last 8 columns are read, never used.
+    same_mount
+        Whether all beams start at the same point of the robot.
+    terrain
+        The grid.
     ranges
-        (n * k,) float64, overwritten: ranges in cells, at most `max_cells`.
+        (n * k,) float64, overwritten: ranges in metres, at most `terrain.max_range`.
     """
     n, k = poses.shape[0], fan.shape[1] - 8
-    fan_x, fan_y, fan_c, fan_s = fan[0], fan[1], fan[2], fan[3]
-    table, rows, cols = rectangles.reshape(-1), rectangles.shape[1] - 2, rectangles.shape[2] - 2
-    work = _allocate()
-    ray = work[0]
+    scratch = _allocate()
+    ray = scratch.block.ray
+    placed = np.empty(4 * STRIDE, np.float64)
     filled, done, n_free, doubts = 0, 0, BLOCK, 0
     for i in range(n):
-        x, y, c, s = poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3]
+        p = i % BLOCK
+        if p == 0:
+            _place(poses, frame, terrain.resolution, i, min(BLOCK, n - i), placed)
+        x, y, c, s = placed[p], placed[STRIDE + p], placed[2 * STRIDE + p], placed[3 * STRIDE + p]
         first = 0
         while first < k:
             count = min(k - first, BLOCK - filled)
-            # Whole vectors of 8 beams: what they write too much is overwritten by the next pose.
-            for part in range(0, count, 8):
-                to, b = filled + part, first + part
-                for v in range(8):
-                    ray[X + to + v] = x + c * fan_x[b + v] - s * fan_y[b + v]
-                    ray[Y + to + v] = y + s * fan_x[b + v] + c * fan_y[b + v]
-                    ray[C + to + v] = c * fan_c[b + v] - s * fan_s[b + v]
-                    ray[S + to + v] = s * fan_c[b + v] + c * fan_s[b + v]
+            _aim(ray, filled, count, x, y, c, s, fan, first, same_mount)
             first += count
             filled += count
             if filled == BLOCK:
-                n_free, doubts = _cast_block(work, n_free, doubts, table, rows, cols, max_cells, BLOCK, done, ranges)
+                n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, BLOCK, done, ranges)
                 done += BLOCK
                 filled = 0
-    n_free, doubts = _cast_block(work, n_free, doubts, table, rows, cols, max_cells, filled, done, ranges)
-    doubts = _finish(work, n_free, doubts, table, rows, cols, max_cells, ranges)
+    if filled > 0:
+        n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, filled, done, ranges)
+    doubts += _finish_pool(scratch, n_free, terrain, ranges)
     if doubts > 0:
-        for r in range(n * k):
-            if ranges[r] < 0:
-                i = r // k
-                b = r - i * k
-                x, y, c, s = poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3]
-                t, _, _ = trace_ray(
-                    x + c * fan_x[b] - s * fan_y[b],
-                    y + s * fan_x[b] + c * fan_y[b],
-                    c * fan_c[b] - s * fan_s[b],
-                    s * fan_c[b] + c * fan_s[b],
-                    table,
-                    rows,
-                    cols,
-                    max_cells,
-                )
-                ranges[r] = min(t, max_cells)
+        _settle_fan(poses, frame, fan, terrain, ranges, np.empty((0, 2), np.int32), True)
 
 
 @kernel
-def cast_rays(x, y, c, s, rectangles, max_cells, ranges):
-    """Cast single rays: starts (n,) in cells and directions (n,) as cos and sin; the rest as for `cast_fan`."""
-    n = x.shape[0]
-    table, rows, cols = rectangles.reshape(-1), rectangles.shape[1] - 2, rectangles.shape[2] - 2
-    work = _allocate()
-    ray = work[0]
+def trace_fan(
+    poses: Floats, frame: tuple[float, float, float], fan: Floats, terrain: Terrain, ranges: Floats, cells: Cells
+) -> None:
+    """Do what `cast_fan` does ray by ray in float64, and fill cells (n * k, 2) with (row, col) of the hit or -1."""
+    _settle_fan(poses, frame, fan, terrain, ranges, cells, False)
+
+
+@kernel
+def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terrain, ranges: Floats) -> None:
+    """Cast single rays from origins (n, 3) in the map frame; the rest as for `cast_fan`, with k = 1."""
+    n = origins.shape[0]
+    scratch = _allocate()
+    ray = scratch.block.ray
+    placed = np.empty(4 * STRIDE, np.float64)
     n_free, doubts = BLOCK, 0
     for done in range(0, n, BLOCK):
         count = min(BLOCK, n - done)
-        for j in range(count):
-            ray[X + j], ray[Y + j], ray[C + j], ray[S + j] = x[done + j], y[done + j], c[done + j], s[done + j]
-        n_free, doubts = _cast_block(work, n_free, doubts, table, rows, cols, max_cells, count, done, ranges)
-    doubts = _finish(work, n_free, doubts, table, rows, cols, max_cells, ranges)
+        _place(origins, frame, terrain.resolution, done, count, placed)
+        for b in range(BLOCK):
+            ray[CELL_X + b], ray[OFFSET_X + b] = _split(placed[b])
+            ray[CELL_Y + b], ray[OFFSET_Y + b] = _split(placed[STRIDE + b])
+            ray[COS + b] = placed[2 * STRIDE + b]
+            ray[SIN + b] = placed[3 * STRIDE + b]
+        n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, count, done, ranges)
+    doubts += _finish_pool(scratch, n_free, terrain, ranges)
     if doubts > 0:
-        for r in range(n):
-            if ranges[r] < 0:
-                t, _, _ = trace_ray(x[r], y[r], c[r], s[r], table, rows, cols, max_cells)
-                ranges[r] = min(t, max_cells)
+        _settle_rays(origins, frame, terrain, ranges, np.empty((0, 2), np.int32), True)
 
 
 @kernel
-def trace_rays(x, y, c, s, rectangles, max_cells, ranges, cells):
-    """Do what `cast_rays` does, one ray after the other in float64: its reference and its fallback."""
-    rows, cols = rectangles.shape[1] - 2, rectangles.shape[2] - 2
-    table = rectangles.reshape(-1)
-    for j in range(x.shape[0]):
-        t, col, row = trace_ray(x[j], y[j], c[j], s[j], table, rows, cols, max_cells)
-        ranges[j] = min(t, max_cells)
-        if cells.shape[0] > 0:
-            cells[j, 0], cells[j, 1] = row, col
+def trace_rays(
+    origins: Floats, frame: tuple[float, float, float], terrain: Terrain, ranges: Floats, cells: Cells
+) -> None:
+    """Do what `cast_rays` does ray by ray in float64, and fill cells (n, 2) with (row, col) of the hit or -1."""
+    _settle_rays(origins, frame, terrain, ranges, cells, False)
 
 
 @kernel
-def trace_ray(x, y, c, s, table, rows, cols, max_cells):
-    """Return the length to the first stop and its (col, row); (inf, -1, -1) if there is none before `max_cells`."""
-    nothing = np.inf, -1, -1
-    if not (abs(x) < FAR and abs(y) < FAR):
+def trace_ray(
+    cell_x: float, cell_y: float, offset_x: float, offset_y: float, c: float, s: float, terrain: Terrain
+) -> tuple[float, int, int]:
+    """Follow one ray in float64 from cell and offset in direction c, s; return range in metres and (row, col)."""
+    table, rows, cols, max_cells = terrain.table, terrain.rows, terrain.cols, terrain.max_cells
+    nothing = terrain.max_range, -1, -1
+    if not (abs(cell_x) < FAR and abs(cell_y) < FAR):
         return nothing
-    ox, start_col, inv_c, c_abs = _reflect(x, c, cols)
-    oy, start_row, inv_s, s_abs = _reflect(y, s, rows)
-    quadrant = (1 if c <= -PARALLEL else 0) + (2 if s <= -PARALLEL else 0)
-    base = quadrant * (rows + 2) * (cols + 2) + cols + 3
+    ox, start_col, inv_c, c_abs = _reflect(cell_x, offset_x, c, cols)
+    oy, start_row, inv_s, s_abs = _reflect(cell_y, offset_y, s, rows)
     if start_col >= cols or start_row >= rows:
         return nothing
-    # i, j count cells from the start; outside the map only the last cell before it matters.
+    quadrant = _quadrant(c, s)
+    base = quadrant * (rows + 2) * (cols + 2) + cols + 3
+    # i, j count the cells from the start. A start off the map jumps to the last cell before the map.
     i, j = 0.0, 0.0
     if start_col < 0 or start_row < 0:
         tx = (-start_col - ox) * inv_c if start_col < 0 else -1.0
@@ -205,15 +252,15 @@ def trace_ray(x, y, c, s, table, rows, cols, max_cells):
         if abs(tx - ty) <= TIE:
             i, j = -start_col - 1, -start_row - 1
         elif tx > ty:
-            i, j = -start_col - 1, _edges_before(tx, oy, s_abs, inv_s, 0.0, np.inf)
+            i, j = -start_col - 1, _edges_before(tx, oy, s_abs, inv_s, 0.0, rows - start_row)
         else:
-            i, j = _edges_before(ty, ox, c_abs, inv_c, 0.0, np.inf), -start_row - 1
+            i, j = _edges_before(ty, ox, c_abs, inv_c, 0.0, cols - start_col), -start_row - 1
     while start_col + i < cols and start_row + j < rows:
         if start_col + i >= 0 and start_row + j >= 0:
-            free = table[base + np.int64(start_row + j) * (cols + 2) + np.int64(start_col + i)]
+            free = np.int64(table[base + np.int64(start_row + j) * (cols + 2) + np.int64(start_col + i)])
             if free == 0:
-                t = max(max((i - ox) * inv_c, (j - oy) * inv_s), 0.0)
-                return _hit(t, start_col + i, start_row + j, quadrant, rows, cols, max_cells)
+                t = max((i - ox) * inv_c, (j - oy) * inv_s)
+                return _hit(t, start_col + i, start_row + j, quadrant, terrain)
             if free > 257:
                 # To the last cell in the rectangle; leaving it is a step like any other.
                 last_i, last_j = i + (free & 255) - 1, j + (free >> 8) - 1
@@ -228,17 +275,12 @@ def trace_ray(x, y, c, s, table, rows, cols, max_cells):
         if min(tx, ty) >= max_cells:
             return nothing
         if abs(tx - ty) <= TIE:
-            # A corner: it blocks if both cells beside it stop the ray, as does the cell behind it.
+            # A corner: it blocks if both cells beside it do. Cells off the map do not.
             col, row = start_col + i, start_row + j
-            if (
-                0 <= row
-                and 0 <= col
-                and row + 1 < rows
-                and col + 1 < cols
-                and table[base + np.int64(row) * (cols + 2) + np.int64(col + 1)] == 0
-                and table[base + np.int64(row + 1) * (cols + 2) + np.int64(col)] == 0
-            ):
-                return _hit(max(tx, ty), col + 1, row, quadrant, rows, cols, max_cells)
+            if col >= 0 and row >= 0 and col + 1 < cols and row + 1 < rows:
+                here = base + np.int64(row) * (cols + 2) + np.int64(col)
+                if table[here + 1] == 0 and table[here + cols + 2] == 0:
+                    return _hit(max(tx, ty), col + 1, row, quadrant, terrain)
             i, j = i + 1, j + 1
         elif tx < ty:
             i += 1
@@ -248,22 +290,166 @@ def trace_ray(x, y, c, s, table, rows, cols, max_cells):
 
 
 @kernel
-def _reflect(x, c, n_cells):
-    """Return offset in the cell, cell, 1 / |c| and |c| of one axis, reflected so that the ray does not run backwards."""
-    nearest = np.floor(x + 0.5)
-    x = nearest if abs(x - nearest) <= SNAP else x
-    cell = np.floor(x)
-    offset = x - cell
-    speed = abs(c) if abs(c) >= PARALLEL else 0.0
-    inverse = 1.0 / speed if speed > 0 else HUGE
-    backwards = c <= -PARALLEL
-    return 1.0 - offset if backwards else offset, n_cells - 1 - cell if backwards else cell, inverse, speed
+def _settle_fan(
+    poses: Floats,
+    frame: tuple[float, float, float],
+    fan: Floats,
+    terrain: Terrain,
+    ranges: Floats,
+    cells: Cells,
+    only_doubtful: bool,
+) -> None:
+    """Trace the beams with a negative range, or all of them."""
+    k = fan.shape[1] - 8
+    fan_x, fan_y, fan_c, fan_s = fan[0], fan[1], fan[2], fan[3]
+    placed = np.empty(4 * STRIDE, np.float64)
+    of_pose = -1
+    for r in range(poses.shape[0] * k):
+        if only_doubtful and ranges[r] >= 0:
+            continue
+        i = r // k
+        b = r - i * k
+        if i != of_pose:
+            _place(poses, frame, terrain.resolution, i, 1, placed)
+            of_pose = i
+        x, y, c, s = placed[0], placed[STRIDE], placed[2 * STRIDE], placed[3 * STRIDE]
+        cell_x, offset_x = _split(x + (c * fan_x[b] - s * fan_y[b]))
+        cell_y, offset_y = _split(y + (s * fan_x[b] + c * fan_y[b]))
+        beam_c, beam_s = c * fan_c[b] - s * fan_s[b], s * fan_c[b] + c * fan_s[b]
+        ranges[r], row, col = trace_ray(cell_x, cell_y, offset_x, offset_y, beam_c, beam_s, terrain)
+        if not only_doubtful:
+            cells[r, 0], cells[r, 1] = row, col
 
 
 @kernel
-def _edges_before(t, offset, speed, inverse, low, high):
+def _settle_rays(
+    origins: Floats,
+    frame: tuple[float, float, float],
+    terrain: Terrain,
+    ranges: Floats,
+    cells: Cells,
+    only_doubtful: bool,
+) -> None:
+    """Trace the rays with a negative range, or all of them."""
+    placed = np.empty(4 * STRIDE, np.float64)
+    for r in range(origins.shape[0]):
+        if only_doubtful and ranges[r] >= 0:
+            continue
+        _place(origins, frame, terrain.resolution, r, 1, placed)
+        cell_x, offset_x = _split(placed[0])
+        cell_y, offset_y = _split(placed[STRIDE])
+        c, s = placed[2 * STRIDE], placed[3 * STRIDE]
+        ranges[r], row, col = trace_ray(cell_x, cell_y, offset_x, offset_y, c, s, terrain)
+        if not only_doubtful:
+            cells[r, 0], cells[r, 1] = row, col
+
+
+@kernel
+def _place(
+    poses: Floats, frame: tuple[float, float, float], resolution: float, first: int, count: int, placed: Floats
+) -> None:
+    """Fill rows x, y, cos, sin of `placed` with `count` poses in the grid's frame, from number `first` on, in cells."""
+    frame_x, frame_y, yaw = frame
+    frame_c, frame_s = math.cos(yaw), math.sin(yaw)
+    many = False
+    for b in range(count):
+        dx, dy = poses[first + b, 0] - frame_x, poses[first + b, 1] - frame_y
+        heading = poses[first + b, 2] - yaw
+        placed[b] = (frame_c * dx + frame_s * dy) / resolution
+        placed[STRIDE + b] = (frame_c * dy - frame_s * dx) / resolution
+        placed[2 * STRIDE + b] = heading
+        many |= abs(heading) > MANY_TURNS
+    for b in range(count):
+        placed[2 * STRIDE + b], placed[3 * STRIDE + b] = _cos_sin(placed[2 * STRIDE + b])
+    if many:
+        for b in range(count):
+            heading = poses[first + b, 2] - yaw
+            if abs(heading) > MANY_TURNS:
+                placed[2 * STRIDE + b], placed[3 * STRIDE + b] = math.cos(heading), math.sin(heading)
+
+
+@kernel
+def _aim(
+    ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
+) -> None:
+    """Fill starts and directions of `count` beams of one pose, from beam `first` on, into the block from `to` on."""
+    fan_x, fan_y, fan_c, fan_s = fan[0], fan[1], fan[2], fan[3]
+    # Whole vectors of 8 beams: what they write too much is never read, or overwritten by the next pose.
+    vectors = (count + 7) // 8 * 8
+    for b in range(vectors):
+        ray[COS + to + b] = c * fan_c[first + b] - s * fan_s[first + b]
+        ray[SIN + to + b] = s * fan_c[first + b] + c * fan_s[first + b]
+    if same_mount:
+        cell_x, offset_x = _split(x + (c * fan_x[0] - s * fan_y[0]))
+        cell_y, offset_y = _split(y + (s * fan_x[0] + c * fan_y[0]))
+        for b in range(vectors):
+            ray[CELL_X + to + b], ray[OFFSET_X + to + b] = cell_x, offset_x
+            ray[CELL_Y + to + b], ray[OFFSET_Y + to + b] = cell_y, offset_y
+    else:
+        for b in range(vectors):
+            beam_x = x + (c * fan_x[first + b] - s * fan_y[first + b])
+            beam_y = y + (s * fan_x[first + b] + c * fan_y[first + b])
+            ray[CELL_X + to + b], ray[OFFSET_X + to + b] = _split(beam_x)
+            ray[CELL_Y + to + b], ray[OFFSET_Y + to + b] = _split(beam_y)
+
+
+@inlined_kernel
+def _cos_sin(angle: float) -> tuple[float, float]:
+    """Return cosine and sine within 2^-52 for |angle| <= MANY_TURNS; a loop over it vectorises."""
+    turns = np.floor(angle * (2.0 / math.pi) + 0.5)
+    r = ((angle - turns * HALF_PI_1) - turns * HALF_PI_2) - turns * HALF_PI_3
+    r2 = r * r
+    # Taylor's series about 0 for |r| <= pi / 4; the first term left out is below 1e-17.
+    s = 1.0 / 1307674368000.0 - r2 * (1.0 / 355687428096000.0)
+    s = 1.0 / 6227020800.0 - r2 * s
+    s = 1.0 / 39916800.0 - r2 * s
+    s = 1.0 / 362880.0 - r2 * s
+    s = 1.0 / 5040.0 - r2 * s
+    s = 1.0 / 120.0 - r2 * s
+    s = 1.0 / 6.0 - r2 * s
+    sine = r - r * r2 * s
+    c = 1.0 / 87178291200.0 - r2 * (1.0 / 20922789888000.0)
+    c = 1.0 / 479001600.0 - r2 * c
+    c = 1.0 / 3628800.0 - r2 * c
+    c = 1.0 / 40320.0 - r2 * c
+    c = 1.0 / 720.0 - r2 * c
+    c = 1.0 / 24.0 - r2 * c
+    cosine = 1.0 - (0.5 * r2 - r2 * r2 * c)
+    quarter = turns - 4.0 * np.floor(turns * 0.25)
+    swap = (quarter == 1.0) | (quarter == 3.0)
+    a = sine if swap else cosine
+    b = cosine if swap else sine
+    return (-a if (quarter == 1.0) | (quarter == 2.0) else a), (-b if quarter >= 2.0 else b)
+
+
+@inlined_kernel
+def _split(x: float) -> tuple[float, float]:
+    """Return the cell of a coordinate and the offset in it; coordinates near a border are on it."""
+    nearest = np.floor(x + 0.5)
+    x = nearest if abs(x - nearest) <= SNAP else x
+    cell = np.floor(x)
+    return cell, x - cell
+
+
+@inlined_kernel
+def _reflect(cell: float, offset: float, c: float, n_cells: int) -> tuple[float, float, float, float]:
+    """Return offset, cell, 1 / |c| and |c| of one axis, reflected so that the ray does not run backwards."""
+    speed = abs(c) if abs(c) >= PARALLEL else 0.0
+    inverse = 1.0 / speed if speed > 0 else HUGE
+    backwards = c <= -PARALLEL
+    return (1.0 - offset if backwards else offset), (n_cells - 1 - cell if backwards else cell), inverse, speed
+
+
+@inlined_kernel
+def _quadrant(c: float, s: float) -> int:
+    """Return the number of the quadrant, as in the table."""
+    return (1 if c <= -PARALLEL else 0) + (2 if s <= -PARALLEL else 0)
+
+
+@kernel
+def _edges_before(t: float, offset: float, speed: float, inverse: float, low: float, high: float) -> float:
     """Return how many edges of one axis a ray has crossed before t, given that it is from low to high."""
-    k = min(max(np.floor(offset + t * speed), low), high)
+    k = min(max(float(np.floor(offset + t * speed)), low), high)
     while k > low and (k - offset) * inverse >= t - TIE:
         k -= 1
     while k < high and (k + 1 - offset) * inverse < t - TIE:
@@ -272,29 +458,23 @@ def _edges_before(t, offset, speed, inverse, low, high):
 
 
 @kernel
-def _hit(t, col, row, quadrant, rows, cols, max_cells):
-    """Return the length and the cell (col, row) before the reflection."""
-    if t >= max_cells:
-        return np.inf, -1, -1
-    col, row = np.int64(col), np.int64(row)
-    return t, cols - 1 - col if quadrant & 1 else col, rows - 1 - row if quadrant & 2 else row
+def _hit(t: float, col: float, row: float, quadrant: int, terrain: Terrain) -> tuple[float, int, int]:
+    """Return the range in metres and the cell (row, col) before the reflection."""
+    metres = max(t, 0.0) * terrain.resolution
+    if metres >= terrain.max_range:
+        return terrain.max_range, -1, -1
+    i, j = int(col), int(row)
+    return metres, terrain.rows - 1 - j if quadrant & 2 else j, terrain.cols - 1 - i if quadrant & 1 else i
 
 
 @kernel
-def _allocate():
-    """Return scratch: the block's rays, their state and base; the pool's; look-ups."""
-    free = np.zeros(BLOCK, np.int64)
-    for m in range(BLOCK):
-        free[m] = m
-    return (
-        np.zeros(RAY_ROWS * STRIDE, np.float64),
-        np.zeros(STATE_ROWS * BLOCK, np.float32),
-        np.zeros(BLOCK, np.int32),
-        np.zeros(RAY_ROWS * STRIDE, np.float64),
-        np.zeros(STATE_ROWS * BLOCK, np.float32),
-        np.zeros(BLOCK, np.int32),
+def _allocate() -> Scratch:
+    """Return working memory; all places in the pool are free."""
+    return Scratch(
+        Lanes(np.zeros(RAY_ROWS * STRIDE), np.zeros(STATE_ROWS * BLOCK, np.float32), np.zeros(BLOCK, np.int32)),
+        Lanes(np.zeros(RAY_ROWS * STRIDE), np.zeros(STATE_ROWS * BLOCK, np.float32), np.zeros(BLOCK, np.int32)),
         np.full(BLOCK, -1, np.int64),
-        free,
+        np.arange(BLOCK),
         np.zeros(BLOCK, np.int64),
         np.zeros(BLOCK, np.uint32),
         np.zeros(BLOCK, np.uint16),
@@ -303,121 +483,131 @@ def _allocate():
 
 
 @kernel
-def _cast_block(work, n_free, doubts, table, rows, cols, max_cells, count, done, ranges):
-    """Cast the first `count` rays of the block; results from index `done` on, now or when the pool finishes them."""
-    ray, state, base, pool_ray, pool, pool_base, owner, free, chosen, index, size, alive = work
-    _start(ray, state, base, rows, cols, max_cells)
-    _walk(state, base, index, size, alive, table, cols + 2, FIRST_STEPS)
+def _cast_block(
+    scratch: Scratch, n_free: int, doubts: int, terrain: Terrain, count: int, done: int, ranges: Floats
+) -> tuple[int, int]:
+    """Cast the first `count` rays of the block; their results go to `done` on, now or when the pool finishes them.
+
+    Doubtful rays get the range -1. Returns the number of free places in the pool and the number of doubtful rays.
+    """
+    block, pool, owner, free, chosen, index, size, alive = scratch
+    ray, state, base = block
+    _start(block, terrain)
+    _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, FIRST_STEPS)
     doubtful = 0
     for j in range(count):
-        t = max((state[COL + j] - ray[OX + j]) * ray[IC + j], (state[ROW + j] - ray[OY + j]) * ray[IS + j])
-        past = (state[COL + j] > state[LAST_COL + j]) | (state[ROW + j] > state[LAST_ROW + j])
-        doubt = state[DOUBT + j] > state[LIMIT + j]
-        t = max_cells if past else min(max(t, 0.0), max_cells)
-        ranges[done + j] = -1.0 if doubt else t
-        doubtful += doubt
+        result = _result(ray, state, j, terrain)
+        ranges[done + j] = result
+        doubtful += 1 if result < 0 else 0
     doubts += doubtful
     left = 0
     for j in range(count):
         chosen[left] = j
-        left += alive[j]
+        left += 1 if alive[j] else 0
+    to_ray, to_state, to_base = pool
     for i in range(left):
         if n_free == 0:
-            n_free, doubts = _advance(work, doubts, table, cols, max_cells, ranges)
+            n_free, more = _advance_pool(scratch, terrain, ranges)
+            doubts += more
         n_free -= 1
         m, j = free[n_free], chosen[i]
         owner[m] = done + j
-        pool_base[m] = base[j]
-        pool[FX + m], pool[FY + m], pool[COL + m], pool[ROW + m] = (
-            state[FX + j],
-            state[FY + j],
-            state[COL + j],
-            state[ROW + j],
-        )
-        pool[SLOPE + m], pool[INVERSE_SLOPE + m] = state[SLOPE + j], state[INVERSE_SLOPE + j]
-        pool[DOUBT + m], pool[LIMIT + m] = state[DOUBT + j], state[LIMIT + j]
-        pool[LAST_COL + m], pool[LAST_ROW + m] = state[LAST_COL + j], state[LAST_ROW + j]
-        pool_ray[OX + m], pool_ray[OY + m], pool_ray[IC + m], pool_ray[IS + m] = (
-            ray[OX + j],
-            ray[OY + j],
-            ray[IC + j],
-            ray[IS + j],
-        )
+        to_base[m] = base[j]
+        to_state[FX + m], to_state[FY + m] = state[FX + j], state[FY + j]
+        to_state[SLOPE + m], to_state[INVERSE_SLOPE + m] = state[SLOPE + j], state[INVERSE_SLOPE + j]
+        to_state[COL + m], to_state[ROW + m] = state[COL + j], state[ROW + j]
+        to_state[DOUBT + m], to_state[LIMIT + m] = state[DOUBT + j], state[LIMIT + j]
+        to_state[LAST_COL + m], to_state[LAST_ROW + m] = state[LAST_COL + j], state[LAST_ROW + j]
+        to_ray[OX + m], to_ray[OY + m] = ray[OX + j], ray[OY + j]
+        to_ray[IX + m], to_ray[IY + m] = ray[IX + j], ray[IY + j]
     return n_free, doubts
 
 
 @kernel
-def _finish(work, n_free, doubts, table, rows, cols, max_cells, ranges):
-    """Finish the rays in the pool."""
+def _finish_pool(scratch: Scratch, n_free: int, terrain: Terrain, ranges: Floats) -> int:
+    """Finish the rays in the pool; return how many are doubtful."""
+    doubts = 0
     while n_free < BLOCK:
-        n_free, doubts = _advance(work, doubts, table, cols, max_cells, ranges)
+        n_free, more = _advance_pool(scratch, terrain, ranges)
+        doubts += more
     return doubts
 
 
 @kernel
-def _advance(work, doubts, table, cols, max_cells, ranges):
-    """Let the rays of the pool jump until one is finished; return the number of free places and of doubtful rays."""
-    ray, state, base, owner, free, chosen, index, size, alive = (
-        work[3],
-        work[4],
-        work[5],
-        work[6],
-        work[7],
-        work[8],
-        work[9],
-        work[10],
-        work[11],
-    )
+def _advance_pool(scratch: Scratch, terrain: Terrain, ranges: Floats) -> tuple[int, int]:
+    """Let the rays of the pool jump until there is a free place; return the number of these and of doubtful rays."""
+    _, pool, owner, free, _, index, size, alive = scratch
+    ray, state, base = pool
     n_free = 0
     while n_free == 0:
-        _walk(state, base, index, size, alive, table, cols + 2, MORE_STEPS)
+        _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, MORE_STEPS)
         for m in range(BLOCK):
-            free[n_free] = m
-            n_free += 1 - alive[m]
+            free[n_free % BLOCK] = m
+            n_free += 0 if alive[m] else 1
+    doubts = 0
     for i in range(n_free):
-        j = free[i]
-        if owner[j] >= 0:
-            t = max((state[COL + j] - ray[OX + j]) * ray[IC + j], (state[ROW + j] - ray[OY + j]) * ray[IS + j])
-            past = (state[COL + j] > state[LAST_COL + j]) | (state[ROW + j] > state[LAST_ROW + j])
-            doubt = state[DOUBT + j] > state[LIMIT + j]
-            t = max_cells if past else min(max(t, 0.0), max_cells)
-            ranges[owner[j]] = -1.0 if doubt else t
-            doubts += doubt
-            owner[j] = -1
-            base[j] = 0
-            state[COL + j], state[ROW + j] = ZERO, ZERO
+        m = free[i]
+        if owner[m] >= 0:
+            result = _result(ray, state, m, terrain)
+            ranges[owner[m]] = result
+            doubts += 1 if result < 0 else 0
+            # A free place stands in the frame of the table, where no ray moves.
+            owner[m], base[m], state[COL + m], state[ROW + m] = -1, 0, ZERO, ZERO
     return n_free, doubts
 
 
+@inlined_kernel
+def _result(ray: Floats, state: NDArray[np.float32], j: int, terrain: Terrain) -> float:
+    """Return the range of a finished ray in metres, -1 if it is doubtful."""
+    col, row = state[COL + j], state[ROW + j]
+    # The ray entered its last cell where it crossed the later of the cell's two edges.
+    t = max((col - ray[OX + j]) * ray[IX + j], (row - ray[OY + j]) * ray[IY + j])
+    past = (col > state[LAST_COL + j]) | (row > state[LAST_ROW + j])
+    metres = min(max(t, 0.0) * terrain.resolution, terrain.max_range)
+    return -1.0 if state[DOUBT + j] > state[LIMIT + j] else (terrain.max_range if past else metres)
+
+
 @kernel
-def _start(ray, state, base, rows, cols, max_cells):
-    """Set up all rays of a block."""
-    reach = min(max_cells, np.float64(rows + cols)) + 2.0
+def _start(lanes: Lanes, terrain: Terrain) -> None:
+    """Set up the state of all rays of a block."""
+    ray, state, base = lanes
+    rows, cols = terrain.rows, terrain.cols
+    reach = np.float32(min(terrain.max_cells, np.float64(rows + cols)) + 2.0)
     for j in range(BLOCK):
-        c, s = ray[C + j], ray[S + j]
-        ox, col, inv_c, c_abs = _reflect(ray[X + j], c, cols)
-        oy, row, inv_s, s_abs = _reflect(ray[Y + j], s, rows)
+        c, s = ray[COS + j], ray[SIN + j]
+        ox, col, inv_c, c_abs = _reflect(ray[CELL_X + j], ray[OFFSET_X + j], c, cols)
+        oy, row, inv_s, s_abs = _reflect(ray[CELL_Y + j], ray[OFFSET_Y + j], s, rows)
+        ray[OX + j], ray[OY + j], ray[IX + j], ray[IY + j] = ox, oy, inv_c, inv_s
         inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
-        quadrant = (1 if c <= -PARALLEL else 0) + (2 if s <= -PARALLEL else 0)
-        corner = (quadrant * (rows + 2) + row + 1) * (cols + 2) + col + 1
+        corner = (_quadrant(c, s) * (rows + 2) + row + 1) * (cols + 2) + col + 1
         base[j] = np.int32(corner if inside else 0.0)
-        ray[OX + j], ray[OY + j], ray[IC + j], ray[IS + j] = ox, oy, inv_c, inv_s
         # A parallel ray never crosses an edge of the other axis: anywhere inside the cell is right for it.
-        state[FX + j] = np.float32(ox) if c_abs > 0 else HALF
-        state[FY + j] = np.float32(oy) if s_abs > 0 else HALF
-        slope, inverse_slope = min(s_abs * inv_c, STEEP), min(c_abs * inv_s, STEEP)
-        state[SLOPE + j], state[INVERSE_SLOPE + j] = np.float32(slope), np.float32(inverse_slope)
-        steepest = max(slope if c_abs > 0 else 0.0, inverse_slope if s_abs > 0 else 0.0)
-        state[LIMIT + j] = np.float32(0.5 - (reach + steepest) * 4.76837158203125e-07) if inside else -ONE
-        state[LAST_COL + j] = np.float32(min(1.0 + reach * c_abs * 1.000001, cols - col - 0.5))
-        state[LAST_ROW + j] = np.float32(min(1.0 + reach * s_abs * 1.000001, rows - row - 0.5))
+        state[FX + j] = np.float32(ox) if inside & (c_abs > 0) else HALF
+        state[FY + j] = np.float32(oy) if inside & (s_abs > 0) else HALF
+        slope, inverse_slope = np.float32(min(s_abs * inv_c, STEEP)), np.float32(min(c_abs * inv_s, STEEP))
+        state[SLOPE + j], state[INVERSE_SLOPE + j] = slope, inverse_slope
+        steepest = max(slope if c_abs > 0 else ZERO, inverse_slope if s_abs > 0 else ZERO)
+        # Rays that start off the map are doubtful from the start.
+        state[LIMIT + j] = HALF - (reach + steepest) * np.float32(DOUBT_PER_CELL) if inside else -ONE
+        # From these cells on the ray is longer than max_range, or off the map. The first has a margin for float32.
+        state[LAST_COL + j] = min(ONE + reach * np.float32(c_abs), np.float32(cols - col) - HALF)
+        state[LAST_ROW + j] = min(ONE + reach * np.float32(s_abs), np.float32(rows - row) - HALF)
         state[COL + j] = ZERO
         state[ROW + j] = ZERO
         state[DOUBT + j] = ZERO
 
 
 @kernel
-def _walk(state, base, index, size, alive, table, width, steps):
+def _walk(
+    state: NDArray[np.float32],
+    base: NDArray[np.int32],
+    index: NDArray[np.uint32],
+    size: NDArray[np.uint16],
+    alive: NDArray[np.uint8],
+    table: NDArray[np.uint16],
+    width: int,
+    steps: int,
+) -> None:
     """Jump `steps` times; say which rays are still under way."""
     for j in range(BLOCK):
         index[j] = base[j] + np.int32(state[ROW + j]) * np.int32(width) + np.int32(state[COL + j])
@@ -427,9 +617,9 @@ def _walk(state, base, index, size, alive, table, width, steps):
         for j in range(BLOCK):
             col, row = state[COL + j], state[ROW + j]
             edge_x, edge_y = col + np.float32(size[j] & 255), row + np.float32(size[j] >> 8)
-            fx, fy = state[FX + j], state[FY + j]
-            at_x = (edge_x - fx) * state[SLOPE + j] + fy
-            at_y = (edge_y - fy) * state[INVERSE_SLOPE + j] + fx
+            at_x = (edge_x - state[FX + j]) * state[SLOPE + j] + state[FY + j]
+            # The bound keeps a ray in the table that rounding has sent the wrong way; it is in doubt then.
+            at_y = min((edge_y - state[FY + j]) * state[INVERSE_SLOPE + j] + state[FX + j], edge_x)
             x_first = at_x < edge_y
             other = at_x if x_first else at_y
             cell = np.floor(other)
@@ -442,6 +632,7 @@ def _walk(state, base, index, size, alive, table, width, steps):
             index[j] = base[j] + np.int32(row) * np.int32(width) + np.int32(col)
         for j in range(BLOCK):
             size[j] = table[index[j]]
+    # A ray in doubt is finished: what it does next could be wrong, and need not end.
     for j in range(BLOCK):
         alive[j] = (
             (size[j] > 0)

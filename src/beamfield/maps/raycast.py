@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,13 +28,14 @@ class RayCaster:
 
     - A ray that starts in an occupied cell has range 0. The cell of a start is the floor of its coordinates.
     - Space off the map is free: a ray may start there and enter the map later.
-    - A ray through the corner of four cells goes to the cell diagonally behind the corner. It is blocked if that cell is
-      occupied, or if both cells beside the corner are; one of them alone does not block it. No ray slips between two
-      occupied cells that touch at a corner.
-    - A ray that runs along the border of two rows (or columns) of cells is in the upper (right) one, by the floor rule.
-    - Coordinates within 1e-9 cells of a border are on it, crossings within 1e-9 cells of each other along the ray are at
-      a corner, and direction components below 1e-12 are 0. These tolerances lie far above float64 rounding, so that rays
-      through corners and along borders do not depend on the map's origin; they change a range by 1e-9 cells.
+    - A ray through the corner of four cells goes to the cell diagonally behind the corner. It is blocked if that cell
+      is occupied, or if both cells beside the corner are; one of them alone does not block it. No ray slips between
+      two occupied cells that touch at a corner.
+    - A ray along the border of two rows (or columns) of cells is in the upper (right) one, by the rule of the floor.
+    - Coordinates within 1e-9 cells of a border are on it, crossings within 1e-9 cells of each other along the ray are
+      at a corner, and direction components below 1e-12 are 0. These tolerances lie far above float64's rounding, so
+      that rays through corners and along borders do not depend on the map's origin; they change no range by more than
+      about 1e-9 cells.
 
     Adding an obstacle never lengthens a ray. Ranges equal those of a cell-by-cell traversal in float64.
 
@@ -111,7 +112,18 @@ class RayCaster:
         >>> RayCaster(grid).expected_ranges([0.25, 0.25, 0.0], finder).tolist()
         [1.25, 10.0]
         """
-        ranges, _ = self._cast_fan(poses, finder, threads, wants_cells=False)
+        robots = as_poses(poses)
+        k = finder.n_beams
+        ranges: FloatArray = np.empty((*robots.shape[:-1], k))
+        rows, results = _contiguous(robots), ranges.reshape(-1)
+        frame, terrain = self._frame(), self._terrain(finder.max_range)
+        fan, same_mount = _fan(finder, self.grid.resolution)
+
+        def work(start: int, stop: int) -> None:
+            part = results[start * k : stop * k]
+            kernels.cast_fan(rows[start:stop], frame, fan, same_mount, terrain, part)
+
+        run_in_slices(work, len(rows), threads=threads, work_per_row=k)
         return ranges
 
     def expected_hits(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> IntArray:
@@ -122,7 +134,18 @@ class RayCaster:
         (..., k, 2) row and column; -1 where nothing is hit before max_range. For a ray that is blocked at a corner, one
         of the two cells that block it.
         """
-        _, cells = self._cast_fan(poses, finder, threads, wants_cells=True)
+        robots = as_poses(poses)
+        k = finder.n_beams
+        cells = np.empty((*robots.shape[:-1], k, 2), np.int32)
+        rows, results = _contiguous(robots), cells.reshape(-1, 2)
+        frame, terrain = self._frame(), self._terrain(finder.max_range)
+        fan, _ = _fan(finder, self.grid.resolution)
+
+        def work(start: int, stop: int) -> None:
+            part = results[start * k : stop * k]
+            kernels.trace_fan(rows[start:stop], frame, fan, terrain, np.empty(len(part)), part)
+
+        run_in_slices(work, len(rows), threads=threads, work_per_row=k)
         return cells
 
     def cast(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> FloatArray:
@@ -146,70 +169,56 @@ class RayCaster:
         InvalidInputError
             If the origins are not finite (..., 3) or max_range is not positive and finite.
         """
-        ranges, _ = self._cast_rays(origins, max_range, threads, wants_cells=False)
+        rays = as_poses(origins, "origins")
+        ranges: FloatArray = np.empty(rays.shape[:-1])
+        rows, results = _contiguous(rays), ranges.reshape(-1)
+        frame, terrain = self._frame(), self._terrain(max_range)
+
+        def work(start: int, stop: int) -> None:
+            kernels.cast_rays(rows[start:stop], frame, terrain, results[start:stop])
+
+        run_in_slices(work, len(rows), threads=threads)
         return ranges
 
     def cast_hits(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> IntArray:
         """Return which cell each single ray hits: (..., 2) row and column, -1 for none; parameters as for `cast`."""
-        _, cells = self._cast_rays(origins, max_range, threads, wants_cells=True)
+        rays = as_poses(origins, "origins")
+        cells = np.empty((*rays.shape[:-1], 2), np.int32)
+        rows, results = _contiguous(rays), cells.reshape(-1, 2)
+        frame, terrain = self._frame(), self._terrain(max_range)
+
+        def work(start: int, stop: int) -> None:
+            part = results[start:stop]
+            kernels.trace_rays(rows[start:stop], frame, terrain, np.empty(len(part)), part)
+
+        run_in_slices(work, len(rows), threads=threads)
         return cells
 
-    def _cast_fan(
-        self, poses: ArrayLike, finder: RangeFinder, threads: int | None, *, wants_cells: bool
-    ) -> tuple[FloatArray, IntArray]:
-        robots = as_poses(poses)
-        flat = robots.reshape(-1, 3)
-        resolution, k = self.grid.resolution, finder.n_beams
-        starts = np.column_stack(_cells_and_direction(self.grid, flat))
-        mounts = finder.mounts
-        fan = np.stack(
-            [mounts[:, 0] / resolution, mounts[:, 1] / resolution, np.cos(mounts[:, 2]), np.sin(mounts[:, 2])]
-        )
-        fan = np.pad(fan, ((0, 0), (0, 8)))
-        max_cells = finder.max_range / resolution
-        ranges = np.empty(len(flat) * k)
-        cells = np.empty((len(flat) * k if wants_cells else 0, 2), np.int32)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # Arrays come back writeable, which would also be another type to the compiler.
+        self.__dict__.update(state)
+        self._rectangles.flags.writeable = False
 
-        def work(start: int, stop: int) -> None:
-            part = slice(start * k, stop * k)
-            kernels.cast_fan(starts[start:stop], fan, self._rectangles, max_cells, ranges[part])
-            _to_metres(ranges[part], resolution, finder.max_range)
+    def _frame(self) -> tuple[float, float, float]:
+        x, y, yaw = self.grid.origin.tolist()
+        return x, y, yaw
 
-        run_in_slices(work, len(flat), threads=threads, work_per_row=k)
-        shape = (*robots.shape[:-1], k)
-        return ranges.reshape(shape), cells.reshape((*shape, 2) if wants_cells else (0, 2))
-
-    def _cast_rays(
-        self, origins: ArrayLike, max_range: float, threads: int | None, *, wants_cells: bool
-    ) -> tuple[FloatArray, IntArray]:
-        rays = as_poses(origins, "origins")
+    def _terrain(self, max_range: float) -> kernels.Terrain:
         if not 0.0 < max_range < np.inf:
             raise InvalidInputError(f"max_range: expected a positive finite number of metres, got {max_range}")
-        flat = rays.reshape(-1, 3)
-        resolution = self.grid.resolution
-        ranges = np.empty(len(flat))
-        cells = np.empty((len(flat) if wants_cells else 0, 2), np.int32)
-
-        def work(start: int, stop: int) -> None:
-            x, y, c, s = _cells_and_direction(self.grid, flat[start:stop])
-            kernels.cast_rays(x, y, c, s, self._rectangles, max_range / resolution, ranges[start:stop])
-            _to_metres(ranges[start:stop], resolution, max_range)
-
-        run_in_slices(work, len(flat), threads=threads)
-        shape = rays.shape[:-1]
-        return ranges.reshape(shape), cells.reshape((*shape, 2) if wants_cells else (0, 2))
+        rows, cols = self.grid.shape
+        resolution, longest = self.grid.resolution, float(max_range)
+        return kernels.Terrain(self._rectangles.reshape(-1), rows, cols, resolution, longest, longest / resolution)
 
 
-def _cells_and_direction(
-    grid: OccupancyGrid, poses: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return x, y in cells and cos, sin of the heading of poses (n, 3), in the grid's frame."""
-    cells = grid.to_cells(poses[:, :2])
-    heading = poses[:, 2] - grid.origin[2]
-    return cells[:, 0].copy(), cells[:, 1].copy(), np.cos(heading), np.sin(heading)
+def _contiguous(poses: FloatArray) -> FloatArray:
+    """Return poses as writeable rows (n, 3): one array type, so that kernels are compiled once."""
+    return np.require(poses.reshape(-1, 3), requirements=["C", "W"])
 
 
-def _to_metres(ranges: FloatArray, resolution: float, max_range: float) -> None:
-    """Turn cells into metres in place; what rounding lifts above max_range is max_range."""
-    ranges *= resolution
-    np.minimum(ranges, max_range, out=ranges)
+def _fan(finder: RangeFinder, resolution: float) -> tuple[FloatArray, bool]:
+    """Return the beams as the kernel wants them, x, y in cells, cos, sin, and whether all start at one point."""
+    x, y, theta = finder.mounts.T
+    fan = np.zeros((4, finder.n_beams + 8))
+    fan[:, : finder.n_beams] = x / resolution, y / resolution, np.cos(theta), np.sin(theta)
+    return fan, bool(np.all(x == x[:1]) and np.all(y == y[:1]))

@@ -56,7 +56,7 @@ def newton_step(
     for _ in range(2 * x.size):
         step = _solve(gradient + hessian @ moved, hessian, x, active, active & summed, -moved[summed].sum())
         step += moved
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             room = np.where(step < 0.0, (lower - x) / step, np.where(step > 0.0, (upper - x) / step, np.inf))
         room = np.where(active, room, np.inf)
         first = int(np.argmin(room))

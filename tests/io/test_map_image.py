@@ -280,6 +280,14 @@ def test_a_damaged_png_is_an_error_that_names_the_file(save, rng):
             read_map_image(path)
 
 
+@pytest.mark.parametrize("extra", [[], [(b"iCCP", b"name")]], ids=["no palette", "short colour profile"])
+def test_a_png_whose_chunks_do_not_fit_its_header_is_an_error_that_names_the_file(write, extra):
+    # Pillow fails on these with errors of its own that say nothing of the file.
+    path = write(png_with_header(2, 2, 8, 3, b"\0ab\0cd", *extra))
+    with pytest.raises(FormatError, match=r"a\.pgm: damaged picture: \w+"):
+        read_map_image(path)
+
+
 def test_a_missing_picture_is_the_file_systems_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_map_image(tmp_path / "none.pgm")

@@ -22,7 +22,6 @@ scan, and the histogram of the ranges.
 
 PICTURES = (".png", ".svg", ".pdf")
 _BAGS = (".bag", ".mcap", ".db3")
-_MAP_SAVERS_UNKNOWN = 205
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -125,33 +124,12 @@ def _read_background(content: OccupancyGrid | ScanLog, arguments: argparse.Names
 
 def _facts(content: OccupancyGrid | ScanLog, path: Path) -> dict[str, Any]:
     from beamfield.cli.inspect_summary import log_facts, map_facts
+    from beamfield.io.ros_map import ros_map_notes
     from beamfield.sensors import ScanLog
 
     if isinstance(content, ScanLog):
         return log_facts(content)
-    return map_facts(content, _grey_notes(path))
-
-
-def _grey_notes(path: Path) -> list[str]:
-    """Say so where the grey that map_server saves for "unknown" counts as free."""
-    if path.suffix not in (".yaml", ".yml"):
-        return []
-    from beamfield.io.map_image import read_map_image
-    from beamfield.io.ros_map import image_path
-    from beamfield.io.yaml_file import read_yaml
-
-    values = read_yaml(path).values
-    p = _MAP_SAVERS_UNKNOWN / 255.0 if values["negate"] in (1, True) else 1.0 - _MAP_SAVERS_UNKNOWN / 255.0
-    if str(values.get("mode", "trinary")).lower() == "raw" or p > values["free_thresh"]:
-        return []
-    share = float((read_map_image(image_path(path)).grey == _MAP_SAVERS_UNKNOWN).mean())
-    if share == 0.0:
-        return []
-    note = (
-        f"{share:.1%} of the pixels have grey {_MAP_SAVERS_UNKNOWN}, which map_saver writes for unknown; with "
-        f"free_thresh {values['free_thresh']:g} they count as free, here and in nav2 (0.196 keeps them unknown)"
-    )
-    return [note]
+    return map_facts(content, ros_map_notes(path) if path.suffix in (".yaml", ".yml") else ())
 
 
 def _write_picture(content: OccupancyGrid | ScanLog, grid: OccupancyGrid | None, arguments: argparse.Namespace) -> None:

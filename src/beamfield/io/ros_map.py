@@ -140,6 +140,40 @@ def save_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | N
         yaml_part.write_text(_yaml_text(grid, image_path.name, mode), encoding="utf-8")
 
 
+def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
+    """Return what a user should know about a map_server file, one sentence each.
+
+    Parameters
+    ----------
+    path
+        The YAML file.
+
+    Raises
+    ------
+    FormatError, OSError
+        As for `read_ros_map`.
+
+    Notes
+    -----
+    map_saver writes 205 for unknown, which is p = 0.1961. ROS 1 saved free_thresh 0.196 with it, nav2 saves 0.25: with
+    that, every unknown cell of the map reads as free, here as in nav2.
+    """
+    yaml = read_yaml(path)
+    _, free_thresh = _thresholds(yaml)
+    shade = _UNKNOWN_GREY / 255.0
+    p = shade if _negate(yaml) else 1.0 - shade
+    if _mode(yaml) == "raw" or p > free_thresh:
+        return []
+    share = float((read_map_image(_image_path(yaml)).grey == _UNKNOWN_GREY).mean())
+    if share == 0.0:
+        return []
+    note = (
+        f"{share:.1%} of the pixels have grey {_UNKNOWN_GREY}, which map_saver writes for unknown; with free_thresh "
+        f"{free_thresh:g} they count as free, here and in nav2 (0.196 keeps them unknown)"
+    )
+    return [note]
+
+
 # ------------------------------------------------------------------------------------------------------- the YAML file
 
 

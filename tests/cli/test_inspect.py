@@ -1,0 +1,350 @@
+"""``beamfield inspect``: what it says is what is in the file."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from beamfield.cli import inspect
+from beamfield.cli.inspect_picture import log_picture
+from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
+from beamfield.cli.main import main
+from beamfield.errors import FormatError
+from beamfield.io import read_map as read_map_module
+from beamfield.io.carmen_writer import write_carmen
+from beamfield.io.ros_map import save_map
+from beamfield.io.trajectory import write_tum
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track
+
+
+def make_sensor(n_scans: int = 20, **changes) -> SensorLog:
+    """Return a scanner 0.25 m ahead that drives 0.1 m per scan along a wall at its left."""
+    finder = RangeFinder.from_bearings(
+        np.radians(np.arange(-90.0, 91.0, 10.0)), 8.0, mount=(0.25, 0.0, 0.0), min_range=0.1
+    )
+    way = 0.1 * np.arange(n_scans)
+    poses = np.column_stack([1.0 + way, np.full(n_scans, 2.0), np.zeros(n_scans)])
+    with np.errstate(divide="ignore"):
+        to_wall = np.where(finder.bearings > 0.05, 1.5 / np.sin(finder.bearings), np.inf)
+    to_wall[to_wall >= 8.0] = np.inf
+    columns = {
+        "finder": finder,
+        "stamps": 10.0 + 0.2 * np.arange(n_scans),
+        "ranges": np.tile(to_wall, (n_scans, 1)),
+        "poses": poses,
+        "odometry": (poses - [1.0, 2.0, 0.0]) * [0.9, 1.0, 1.0],  # its wheels slip
+        "no_return": NoReturnPolicy((8.0,), 0.5, "detected", "half of it came to nothing"),
+    }
+    return SensorLog(**{**columns, **changes})
+
+
+def make_grid() -> OccupancyGrid:
+    probability = np.zeros((50, 60))
+    probability[35:37] = 1.0
+    probability[37:] = np.nan
+    return OccupancyGrid(probability, 0.1, np.array([-1.0, 0.0, 0.0]))
+
+
+@pytest.fixture
+def map_path(tmp_path) -> Path:
+    save_map(make_grid(), tmp_path / "room.yaml")
+    return tmp_path / "room.yaml"
+
+
+@pytest.fixture
+def log_path(tmp_path) -> Path:
+    sensor = make_sensor()
+    write_carmen(tmp_path / "drive.log", ScanLog({"FLASER": sensor}, Track(sensor.stamps, sensor.odometry)))
+    return tmp_path / "drive.log"
+
+
+@pytest.fixture
+def raw_log_path(tmp_path) -> Path:
+    """A log without reference poses: Wean Hall's format, in centimetres."""
+    sensor = make_sensor()
+    lines = []
+    for stamp, pose in zip(sensor.stamps, sensor.odometry, strict=True):
+        x, y, theta = pose * [100.0, 100.0, 1.0]
+        ranges = " ".join(["200"] * 180)
+        lines.append(f"L {x:.3f} {y:.3f} {theta:.4f} {x + 25:.3f} {y:.3f} {theta:.4f} {ranges} {stamp:.3f}\n")
+    (tmp_path / "raw.log").write_text("".join(lines))
+    return tmp_path / "raw.log"
+
+
+def shown(capsys, *words: str | Path) -> str:
+    assert main(["inspect", *map(str, words)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    return out
+
+
+def refused(capsys, *words: str | Path) -> str:
+    assert main(["inspect", *map(str, words)]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    return err
+
+
+# ----------------------------------------------------------------------------------------------------------------- maps
+
+
+def test_a_map_is_described_by_its_size_place_and_cells(capsys, map_path):
+    text = shown(capsys, map_path)
+    assert "room.yaml: map of 60 x 50 cells of 0.1 m: 6.00 m x 5.00 m" in text
+    assert "x -1 m, y 0 m, yaw 0 degrees" in text
+    rows = {line.split()[0]: line.split() for line in text.splitlines() if " cells " in line and "%" in line}
+    assert rows["free"][1:] == ["2,100", "cells", "70.00%", "21.0", "m2"]
+    assert rows["occupied"][1:] == ["120", "cells", "4.00%", "1.2", "m2"]
+    assert rows["unknown"][1:] == ["780", "cells", "26.00%", "7.8", "m2"]
+    assert "--out room.png" in text
+
+
+def test_the_json_of_a_map_holds_the_same_in_si_units(capsys, map_path):
+    facts = json.loads(shown(capsys, map_path, "--json"))
+    assert (facts["kind"], facts["source"]) == ("map", "room.yaml")
+    assert (facts["rows"], facts["cols"], facts["resolution_m"]) == (50, 60, 0.1)
+    assert facts["cells"]["occupied"] == {"count": 120, "share": 0.04, "area_m2": pytest.approx(1.2)}
+    assert facts["origin"] == {"x_m": -1.0, "y_m": 0.0, "yaw_rad": 0.0}
+    assert facts["notes"] == []
+
+
+def test_a_map_without_obstacles_or_without_free_cells_is_noted():
+    assert "no cell is occupied" in map_text(map_facts(OccupancyGrid(np.zeros((2, 2)), 0.1)))
+    assert "no cell is free" in map_text(map_facts(OccupancyGrid(np.ones((2, 2)), 0.1)))
+
+
+def test_unknown_cells_that_count_as_free_are_noted(capsys, map_path):
+    map_path.write_text(map_path.read_text().replace("free_thresh: 0.25", "free_thresh: 0.26"))
+    grey = np.full((50, 60), 205, dtype=np.uint8)
+    map_path.with_suffix(".pgm").write_bytes(b"P5 60 50 255\n" + grey.tobytes())
+    assert "100.0% of the pixels have grey 205" in shown(capsys, map_path)
+
+
+def test_wean_maps_and_coreslam_logs_share_an_ending_and_are_told_apart(tmp_path, capsys):
+    wean = "robot_specifications->resolution 10\nglobal_map[0]: 1 2\n1.0 0.0\n"
+    (tmp_path / "a.dat").write_text(wean)
+    (tmp_path / "a.dat.gz").write_bytes(gzip.compress(wean.encode()))
+    for name in ("a.dat", "a.dat.gz"):
+        assert "map of 1 x 2 cells" in shown(capsys, tmp_path / name)
+    (tmp_path / "b.dat").write_text("not a map\n")
+    assert "unknown format" in refused(capsys, tmp_path / "b.dat")
+
+
+def test_a_bag_without_scans_is_shown_as_the_map_it_holds(tmp_path, capsys, monkeypatch):
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
+    calls = []
+
+    def read_map(path, *, topic=None):
+        calls.append((path.name, topic))
+        return make_grid()
+
+    monkeypatch.setattr(read_map_module, "read_map", read_map)
+    assert "map of 60 x 50 cells" in shown(capsys, tmp_path / "a.bag")
+    assert "map of 60 x 50 cells" in shown(capsys, tmp_path / "a.bag", "--map-topic", "/map")
+    assert calls == [("a.bag", None), ("a.bag", "/map")]
+
+
+def test_a_bag_with_neither_scans_nor_map_is_refused_for_its_scans(tmp_path, capsys, monkeypatch):
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
+
+    def read_map(path, **_options):
+        raise FormatError(path, "no map")
+
+    monkeypatch.setattr(read_map_module, "read_map", read_map)
+    assert "no map" not in refused(capsys, tmp_path / "a.bag")
+
+
+# ----------------------------------------------------------------------------------------------------------------- logs
+
+
+def test_a_log_is_described_by_its_sensors_ranges_and_poses(capsys, log_path):
+    text = shown(capsys, log_path)
+    assert "drive.log: log with 1 sensor\n" in text
+    rows = {line[2:20].strip(): line[20:] for line in text.splitlines() if line.startswith("  ")}
+    assert rows["scans"] == "20 in 3.8 s (5 per second)"
+    assert rows["beams"].startswith("19 from -90.0 to 90.0 degrees, spanning 180.0, every 10, counter-clockwise")
+    assert rows["reference poses"] == "20 of 20 scans, path of 1.9 m"
+    assert rows["odometry"] == "20 of 20 scans, path of 1.7 m"
+    assert "380: 42.11% measured, 57.89% no return, 0.00% NaN, 0.00% too close" in rows["readings"]
+    assert "--out drive.png" in text
+
+
+def test_the_json_of_a_log_holds_the_same_in_si_units(capsys, log_path):
+    facts = json.loads(shown(capsys, log_path, "--json"))
+    sensor = facts["sensors"]["FLASER"]
+    assert (facts["kind"], sensor["scans"], sensor["beams"]["count"]) == ("log", 20, 19)
+    assert sensor["duration_s"] == pytest.approx(3.8)
+    assert sensor["beams"]["step_rad"] == pytest.approx(math.radians(10.0))
+    assert sensor["reference_poses"] == {"known": 20, "path_length_m": pytest.approx(1.9)}
+    assert sensor["readings"]["no_return_share"] == pytest.approx(11 / 19)
+    assert isinstance(facts["notes"], list)
+
+
+def test_options_for_reading_the_log_are_obeyed(capsys, log_path):
+    facts = json.loads(shown(capsys, log_path, "--json", "--max-range", "2"))
+    assert facts["sensors"]["FLASER"]["max_range_m"] == 2.0
+    assert "expected detect, none or numbers" in refused(capsys, log_path, "--no-return", "often")
+
+
+def test_reference_poses_come_from_a_file(capsys, tmp_path, raw_log_path):
+    sensor = make_sensor()
+    write_tum(tmp_path / "truth.tum", Track(sensor.stamps, sensor.poses * [2.0, 1.0, 1.0]))
+    without = json.loads(shown(capsys, raw_log_path, "--json"))
+    assert without["sensors"]["L"]["reference_poses"] == {"known": 0, "path_length_m": None}
+    facts = json.loads(shown(capsys, raw_log_path, "--poses", tmp_path / "truth.tum", "--json"))
+    assert facts["sensors"]["L"]["reference_poses"] == {"known": 20, "path_length_m": pytest.approx(3.8)}
+
+
+def test_every_share_is_counted_apart_and_they_add_up():
+    ranges = make_sensor().ranges.copy()
+    ranges[0], ranges[1], ranges[2, 0], ranges[3, 0] = np.nan, 0.05, -np.inf, 8.5
+    readings = log_facts(ScanLog({"a": make_sensor(ranges=ranges)}))["sensors"]["a"]["readings"]
+    assert readings["no_measurement_share"] == pytest.approx(19 / 380)
+    assert readings["too_close_share"] == pytest.approx(20 / 380)
+    assert readings["no_return_share"] == pytest.approx((18 * 11 - 1) / 380)
+    shares = ("measured_share", "no_return_share", "no_measurement_share", "too_close_share")
+    assert sum(readings[name] for name in shares) == pytest.approx(1.0)
+    assert readings["scans_without_measurement"] == 1
+    assert (readings["shortest_m"], readings["longest_m"]) == (1.5, pytest.approx(1.5 / math.sin(math.radians(20))))
+
+
+def finder_deg(bearings_deg, **limits) -> RangeFinder:
+    return RangeFinder.from_bearings(np.radians(bearings_deg), 5.0, **limits)
+
+
+@pytest.mark.parametrize(
+    ("finder", "text"),
+    [
+        (finder_deg([90.0, 0.0, -90.0]), "90.0 to -90.0 degrees, spanning 180.0, every 90, clockwise"),
+        (finder_deg([0.0, 10.0, 40.0]), "spanning 40.0, unevenly spaced"),
+        (finder_deg(np.arange(0.0, 360.0, 1.0)), "spanning 359.0, every 1, counter-clockwise"),
+        (finder_deg([-45.0, 45.0], opening_angle=math.radians(30)), "cones of 30.0 degrees"),
+        (finder_deg([0.0]), "beams             1\n"),
+        (RangeFinder(np.array([[0.1, 0.2, 0.0], [0.3, 0.0, 1.0]]), 5.0), "2 places on the robot"),
+    ],
+)
+def test_beams_of_every_kind_are_described(finder, text):
+    k = finder.n_beams
+    nowhere = np.full((2, 3), np.nan)
+    log = ScanLog({"a": SensorLog(finder, np.array([0.0, 1.0]), np.ones((2, k)), nowhere, nowhere)})
+    assert text in log_text(log_facts(log)) + "\n"
+
+
+def test_an_empty_log_and_one_without_poses_are_described_and_drawn():
+    for n, ranges in ((0, np.zeros((0, 19))), (1, np.full((1, 19), np.nan)), (2, np.full((2, 19), np.inf))):
+        nowhere = np.full((n, 3), np.nan)
+        sensor = make_sensor(n, ranges=ranges, poses=nowhere, odometry=nowhere)
+        log = ScanLog({"a": sensor}, notes=("a note",))
+        facts = log_facts(log)
+        json.dumps(facts, allow_nan=False)
+        text = log_text(facts)
+        assert "reference poses   none" in text
+        assert "  - a note" in text
+        log_picture(log, "empty").canvas.draw()
+
+
+def test_the_path_length_skips_unknown_poses():
+    poses = np.array([[0.0, 0, 0], [np.nan] * 3, [3.0, 4.0, 1.0], [3.0, 5.0, 1.0]])
+    assert path_length(poses) == 6.0
+    assert path_length(np.full((3, 3), np.nan)) == 0.0
+
+
+# ------------------------------------------------------------------------------------------------------------- pictures
+
+
+def test_a_map_is_drawn_into_the_file(capsys, map_path, tmp_path):
+    assert f"wrote {tmp_path / 'picture.png'}" in shown(capsys, map_path, "--out", tmp_path / "picture.png")
+    with Image.open(tmp_path / "picture.png") as picture:
+        colours = {colour for _, colour in picture.convert("RGB").getcolors(maxcolors=1 << 20)}
+    assert {(0xFF, 0xFF, 0xFF), (0xE1, 0xE5, 0xEA), (0x3C, 0x44, 0x4D)} <= colours
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["picture.png", "room.pgm", "room.yaml"]
+
+
+def test_a_log_is_drawn_over_a_map(capsys, log_path, map_path, tmp_path):
+    shown(capsys, log_path, "--map", map_path, "--out", tmp_path / "a.png")
+    shown(capsys, log_path, "--out", tmp_path / "b.png")
+    with Image.open(tmp_path / "a.png") as a, Image.open(tmp_path / "b.png") as b:
+        walls = [(np.asarray(picture.convert("RGB")) == (0x3C, 0x44, 0x4D)).all(axis=-1).sum() for picture in (a, b)]
+    assert walls[0] > 1000
+    assert walls[1] == 0
+
+
+def test_end_points_are_drawn_on_the_wall_they_hit():
+    figure = log_picture(ScanLog({"a": make_sensor()}), "a")
+    path_panel = next(ax for ax in figure.axes if "reference poses" in ax.get_title())
+    points = np.ma.filled(path_panel.collections[0].get_offsets(), np.nan)
+    # The wall is 1.5 m to the left of a path at y = 2; the robot's own places are drawn too.
+    np.testing.assert_allclose(np.unique(points[:, 1].round(9)), [2.0, 3.5])
+
+
+def test_several_sensors_have_a_row_each_and_more_than_four_are_counted():
+    figure = log_picture(ScanLog({str(i): make_sensor() for i in range(6)}), "many")
+    assert "the first 4 of 6 sensors" in figure.get_suptitle()
+    assert len([ax for ax in figure.axes if "readings" in ax.get_title()]) == 4
+
+
+def test_the_layout_follows_the_shape_of_the_path():
+    turned = make_sensor()
+    turned = turned.with_poses(np.column_stack([turned.poses[:, 1], 4 * turned.poses[:, 0], np.full(20, np.pi / 2)]))
+    wide = make_sensor()
+    wide = wide.with_poses(wide.poses * [6.0, 1.0, 1.0])
+    sizes = [log_picture(ScanLog({"a": sensor}), "a") for sensor in (wide, turned)]
+    places = []
+    for figure in sizes:
+        figure.canvas.draw()
+        panel = {
+            ("path" if "frame, from" in ax.get_title() else ax.get_title()): ax.get_position() for ax in figure.axes
+        }
+        places.append((panel["path"], panel["380 readings"]))
+    (wide_path, wide_ranges), (tall_path, tall_ranges) = places
+    assert wide_path.y0 > wide_ranges.y1  # above the histogram
+    assert tall_path.x1 < tall_ranges.x0  # left of it
+
+
+def test_a_picture_in_an_unknown_format_is_refused_before_anything_is_read(capsys, tmp_path):
+    error = refused(capsys, tmp_path / "none.yaml", "--out", tmp_path / "a.exe")
+    assert "--out: expected a name ending in .png, .svg, .pdf, got 'a.exe'" in error
+
+
+@pytest.mark.parametrize("suffix", inspect.PICTURES)
+def test_every_offered_format_is_written(capsys, map_path, tmp_path, suffix):
+    shown(capsys, map_path, "--out", tmp_path / f"a{suffix}")
+    start = (tmp_path / f"a{suffix}").read_bytes()[:5]
+    assert start in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+
+
+# ------------------------------------------------------------------------------------------------------------ bad input
+
+
+def test_bad_input_is_one_line_that_names_the_file(capsys, tmp_path, map_path, log_path):
+    assert "none.yaml: No such file" in refused(capsys, tmp_path / "none.yaml")
+    assert "none.log: No such file" in refused(capsys, tmp_path / "none.log")
+    (tmp_path / "text.log").write_text("hello\n")
+    assert "unknown format" in refused(capsys, tmp_path / "text.log")
+    assert "give the map_server YAML file" in refused(capsys, map_path.with_suffix(".pgm"))
+    map_path.with_suffix(".pgm").unlink()
+    error = refused(capsys, map_path, "--out", tmp_path / "a.png")
+    assert "room.yaml:1: image" in error
+    assert "room.pgm' does not exist" in error
+    assert not (tmp_path / "a.png").exists()
+    assert "none" in refused(capsys, log_path, "--out", tmp_path / "none" / "a.png")
+
+
+def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_path, raw_log_path):
+    assert "--map: the map is only drawn, so give --out too" in refused(capsys, log_path, "--map", map_path)
+    picture = ("--out", tmp_path / "a.png")
+    assert "--map: goes with a log" in refused(capsys, map_path, "--map", map_path, *picture)
+    assert "--poses: goes with a log" in refused(capsys, map_path, "--poses", log_path)
+    assert "a topic is chosen in a bag" in refused(capsys, map_path, "--map-topic", "/map")
+    error = refused(capsys, raw_log_path, "--map", map_path, *picture)
+    assert "has no reference poses to draw on a map; give --poses FILE" in error
+    assert not (tmp_path / "a.png").exists()

@@ -157,6 +157,16 @@ def test_no_expected_range_gives_a_density_that_is_not_finite():
                 assert math.isfinite(beam.mixture(z, z_star, view))
 
 
+def test_nearly_uniform_short_keeps_its_digits():
+    """lambda z* = 9e-9 is on the series' side of the border; expm1 is exact on both."""
+    for rate in (1e-12, 3e-9, 4e-9):
+        view = THETA._replace(lambda_short=rate)
+        assert beam.short_cdf(1.5, 3.0, view) == pytest.approx(
+            math.expm1(-rate * 1.5) / math.expm1(-rate * 3), rel=1e-15
+        )
+        assert beam.short_factor(3.0, rate) == pytest.approx(rate / -math.expm1(-rate * 3.0), rel=1e-15)
+
+
 def test_inside_a_wall_short_readings_are_explained_by_the_first_micrometre_only():
     assert beam.short_density(0.0, 0.0, THETA) == pytest.approx(1e6, rel=1e-6)
     assert beam.short_density(2e-6, 0.0, THETA) == 0.0

@@ -95,8 +95,8 @@ class MapMatchingModel:
     >>> model = MapMatchingModel(grid)
     >>> model.correlation(seen, [[0.5, 0.25, 0.0], [0.0, 0.25, 0.0]]).round(2).tolist()
     [1.0, -0.33]
-    >>> model.log_likelihood(seen, [[0.5, 0.25, 0.0], [0.0, 0.25, 0.0]]).round(2).tolist()
-    [0.0, -inf]
+    >>> np.exp(model.log_likelihood(seen, [[0.5, 0.25, 0.0], [0.0, 0.25, 0.0]])).round(2).tolist()
+    [1.0, 0.0]
     """
 
     is_normalized: ClassVar[bool] = False

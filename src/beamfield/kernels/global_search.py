@@ -1,0 +1,206 @@
+"""Branch and bound over translations, for every heading, on a pyramid of maxima.
+
+The score of a candidate is the sum of the field's values in the cells of its points. Level h of the pyramid holds, for
+each cell, the greatest value among the 2^h x 2^h cells from it towards growing columns and rows. So the same sum taken
+from level h, at a block's first candidate, is at least the score of every candidate of the block. Values are integers:
+sums are exact, and bounds hold without any allowance for rounding.
+
+A candidate's key is its place in the order (heading, row, column). Of equal scores the one with the least key counts,
+so that neither the order of the search nor the number of threads changes the result.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+Bytes = NDArray[np.uint8]
+Integers = NDArray[np.int64]
+Points = NDArray[np.int32]
+
+# Levels of blocks on the stack, four children each.
+STACK = 128
+
+
+@kernel
+def fill_pyramid(field: Bytes, pyramid: Bytes) -> None:
+    """Fill the pyramid of maxima.
+
+    Parameters
+    ----------
+    field
+        (rows, cols) values.
+    pyramid
+        (levels, rows + 2^(levels - 1) + 1, cols + 2^(levels - 1) + 1) overwritten: cell (0, 0) of the field is at
+        [2^(levels - 1), 2^(levels - 1)]; off the field values are 0.
+    """
+    rows, cols = field.shape
+    levels, tall, wide = pyramid.shape
+    pad = 1 << (levels - 1)
+    pyramid[0] = 0
+    pyramid[0, pad : pad + rows, pad : pad + cols] = field
+    for h in range(1, levels):
+        half = 1 << (h - 1)
+        below, here = pyramid[h - 1], pyramid[h]
+        for r in range(tall):
+            above = min(r + half, tall - 1)
+            for c in range(wide - half):
+                here[r, c] = max(max(below[r, c], below[r, c + half]), max(below[above, c], below[above, c + half]))
+            for c in range(wide - half, wide):
+                here[r, c] = max(below[r, c], below[above, c])
+
+
+@kernel
+def fill_coarse_bounds(points: Points, pyramid: Bytes, bounds: Integers) -> None:
+    """Bound the score of every block of the coarsest level.
+
+    Parameters
+    ----------
+    points
+        (n, 2, p) rows and columns, in the pyramid's cells, of the points at each heading's first candidate.
+    pyramid
+        See `fill_pyramid`.
+    bounds
+        (n, block rows, block columns) overwritten.
+    """
+    levels = pyramid.shape[0]
+    side = 1 << (levels - 1)
+    top = pyramid[levels - 1]
+    for k in range(points.shape[0]):
+        for j in range(bounds.shape[1]):
+            for i in range(bounds.shape[2]):
+                bounds[k, j, i] = _sum_at(points[k], top, j * side, i * side)
+
+
+@kernel
+def search_blocks(
+    blocks: Integers,
+    bounds: Integers,
+    points: Points,
+    pyramid: Bytes,
+    n_rows: int,
+    n_cols: int,
+    excluded: Integers,
+    best: int,
+    best_key: int,
+    out: Integers,
+) -> None:
+    """Find the best candidate of each block that beats the best one known.
+
+    Parameters
+    ----------
+    blocks
+        (m, 3) heading, row and column of blocks of the coarsest level, in blocks.
+    bounds
+        (m,) their bounds.
+    points, pyramid
+        See `fill_coarse_bounds`.
+    n_rows, n_cols
+        Candidates of a heading.
+    excluded
+        (4,) + (headings,) first row, column, squared radius of a disc of candidates that do not count, and a 0; then 1
+        for the headings at which they do not.
+    best, best_key
+        The best candidate known: its score and key; -1 and the number of candidates for none.
+    out
+        (m, 3) overwritten: score and key of the best candidate, -1 if it does not beat the best known; number of sums
+        that were taken.
+    """
+    levels = pyramid.shape[0]
+    stack = np.empty((STACK, 4), np.int64)
+    child = np.empty((4, 3), np.int64)
+    sums = np.empty(4, np.int64)
+    for m in range(blocks.shape[0]):
+        k = blocks[m, 0]
+        at_heading = points[k]
+        has_hole = excluded[4 + k] == 1
+        out[m, 0], out[m, 1] = -1, -1
+        taken = 0
+        top = 1
+        side = 1 << (levels - 1)
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = (
+            levels - 1,
+            blocks[m, 1] * side,
+            blocks[m, 2] * side,
+            bounds[m],
+        )
+        while top > 0:
+            top -= 1
+            level, row, col, bound = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+            if not _beats(bound, (k * n_rows + row) * n_cols + col, best, best_key):
+                continue
+            if level == 0:
+                best, best_key = bound, (k * n_rows + row) * n_cols + col
+                out[m, 0], out[m, 1] = best, best_key
+                continue
+            level -= 1
+            half = 1 << level
+            _four_sums(at_heading, pyramid[level], row, col, half, sums)
+            taken += 4
+            n = 0
+            for quarter in range(4):
+                r, c, value = row + half * (quarter >> 1), col + half * (quarter & 1), sums[quarter]
+                if r >= n_rows or c >= n_cols or not _beats(value, (k * n_rows + r) * n_cols + c, best, best_key):
+                    continue
+                if has_hole and _inside(r, c, min(r + half, n_rows) - 1, min(c + half, n_cols) - 1, excluded):
+                    continue
+                # The best child goes on top, to be searched first: insert by (bound, falling key).
+                place = n
+                while place > 0 and not _beats(value, quarter, child[place - 1, 2], child[place - 1, 0] & 3):
+                    child[place] = child[place - 1]
+                    place -= 1
+                child[place, 0], child[place, 1], child[place, 2] = r * 4 + quarter, c, value
+                n += 1
+            for q in range(n):
+                stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = (
+                    level,
+                    child[q, 0] >> 2,
+                    child[q, 1],
+                    child[q, 2],
+                )
+                top += 1
+        out[m, 2] = taken
+
+
+@kernel
+def _beats(score: int, key: int, best: int, best_key: int) -> bool:
+    """Say whether a candidate, or the best that a block may hold, comes before the best one known."""
+    return score > best or (score == best and key < best_key)
+
+
+@kernel
+def _inside(row: int, col: int, last_row: int, last_col: int, excluded: Integers) -> bool:
+    """Say whether all candidates of a block lie in the disc that does not count."""
+    dr = max(abs(row - excluded[0]), abs(last_row - excluded[0]))
+    dc = max(abs(col - excluded[1]), abs(last_col - excluded[1]))
+    return bool(dr * dr + dc * dc <= excluded[2])
+
+
+@kernel
+def _sum_at(points: Points, level: Bytes, row: int, col: int) -> int:
+    """Return the sum over the points, moved by (row, col), of one level of the pyramid."""
+    last_row, last_col = level.shape[0] - 1, level.shape[1] - 1
+    total = 0
+    for b in range(points.shape[1]):
+        r = min(max(points[0, b] + row, 0), last_row)
+        c = min(max(points[1, b] + col, 0), last_col)
+        total += level[r, c]
+    return total
+
+
+@kernel
+def _four_sums(points: Points, level: Bytes, row: int, col: int, half: int, sums: Integers) -> None:
+    """Fill sums (4,) with `_sum_at` of the quarters (row, col), (row, col + half), (row + half, col) and both."""
+    last_row, last_col = level.shape[0] - 1, level.shape[1] - 1
+    s0, s1, s2, s3 = 0, 0, 0, 0
+    for b in range(points.shape[1]):
+        r, c = points[0, b] + row, points[1, b] + col
+        r0, r1 = min(max(r, 0), last_row), min(max(r + half, 0), last_row)
+        c0, c1 = min(max(c, 0), last_col), min(max(c + half, 0), last_col)
+        s0 += level[r0, c0]
+        s1 += level[r0, c1]
+        s2 += level[r1, c0]
+        s3 += level[r1, c1]
+    sums[0], sums[1], sums[2], sums[3] = s0, s1, s2, s3

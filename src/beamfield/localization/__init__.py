@@ -1,0 +1,1 @@
+"""Finding the robot's pose with the measurement models."""

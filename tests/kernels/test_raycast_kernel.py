@@ -1,0 +1,108 @@
+"""The parts of the ray casting kernel, on few rays: they run with the JIT switched off, too."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from beamfield.kernels import raycast as kernels
+
+
+def tables_of(occupied):
+    rectangles = np.empty((4, occupied.shape[0] + 2, occupied.shape[1] + 2), np.uint16)
+    kernels.free_rectangles(occupied, rectangles)
+    return rectangles
+
+
+def terrain_of(occupied, max_cells=30.0):
+    rows, cols = occupied.shape
+    return kernels.Terrain(tables_of(occupied).reshape(-1), rows, cols, 1.0, max_cells, max_cells)
+
+
+def test_rectangles_are_free_and_start_at_their_cell(rng):
+    occupied = rng.random((9, 12)) < 0.15
+    rectangles = tables_of(occupied)
+    for quadrant in range(4):
+        seen = occupied[:: -1 if quadrant & 2 else 1, :: -1 if quadrant & 1 else 1]
+        table = rectangles[quadrant, 1:-1, 1:-1]
+        np.testing.assert_array_equal(table == 0, seen)
+        for row, col in np.argwhere(table > 0):
+            width, height = table[row, col] & 255, table[row, col] >> 8
+            assert width >= 1
+            assert height >= 1
+            assert row + height <= 9
+            assert col + width <= 12
+            assert not seen[row : row + height, col : col + width].any()
+
+
+def test_the_frame_of_the_table_stops_rays(rng):
+    rectangles = tables_of(rng.random((5, 6)) < 0.3)
+    for edge in (rectangles[:, 0], rectangles[:, -1], rectangles[:, :, 0], rectangles[:, :, -1]):
+        assert not edge.any()
+
+
+def test_a_free_map_is_one_rectangle():
+    table = tables_of(np.zeros((4, 6), bool))[0, 1:-1, 1:-1]
+    assert (table[0, 0] & 255, table[0, 0] >> 8) == (6, 4)
+    assert (table[3, 5] & 255, table[3, 5] >> 8) == (1, 1)
+
+
+def test_rectangles_are_at_most_255_cells_long():
+    table = tables_of(np.zeros((1, 300), bool))[0, 1, 1:-1]
+    assert (table & 255)[:3].tolist() == [255, 255, 255]
+    assert (table >> 8).tolist() == [1] * 300
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e-3, 1.0, 10.0, 1e3, 9.9e5])
+def test_own_cosines_are_those_of_the_c_library(rng, scale):
+    for angle in [*(rng.uniform(-1, 1, 200) * scale), 0.0, scale]:
+        cosine, sine = kernels._cos_sin(angle)
+        assert abs(cosine - math.cos(angle)) <= 2.3e-16
+        assert abs(sine - math.sin(angle)) <= 2.3e-16
+
+
+@pytest.mark.parametrize("quarter", range(-8, 9))
+def test_own_cosines_are_nearly_exact_at_multiples_of_a_right_angle(quarter):
+    angle = quarter * math.pi / 2
+    for own, theirs in zip(kernels._cos_sin(angle), (math.cos(angle), math.sin(angle)), strict=True):
+        assert own == pytest.approx(theirs, rel=1e-15, abs=1e-31)
+
+
+def test_rays_in_lockstep_equal_rays_one_by_one(rng):
+    terrain = terrain_of(rng.random((20, 30)) < 0.05)
+    # 300 rays: more than a block. Half of them meet corners and borders.
+    origins = np.column_stack([rng.uniform(-4, [34, 24], (300, 2)), rng.uniform(-4, 4, 300)])
+    origins[::2] = np.round(origins[::2] * 2) / 2
+    origins[::2, 2] *= np.pi / 4
+    ranges, one_by_one, cells = np.empty(300), np.empty(300), np.empty((300, 2), np.int32)
+    kernels.cast_rays(origins, (0.0, 0.0, 0.0), terrain, ranges)
+    kernels.trace_rays(origins, (0.0, 0.0, 0.0), terrain, one_by_one, cells)
+    np.testing.assert_array_equal(ranges, one_by_one)
+    np.testing.assert_array_equal(cells[:, 0] >= 0, ranges < 30.0)
+
+
+@pytest.mark.parametrize("same_mount", [True, False])
+def test_a_fan_equals_its_beams_one_by_one(rng, same_mount):
+    terrain = terrain_of(rng.random((20, 30)) < 0.05)
+    poses = np.column_stack([rng.uniform(1, [29, 19], (5, 2)), rng.uniform(-4, 4, 5)])
+    bearings = rng.uniform(-2, 2, 61)
+    fan = np.zeros((4, 69))
+    fan[:2, :61] = 0.25 if same_mount else rng.uniform(-1, 1, (2, 61))
+    fan[2, :61], fan[3, :61] = np.cos(bearings), np.sin(bearings)
+    ranges, one_by_one, cells = np.empty(305), np.empty(305), np.empty((305, 2), np.int32)
+    kernels.cast_fan(poses, (0.5, 0.5, 0.3), fan, same_mount, terrain, ranges)
+    kernels.trace_fan(poses, (0.5, 0.5, 0.3), fan, terrain, one_by_one, cells)
+    np.testing.assert_array_equal(ranges, one_by_one)
+
+
+def test_rays_float32_cannot_decide_are_traced():
+    """A ray into a corner is in doubt; the answer is that of the trace, not that of the lanes."""
+    occupied = np.zeros((8, 8), bool)
+    occupied[3, 4] = occupied[4, 3] = True
+    terrain = terrain_of(occupied)
+    origins = np.array([[0.5, 0.5, np.pi / 4]])
+    ranges = np.empty(1)
+    kernels.cast_rays(origins, (0.0, 0.0, 0.0), terrain, ranges)
+    assert ranges[0] == pytest.approx(3.5 * np.sqrt(2), rel=1e-15)

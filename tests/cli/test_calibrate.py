@@ -127,6 +127,15 @@ def test_a_held_parameter_and_a_fixed_form_are_respected(world: Path, tmp_path: 
     assert parameters.sigma_slope == 0.0
 
 
+def test_without_a_map_one_is_drawn_and_the_report_says_so(world: Path, tmp_path: Path):
+    log, out = str(world / "log.carmen"), tmp_path / "out"
+    assert main(["calibrate", log, "--out", str(out), "--quiet", "--bootstrap", "40", "--resolution", "0.1"]) == 0
+    assert "No map was given" in (out / "report.html").read_text()
+    document = json.loads((out / "calibration.json").read_text())
+    assert set(document["provenance"]["inputs"]) == {"log"}
+    assert "cross-fitted-map" in [finding["name"] for finding in document["findings"]]
+
+
 class TestBadInput:
     """Each: one line that names file, place and value; exit code 1, or 3 for too little data; nothing written."""
 
@@ -225,6 +234,9 @@ class TestBadInput:
     def test_an_unknown_sensor_lists_the_known(self, copy, tmp_path, capsys):
         line = fails(capsys, calibrate(copy, tmp_path / "out", "--sensor", "REAR"))
         assert "no sensor 'REAR'; the log has 'FLASER'" in line
+
+    def test_a_resolution_beside_a_map(self, copy, tmp_path, capsys):
+        assert "--resolution" in fails(capsys, calibrate(copy, tmp_path / "out", "--resolution", "0.1"))
 
     def test_holding_a_parameter_that_does_not_exist(self, copy, tmp_path, capsys):
         assert "z_foo" in fails(capsys, calibrate(copy, tmp_path / "out", "--hold", "z_foo=0.1"))

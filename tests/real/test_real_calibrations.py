@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
+from beamfield.calibration.cross_fit import build_cross_fit_maps
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
@@ -86,3 +87,14 @@ def test_the_wrong_map_file_of_the_pioneer_is_found_out(data: Path, pioneer: Sen
     result = calibrate(log, small, replace(OPTIONS, refine=False))
     finding = next(f for f in result.findings if f.name == "map-scale")
     assert finding.values["scale"] == pytest.approx(1.032, abs=0.012)
+
+
+@pytest.mark.parametrize("name", ["intel", "freiburg-079", "belgioioso"])
+def test_logs_without_a_map_are_calibrated_on_the_maps_of_their_halves(data: Path, name: str):
+    log = sensor_log(data, f"carmen_radish_corrected/{name}-corrected.log.gz")
+    log = log.select(np.arange(min(len(log), 1500)))
+    result = calibrate(log, build_cross_fit_maps(log), replace(OPTIONS, refine=False))
+    assert beats_the_defaults(result)
+    assert "cross-fitted-map" in names(result)
+    # SICK scanners: 1 to 5 cm of noise, seen through cells of 5 cm and corrected poses.
+    assert 0.02 < result.parameters.sigma_hit < 0.09

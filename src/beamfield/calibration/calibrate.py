@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable, UnknownRule, build_beam_table
 from beamfield.calibration.bootstrap import IntervalResult, bootstrap_intervals
+from beamfield.calibration.cross_fit import CrossFitMaps, cross_fit_finding, cross_fit_table
 from beamfield.calibration.em import LearningResult, learn_intrinsic_parameters
 from beamfield.calibration.evaluation import (
     DEFAULTS,
@@ -188,7 +189,7 @@ class Calibration:
 
 def calibrate(
     log: SensorLog,
-    grid: OccupancyGrid,
+    grid: OccupancyGrid | CrossFitMaps,
     options: CalibrationOptions | None = None,
     *,
     progress: Progress | None = None,
@@ -204,7 +205,7 @@ def calibrate(
     log
         Scans of one sensor with reference poses in the map frame.
     grid
-        The map.
+        The map; or, for a log that has none, the two maps drawn from its halves (`build_cross_fit_maps`).
     options
         See `CalibrationOptions`.
     progress
@@ -224,21 +225,15 @@ def calibrate(
     options = options or CalibrationOptions()
     report = progress or _silent
     rng = np.random.default_rng(options.seed)
-    if not grid.occupied.any():
+    whole = grid.whole if isinstance(grid, CrossFitMaps) else grid
+    if not whole.occupied.any():
         raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
 
     # 1. Scans that moved, lie on the map and have a plausible reference pose.
-    selection = select_scans(log, grid, options.selection)
+    selection = select_scans(log, whole, options.selection)
 
     # 2. Expected ranges.
-    table = build_beam_table(
-        log,
-        grid,
-        selection.used,
-        unknown=options.unknown,
-        threads=options.threads,
-        progress=lambda done, total: report("casting rays", done, total),
-    )
+    table = _cast(log, grid, selection.used, options, lambda done, total: report("casting rays", done, total))
 
     # 3. Whole blocks of time are held out.
     blocks = time_blocks(table.stamps, options.block_s)
@@ -279,20 +274,20 @@ def calibrate(
     if options.refine:
         refinement = refine_poses(
             log,
-            grid,
-            np.flatnonzero(selection.used),
+            grid.halves[1] if isinstance(grid, CrossFitMaps) else grid,
+            np.flatnonzero(selection.used & (grid.half == 0) if isinstance(grid, CrossFitMaps) else selection.used),
             fit,
             unknown_occupied=options.unknown == "occupied",
             progress=lambda done, total: report("refining poses", done, total),
         )
     findings = [
-        *map_findings(opposite, grid.resolution),
-        *pose_findings(log, grid),
+        *map_findings(opposite, whole.resolution),
+        *pose_findings(log, whole),
         *refinement_findings(refinement),
         *_score_findings(scores),
         *chosen.result.findings,
         *intervals.findings,
-        *_table_findings(table),
+        *([cross_fit_finding(grid, table)] if isinstance(grid, CrossFitMaps) else _table_findings(table)),
     ]
     return Calibration(
         parameters=fit,
@@ -312,6 +307,19 @@ def calibrate(
         findings=tuple(sorted(findings, key=lambda finding: finding.severity != "warning")),
         options=options,
     )
+
+
+def _cast(
+    log: SensorLog,
+    grid: OccupancyGrid | CrossFitMaps,
+    scans: NDArray[np.bool_],
+    options: CalibrationOptions,
+    progress: Callable[[int, int], None],
+) -> BeamTable:
+    """Cast the beams of the chosen scans in the map, or in the map that the other half drew."""
+    if isinstance(grid, CrossFitMaps):
+        return cross_fit_table(log, grid, scans, unknown=options.unknown, threads=options.threads, progress=progress)
+    return build_beam_table(log, grid, scans, unknown=options.unknown, threads=options.threads, progress=progress)
 
 
 def _silent(stage: str, done: int, total: int) -> None:

@@ -34,7 +34,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "log", type=Path, metavar="LOG", help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap"
     )
-    parser.add_argument("--map", type=Path, required=True, metavar="MAP", help="map_server .yaml, Wean .dat, or a bag")
+    parser.add_argument("--map", type=Path, metavar="MAP",
+                        help="map_server .yaml, Wean .dat, or a bag; without it, maps drawn from the log")  # fmt: skip
+    parser.add_argument("--resolution", type=float, metavar="M", help="of drawn maps, where no map is given (0.05)")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
     parser.add_argument("--out", type=Path, default=Path("beamfield_calibration"), metavar="DIR", help="output folder")
     add_log_options(parser)
@@ -115,10 +117,14 @@ def run(arguments: argparse.Namespace) -> int:
     text: list[str] = []
     converged = True
     with StageProgress(quiet=arguments.quiet) as progress:
-        progress("reading the map", 0, 1)
-        grid = read_map(arguments.map)
-        if not grid.occupied.any():
-            raise InvalidInputError(f"{arguments.map}: the map has no occupied cell, so no ray has an expected range")
+        grid = None
+        if arguments.map is not None:
+            if arguments.resolution is not None:
+                raise InvalidInputError("--resolution: is for maps drawn from the log, but --map gives one")
+            progress("reading the map", 0, 1)
+            grid = read_map(arguments.map)
+            if not grid.occupied.any():
+                raise InvalidInputError(f"{arguments.map}: the map has no occupied cell: no ray has an expected range")
         progress("reading the log", 0, 1)
         log = read_log(arguments.log, **log_options(arguments))
         if arguments.poses is not None:
@@ -126,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
         origin = _provenance(arguments)
         chosen = _chosen_sensors(log, arguments)
         for name, sensor in chosen.items():
-            files, table, good = _calibrate_sensor(arguments.log, sensor, grid, options, origin, log.notes, progress)
+            files, table, good = _calibrate_sensor(arguments, sensor, grid, options, origin, log.notes, progress)
             # Several sensors: a folder each.
             outputs[_folder_name(name) if len(chosen) > 1 else "."] = files
             text.append((f"== {name}\n" if len(chosen) > 1 else "") + table)
@@ -190,9 +196,11 @@ def _held(words: list[str]) -> dict[str, float]:
 def _provenance(arguments: argparse.Namespace) -> dict[str, Any]:
     from beamfield.io.ros_map import image_path
 
-    inputs = [("log", arguments.log), ("map", arguments.map)]
-    if arguments.map.suffix in (".yaml", ".yml"):
-        inputs.append(("map image", image_path(arguments.map)))
+    inputs = [("log", arguments.log)]
+    if arguments.map is not None:
+        inputs.append(("map", arguments.map))
+        if arguments.map.suffix in (".yaml", ".yml"):
+            inputs.append(("map image", image_path(arguments.map)))
     if arguments.poses is not None:
         inputs.append(("poses", arguments.poses))
     files = {"log", "map", "poses", "out", "run", "quiet", "threads", "seed"}
@@ -215,9 +223,9 @@ def _folder_name(sensor: str) -> str:
 
 
 def _calibrate_sensor(
-    path: Path,
+    arguments: argparse.Namespace,
     sensor: SensorLog,
-    grid: OccupancyGrid,
+    grid: OccupancyGrid | None,
     options: CalibrationOptions,
     origin: dict[str, Any],
     notes: tuple[str, ...],
@@ -225,15 +233,20 @@ def _calibrate_sensor(
 ) -> tuple[dict[str, str], str, bool]:
     """Calibrate one sensor and return the files to write, the table to print, and whether the fit converged."""
     from beamfield.calibration.calibrate import calibrate
+    from beamfield.calibration.cross_fit import build_cross_fit_maps
     from beamfield.io.parameters import beam_model_text
     from beamfield.report.as_json import calibration_as_dict
     from beamfield.report.html import render_report
     from beamfield.report.text_table import parameter_table, score_table
 
     try:
-        result = calibrate(sensor, grid, options, progress=progress)
+        if grid is None:
+            maps = build_cross_fit_maps(sensor, resolution=arguments.resolution or 0.05, progress=progress)
+            grid, result = maps.whole, calibrate(sensor, maps, options, progress=progress)
+        else:
+            result = calibrate(sensor, grid, options, progress=progress)
     except (InvalidInputError, TooLittleDataError) as error:
-        raise type(error)(f"{path}: {error}") from error
+        raise type(error)(f"{arguments.log}: {error}") from error
     progress("writing the report", 0, 1)
     document = {"provenance": origin, "notes": list(notes), **calibration_as_dict(result)}
     files = {

@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 from beamfield import __version__
 from beamfield.cli import calibrate, demo, inspect, simulate
+from beamfield.cli import map as map_command
 from beamfield.errors import BeamfieldError, BeamfieldWarning
 
-COMMANDS = (calibrate, inspect, simulate, demo)
+COMMANDS = (calibrate, inspect, map_command, simulate, demo)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -1,0 +1,334 @@
+"""Likelihood fields (section 6.4): the value of one beam, its table over all cells, and sums over beams.
+
+Two look-ups. *Nearest* reads a table of the beam's logarithm, one 32-bit integer per cell: a beam costs a rotation and
+a load, no exp and no log. *Smooth* interpolates the distance between cell centres and has a gradient.
+
+Positions in a table are (col, row) in cells from its lower-left corner. The table of codes has a frame of one cell for
+all that lies off it, so that limits replace branches.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Codes = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+
+INV_SQRT_2PI = 0.3989422804014327
+# exp underflows to 0 below this: Table 6.3 in double precision calls such a reading impossible, and so do we.
+SMALLEST_EXPONENT = -745.0
+# Codes count from 0; this one stands for -inf.
+IMPOSSIBLE = -1
+# Poses that are scored together, beam by beam: what one beam of them reads lies close together if they do, and their
+# coordinates stay in the nearest cache. 128 to 512 are equally fast.
+BLOCK = 256
+
+TWO_OVER_PI = 0.6366197723675814
+HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
+# Beyond this heading the reduction to a quarter turn loses digits; such poses take the library's functions.
+LARGE_HEADING = 1e5
+
+
+class FieldView(NamedTuple):
+    """What one beam's value depends on besides the distance."""
+
+    z_hit: float
+    sigma_hit: float
+    rand: float
+    """z_rand / z_max, the constant of line 8 of Table 6.3."""
+    reach: float
+    """Distance from which on a hit cannot be told from nothing; inf to compute it everywhere."""
+
+
+class FrameView(NamedTuple):
+    """How the map frame becomes coordinates of a table."""
+
+    x: float
+    y: float
+    cos: float
+    sin: float
+    yaw: float
+    cells_per_metre: float
+    offset: float
+    """Width of what surrounds the map in the table, in cells."""
+
+
+# --- one beam ---------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def log_value(distance: float, view: FieldView) -> float:
+    """Return log(z_hit prob(dist, sigma_hit) + z_rand / z_max): line 8 of Table 6.3; -inf where that is 0."""
+    if distance >= view.reach or view.z_hit == 0.0:
+        return math.log(view.rand) if view.rand > 0.0 else -math.inf
+    u = distance / view.sigma_hit
+    exponent = -0.5 * u * u
+    peak = view.z_hit * INV_SQRT_2PI / view.sigma_hit
+    if view.rand > 0.0:
+        return math.log(peak * math.exp(exponent) + view.rand)
+    return math.log(peak) + exponent if exponent > SMALLEST_EXPONENT else -math.inf
+
+
+@kernel
+def log_slope(distance: float, view: FieldView) -> float:
+    """Return the derivative of `log_value` with respect to the distance."""
+    if distance >= view.reach or view.z_hit == 0.0:
+        return 0.0
+    u = distance / view.sigma_hit
+    if view.rand == 0.0:
+        return -u / view.sigma_hit
+    hit = view.z_hit * INV_SQRT_2PI / view.sigma_hit * math.exp(-0.5 * u * u)
+    return -u / view.sigma_hit * hit / (hit + view.rand)
+
+
+# --- nearest cell: tables ---------------------------------------------------------------------------------------------
+
+
+@kernel
+def encode(value: float, low: float, step: float) -> int:
+    """Return the code of a logarithm: multiples of `step` above `low`."""
+    return IMPOSSIBLE if value == -math.inf else math.floor((value - low) / step + 0.5)
+
+
+@kernel
+def fill_codes(distance: Singles, view: FieldView, low: float, step: float, out: Codes) -> None:
+    """Fill out (rows, cols) with the codes of `log_value`. Neighbours often repeat a distance, which is then free."""
+    for i in range(distance.shape[0]):
+        last, code = -1.0, 0
+        for j in range(distance.shape[1]):
+            d = distance[i, j]
+            if d != last:
+                last, code = d, encode(log_value(float(d), view), low, step)
+            out[i, j] = code
+
+
+@kernel
+def sin_cos(angle: float) -> tuple[float, float]:
+    """Return sine and cosine within 1e-12 for |angle| < LARGE_HEADING, in a form that the compiler vectorises."""
+    quarters = np.floor(angle * TWO_OVER_PI + 0.5)
+    r = (angle - quarters * HALF_PI_HIGH) - quarters * HALF_PI_LOW
+    z = r * r
+    s = -2.505210838544172e-08 + z * 1.6059043836821613e-10
+    s = r + r * z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * s))))
+    c = -2.755731922398589e-07 + z * (2.08767569878681e-09 - z * 1.1470745597729725e-11)
+    c = 1.0 + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 + z * c))))
+    turn = 0.25 * quarters - np.floor(0.25 * quarters)
+    swapped = turn == 0.25 or turn == 0.75
+    sine, cosine = c if swapped else s, s if swapped else c
+    return -sine if turn >= 0.5 else sine, -cosine if turn == 0.25 or turn == 0.5 else cosine
+
+
+@kernel
+def place(poses: Floats, frame: FrameView, x: Singles, y: Singles, c: Singles, s: Singles) -> None:
+    """Fill x, y, c, s (n,) with position in the table and direction of poses (n, 3), in single precision."""
+    px, py, heading = poses[:, 0], poses[:, 1], poses[:, 2]
+    largest = 0.0
+    for i in range(poses.shape[0]):
+        dx, dy = px[i] - frame.x, py[i] - frame.y
+        x[i] = np.float32((dx * frame.cos + dy * frame.sin) * frame.cells_per_metre + frame.offset)
+        y[i] = np.float32((dy * frame.cos - dx * frame.sin) * frame.cells_per_metre + frame.offset)
+        sine, cosine = sin_cos(heading[i] - frame.yaw)
+        s[i], c[i] = np.float32(sine), np.float32(cosine)
+        largest = max(largest, abs(heading[i] - frame.yaw))
+    if largest >= LARGE_HEADING:
+        for i in range(poses.shape[0]):
+            s[i] = np.float32(math.sin(heading[i] - frame.yaw))
+            c[i] = np.float32(math.cos(heading[i] - frame.yaw))
+
+
+@kernel
+def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: float, across: float, limits: tuple[int, int],
+               out: NDArray[np.uint32]) -> None:  # fmt: skip
+    """Fill out (n,) with the index of the cell that holds the end point of one beam (6.32), seen from n poses.
+
+    `along` and `across` are the end point in the robot frame, in cells; `limits` the table's rows and columns.
+    """
+    zero, stride = np.float32(0.0), np.int32(limits[1])
+    top, right = np.float32(limits[0] - 1), np.float32(limits[1] - 1)
+    for i in range(x.size):
+        u = x[i] + c[i] * along - s[i] * across
+        v = y[i] + s[i] * along + c[i] * across
+        u = u if u > zero else zero
+        u = u if u < right else right
+        v = v if v > zero else zero
+        v = v if v < top else top
+        out[i] = np.uint32(np.int32(v) * stride + np.int32(u))
+
+
+@kernel
+def fill_scan_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes, low: float, step: float, out: Floats
+                   ) -> None:  # fmt: skip
+    """Fill out (n,) with the sum over beams of the table's values, for end points (2, k) in the robot frame, in cells.
+
+    The codes are added as integers: exactly, whatever the order. No code may be IMPOSSIBLE.
+    """
+    x, y = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    c, s = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    cells, total = np.empty(BLOCK, np.uint32), np.empty(BLOCK, np.int64)
+    flat, k = codes.ravel(), ends.shape[1]
+    for start in range(0, poses.shape[0], BLOCK):
+        n = min(BLOCK, poses.shape[0] - start)
+        place(poses[start : start + n], frame, x[:n], y[:n], c[:n], s[:n])
+        total[:] = 0
+        for j in range(k):
+            fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], codes.shape, cells[:n])
+            for i in range(n):
+                total[i] += np.int64(flat[cells[i]])
+        for i in range(n):
+            out[start + i] = k * low + step * total[i]
+
+
+@kernel
+def fill_beam_values(poses: Floats, frame: FrameView, ends: Singles, codes: Codes, low: float, step: float, out: Floats
+                     ) -> None:  # fmt: skip
+    """Fill out (n, k) with the table's value for each beam; -inf for IMPOSSIBLE."""
+    x, y = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    c, s = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    cells, flat = np.empty(BLOCK, np.uint32), codes.ravel()
+    for start in range(0, poses.shape[0], BLOCK):
+        n = min(BLOCK, poses.shape[0] - start)
+        place(poses[start : start + n], frame, x[:n], y[:n], c[:n], s[:n])
+        for j in range(ends.shape[1]):
+            fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], codes.shape, cells[:n])
+            for i in range(n):
+                code = flat[cells[i]]
+                out[start + i, j] = -math.inf if code == IMPOSSIBLE else low + step * code
+
+
+@kernel
+def fill_careful_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes, low: float, step: float, out: Floats
+                      ) -> None:  # fmt: skip
+    """Fill out (n,) as `fill_scan_sums` does, with a table that may hold IMPOSSIBLE: then a sum may be -inf."""
+    values = np.empty((BLOCK, ends.shape[1]))
+    for start in range(0, poses.shape[0], BLOCK):
+        n = min(BLOCK, poses.shape[0] - start)
+        fill_beam_values(poses[start : start + n], frame, ends, codes, low, step, values[:n])
+        for i in range(n):
+            out[start + i] = row_sum(values, i)
+
+
+@kernel
+def row_sum(values: Floats, i: int) -> float:
+    """Return the sum of one row, from left to right."""
+    total = 0.0
+    for j in range(values.shape[1]):
+        total += values[i, j]
+    return total
+
+
+# --- smooth: the distance interpolated between cell centres -----------------------------------------------------------
+
+
+@kernel
+def interpolate(distance: Singles, far: float, u: float, v: float) -> tuple[float, float, float]:
+    """Return (d, dd/du, dd/dv): the bilinear distance at (u, v) and its slope per cell; `far` off the array.
+
+    Half a cell from the edge there is no second centre: the distance stays constant across the edge. Where a neighbour
+    is infinitely far there is no slope.
+    """
+    rows, cols = distance.shape
+    # Written so that NaN, from poses beyond all numbers, counts as off the array.
+    if not (0.0 <= u < cols and 0.0 <= v < rows):
+        return far, 0.0, 0.0
+    col0, row0 = math.floor(u - 0.5), math.floor(v - 0.5)
+    a, b = u - 0.5 - col0, v - 0.5 - row0
+    col1, row1 = min(col0 + 1, cols - 1), min(row0 + 1, rows - 1)
+    col0, row0 = max(col0, 0), max(row0, 0)
+    d00, d01 = float(distance[row0, col0]), float(distance[row0, col1])
+    d10, d11 = float(distance[row1, col0]), float(distance[row1, col1])
+    largest = max(max(d00, d01), max(d10, d11))
+    if largest == math.inf:
+        return largest, 0.0, 0.0
+    low, high = d00 + a * (d01 - d00), d10 + a * (d11 - d10)
+    return low + b * (high - low), (1.0 - b) * (d01 - d00) + b * (d11 - d10), high - low
+
+
+@kernel
+def is_uniform(uniform: Mask, u: float, v: float) -> bool:
+    """Whether (u, v) has a constant value instead of one by distance: where the mask says so and off it.
+
+    An empty mask stands for False everywhere.
+    """
+    if uniform.size == 0:
+        return False
+    if not (0.0 <= u < uniform.shape[1] and 0.0 <= v < uniform.shape[0]):
+        return True
+    return bool(uniform[int(v), int(u)])
+
+
+@kernel
+def to_table(pose: Floats, frame: FrameView) -> tuple[float, float, float, float]:
+    """Return position in the table and direction (cos, sin) of one pose in double precision."""
+    dx, dy = pose[0] - frame.x, pose[1] - frame.y
+    x = (dx * frame.cos + dy * frame.sin) * frame.cells_per_metre + frame.offset
+    y = (dy * frame.cos - dx * frame.sin) * frame.cells_per_metre + frame.offset
+    return x, y, math.cos(pose[2] - frame.yaw), math.sin(pose[2] - frame.yaw)
+
+
+@kernel
+def fill_distances(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, smooth: bool,
+                   out: Floats) -> None:  # fmt: skip
+    """Fill out (n, k) with the distance at each end point: interpolated, or of the cell that holds it."""
+    rows, cols = distance.shape
+    for i in range(poses.shape[0]):
+        x, y, c, s = to_table(poses[i], frame)
+        for j in range(ends.shape[1]):
+            u, v = x + c * ends[0, j] - s * ends[1, j], y + s * ends[0, j] + c * ends[1, j]
+            if smooth:
+                out[i, j] = interpolate(distance, far, u, v)[0]
+            elif 0.0 <= u < cols and 0.0 <= v < rows:
+                out[i, j] = distance[int(v), int(u)]
+            else:
+                out[i, j] = far
+
+
+@kernel
+def fill_smooth_values(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, uniform: Mask,
+                       log_uniform: float, view: FieldView, out: Floats) -> None:  # fmt: skip
+    """Fill out (n, k) with the value of each beam by interpolated distance; end points (2, k) in cells."""
+    for i in range(poses.shape[0]):
+        x, y, c, s = to_table(poses[i], frame)
+        for j in range(ends.shape[1]):
+            u, v = x + c * ends[0, j] - s * ends[1, j], y + s * ends[0, j] + c * ends[1, j]
+            if is_uniform(uniform, u, v):
+                out[i, j] = log_uniform
+            else:
+                out[i, j] = log_value(interpolate(distance, far, u, v)[0], view)
+
+
+@kernel
+def fill_smooth_sums(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, uniform: Mask,
+                     log_uniform: float, view: FieldView, out: Floats) -> None:  # fmt: skip
+    """Fill out (n,) with the sum over beams of `fill_smooth_values`."""
+    values = np.empty((1, ends.shape[1]))
+    for i in range(poses.shape[0]):
+        fill_smooth_values(poses[i : i + 1], frame, ends, distance, far, uniform, log_uniform, view, values)
+        out[i] = row_sum(values, 0)
+
+
+@kernel
+def fill_smooth_gradient(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, uniform: Mask,
+                         view: FieldView, out: Floats) -> None:  # fmt: skip
+    """Fill out (n, 3) with the derivative of the sum over beams by x, y (1/m, map frame) and theta (1/rad)."""
+    for i in range(poses.shape[0]):
+        x, y, c, s = to_table(poses[i], frame)
+        along, across, turning = 0.0, 0.0, 0.0
+        for j in range(ends.shape[1]):
+            a, b = c * ends[0, j] - s * ends[1, j], s * ends[0, j] + c * ends[1, j]
+            if not is_uniform(uniform, x + a, y + b):
+                d, du, dv = interpolate(distance, far, x + a, y + b)
+                slope = log_slope(d, view)
+                along += slope * du
+                across += slope * dv
+                turning += slope * (a * dv - b * du)
+        out[i, 0] = (along * frame.cos - across * frame.sin) * frame.cells_per_metre
+        out[i, 1] = (along * frame.sin + across * frame.cos) * frame.cells_per_metre
+        out[i, 2] = turning

@@ -1,0 +1,167 @@
+"""Distance to the nearest obstacle: line 7 of Table 6.3, worked out once for every cell of a map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.maps.occupancy import BoolArray, OccupancyGrid
+
+DistanceArray = NDArray[np.float32]
+# OpenCV counts distances along an axis up to here.
+MAX_SIDE_CELLS = 65_535
+
+
+def distance_to_obstacles(
+    grid: OccupancyGrid, *, max_distance: float | None = None, only_boundaries: bool = False, margin_cells: int = 0
+) -> DistanceArray:
+    """Return the distance from each cell's centre to the centre of the nearest occupied cell.
+
+    It is the exact Euclidean distance, not a brushfire approximation. Unknown cells are no obstacles; distances are
+    measured through them as through free space.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    max_distance
+        Distances are cut off here, metres; None leaves them.
+    only_boundaries
+        Count only those occupied cells as obstacles that have a neighbour (left, right, below, above) on the map that
+        is not occupied. A beam never ends deep inside a thick wall; without this, all of the wall's inside is as likely
+        as its surface.
+    margin_cells
+        Extend the result past the map's edges by so many cells on each side.
+
+    Returns
+    -------
+    (rows + 2 margin_cells, cols + 2 margin_cells) metres. In a map without obstacles, and in one that is all obstacle
+    if only boundaries count, it is max_distance everywhere, +inf if that is None.
+
+    Raises
+    ------
+    InvalidInputError
+        If max_distance is not positive and finite, margin_cells is negative, or a side of the result has more than
+        65,535 cells.
+
+    Notes
+    -----
+    The squared distance in cells is a whole number; its root is rounded to single precision, correctly up to 4096 cells
+    and within one unit in the last place beyond. 5 bytes per cell of memory are in use at a time.
+
+    References
+    ----------
+    Probabilistic Robotics, sections 6.4.1 and 6.4.2.
+
+    Examples
+    --------
+    >>> distance_to_obstacles(OccupancyGrid([[0.0, 0.0, 0.0, 1.0]], resolution=0.5)).tolist()
+    [[1.5, 1.0, 0.5, 0.0]]
+    """
+    if max_distance is not None and not 0.0 < max_distance < np.inf:
+        raise InvalidInputError(
+            f"max_distance: expected a positive, finite number of metres or None, got {max_distance}"
+        )
+    if margin_cells < 0:
+        raise InvalidInputError(f"margin_cells: expected a number >= 0, got {margin_cells}")
+    shape = (grid.shape[0] + 2 * margin_cells, grid.shape[1] + 2 * margin_cells)
+    if max(shape) > MAX_SIDE_CELLS:
+        raise InvalidInputError(f"grid: expected at most {MAX_SIDE_CELLS} cells a side with margin, got {shape}")
+    obstacles = _boundaries(grid.occupied) if only_boundaries else grid.occupied
+    limit = np.float32(np.inf if max_distance is None else max_distance)
+    if not obstacles.any():
+        return np.full(shape, limit)
+    distance = _euclidean(np.pad(obstacles, margin_cells))
+    # In double precision, so that the result is rounded only once more.
+    np.multiply(distance, grid.resolution, out=distance, dtype=np.float64, casting="same_kind")
+    return np.minimum(distance, limit, out=distance)
+
+
+def _boundaries(occupied: BoolArray) -> BoolArray:
+    """Return the occupied cells next to a cell of the map that is not."""
+    p = np.pad(occupied, 1, constant_values=True)
+    return occupied & ~(p[:-2, 1:-1] & p[2:, 1:-1] & p[1:-1, :-2] & p[1:-1, 2:])
+
+
+def _euclidean(obstacles: BoolArray) -> DistanceArray:
+    """Return the distance in cells to the nearest obstacle, of which there is at least one."""
+    import cv2
+
+    return np.asarray(
+        cv2.distanceTransform((~obstacles).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE, dstType=cv2.CV_32F),
+        dtype=np.float32,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceField:
+    """The distance to the nearest obstacle over a map and, if asked for, around it.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    distance
+        (rows + 2 margin_cells, cols + 2 margin_cells) metres, as from `distance_to_obstacles`.
+    margin_cells
+        How many cells the field extends past the map on each side.
+    max_distance
+        The distance of everything beyond, metres; inf if it is not cut off.
+
+    Raises
+    ------
+    InvalidInputError
+        If the shape does not fit the map, a distance is negative or NaN, or max_distance is not positive.
+    """
+
+    grid: OccupancyGrid
+    distance: DistanceArray
+    margin_cells: int = 0
+    max_distance: float = math.inf
+
+    def __post_init__(self) -> None:
+        rows, cols = self.grid.shape
+        expected = (rows + 2 * self.margin_cells, cols + 2 * self.margin_cells)
+        distance = np.asarray(self.distance, dtype=np.float32)
+        if self.margin_cells < 0 or distance.shape != expected:
+            raise InvalidInputError(
+                f"distance: expected shape {expected} for the map and a margin of {self.margin_cells} cells, "
+                f"got {distance.shape}"
+            )
+        if not distance.min() >= 0.0:
+            raise InvalidInputError(f"distance: expected metres >= 0, got {distance.min()}")
+        if not self.max_distance > 0.0:
+            raise InvalidInputError(f"max_distance: expected a positive number of metres, got {self.max_distance}")
+        distance = distance.view()
+        distance.flags.writeable = False
+        object.__setattr__(self, "distance", distance)
+
+    @classmethod
+    def from_grid(
+        cls,
+        grid: OccupancyGrid,
+        *,
+        max_distance: float | None = None,
+        only_boundaries: bool = False,
+        margin: float = 0.0,
+    ) -> DistanceField:
+        """Work out the field of a map.
+
+        Parameters
+        ----------
+        grid, max_distance, only_boundaries
+            As for `distance_to_obstacles`.
+        margin
+            How far the field extends past the map's edges, metres, rounded up to whole cells.
+        """
+        if not 0.0 <= margin < np.inf:
+            raise InvalidInputError(f"margin: expected a finite number of metres >= 0, got {margin}")
+        margin_cells = math.ceil(margin / grid.resolution)
+        distance = distance_to_obstacles(
+            grid, max_distance=max_distance, only_boundaries=only_boundaries, margin_cells=margin_cells
+        )
+        return cls(grid, distance, margin_cells, math.inf if max_distance is None else float(max_distance))

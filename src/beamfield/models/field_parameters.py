@@ -1,0 +1,54 @@
+"""The intrinsic parameters of the likelihood field model (6.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, BeamParameters
+
+
+@dataclass(frozen=True)
+class LikelihoodFieldParameters:
+    """z_hit, z_rand and sigma_hit of Table 6.3.
+
+    Parameters
+    ----------
+    z_hit, z_rand
+        Weights of a hit and of an unexplained reading (6.34). What is missing to 1 belongs to "no return" and, if the
+        parameters come from a beam model, to unexpected objects; this model scores neither.
+    sigma_hit
+        Standard deviation of the distance between an end point and its obstacle, metres (6.33).
+
+    Raises
+    ------
+    InvalidInputError
+        If a weight is outside [0, 1], both are 0, their sum exceeds 1, or sigma_hit is not positive and finite.
+    """
+
+    z_hit: float
+    z_rand: float
+    sigma_hit: float
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not np.isfinite(value):
+                raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
+            object.__setattr__(self, item.name, float(value))
+        for name in ("z_hit", "z_rand"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidInputError(f"{name}: expected a weight in [0, 1], got {getattr(self, name)}")
+        if not 0.0 < self.z_hit + self.z_rand <= 1.0 + WEIGHT_SUM_TOLERANCE:
+            raise InvalidInputError(
+                f"z_hit + z_rand: expected more than 0 and at most 1, got {self.z_hit + self.z_rand:.9g}"
+            )
+        if self.sigma_hit <= 0.0:
+            raise InvalidInputError(f"sigma_hit: expected a positive number of metres, got {self.sigma_hit}")
+
+    @classmethod
+    def from_beam_parameters(cls, parameters: BeamParameters) -> LikelihoodFieldParameters:
+        """Take over z_hit, z_rand and sigma_hit of a beam model."""
+        return cls(parameters.z_hit, parameters.z_rand, parameters.sigma_hit)

@@ -1,0 +1,454 @@
+"""The likelihood field model of range finders: section 6.4, Table 6.3."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.kernels import field as kernels
+from beamfield.kernels.threads import run_in_slices
+from beamfield.maps.distance import DistanceField
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.sensors import RangeFinder, Scan
+
+# A hit further than this many sigma from its obstacle is lost in any z_rand; without z_rand, only beyond the second
+# number does its density underflow to 0.
+HIT_SIGMAS, HIT_SIGMAS_WITHOUT_RAND = 8.0, 38.6
+# From the distance on where a hit's share of a beam's value is this, the share is left out.
+NEGLIGIBLE_HIT = 1e-11
+# Codes of the table are 32-bit integers from 0 on.
+MAX_CODE = 2**31 - 2
+MAX_TABLE_CELLS = 2**32 - 1
+# Tables are kept for so many different ranges of "no return".
+MAX_TABLES = 4
+# A look-up costs a small part of what `run_in_slices` takes as a unit of work.
+BEAMS_PER_WORK_UNIT = 16
+
+
+class BeamProfile(NamedTuple):
+    """Figure 6.9: the sensor's axis through the field, normalised."""
+
+    ranges: FloatArray
+    """(n,) metres."""
+    hit: FloatArray
+    """(n,) p_hit, a density over the range (6.33); all 0 if the axis comes near no obstacle."""
+    density: FloatArray
+    """(n,) z_hit p_hit + z_rand p_rand (6.34), without the point mass of "no return"."""
+
+
+class _Table(NamedTuple):
+    codes: NDArray[np.int32]
+    low: float
+    step: float
+    has_impossible: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodFieldModel:
+    """q(z | x, m) of a range scan by the distance of its end points to the nearest obstacles (Table 6.3).
+
+    Each beam's end point is placed in the map (6.32). Its value is ``z_hit prob(dist, sigma_hit) + z_rand / z_max``
+    with the normal density of the distance to the nearest obstacle; readings of max_range are left out, the others
+    multiplied.
+
+    Use it for tracking, scan matching and in clutter: it is smooth in the pose and quick. It sees through walls, and
+    knows nothing of people. It is **not a density over scans**: values of different scans, or under different
+    parameters, cannot be compared; see `profile` for one beam made a density.
+
+    Parameters
+    ----------
+    distances
+        Distances to obstacles; `from_grid` works them out.
+    parameters
+        z_hit, z_rand and sigma_hit.
+    unknown
+        What an end point in an unknown cell, or off the map, is worth.
+
+        - "free": what its distance to the nearest obstacle says, as in free space. Nothing happens at the edge of the
+          known: a wall looks the same from both of its sides, and unknown space is worth as much as free space equally
+          far from obstacles. Neither attracts a pose. Off the map the same holds as far as the field goes
+          (`from_grid` lets it go as far as a hit reaches); beyond, the distance is the field's max_distance.
+        - "uniform": 1 / z_max in unknown cells and everywhere off the map (6.4.2). **This is biased.** 1 / z_max is
+          more than the z_rand / z_max of free space, so poses gain log(1 / z_rand) for each beam they can point into
+          the unknown instead of into free space; and next to a wall with the unknown behind it, it cuts off one side
+          of the Gaussian, so that poses are pushed off. Any constant has the second fault: docs/likelihood_field.md.
+    interpolation
+        "nearest" takes the distance of the cell that holds the end point. "bilinear" interpolates it between the
+        centres of cells: slower, continuous, with a gradient.
+    exponent
+        Power of each beam's value (the alpha of 6.3.4), because neighbouring beams are dependent.
+    n_beams
+        Use only so many beams of each scan: about equally spaced among those that have an end point, so that NaN, too
+        close and max-range readings do not use up the number. None uses all.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+
+    Raises
+    ------
+    InvalidInputError
+        If the exponent is not positive and finite, n_beams < 1, or an option has no such value.
+
+    Notes
+    -----
+    z_max of Table 6.3 is the max_range of the scan's finder. A map without obstacles gives every end point the value
+    z_rand / z_max. Without z_rand, an end point whose density is 0 in double precision (38 sigma from any obstacle)
+    makes the scan impossible: -inf.
+
+    For "nearest", the logarithm of a beam's value is kept for each cell as a 32-bit integer (`table_bytes`), made at
+    the first scan with a given max_range. Errors against double precision: 2e-9 nats a beam from the codes (2e-7
+    without z_rand), 2e-7 d^2 / sigma_hit^2 nats from distances in single precision, and end points are placed within
+    5e-7 times the larger of the table's width, its height and the distance to the pose; an end point closer than that
+    to the border of its cell may read the neighbour.
+
+    Instances are immutable, can be pickled and may be used from several threads.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.4: (6.32) to (6.34), Table 6.3, 6.4.2; 6.3.4 for exponent and n_beams.
+
+    Examples
+    --------
+    >>> room = np.zeros((40, 40))
+    >>> room[[0, -1]] = 100
+    >>> room[:, [0, -1]] = 100
+    >>> grid = OccupancyGrid.from_ros(room, resolution=0.1)
+    >>> model = LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(z_hit=0.8, z_rand=0.1, sigma_hit=0.1))
+    >>> finder = RangeFinder.from_bearings([0.0, np.pi / 2], max_range=8.0)
+    >>> scan = Scan([1.98, 0.98], finder)
+    >>> model.log_likelihood(scan, [[1.95, 2.95, 0.0], [2.95, 1.95, 0.0]]).round(2).tolist()
+    [2.33, -8.76]
+    """
+
+    is_normalized: ClassVar[bool] = False
+
+    distances: DistanceField
+    parameters: LikelihoodFieldParameters
+    unknown: Literal["free", "uniform"] = field(default="free", kw_only=True)
+    interpolation: Literal["nearest", "bilinear"] = field(default="nearest", kw_only=True)
+    exponent: float = field(default=1.0, kw_only=True)
+    n_beams: int | None = field(default=None, kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    _uniform: NDArray[np.bool_] = field(init=False, repr=False)
+    _tables: dict[float, _Table] = field(init=False, repr=False)
+    _lock: threading.Lock = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.exponent < np.inf:
+            raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
+        if self.n_beams is not None and self.n_beams < 1:
+            raise InvalidInputError(f"n_beams: expected at least 1 or None, got {self.n_beams}")
+        for name, known in (("unknown", ("free", "uniform")), ("interpolation", ("nearest", "bilinear"))):
+            if getattr(self, name) not in known:
+                raise InvalidInputError(f"{name}: expected {known[0]!r} or {known[1]!r}, got {getattr(self, name)!r}")
+        rows, cols = self.distances.distance.shape
+        if (rows + 2) * (cols + 2) > MAX_TABLE_CELLS:
+            raise InvalidInputError(f"distances: expected fewer than 2^32 cells, got {rows} x {cols}")
+        self._make_caches()
+
+    @classmethod
+    def from_grid(
+        cls,
+        grid: OccupancyGrid,
+        parameters: LikelihoodFieldParameters,
+        *,
+        max_distance: float | None = None,
+        only_boundaries: bool = False,
+        off_map: Literal["continued", "far"] = "continued",
+        **options: Any,
+    ) -> LikelihoodFieldModel:
+        """Build the model of a map.
+
+        Parameters
+        ----------
+        grid, parameters
+            The map and the intrinsic parameters.
+        max_distance
+            Distances are cut off here, metres; None leaves them. Nearly nothing changes from 8 sigma_hit on.
+        only_boundaries
+            Count only the boundary of thick walls as obstacles; see `distance_to_obstacles`.
+        off_map
+            "continued": past the map's edges the distance is measured on, as far as a hit reaches, so that a wall on
+            the edge has two sides. "far": everything off the map has the distance max_distance (as in AMCL).
+        **options
+            unknown, interpolation, exponent, n_beams and threads of the class.
+        """
+        if off_map not in ("continued", "far"):
+            raise InvalidInputError(f"off_map: expected 'continued' or 'far', got {off_map!r}")
+        margin = 0.0
+        if off_map == "continued":
+            reach = HIT_SIGMAS if parameters.z_rand > 0.0 else HIT_SIGMAS_WITHOUT_RAND
+            # One cell more: the interpolation's neighbour.
+            margin = min(reach * parameters.sigma_hit, max_distance or math.inf) + grid.resolution
+        distances = DistanceField.from_grid(
+            grid, max_distance=max_distance, only_boundaries=only_boundaries, margin=margin
+        )
+        return cls(distances, parameters, **options)
+
+    @property
+    def table_bytes(self) -> int:
+        """Memory of the table for one max_range: four bytes per cell of the field, and a frame of one cell."""
+        rows, cols = self.distances.distance.shape
+        return 4 * int(rows + 2) * int(cols + 2)
+
+    def log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
+        """Return log q of one scan at many poses: Table 6.3 in log space.
+
+        Parameters
+        ----------
+        z
+            The scan.
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (...) nats, times the exponent; -inf only without z_rand, never NaN. A scan without any end point gives 0.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
+        """
+        robot = as_poses(poses)
+        _, ends = self._end_points(z)
+        total: FloatArray = np.zeros(robot.shape[:-1])
+        if ends.size and total.size:
+            self._run(self._sums(z.finder.max_range, ends), robot, total.reshape(-1), ends.shape[1])
+        return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
+
+    def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
+        """Return what each beam contributes to `log_likelihood`, (..., k); its sum over beams is that value.
+
+        Parameters
+        ----------
+        z, poses
+            As for `log_likelihood`.
+
+        Returns
+        -------
+        (..., k) nats, times the exponent; 0 for beams without end point and those that n_beams leaves out.
+        """
+        robot = as_poses(poses)
+        beams, ends = self._end_points(z)
+        result: FloatArray = np.zeros((*robot.shape[:-1], z.finder.n_beams))
+        values = np.empty((robot.size // 3, len(beams)))
+        if values.size:
+            self._run(self._values(z.finder.max_range, ends), robot, values, len(beams))
+        result[..., beams] = self.exponent * values.reshape(*robot.shape[:-1], len(beams))
+        return result
+
+    def log_likelihood_gradient(self, z: Scan, poses: ArrayLike) -> FloatArray:
+        """Return the derivative of `log_likelihood` with respect to the pose; interpolation "bilinear" only.
+
+        Parameters
+        ----------
+        z, poses
+            As for `log_likelihood`.
+
+        Returns
+        -------
+        (..., 3) nats per metre, metre and radian, times the exponent. Along lines between cells' centres, where the
+        interpolation has a bend, it is the derivative to one side; off the field, and in unknown space if that is
+        "uniform", a beam adds nothing.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3), or the model's interpolation is "nearest".
+        """
+        if self.interpolation != "bilinear":
+            raise InvalidInputError(f"interpolation: a gradient needs 'bilinear', got {self.interpolation!r}")
+        robot = as_poses(poses)
+        _, ends = self._end_points(z)
+        gradient: FloatArray = np.zeros(robot.shape)
+        if ends.size and gradient.size:
+            frame, view, distance, far = self._smooth_arguments(z.finder.max_range)
+
+            def work(flat: FloatArray, out: FloatArray) -> None:
+                kernels.fill_smooth_gradient(flat, frame, ends, distance, far, self._uniform, view, out)
+
+            self._run(work, robot, gradient.reshape(-1, 3), ends.shape[1])
+        return self.exponent * gradient
+
+    def distances_to_obstacles(self, z: Scan, poses: ArrayLike) -> FloatArray:
+        """Return the distance of each beam's end point to the nearest obstacle, metres: dist of Table 6.3.
+
+        Parameters
+        ----------
+        z, poses
+            As for `log_likelihood`.
+
+        Returns
+        -------
+        (..., k); NaN for beams without end point. Unknown space counts as free here.
+        """
+        robot = as_poses(poses)
+        beams, ends = self._end_points(z)
+        result: FloatArray = np.full((*robot.shape[:-1], z.finder.n_beams), np.nan)
+        values = self._distances(ends, robot.reshape(-1, 3))
+        result[..., beams] = values.reshape(*robot.shape[:-1], len(beams))
+        return result
+
+    def profile(self, pose: ArrayLike, finder: RangeFinder, beam: int = 0, *, n: int = 2000) -> BeamProfile:
+        """Return p(z^k | x, m) along one beam, made a density: (6.33) and (6.34), Figure 6.9.
+
+        The model itself does not do this: p_hit is the field along the sensor's axis divided by its integral.
+
+        Parameters
+        ----------
+        pose
+            (3,) the robot's pose.
+        finder
+            The sensor.
+        beam
+            Index of the beam.
+        n
+            Number of ranges, the midpoints of equal pieces of [0, max_range].
+        """
+        if n < 1:
+            raise InvalidInputError(f"n: expected at least 1, got {n}")
+        spacing = finder.max_range / n
+        ranges: FloatArray = (np.arange(n) + 0.5) * spacing
+        mount = finder.mounts[beam]
+        direction = np.array([np.cos(mount[2]), np.sin(mount[2])])
+        axis = (mount[:2, None] + direction[:, None] * ranges) / self.distances.grid.resolution
+        dist = self._distances(axis, as_poses(pose).reshape(1, 3))[0]
+        hit = np.asarray(np.exp(-0.5 * np.square(dist / self.parameters.sigma_hit)), dtype=np.float64)
+        mass = float(hit.sum()) * spacing
+        hit = hit / mass if mass > 0.0 else np.zeros(n)
+        density: FloatArray = self.parameters.z_hit * hit + self.parameters.z_rand / finder.max_range
+        return BeamProfile(ranges, hit, density)
+
+    def _end_points(self, scan: Scan) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return which beams count and their end points in the robot frame, (2, k), in cells: (6.32) at pose 0."""
+        finder = scan.finder
+        beams = np.flatnonzero((scan.ranges >= finder.min_range) & (scan.ranges < finder.max_range))
+        if self.n_beams is not None and self.n_beams < len(beams):
+            beams = beams[np.round(np.linspace(0, len(beams) - 1, self.n_beams)).astype(np.int64)]
+        mounts, ranges = finder.mounts[beams], scan.ranges[beams]
+        ends = np.empty((2, len(beams)))
+        np.multiply(ranges, np.cos(mounts[:, 2]), out=ends[0])
+        np.multiply(ranges, np.sin(mounts[:, 2]), out=ends[1])
+        ends += mounts[:, :2].T
+        ends *= 1.0 / self.distances.grid.resolution
+        return beams, ends
+
+    def _distances(self, ends: FloatArray, poses: FloatArray) -> FloatArray:
+        """Return the distances (n, k) at end points (2, k), in cells, for poses (n, 3)."""
+        values: FloatArray = np.empty((len(poses), ends.shape[1]))
+        frame, far = self._frame(0), self.distances.max_distance
+        kernels.fill_distances(
+            poses, frame, ends, self.distances.distance, far, self.interpolation == "bilinear", values
+        )
+        return values
+
+    def _sums(self, max_range: float, ends: FloatArray) -> Any:
+        """Return the function (poses (n, 3), out (n,)) that adds up the beams."""
+        if self.interpolation == "bilinear":
+            frame, view, distance, far = self._smooth_arguments(max_range)
+            uniform, log_uniform = self._uniform, -math.log(max_range)
+            return lambda flat, out: kernels.fill_smooth_sums(
+                flat, frame, ends, distance, far, uniform, log_uniform, view, out
+            )
+        table, frame, singles = self._table(max_range), self._frame(1), ends.astype(np.float32)
+        fill = kernels.fill_careful_sums if table.has_impossible else kernels.fill_scan_sums
+        return lambda flat, out: fill(flat, frame, singles, table.codes, table.low, table.step, out)
+
+    def _values(self, max_range: float, ends: FloatArray) -> Any:
+        """Return the function (poses (n, 3), out (n, k)) that fills in each beam."""
+        if self.interpolation == "bilinear":
+            frame, view, distance, far = self._smooth_arguments(max_range)
+            uniform, log_uniform = self._uniform, -math.log(max_range)
+            return lambda flat, out: kernels.fill_smooth_values(
+                flat, frame, ends, distance, far, uniform, log_uniform, view, out
+            )
+        table, frame, singles = self._table(max_range), self._frame(1), ends.astype(np.float32)
+        return lambda flat, out: kernels.fill_beam_values(flat, frame, singles, table.codes, table.low, table.step, out)
+
+    def _run(self, work: Any, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
+        flat = robot.reshape(-1, 3)
+        run_in_slices(
+            lambda a, b: work(flat[a:b], out[a:b]),
+            len(flat),
+            threads=self.threads,
+            work_per_row=1 + n_ends // BEAMS_PER_WORK_UNIT,
+        )
+
+    def _smooth_arguments(self, max_range: float) -> tuple[kernels.FrameView, kernels.FieldView, Any, float]:
+        return self._frame(0), self._view(max_range), self.distances.distance, self.distances.max_distance
+
+    def _frame(self, border: int) -> kernels.FrameView:
+        """Return how the map frame becomes positions in a table with a border around the field."""
+        grid = self.distances.grid
+        x, y, yaw = grid.origin.tolist()
+        offset = float(self.distances.margin_cells + border)
+        return kernels.FrameView(x, y, math.cos(yaw), math.sin(yaw), yaw, 1.0 / grid.resolution, offset)
+
+    def _view(self, max_range: float) -> kernels.FieldView:
+        p = self.parameters
+        rand = p.z_rand / max_range
+        reach = math.inf
+        if rand > 0.0:
+            ratio = p.z_hit * kernels.INV_SQRT_2PI / p.sigma_hit / (rand * NEGLIGIBLE_HIT)
+            reach = p.sigma_hit * math.sqrt(2.0 * math.log(ratio)) if ratio > 1.0 else 0.0
+        return kernels.FieldView(p.z_hit, p.sigma_hit, rand, reach)
+
+    def _table(self, max_range: float) -> _Table:
+        """Return the table for scans with this limit, made at the first call."""
+        table = self._tables.get(max_range)
+        if table is None:
+            with self._lock:
+                table = self._tables.get(max_range)
+                if table is None:
+                    table = self._make_table(max_range)
+                    while len(self._tables) >= MAX_TABLES:
+                        del self._tables[next(iter(self._tables))]
+                    self._tables[max_range] = table
+        return table
+
+    def _make_table(self, max_range: float) -> _Table:
+        view, log_uniform = self._view(max_range), -math.log(max_range)
+        distance, uniform = self.distances.distance, self._uniform
+        peak = kernels.log_value(0.0, view)
+        ends = [peak, log_uniform if uniform.size else peak]
+        ends.append(math.log(view.rand) if view.rand > 0.0 else peak + kernels.SMALLEST_EXPONENT)
+        low, high = min(ends), max(ends)
+        step = (high - low) / MAX_CODE or 1.0
+        rows, cols = distance.shape
+        off = log_uniform if uniform.size else kernels.log_value(self.distances.max_distance, view)
+        codes = np.full((rows + 2, cols + 2), kernels.encode(off, low, step), np.int32)
+        inner = codes[1:-1, 1:-1]
+        run_in_slices(
+            lambda a, b: kernels.fill_codes(distance[a:b], view, low, step, inner[a:b]),
+            rows,
+            threads=self.threads,
+            work_per_row=cols,
+        )
+        if uniform.size:
+            inner[uniform] = kernels.encode(log_uniform, low, step)
+        return _Table(codes, low, step, view.rand == 0.0 and bool(codes.min() < 0))
+
+    def _make_caches(self) -> None:
+        uniform = np.empty((0, 0), np.bool_)
+        if self.unknown == "uniform":
+            uniform = np.pad(self.distances.grid.unknown, self.distances.margin_cells, constant_values=True)
+        object.__setattr__(self, "_uniform", uniform)
+        object.__setattr__(self, "_tables", {})
+        object.__setattr__(self, "_lock", threading.Lock())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out tables and lock: they are quick to make again."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_uniform", "_tables", "_lock")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self._make_caches()

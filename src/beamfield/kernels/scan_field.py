@@ -1,0 +1,429 @@
+"""The likelihood field of scans (Figure 6.11) and the ascent on it that aligns a scan.
+
+A measured surface is a row of small line elements ("surfels"): one per end point, and more where two neighbouring end
+points on one surface lie far apart. Distances to them are exact, there is no grid of distances: a scan is used for a
+few alignments only, and a grid would cost more than all of them. Buckets of cells find the elements near a point.
+
+Free space is what a beam has passed: per origin of beams, their bearings in order and the ranges. Notation: (nx, ny) is
+an element's normal, its tangent is (-ny, nx).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+INV_SQRT_2PI = 0.3989422804014327
+
+# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, and 1 for a line
+# or 0 for a point, whose distance holds in all directions.
+X, Y, NX, NY, BACK, AHEAD, IS_LINE, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
+
+# End points of neighbouring beams lie on one surface if their gap is at most this long ...
+LONGEST_GAP = 1.0
+# ... and not seen more grazingly than this (sine of 8 degrees), which is how edges of what stands in front look ...
+SMALLEST_SINE = 0.139
+# ... or if they are this close anyway: range noise turns short gaps into any direction.
+NOISY_GAP = 0.1
+# A line is fitted to the end points of one surface within this distance, or to the neighbours if they are further.
+FIT_RADIUS = 0.15
+# The end points around a line scatter across it by less than this share of their scatter along it.
+FLATNESS = 0.2
+# Longer stretches between end points get elements of their own, about this long.
+ELEMENT = 0.25
+# End points of one surface that lie closer to each other than this share an element.
+SHORTEST_ELEMENT = 0.05
+
+# Beams see free space as far as halfway to their neighbours, but never further aside than this (3 degrees).
+WIDEST_BEAM = 0.0524
+
+
+class FieldView(NamedTuple):
+    """What the kernels need to know of a field: elements in buckets, beams by origin, and the densities."""
+
+    elements: Floats
+    bucket_start: Integers
+    bucket_items: Integers
+    left: float
+    bottom: float
+    bucket: float
+    rows: int
+    cols: int
+    origins: Floats
+    beam_start: Integers
+    bearings: Floats
+    passed: Floats
+    half_width: Floats
+    joined: NDArray[np.bool_]
+    z_hit: float
+    z_rand: float
+    unseen_density: float
+    random_density: float
+
+
+# --- building ---------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def find_surfaces(
+    mounts: Floats, ranges: Floats, opening: float, joined: NDArray[np.bool_], half_width: Floats
+) -> None:
+    """Fill joined (k,): beam i and the next lie on one surface; and half_width (k,): how far aside beam i sees.
+
+    `mounts` (k, 3) of one origin in the order of their directions, the last next to the first; `ranges` (k,), NaN
+    without end point.
+    """
+    k = ranges.size
+    for i in range(k):
+        j = (i + 1) % k
+        h = (i - 1) % k
+        ahead = (mounts[j, 2] - mounts[i, 2]) % (2.0 * math.pi)
+        behind = (mounts[i, 2] - mounts[h, 2]) % (2.0 * math.pi)
+        nearest = min(ahead, behind) if k > 2 else ahead
+        half_width[i] = max(min(0.5 * nearest if k > 1 else 0.0, WIDEST_BEAM), 0.5 * opening)
+        joined[i] = False
+        if k > 1 and ahead < 4.0 * WIDEST_BEAM and ranges[i] >= 0.0 and ranges[j] >= 0.0:
+            dx = ranges[j] * math.cos(ahead) - ranges[i]
+            dy = ranges[j] * math.sin(ahead)
+            gap = math.hypot(dx, dy)
+            # The gap's angle with the beam halfway between the two.
+            sine = abs(dy * math.cos(0.5 * ahead) - dx * math.sin(0.5 * ahead))
+            joined[i] = gap <= NOISY_GAP or (gap <= LONGEST_GAP and sine >= SMALLEST_SINE * gap)
+
+
+@kernel
+def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], out: Floats) -> int:
+    """Fill out (>= 6 k, 7) with the elements of the end points (k, 2) of one origin; return how many there are."""
+    k = ranges.size
+    n, kept = 0, -1
+    for i in range(k):
+        if kept >= 0 and not joined[i - 1]:
+            kept = -1
+        if not ranges[i] >= 0.0:
+            continue
+        if kept >= 0 and joined[i] and _gap(points, i, kept) < SHORTEST_ELEMENT:
+            # The line through the neighbour's surroundings is the same: let it reach further.
+            dx, dy = points[i, 0] - out[n - 1, X], points[i, 1] - out[n - 1, Y]
+            out[n - 1, AHEAD] = max(dy * out[n - 1, NX] - dx * out[n - 1, NY], out[n - 1, AHEAD])
+            continue
+        h, j = (i - 1) % k, (i + 1) % k
+        gap_ahead = _gap(points, i, j) if joined[i] else 0.0
+        gap_behind = _gap(points, h, i) if k > 1 and joined[h] else 0.0
+        radius = max(FIT_RADIUS, 1.01 * max(gap_ahead, gap_behind))
+        cx, cy, nx, ny, flat = _fit_line(points, joined, i, radius)
+        # The tangent points along the beams' order, so that AHEAD is towards the next end point.
+        a, b = (i, j) if joined[i] else (h, i)
+        if (points[b, 0] - points[a, 0]) * -ny + (points[b, 1] - points[a, 1]) * nx < 0.0:
+            nx, ny = -nx, -ny
+        along = (points[i, 0] - cx) * -ny + (points[i, 1] - cy) * nx
+        out[n, X] = cx - ny * along if flat else points[i, 0]
+        out[n, Y] = cy + nx * along if flat else points[i, 1]
+        out[n, NX], out[n, NY] = nx, ny
+        reach_ahead, reach_behind = min(0.5 * gap_ahead, 0.5 * ELEMENT), min(0.5 * gap_behind, 0.5 * ELEMENT)
+        # At the end of a surface the true end lies somewhere before the next beam.
+        out[n, AHEAD] = (reach_ahead if joined[i] else reach_behind) if flat else 0.0
+        out[n, BACK] = (reach_behind if gap_behind > 0.0 else reach_ahead) if flat else 0.0
+        out[n, IS_LINE] = 1.0 if flat else 0.0
+        n += 1
+        kept = i if flat else -1
+        if gap_ahead > ELEMENT:
+            n = _fill_gap(points, i, j, gap_ahead, n, out)
+            kept = -1
+    return n
+
+
+@kernel
+def _gap(points: Floats, i: int, j: int) -> float:
+    """Return the distance of two end points."""
+    return math.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
+
+
+@kernel
+def _fit_line(
+    points: Floats, joined: NDArray[np.bool_], i: int, radius: float
+) -> tuple[float, float, float, float, bool]:
+    """Return mean, normal and flatness of the end points of i's surface within a radius."""
+    k = points.shape[0]
+    x0, y0 = points[i, 0], points[i, 1]
+    count, sx, sy, sxx, sxy, syy = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for direction in (1, -1):
+        j = i
+        for _ in range(k - 1):
+            if not joined[j if direction == 1 else (j - 1) % k]:
+                break
+            j = (j + direction) % k
+            dx, dy = points[j, 0] - x0, points[j, 1] - y0
+            if dx * dx + dy * dy > radius * radius:
+                break
+            count += 1.0
+            sx += dx
+            sy += dy
+            sxx += dx * dx
+            sxy += dx * dy
+            syy += dy * dy
+    mx, my = sx / count, sy / count
+    cxx, cxy, cyy = sxx / count - mx * mx, sxy / count - mx * my, syy / count - my * my
+    half_trace, half_difference = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
+    root = math.hypot(half_difference, cxy)
+    small, large = half_trace - root, half_trace + root
+    angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
+    flat = count >= 3.0 and small <= FLATNESS * FLATNESS * large
+    return x0 + mx, y0 + my, -math.sin(angle), math.cos(angle), flat
+
+
+@kernel
+def _fill_gap(points: Floats, i: int, j: int, gap: float, n: int, out: Floats) -> int:
+    """Append elements between two end points of one surface; return the new number of elements."""
+    pieces = math.ceil(gap / ELEMENT)
+    dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+    for m in range(1, pieces):
+        out[n, X] = points[i, 0] + dx * m / pieces
+        out[n, Y] = points[i, 1] + dy * m / pieces
+        out[n, NX], out[n, NY] = dy / gap, -dx / gap
+        out[n, AHEAD] = out[n, BACK] = 0.5 * gap / pieces
+        out[n, IS_LINE] = 1.0
+        n += 1
+    return n
+
+
+@kernel
+def fill_buckets(
+    elements: Floats, left: float, bottom: float, bucket: float, cols: int, start: Integers, items: Integers
+) -> None:
+    """Sort the elements (m, 7) into buckets: bucket b is items[start[b] : start[b + 1]]; start is all 0 before."""
+    for i in range(elements.shape[0]):
+        start[_bucket_of(elements, i, left, bottom, bucket, cols) + 1] += 1
+    for b in range(1, start.size):
+        start[b] += start[b - 1]
+    for i in range(elements.shape[0] - 1, -1, -1):
+        # start[b + 1] is the end of bucket b, and moves down to its start.
+        b = _bucket_of(elements, i, left, bottom, bucket, cols)
+        start[b + 1] -= 1
+        items[start[b + 1]] = i
+    for b in range(start.size - 1):
+        start[b] = start[b + 1]
+    start[-1] = elements.shape[0]
+
+
+@kernel
+def _bucket_of(elements: Floats, i: int, left: float, bottom: float, bucket: float, cols: int) -> int:
+    """Return the bucket of an element."""
+    return int((elements[i, Y] - bottom) / bucket) * cols + int((elements[i, X] - left) / bucket)
+
+
+# --- looking up -------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def nearest_element(x: float, y: float, reach: float, view: FieldView) -> tuple[int, float]:
+    """Return the element nearest to a point and the squared distance to it; -1 and inf if none is within reach."""
+    best, best_square = -1, reach * reach
+    radius = reach + 0.5 * ELEMENT
+    first_col = max(math.floor((x - radius - view.left) / view.bucket), 0)
+    last_col = min(math.floor((x + radius - view.left) / view.bucket), view.cols - 1)
+    first_row = max(math.floor((y - radius - view.bottom) / view.bucket), 0)
+    last_row = min(math.floor((y + radius - view.bottom) / view.bucket), view.rows - 1)
+    for row in range(first_row, last_row + 1):
+        # The buckets of a row follow one another.
+        if last_col < first_col:
+            break
+        for m in range(
+            view.bucket_start[row * view.cols + first_col], view.bucket_start[row * view.cols + last_col + 1]
+        ):
+            i = view.bucket_items[m]
+            dx, dy = x - view.elements[i, X], y - view.elements[i, Y]
+            across = dx * view.elements[i, NX] + dy * view.elements[i, NY]
+            along = dy * view.elements[i, NX] - dx * view.elements[i, NY]
+            beyond = max(max(along - view.elements[i, AHEAD], -along - view.elements[i, BACK]), 0.0)
+            square = across * across + beyond * beyond
+            if square < best_square:
+                best, best_square = i, square
+    return best, best_square if best >= 0 else math.inf
+
+
+@kernel
+def free_share(x: float, y: float, width: float, view: FieldView) -> float:
+    """Return 0 where no beam has passed, 1 where one has passed and gone on for `width` metres, smoothly between."""
+    share = 0.0
+    for g in range(view.origins.shape[0]):
+        dx, dy = x - view.origins[g, 0], y - view.origins[g, 1]
+        limit = _passed(math.atan2(dy, dx), view.beam_start[g], view.beam_start[g + 1], view)
+        t = (limit - math.hypot(dx, dy)) / width
+        if t > 0.0:
+            t = min(t, 1.0)
+            share = max(share, t * t * (3.0 - 2.0 * t))
+    return share
+
+
+@kernel
+def _passed(bearing: float, first: int, stop: int, view: FieldView) -> float:
+    """Return how far the beams of one origin have seen in a direction; 0 if none looked there."""
+    low, high = first, stop
+    while low < high:
+        middle = (low + high) // 2
+        if view.bearings[middle] < bearing:
+            low = middle + 1
+        else:
+            high = middle
+    after = low if low < stop else first
+    before = low - 1 if low > first else stop - 1
+    to_after = (view.bearings[after] - bearing) % (2.0 * math.pi)
+    to_before = (bearing - view.bearings[before]) % (2.0 * math.pi)
+    if view.joined[before] and before != after:
+        # Along a straight wall the inverse range is a sine of the bearing: over one step, nearly linear.
+        share = to_before / (to_before + to_after)
+        inverse = (1.0 - share) / max(view.passed[before], 1e-6) + share / max(view.passed[after], 1e-6)
+        return float(1.0 / inverse)
+    if to_before <= to_after:
+        return view.passed[before] if to_before <= view.half_width[before] else 0.0
+    return view.passed[after] if to_after <= view.half_width[after] else 0.0
+
+
+@kernel
+def point_density(square: float, free: float, sigma: float, view: FieldView) -> tuple[float, float]:
+    """Return the density at a point and the share in it of the nearest surface."""
+    hit = view.z_hit * INV_SQRT_2PI / sigma * math.exp(-0.5 * square / (sigma * sigma)) if square < math.inf else 0.0
+    p = hit + free * view.random_density + (1.0 - free) * view.unseen_density
+    return p, hit / p
+
+
+@kernel
+def fill_field(points: Floats, reach: float, width: float, sigma: float, view: FieldView,
+               density: Floats, distance: Floats, free: Floats) -> None:  # fmt: skip
+    """Fill density, distance (inf beyond reach) and free share (n,) at points (n, 2)."""
+    for i in range(points.shape[0]):
+        _, square = nearest_element(points[i, 0], points[i, 1], reach, view)
+        free[i] = free_share(points[i, 0], points[i, 1], width, view)
+        density[i], _ = point_density(square, free[i], sigma, view)
+        distance[i] = math.sqrt(square)
+
+
+@kernel
+def fill_scores(points: Floats, poses: Floats, reach: float, width: float, sigma: float, view: FieldView,
+                out: Floats) -> None:  # fmt: skip
+    """Fill out (n,) with the sum of log densities of the end points (k, 2) seen from poses (n, 3)."""
+    for i in range(poses.shape[0]):
+        cos, sin = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        total = 0.0
+        for j in range(points.shape[0]):
+            x = poses[i, 0] + cos * points[j, 0] - sin * points[j, 1]
+            y = poses[i, 1] + sin * points[j, 0] + cos * points[j, 1]
+            _, square = nearest_element(x, y, reach, view)
+            p, _ = point_density(square, free_share(x, y, width, view), sigma, view)
+            total += math.log(p)
+        out[i] = total
+
+
+# --- ascending --------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def linearise(points: Floats, pose: Floats, stride: int, sigma: float, reach: float, view: FieldView,
+              gradient: Floats, information: Floats) -> tuple[float, float, float, float]:  # fmt: skip
+    """Fill gradient (3,) and Gauss-Newton information (3, 3) of the score at a pose, both times sigma squared.
+
+    Only every stride-th end point counts. The score is the sum of log(density / unseen density): an end point in unseen
+    space adds nothing. Each end point's pull on its nearest element has the weight of `point_density`'s share. The free
+    share is taken to be constant. Returns the score, the sum of the weights, the weighted sum of squared distances and
+    the number of end points in seen space.
+    """
+    gradient[:] = 0.0
+    information[:] = 0.0
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    score, weight, squares, seen = 0.0, 0.0, 0.0, 0.0
+    for j in range(0, points.shape[0], stride):
+        rx = cos * points[j, 0] - sin * points[j, 1]
+        ry = sin * points[j, 0] + cos * points[j, 1]
+        x, y = pose[0] + rx, pose[1] + ry
+        i, square = nearest_element(x, y, reach, view)
+        free = free_share(x, y, 2.0 * sigma, view)
+        p, share = point_density(square, free, sigma, view)
+        score += math.log(p / view.unseen_density)
+        seen += max(share, free)
+        if i < 0:
+            continue
+        weight += share
+        nx, ny = view.elements[i, NX], view.elements[i, NY]
+        dx, dy = x - view.elements[i, X], y - view.elements[i, Y]
+        across = dx * nx + dy * ny
+        squares += share * across * across
+        _add(nx, ny, across, share, rx, ry, gradient, information)
+        if view.elements[i, IS_LINE] == 0.0:
+            along = dy * nx - dx * ny
+            squares += share * along * along
+            _add(-ny, nx, along, share, rx, ry, gradient, information)
+    for a in range(3):
+        for b in range(a):
+            information[a, b] = information[b, a]
+    return score, weight, squares, seen
+
+
+@kernel
+def _add(nx: float, ny: float, residual: float, weight: float, rx: float, ry: float,
+         gradient: Floats, information: Floats) -> None:  # fmt: skip
+    """Add one residual along (nx, ny), which turning moves by the lever (-ry, rx)."""
+    turn = rx * ny - ry * nx
+    gradient[0] -= weight * residual * nx
+    gradient[1] -= weight * residual * ny
+    gradient[2] -= weight * residual * turn
+    information[0, 0] += weight * nx * nx
+    information[0, 1] += weight * nx * ny
+    information[0, 2] += weight * nx * turn
+    information[1, 1] += weight * ny * ny
+    information[1, 2] += weight * ny * turn
+    information[2, 2] += weight * turn * turn
+
+
+@kernel
+def ascend(points: Floats, pose: Floats, stride: int, sigma: float, lever: float, threshold: float, tolerance: float,
+           steps: int, view: FieldView) -> tuple[float, bool, int]:  # fmt: skip
+    """Move the pose (3,) uphill at one sigma by damped Gauss-Newton steps; return score, whether it converged, steps.
+
+    Steps shorter than `tolerance` (metres, a turn times the lever) end the ascent. Directions that less than
+    `threshold` of the weight determines are left alone. `lever` (metres) makes turning comparable with moving.
+    """
+    gradient, information = np.zeros(3), np.zeros((3, 3))
+    reach = 4.0 * sigma
+    score, weight, _, _ = linearise(points, pose, stride, sigma, reach, view, gradient, information)
+    trial, g, h = np.empty(3), np.zeros(3), np.zeros((3, 3))
+    scale = np.array([1.0, 1.0, 1.0 / lever])
+    damping = 1e-3
+    for step in range(steps):
+        if weight < 1e-9:
+            return score, False, step
+        values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / weight)
+        move, size = np.zeros(3), 0.0
+        for v in range(3):
+            if values[v] < threshold:
+                continue
+            slope = 0.0
+            for a in range(3):
+                slope += vectors[a, v] * gradient[a] * scale[a]
+            length = slope / weight / (values[v] + damping)
+            size += length * length
+            for a in range(3):
+                move[a] += length * vectors[a, v] * scale[a]
+        size = math.sqrt(size)
+        if size < tolerance:
+            return score, True, step
+        trial[:] = pose + move
+        trial_score, trial_weight, _, _ = linearise(points, trial, stride, sigma, reach, view, g, h)
+        if trial_score >= score:
+            pose[:] = trial
+            score, weight = trial_score, trial_weight
+            gradient[:] = g
+            information[:] = h
+            damping = max(0.3 * damping, 1e-4)
+        else:
+            damping = max(10.0 * damping, 0.05)
+            if damping > 1e4:
+                return score, True, step
+    return score, False, steps

@@ -1,0 +1,278 @@
+"""Align a scan with other scans by climbing on their likelihood field (section 6.4.2, Figure 6.11)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, wrap_angle
+from beamfield.kernels import scan_field as kernels
+from beamfield.maps.scan_field import ScanField, end_points
+from beamfield.sensors import Scan
+
+Problem = Literal["", "no end points", "no overlap", "undetermined", "not converged"]
+
+# Coarse to fine, in units of the field's sigma: the widest catches errors of 0.3 m and 15 degrees with sigma 0.05 m.
+COARSE_SIGMAS = (8.0, 3.0)
+# At the coarse levels this many end points are enough.
+COARSE_POINTS = 90
+# The ascent of a level ends with steps shorter than this, in sigma.
+COARSE_TOLERANCE, FINE_TOLERANCE = 0.06, 0.002
+COARSE_STEPS = 10
+# Surfaces pull on end points up to this many sigma away.
+REACH_SIGMAS = 4.0
+# Starts of a search lie this close: within what the widest level catches. The best few are followed further.
+START_SPACING, START_TURN, FOLLOWED_STARTS = 0.4, math.radians(12.0), 4
+MAX_STARTS = 20_000
+# Fewer end points on surfaces than this say nothing.
+FEWEST_MATCHES = 3.0
+# A scan is worth one independent beam per this angle: see `align`. Chosen on FR079, checked on Intel.
+INDEPENDENT_ANGLE = math.radians(30.0)
+# What no number of beams averages away: the scan was taken on the move, its plane tilts, surfaces are not lines.
+FLOOR_DISTANCE, FLOOR_ANGLE = 0.01, 0.003
+SMALLEST_SPREAD = 0.01
+# Standard deviation along an undetermined direction, metres of end points.
+UNDETERMINED_DEVIATION = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class AlignmentResult:
+    """Where a scan fits, how sure that is, and what is wrong with it.
+
+    Parameters
+    ----------
+    pose
+        (3,) pose of the scan's robot in the field's frame, metres and radians; the initial pose where nothing could be
+        done.
+    covariance
+        (3, 3) of x, y, theta in the field's frame; see `align` for the model. Always finite and positive definite; the
+        standard deviation along undetermined directions is 100 m (of end points).
+    score
+        Sum over end points of log(field / unseen), nats: an end point that the field says nothing about adds nothing.
+    overlap
+        Share of the scan's end points in [0, 1] that lie in space which the field saw.
+    n_matched
+        Number of end points on a surface (the sum of their probabilities of being a hit).
+    spread
+        Root mean square distance of those from the surface, metres.
+    converged
+        Whether the last ascent ended by itself.
+    eigenvalues
+        (3,) of the information per matched end point, ascending, in [0, about 1]: the mean square cosine between the
+        surfaces' normals and how the end points move, a turn being measured by how far it moves them (times `lever`).
+    undetermined
+        (u, 3) directions (x, y, theta) that too few end points determine; u is 0 if all is well, 1 in a corridor. A
+        move along one slides the end points along the surfaces. Their length is one metre of end points.
+    lever
+        Metres that end points move per radian.
+    problem
+        "" or what is wrong: "no end points" (in the scan), "no overlap" (with the field's surfaces), "undetermined" or
+        "not converged".
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    score: float
+    overlap: float
+    n_matched: float
+    spread: float
+    converged: bool
+    eigenvalues: FloatArray
+    undetermined: FloatArray
+    lever: float
+    problem: Problem
+
+
+def align(
+    scan: Scan,
+    onto: ScanField | Scan | Sequence[Scan],
+    initial: ArrayLike,
+    *,
+    onto_poses: ArrayLike | None = None,
+    search: tuple[float, float] = (0.0, 0.0),
+    threshold: float = 0.02,
+    max_steps: int = 30,
+) -> AlignmentResult:
+    """Find the pose at which a scan fits best onto what other scans saw.
+
+    Maximises the sum over the scan's end points of the field's logarithm. Each step is a damped Gauss-Newton step on
+    the distances between end points and the nearest surfaces, every end point weighted by the probability that it is a
+    hit at all, so that outliers and occluded end points do not pull; a step is kept only if the score does not fall.
+    Three levels go from 8 sigma over 3 sigma to the field's own sigma.
+
+    Parameters
+    ----------
+    scan
+        The scan to align. Readings without return are left out.
+    onto
+        The field, or the scan or scans to make one from (with `ScanField`'s default parameters).
+    initial
+        (3,) first guess of the pose of the scan's robot in the field's frame. Errors up to about 0.3 m and 15 degrees
+        are caught.
+    onto_poses
+        Poses of `onto` in the field's frame, (n, 3) for several scans and (3,) for one; identity for one if not given.
+    search
+        Half-widths (metres, radians) of a window around `initial` that is searched from a grid of starts; for large
+        windows use `beamfield.localization.global_search`.
+    threshold
+        A direction is undetermined if its eigenvalue lies below this: if the end points' information along it is that
+        of less than this share of them facing it squarely. Nothing moves along such a direction: the pose keeps what
+        `initial` says.
+    max_steps
+        Of the last level.
+
+    Returns
+    -------
+    AlignmentResult
+        Never NaN. Scans without end points and without overlap give the initial pose, all directions undetermined.
+
+    Raises
+    ------
+    InvalidInputError
+        If poses are not finite or have other shapes, several scans come without poses, or search, threshold or
+        max_steps make no sense.
+
+    Notes
+    -----
+    **Covariance.** If all n matched end points erred independently, it would be s^2 H^-1 with the spread s and the
+    information H = sum of w J J^T. They do not: neighbouring beams hit the same surface, whose shape, height and
+    fit err alike. A scan counts as one independent beam per 30 degrees of view that it matches, whatever its
+    resolution: the covariance is (30 degrees / beam spacing) s^2 H^-1, plus (1 cm)^2 and (0.003 rad)^2. The angle was
+    chosen on one building's log and checked on another's; docs/alignment.md has the figures.
+
+    The covariance is that of the optimum found. An ascent that ended in the wrong optimum has an error that no
+    covariance covers: look at `overlap` and `score`, and use `search`.
+
+    References
+    ----------
+    Section 6.4.2 and Figure 6.11 for the field; (6.32) to (6.34).
+
+    Examples
+    --------
+    >>> from beamfield.sensors import RangeFinder
+    >>> bearings = np.radians(np.arange(0.5, 360.0))
+    >>> finder = RangeFinder.from_bearings(bearings, max_range=20.0)
+    >>> room = np.minimum(2.0 / np.abs(np.cos(bearings)), 3.0 / np.abs(np.sin(bearings)))
+    >>> result = align(Scan(room, finder), Scan(room, finder), [0.2, -0.1, 0.1])
+    >>> bool(np.abs(result.pose).max() < 1e-3), result.problem
+    (True, '')
+    """
+    start = _checked_start(initial, search, threshold, max_steps)
+    field = _as_field(onto, onto_poses)
+    points = end_points(scan)
+    lever = _lever(points)
+    if not len(points):
+        return _failure(start, 0.0, 0.0, lever, "no end points")
+    pose = _climb_coarse(points, field, start, search, lever, threshold)
+    sigma = field.sigma_hit
+    _, converged, _ = kernels.ascend(
+        points, pose, 1, sigma, lever, threshold, FINE_TOLERANCE * sigma, max_steps, field.view
+    )
+    gradient, information = np.zeros(3), np.zeros((3, 3))
+    score, matched, squares, seen = kernels.linearise(
+        points, pose, 1, sigma, REACH_SIGMAS * sigma, field.view, gradient, information
+    )
+    overlap = min(seen / len(points), 1.0)
+    if matched < FEWEST_MATCHES:
+        return _failure(start, score, overlap, lever, "no overlap")
+    spread = math.sqrt(squares / matched)
+    scale = np.array([1.0, 1.0, 1.0 / lever])
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / matched)
+    dependence = max(INDEPENDENT_ANGLE / _beam_spacing(scan), 1.0)
+    variances = dependence * max(spread, SMALLEST_SPREAD) ** 2 / (matched * np.maximum(values, threshold))
+    free = values < threshold
+    variances[free] = UNDETERMINED_DEVIATION**2
+    covariance = (vectors * variances) @ vectors.T * np.outer(scale, scale)
+    covariance += np.diag([FLOOR_DISTANCE**2, FLOOR_DISTANCE**2, FLOOR_ANGLE**2])
+    pose[2] = wrap_angle(pose[2])
+    problem: Problem = "undetermined" if free.any() else "" if converged else "not converged"
+    directions = vectors[:, free].T * scale
+    return AlignmentResult(
+        pose, 0.5 * (covariance + covariance.T), score, overlap, matched, spread, converged, np.maximum(values, 0.0),
+        directions, lever, problem,
+    )  # fmt: skip
+
+
+def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: float, max_steps: int) -> FloatArray:
+    """Return the initial pose, a copy."""
+    start = np.array(as_poses(initial, "initial"))
+    if start.shape != (3,):
+        raise InvalidInputError(f"initial: expected shape (3,), got {start.shape}")
+    if len(search) != 2 or not all(0.0 <= half < np.inf for half in search):
+        raise InvalidInputError(f"search: expected half-widths >= 0 in metres and radians, got {search!r}")
+    if not 0.0 < threshold < 1.0:
+        raise InvalidInputError(f"threshold: expected a share between 0 and 1, got {threshold}")
+    if max_steps < 1:
+        raise InvalidInputError(f"max_steps: expected at least 1, got {max_steps}")
+    return start
+
+
+def _as_field(onto: ScanField | Scan | Sequence[Scan], poses: ArrayLike | None) -> ScanField:
+    """Return the field to align with."""
+    if isinstance(onto, ScanField):
+        if poses is not None:
+            raise InvalidInputError("onto_poses: a field has its frame already; expected None")
+        return onto
+    if isinstance(onto, Scan):
+        return ScanField.from_scan(onto, pose=(0.0, 0.0, 0.0) if poses is None else poses)
+    if poses is None:
+        raise InvalidInputError("onto_poses: expected the poses of the scans in one frame, got None")
+    return ScanField.from_scans(onto, poses)
+
+
+def _lever(points: FloatArray) -> float:
+    """Return how far end points move when the robot turns: the root mean square of their distances, at least 0.1 m."""
+    return max(math.sqrt(float(np.mean(np.sum(points**2, axis=1)))), 0.1) if len(points) else 1.0
+
+
+def _failure(start: FloatArray, score: float, overlap: float, lever: float, problem: Problem) -> AlignmentResult:
+    """Return the result that says nothing but why."""
+    scale = np.array([1.0, 1.0, 1.0 / lever])
+    start[2] = wrap_angle(start[2])
+    return AlignmentResult(
+        start, np.diag((UNDETERMINED_DEVIATION * scale) ** 2), score, overlap, 0.0, 0.0, False, np.zeros(3),
+        np.diag(scale), lever, problem,
+    )  # fmt: skip
+
+
+def _climb_coarse(points: FloatArray, field: ScanField, start: FloatArray, search: tuple[float, float], lever: float,
+                  threshold: float) -> FloatArray:  # fmt: skip
+    """Return the best pose after the coarse levels, from all starts."""
+    stride = max(1, len(points) // COARSE_POINTS)
+    climbers = [(0.0, pose) for pose in _starts(start, search)]
+    for factor in COARSE_SIGMAS:
+        sigma = factor * field.sigma_hit
+        scored = []
+        for _, pose in climbers:
+            score, _, _ = kernels.ascend(
+                points, pose, stride, sigma, lever, threshold, COARSE_TOLERANCE * sigma, COARSE_STEPS, field.view
+            )
+            scored.append((score, pose))
+        climbers = sorted(scored, key=lambda found: -found[0])[:FOLLOWED_STARTS]
+    return climbers[0][1]
+
+
+def _starts(start: FloatArray, search: tuple[float, float]) -> list[FloatArray]:
+    """Return the starts of a search: the initial pose and a grid around it."""
+    moves = math.ceil(search[0] / START_SPACING)
+    turns = math.ceil(search[1] / START_TURN)
+    if (2 * moves + 1) ** 2 * (2 * turns + 1) > MAX_STARTS:
+        raise InvalidInputError(f"search: expected a window of at most {MAX_STARTS} starts, got {search!r}")
+    along = np.linspace(-search[0], search[0], 2 * moves + 1) if moves else np.zeros(1)
+    about = np.linspace(-search[1], search[1], 2 * turns + 1) if turns else np.zeros(1)
+    return [start + np.array(offset) for offset in product(along, along, about)]
+
+
+def _beam_spacing(scan: Scan) -> float:
+    """Return the mean angle between neighbouring beams, whatever their origins; the independent angle for one beam."""
+    bearings = np.sort(scan.finder.bearings)
+    if len(bearings) < 2:
+        return INDEPENDENT_ANGLE
+    return max(float(bearings[-1] - bearings[0]) / (len(bearings) - 1), 1e-5)

@@ -150,7 +150,7 @@ class BeamModel:
             If the poses are not finite (..., 3).
         """
         robot = as_poses(poses)
-        beams = self._selected_beams(z)
+        beams = self.used_beams(z)
         flat = robot.reshape(-1, 3)
         total: FloatArray = np.zeros(len(flat))
         if len(beams) and len(flat):
@@ -170,7 +170,7 @@ class BeamModel:
         (..., k) nats, times the exponent; 0 for beams that carry no measurement or are left out by n_beams.
         """
         robot = as_poses(poses)
-        beams = self._selected_beams(z)
+        beams = self.used_beams(z)
         result: FloatArray = np.zeros((*robot.shape[:-1], z.finder.n_beams))
         chosen = z.subset(beams)
         ranges = usable_ranges(chosen.ranges, z.finder)
@@ -179,6 +179,41 @@ class BeamModel:
             ranges, expected, z.finder.max_range, self.parameters, threads=self.threads
         )
         return result
+
+    def used_beams(self, scan: Scan) -> NDArray[np.int64]:
+        """Return the indices of the beams that count: those with a measurement, thinned to n_beams."""
+        valid = np.flatnonzero(~np.isnan(usable_ranges(scan.ranges, scan.finder)))
+        if self.n_beams is None or self.n_beams >= len(valid):
+            return valid
+        return np.asarray(valid[np.round(np.linspace(0, len(valid) - 1, self.n_beams)).astype(np.int64)])
+
+    def log_likelihood_of_ranges(self, scan: Scan, expected_ranges: ArrayLike) -> FloatArray:
+        """Return `log_likelihood` where the expected ranges are there already, from a table or a shared fan of rays.
+
+        Parameters
+        ----------
+        scan
+            The scan; each of its beams counts that carries a measurement, whatever n_beams says.
+        expected_ranges
+            (..., k) z* in metres, one per beam of the scan.
+
+        Returns
+        -------
+        (...) nats, times the exponent; as for `log_likelihood`.
+
+        Raises
+        ------
+        InvalidInputError
+            If the last axis is not k long.
+        """
+        expected = np.asarray(expected_ranges, dtype=np.float64)
+        ranges = usable_ranges(scan.ranges, scan.finder)
+        if expected.ndim == 0 or expected.shape[-1] != len(ranges):
+            raise InvalidInputError(f"expected_ranges: expected shape (..., {len(ranges)}), got {expected.shape}")
+        total: FloatArray = np.zeros(expected.shape[:-1])
+        if expected.size:
+            self._fill(scan, expected.reshape(-1, len(ranges)), total.reshape(-1))
+        return self.exponent * total
 
     def responsibilities(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return how likely each cause is for each reading, (..., k, 4): hit, short, max, rand.
@@ -242,28 +277,23 @@ class BeamModel:
             raise InvalidInputError("finder: expected a RangeFinder, here or at the model's construction; got None")
         return sensor
 
-    def _selected_beams(self, scan: Scan) -> NDArray[np.int64]:
-        """Return the indices of the beams that count: those with a measurement, thinned to n_beams."""
-        valid = np.flatnonzero(~np.isnan(usable_ranges(scan.ranges, scan.finder)))
-        if self.n_beams is None or self.n_beams >= len(valid):
-            return valid
-        return np.asarray(valid[np.round(np.linspace(0, len(valid) - 1, self.n_beams)).astype(np.int64)])
-
     def _add_up(self, scan: Scan, poses: FloatArray, out: FloatArray) -> None:
         """Fill out (n,) with the sum over beams, chunk by chunk so that memory does not grow with the poses."""
+        step = max(1, RAYS_PER_CHUNK // scan.finder.n_beams)
+        for start in range(0, len(poses), step):
+            part = poses[start : start + step]
+            self._fill(scan, self.expected(part, scan.finder), out[start : start + step])
+
+    def _fill(self, scan: Scan, expected: FloatArray, out: FloatArray) -> None:
+        """Fill out (n,) with the sum over beams, given the expected ranges (n, k)."""
         ranges = usable_ranges(scan.ranges, scan.finder)
         view = as_view(self.parameters, scan.finder.max_range)
-        step = max(1, RAYS_PER_CHUNK // len(ranges))
-        for start in range(0, len(poses), step):
-            part, expected = out[start : start + step], self.expected(poses[start : start + step], scan.finder)
-            run_in_slices(
-                lambda a, b, part=part, expected=expected: fill_scan_log_likelihood(  # type: ignore[misc]
-                    ranges, expected[a:b], view, part[a:b]
-                ),
-                len(part),
-                threads=self.threads,
-                work_per_row=len(ranges),
-            )
+        run_in_slices(
+            lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]),
+            len(out),
+            threads=self.threads,
+            work_per_row=len(ranges),
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the ray caster: its tables are large and quick to rebuild."""

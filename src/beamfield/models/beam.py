@@ -187,34 +187,6 @@ class BeamModel:
             return valid
         return np.asarray(valid[np.round(np.linspace(0, len(valid) - 1, self.n_beams)).astype(np.int64)])
 
-    def log_likelihood_of_ranges(self, scan: Scan, expected_ranges: ArrayLike) -> FloatArray:
-        """Return `log_likelihood` where the expected ranges are there already, from a table or a shared fan of rays.
-
-        Parameters
-        ----------
-        scan
-            The scan; each of its beams counts that carries a measurement, whatever n_beams says.
-        expected_ranges
-            (..., k) z* in metres, one per beam of the scan.
-
-        Returns
-        -------
-        (...) nats, times the exponent; as for `log_likelihood`.
-
-        Raises
-        ------
-        InvalidInputError
-            If the last axis is not k long.
-        """
-        expected = np.asarray(expected_ranges, dtype=np.float64)
-        ranges = usable_ranges(scan.ranges, scan.finder)
-        if expected.ndim == 0 or expected.shape[-1] != len(ranges):
-            raise InvalidInputError(f"expected_ranges: expected shape (..., {len(ranges)}), got {expected.shape}")
-        total: FloatArray = np.zeros(expected.shape[:-1])
-        if expected.size:
-            self._fill(scan, expected.reshape(-1, len(ranges)), total.reshape(-1))
-        return self.exponent * total
-
     def responsibilities(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return how likely each cause is for each reading, (..., k, 4): hit, short, max, rand.
 

@@ -14,6 +14,9 @@ from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_pit
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.cell_difference import CellDifferenceModel
+from beamfield.models.histogram_matching import HistogramMatchingModel
+from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan
 
 
@@ -99,6 +102,15 @@ def build_beam_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any
     return BeamModel(grid, BeamParameters(**{**values, **changed}), **{"finder": FINDER, **options})
 
 
+def build_matching(model: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a `Case.build` for a model that compares local maps with the floor."""
+
+    def build(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> Any:
+        return model(draw_floor(compose(map_from_moved, np.zeros(3))), **options)
+
+    return build
+
+
 def integrate_one_beam(model: BeamModel, pose: np.ndarray) -> float:
     """Return the integral over the range of a single beam, by the midpoint rule, plus the mass at max_range."""
     finder = RangeFinder(FINDER.mounts[4:5], FINDER.max_range)
@@ -122,6 +134,10 @@ NO_RETURN = [0.0, 1.2, np.inf, 5.0, 4.9999, 7.0, 0.3, 2.0, 2.5]
 NOTHING = [np.nan] * 9
 MIXED = [np.nan, -np.inf, 0.01, 1.0, 2.0, np.nan, np.inf, 0.5, 1.5]
 USUAL = [1.0, 1.1, 1.2, 1.0, 2.1, 2.2, 0.4, 1.5, 1.5]
+# A local map, turned in the robot's frame, with unknown cells.
+LOCAL_MAP = OccupancyGrid(
+    [[0.1, 0.2, 0.9, np.nan], [0.1, np.nan, 0.8, 0.5], [1.0, 1.0, 0.4, 0.0]], 0.4, (-0.7, 0.1, 0.6)
+)
 
 CASES = [
     Case(
@@ -139,7 +155,21 @@ CASES = [
         integral=integrate_one_beam,
         transform=beam_transform,
         options_close_by={"z_hit": 0.55, "z_rand": 0.15, "sigma_hit": 0.105, "lambda_short": 0.7},
-    )
+    ),
+    *(
+        Case(
+            name=name,
+            build=build_matching(model),
+            options=({}, {"min_overlap": 0.9}, *options),
+            measurements=(*(Scan(ranges, BLIND_FINDER) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)), LOCAL_MAP),
+            poses=POSES,
+        )
+        for name, model, options in (
+            ("map matching", MapMatchingModel, ({"smoothing": 0.3},)),
+            ("cell difference", CellDifferenceModel, ({"sigma": 5.0},)),
+            ("histogram matching", HistogramMatchingModel, ()),
+        )
+    ),
 ]
 
 

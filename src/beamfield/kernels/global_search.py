@@ -131,6 +131,9 @@ def search_blocks(
             level, row, col, bound = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
             if not _beats(bound, (k * n_rows + row) * n_cols + col, best, best_key):
                 continue
+            size = 1 << level
+            if has_hole and _inside(row, col, min(row + size, n_rows) - 1, min(col + size, n_cols) - 1, excluded):
+                continue
             if level == 0:
                 best, best_key = bound, (k * n_rows + row) * n_cols + col
                 out[m, 0], out[m, 1] = best, best_key
@@ -143,8 +146,6 @@ def search_blocks(
             for quarter in range(4):
                 r, c, value = row + half * (quarter >> 1), col + half * (quarter & 1), sums[quarter]
                 if r >= n_rows or c >= n_cols or not _beats(value, (k * n_rows + r) * n_cols + c, best, best_key):
-                    continue
-                if has_hole and _inside(r, c, min(r + half, n_rows) - 1, min(c + half, n_cols) - 1, excluded):
                     continue
                 # The best child goes on top, to be searched first: insert by (bound, falling key).
                 place = n

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 
 from beamfield.calibration.calibrate import Calibration
@@ -58,23 +59,7 @@ def reading_series(calibration: Calibration) -> ReportFigure:
     group = telling_bin(typical_bins(table))
     rows = thinned(group.rows, MOST_IN_SERIES)
     figure = new_figure(WIDE, 3.6)
-    axes = figure.add_subplot()
-    number = np.arange(1, len(rows) + 1)
-    ranges = table.ranges[rows]
-    end = _shown_end(ranges[ranges < table.max_range], group.centre, table.max_range)
-    top = table.max_range if end == table.max_range else 1.1 * end
-    height = np.where(ranges >= table.max_range, top, ranges)
-    for cause, (name, colour) in enumerate(zip(CAUSE_NAMES, CAUSE_COLOURS, strict=True)):
-        mine = calibration.causes[rows] == cause
-        size = 3.0 if cause == 0 else 7.0
-        axes.scatter(number[mine], height[mine], s=size, color=colour, linewidths=0)
-        axes.scatter([], [], s=36, color=colour, label=name, linewidths=0)
-    axes.axhline(group.centre, color=MODEL, linewidth=0.8, linestyle="--", label=f"expected: z* = {group.centre:g} m")
-    axes.set_xlim(0, len(rows) + 1)
-    axes.set_ylim(0, top * 1.03)
-    style(axes, x="number of the reading", y="measured range z [m]")
-    _mark_limit(axes, end, table.max_range, top, vertical=True)
-    legend_above(axes)
+    draw_readings(figure.add_subplot(), calibration, group)
     return ReportFigure(
         "readings",
         f"Readings one after the other, for an expected range of {group.centre:g} m",
@@ -87,14 +72,69 @@ def reading_series(calibration: Calibration) -> ReportFigure:
     )
 
 
+def draw_readings(axes: Axes, calibration: Calibration, group: RangeBin) -> None:
+    """Draw the readings of a group in the order of the log, coloured by their most likely cause: Figure 6.5.
+
+    Parameters
+    ----------
+    axes
+        Where to draw.
+    calibration
+        The result of `calibrate`.
+    group
+        Beams with nearly the same expected range.
+    """
+    table = calibration.table
+    rows = thinned(group.rows, MOST_IN_SERIES)
+    number = np.arange(1, len(rows) + 1)
+    ranges = table.ranges[rows]
+    end = _shown_end(ranges[ranges < table.max_range], group.centre, table.max_range)
+    top = table.max_range if end == table.max_range else 1.1 * end
+    height = np.where(ranges >= table.max_range, top, ranges)
+    for cause, (name, colour) in enumerate(zip(CAUSE_NAMES, CAUSE_COLOURS, strict=True)):
+        mine = calibration.causes[rows] == cause
+        size = 3.0 if cause == 0 else 7.0
+        axes.scatter(number[mine], height[mine], s=size, color=colour, linewidths=0, rasterized=True)
+        axes.scatter([], [], s=36, color=colour, label=name, linewidths=0)
+    axes.axhline(group.centre, color=MODEL, linewidth=0.8, linestyle="--", label=f"expected: z* = {group.centre:g} m")
+    axes.set_xlim(0, len(rows) + 1)
+    axes.set_ylim(0, top * 1.03)
+    style(axes, x="number of the reading", y="measured range z [m]")
+    _mark_limit(axes, end, table.max_range, top, vertical=True)
+    legend_above(axes)
+
+
 def _histogram_panel(calibration: Calibration, group: RangeBin, number: int) -> Panel:
-    """Linear near z* above, logarithmic over all ranges below."""
+    figure = new_figure(NARROW, 4.3)
+    draw_histogram(figure, calibration, group)
+    ranges = calibration.table.ranges[group.rows]
+    shares = " ".join(
+        f"{name} {share:.1%}," for name, share in zip(CAUSE_NAMES, _cause_shares(calibration, group), strict=True)
+    )
+    alt = (
+        f"Histogram of {len(ranges)} measured ranges for expected ranges around {group.centre:g} m with the fitted "
+        f"density. Median measured range {np.median(ranges):.3f} m; most likely causes: {shares.rstrip(',')}."
+    )
+    return svg_panel(figure, f"histogram{number}", alt)
+
+
+def draw_histogram(figure: Figure | SubFigure, calibration: Calibration, group: RangeBin) -> None:
+    """Draw measured ranges and the fitted density: linear near z* above, logarithmic over all ranges below; Figure 6.6.
+
+    Parameters
+    ----------
+    figure
+        An empty figure.
+    calibration
+        The result of `calibrate`.
+    group
+        Beams with nearly the same expected range.
+    """
     table, parameters = calibration.table, calibration.parameters
     ranges = table.ranges[group.rows]
     chosen = thinned(group.rows, MOST_AVERAGED)
     expected = table.expected_ranges[chosen]
     step = range_step(ranges[ranges < table.max_range])
-    figure = new_figure(NARROW, 4.3)
     near, far = figure.subplots(2, 1)
     _draw_near(near, ranges, expected, parameters, table.max_range, step)
     style(
@@ -107,14 +147,6 @@ def _histogram_panel(calibration: Calibration, group: RangeBin, number: int) -> 
     )
     _draw_far(far, ranges, expected, parameters, table.max_range, step)
     style(far, x="measured range z, all up to the limit [m]", y="density, log scale [1/m]", grid="y")
-    shares = " ".join(
-        f"{name} {share:.1%}," for name, share in zip(CAUSE_NAMES, _cause_shares(calibration, group), strict=True)
-    )
-    alt = (
-        f"Histogram of {len(ranges)} measured ranges for expected ranges around {group.centre:g} m with the fitted "
-        f"density. Median measured range {np.median(ranges):.3f} m; most likely causes: {shares.rstrip(',')}."
-    )
-    return svg_panel(figure, f"histogram{number}", alt)
 
 
 def _draw_near(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.figure import Figure, SubFigure
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.geometry import FloatArray
@@ -43,8 +44,29 @@ def mixture(calibration: Calibration) -> ReportFigure:
 
 
 def _components_panel(group_range: float, parameters: BeamParameters, max_range: float) -> Panel:
-    """Figure 6.3: each density alone, over the ranges where it is not 0."""
     figure = new_figure(NARROW, 4.2)
+    draw_components(figure, group_range, parameters, max_range)
+    alt = (
+        f"Four small plots for an expected range of {group_range:g} m: the peak of a hit, the decay of unexpected "
+        f"objects up to the expected range, the point mass at {max_range:g} m, the flat density of random readings."
+    )
+    return svg_panel(figure, "components", alt)
+
+
+def draw_components(
+    figure: Figure | SubFigure, group_range: float, parameters: BeamParameters, max_range: float
+) -> None:
+    """Draw Figure 6.3: each density alone, over the ranges where it is not 0.
+
+    Parameters
+    ----------
+    figure
+        An empty figure.
+    group_range
+        Expected range z*, metres.
+    parameters, max_range
+        The model, and the sensor's limit in metres.
+    """
     spread = 6 * float(np.hypot(parameters.sigma_hit, parameters.sigma_slope * group_range))
     centre = group_range + parameters.range_offset
     views = (
@@ -72,16 +94,28 @@ def _components_panel(group_range: float, parameters: BeamParameters, max_range:
         style(axes, title=title, x="z [m]", y="probability [1]" if cause == 2 else "density [1/m]", grid="none")
         axes.title.set_fontsize(8.5)
         axes.locator_params(axis="x", nbins=4)
-    alt = (
-        f"Four small plots for an expected range of {group_range:g} m: the peak of a hit, the decay of unexpected "
-        f"objects up to the expected range, the point mass at {max_range:g} m, the flat density of random readings."
-    )
-    return svg_panel(figure, "components", alt)
 
 
 def _mixture_panel(expected: float, parameters: BeamParameters, max_range: float) -> Panel:
-    """Figure 6.4: the densities times their weights and their sum; the point mass on an axis of its own."""
     figure = new_figure(NARROW, 4.2)
+    draw_mixture(figure, expected, parameters, max_range)
+    weights = ", ".join(f"{name} {weight:.3f}" for name, weight in zip(CAUSE_NAMES, parameters.weights, strict=True))
+    alt = f"The mixture density for an expected range of {expected:g} m on a logarithmic scale; weights: {weights}."
+    return svg_panel(figure, "mixture", alt)
+
+
+def draw_mixture(figure: Figure | SubFigure, expected: float, parameters: BeamParameters, max_range: float) -> None:
+    """Draw Figure 6.4: the densities times their weights and their sum; the point mass on an axis of its own.
+
+    Parameters
+    ----------
+    figure
+        An empty figure.
+    expected
+        Expected range z*, metres.
+    parameters, max_range
+        The model, and the sensor's limit in metres.
+    """
     left, right = figure.subplots(1, 2, width_ratios=(7, 1))
     z = _fine_ranges(expected, parameters, max_range)
     weighted = beam_components(z, expected, max_range, parameters) * np.array(parameters.weights)
@@ -107,9 +141,6 @@ def _mixture_panel(expected: float, parameters: BeamParameters, max_range: float
     style(right, x="z [m]", y="probability [1]", grid="y")
     right.annotate(f"{parameters.z_max:.1%}", (0, parameters.z_max), xytext=(0, 3), textcoords="offset points",
                    ha="center", fontsize=8)  # fmt: skip
-    weights = ", ".join(f"{name} {weight:.3f}" for name, weight in zip(CAUSE_NAMES, parameters.weights, strict=True))
-    alt = f"The mixture density for an expected range of {expected:g} m on a logarithmic scale; weights: {weights}."
-    return svg_panel(figure, "mixture", alt)
 
 
 def _weight_label(parameters: BeamParameters, cause: int) -> str:

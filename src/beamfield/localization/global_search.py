@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
 from beamfield.kernels import global_search as kernels
 from beamfield.kernels.threads import run_in_slices
+from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.mapping import end_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
@@ -352,18 +352,18 @@ class _Problem(NamedTuple):
                 work_per_row=100 * self.points.shape[2],
             )  # fmt: skip
             taken += int(out[:, 2].sum())
-            for score, key, _ in out.tolist():
-                if score > best or (score == best and 0 <= key < best_key):
-                    best, best_key = score, key
+            score = int(out[:, 0].max(initial=-1))
+            if score >= max(best, 0):
+                key = int(out[out[:, 0] == score, 1].min())
+                best, best_key = score, key if score > best else min(key, best_key)
             done, size = stop, 2 * size
         return (best_key, best, taken) if best >= 0 else (-1, -1, taken)
 
 
 def _field(grid: OccupancyGrid, sigma: float) -> NDArray[np.uint8]:
     """Return (rows, cols) exp(-d^2 / (2 sigma^2)) in steps of 1 / STEPS; all 0 for a map without obstacles."""
-    if not grid.occupied.any():
-        return np.zeros(grid.shape, np.uint8)
-    distance = ndimage.distance_transform_edt(~grid.occupied) * grid.resolution
+    # Beyond 3.5 sigma the field rounds to 0; there, and in a map without obstacles, the distance does not matter.
+    distance = distance_to_obstacles(grid, max_distance=4.0 * sigma)
     return np.asarray(np.round(STEPS * np.exp(-0.5 * (distance / sigma) ** 2)).astype(np.uint8))
 
 

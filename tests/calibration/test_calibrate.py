@@ -10,7 +10,7 @@ from beamfield.calibration.calibrate import Calibration, CalibrationOptions, cal
 from beamfield.calibration.pose_refinement import refine_poses, refinement_findings
 from beamfield.calibration.time_split import time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
-from beamfield.geometry import compose
+from beamfield.geometry import compose, interpolate_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 
@@ -96,6 +96,15 @@ def test_poses_that_are_off_are_found_and_said_to_raise_sigma(drive, office, rng
     assert found.refinement.sigma_after < 0.8 * found.refinement.sigma_before
     moved = np.hypot(*found.refinement.shifts[:, :2].T)
     assert np.median(moved) == pytest.approx(0.08 * np.sqrt(np.log(4)), rel=0.35)
+
+
+def test_reference_poses_that_are_late_are_found_and_timed(drive, office, truth):
+    late = interpolate_poses(drive.stamps, drive.poses, drive.stamps - 0.15)
+    scans = np.arange(4, len(drive), 4)
+    refined = refine_poses(drive.with_poses(late), office, scans, truth)
+    assert refined.delay == pytest.approx(0.15, abs=0.03)
+    finding = next(f for f in refinement_findings(refined) if f.name == "stamps-skewed")
+    assert "0.15 s older" in finding.text or "0.14 s older" in finding.text
 
 
 def test_refinement_leaves_true_poses_where_they_are(drive, office, truth):

@@ -71,7 +71,7 @@ def test_the_turtlebot_is_calibrated_better_than_the_defaults(data: Path):
     assert 0.1 < result.parameters.z_max < 0.3
 
 
-def test_the_simulated_pioneer_has_a_delay_in_its_truth(data: Path, pioneer: SensorLog):
+def test_the_simulated_pioneers_truth_is_off_by_some_centimetres(data: Path, pioneer: SensorLog):
     result = calibrate(pioneer, read_map(data / "uob_stage_sim/derived_meeting_stageframe.yaml"), OPTIONS)
     assert beats_the_defaults(result)
     assert result.parameters.sigma_hit == pytest.approx(0.067, abs=0.01)

@@ -23,6 +23,10 @@ WINDOW = (0.3, 0.06)
 LEVELS = 6
 STEPS = 2  # nodes on each side of the centre, per axis and level
 MAX_SCANS = 100
+# A delay shows only where the robot drives (metres per second), on so many scans, and matters from so many seconds on.
+SLOWEST = 0.1
+FEWEST_MOVING = 20
+LEAST_DELAY = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +42,17 @@ class PoseRefinement:
     sigma_before, sigma_after
         sigma_hit, one value for all ranges, fitted to the odd beams of these scans at the reference and at the refined
         poses, metres.
+    delay, delay_share
+        By how many seconds the reference would have to be read later to make the shifts along the path vanish, and
+        which share of their squares that explains; NaN if the robot hardly moves.
     """
 
     scans: NDArray[np.int64]
     shifts: FloatArray
     sigma_before: float
     sigma_after: float
+    delay: float = float("nan")
+    delay_share: float = float("nan")
 
 
 def refine_poses(
@@ -103,7 +112,8 @@ def refine_poses(
         except TooLittleDataError:
             return None
         sigma.append(fit.parameters.sigma_hit)
-    return PoseRefinement(chosen, between(log.poses[chosen], refined), sigma[0], sigma[1])
+    shifts = between(log.poses[chosen], refined)
+    return PoseRefinement(chosen, shifts, sigma[0], sigma[1], *_delay(log, chosen, shifts))
 
 
 def _climb(
@@ -135,6 +145,22 @@ def _climb(
     return centre
 
 
+def _delay(log: SensorLog, scans: NDArray[np.int64], shifts: FloatArray) -> tuple[float, float]:
+    """Explain shifts along the path by stamps that are off: shift = speed * delay."""
+    before, after = np.maximum(scans - 1, 0), np.minimum(scans + 1, len(log) - 1)
+    seconds = log.stamps[after] - log.stamps[before]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        step = between(log.poses[before], log.poses[after])
+        speed = step[:, 0] / seconds
+    # A scan that was not refined, or whose best pose lies elsewhere, says nothing about stamps.
+    good = np.isfinite(speed) & (seconds > 0) & (np.abs(speed) > SLOWEST) & (np.abs(shifts[:, 0]) < 0.9 * WINDOW[0])
+    if good.sum() < FEWEST_MOVING:
+        return float("nan"), float("nan")
+    delay = float(np.median(shifts[good, 0] / speed[good]))
+    left = ((shifts[good, 0] - delay * speed[good]) ** 2).sum()
+    return delay, float(1.0 - left / max(float((shifts[good, 0] ** 2).sum()), 1e-12))
+
+
 def refinement_findings(refinement: PoseRefinement | None) -> list[Finding]:
     """Say whether sigma_hit is partly error of the reference poses."""
     if refinement is None:
@@ -147,19 +173,34 @@ def refinement_findings(refinement: PoseRefinement | None) -> list[Finding]:
         "sigma_after": refinement.sigma_after,
         "median_shift": float(shift),
         "median_turn": float(turn),
+        "delay": refinement.delay,
+        "delay_share": refinement.delay_share,
     }
     text = (
         f"Refining {len(refinement.scans)} reference poses on every other beam changes sigma_hit on the remaining "
         f"beams from {refinement.sigma_before:.3f} to {refinement.sigma_after:.3f} m (median shift {shift:.3f} m, "
         f"{np.degrees(turn):.2f} deg)."
     )
-    if refinement.sigma_after < 0.85 * refinement.sigma_before:
-        return [
+    if refinement.sigma_after >= 0.85 * refinement.sigma_before:
+        return [Finding("pose-refinement", "info", text + " The reference poses explain little of sigma_hit.", values)]
+    found = [
+        Finding(
+            "pose-error-in-sigma",
+            "warning",
+            text + " Part of sigma_hit is error of the reference poses, not of the sensor.",
+            values,
+        )
+    ]
+    if abs(refinement.delay) > LEAST_DELAY and refinement.delay_share > 0.5:
+        late = "older" if refinement.delay > 0 else "newer"
+        found.append(
             Finding(
-                "pose-error-in-sigma",
+                "stamps-skewed",
                 "warning",
-                text + " Part of sigma_hit is error of the reference poses, not of the sensor.",
+                f"The refined poses lie along the path, in proportion to the speed: the reference poses seem "
+                f"{abs(refinement.delay):.2f} s {late} than the scans with the same stamp "
+                f"({refinement.delay_share:.0%} of the shifts along the path).",
                 values,
             )
-        ]
-    return [Finding("pose-refinement", "info", text + " The reference poses explain little of sigma_hit.", values)]
+        )
+    return found

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from beam_model import N_BEAMS, anywhere, least_ns, near, office, row
 
+from beam_model import N_BEAMS, anywhere, least_ns, near, office, row
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters

@@ -15,7 +15,9 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_pit
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.cell_difference import CellDifferenceModel
+from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.histogram_matching import HistogramMatchingModel
+from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan
 
@@ -130,6 +132,14 @@ def beam_transform(model: BeamModel, scans: list[Scan], pose: np.ndarray, rng: n
     return beam_pit(ranges, model.expected(pose, FINDER), FINDER.max_range, model.parameters, rng).ravel()
 
 
+def build_likelihood_field(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> LikelihoodFieldModel:
+    """Return a likelihood field of the floor; `parameters` as keywords of their own replace the defaults."""
+    values = {"z_hit": 0.7, "z_rand": 0.2, "sigma_hit": 0.2}
+    changed = {name: options.pop(name) for name in list(options) if name in values}
+    grid = draw_floor(compose(map_from_moved, np.zeros(3)))
+    return LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(**{**values, **changed}), **options)
+
+
 NO_RETURN = [0.0, 1.2, np.inf, 5.0, 4.9999, 7.0, 0.3, 2.0, 2.5]
 NOTHING = [np.nan] * 9
 MIXED = [np.nan, -np.inf, 0.01, 1.0, 2.0, np.nan, np.inf, 0.5, 1.5]
@@ -155,6 +165,22 @@ CASES = [
         integral=integrate_one_beam,
         transform=beam_transform,
         options_close_by={"z_hit": 0.55, "z_rand": 0.15, "sigma_hit": 0.105, "lambda_short": 0.7},
+    ),
+    Case(
+        name="likelihood field",
+        build=build_likelihood_field,
+        options=(
+            {},
+            {"exponent": 0.3, "n_beams": 4},
+            {"unknown": "uniform", "max_distance": 1.5},
+            {"off_map": "far", "only_boundaries": True},
+            {"z_hit": 1.0, "z_rand": 0.0, "sigma_hit": 0.03},
+            {"interpolation": "bilinear"},
+            {"interpolation": "bilinear", "unknown": "uniform", "off_map": "far"},
+            {"interpolation": "bilinear", "z_hit": 1.0, "z_rand": 0.0, "sigma_hit": 0.03},
+        ),
+        measurements=tuple(Scan(ranges, BLIND_FINDER) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)),
+        poses=POSES,
     ),
     *(
         Case(

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.jit import kernel
+from beamfield.kernels.jit import fast_kernel, kernel
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -25,11 +25,16 @@ Mask = NDArray[np.bool_]
 INV_SQRT_2PI = 0.3989422804014327
 # exp underflows to 0 below this: Table 6.3 in double precision calls such a reading impossible, and so do we.
 SMALLEST_EXPONENT = -745.0
-# Codes count from 0; this one stands for -inf.
+# Codes lie in [0, LARGEST_CODE], so that four of them can be added in 32 bits; this other one stands for -inf.
+LARGEST_CODE = 2**29 - 1
 IMPOSSIBLE = -1
 # Poses that are scored together, beam by beam: what one beam of them reads lies close together if they do, and their
-# coordinates stay in the nearest cache. 128 to 512 are equally fast.
-BLOCK = 256
+# coordinates stay in a near cache. 256 to 1024 are equally fast.
+BLOCK = 512
+# Beams whose codes are added in one go: fewer loads and stores of the sums.
+GROUP = 4
+# Positions are limited to this many cells: far off any table, and far from the limits of single precision.
+FAR_OFF = 1e9
 
 TWO_OVER_PI = 0.6366197723675814
 HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
@@ -44,6 +49,8 @@ class FieldView(NamedTuple):
     sigma_hit: float
     rand: float
     """z_rand / z_max, the constant of line 8 of Table 6.3."""
+    log_rand: float
+    """Its logarithm; -inf for 0."""
     reach: float
     """Distance from which on a hit cannot be told from nothing; inf to compute it everywhere."""
 
@@ -68,7 +75,7 @@ class FrameView(NamedTuple):
 def log_value(distance: float, view: FieldView) -> float:
     """Return log(z_hit prob(dist, sigma_hit) + z_rand / z_max): line 8 of Table 6.3; -inf where that is 0."""
     if distance >= view.reach or view.z_hit == 0.0:
-        return math.log(view.rand) if view.rand > 0.0 else -math.inf
+        return view.log_rand
     u = distance / view.sigma_hit
     exponent = -0.5 * u * u
     peak = view.z_hit * INV_SQRT_2PI / view.sigma_hit
@@ -87,6 +94,17 @@ def log_slope(distance: float, view: FieldView) -> float:
         return -u / view.sigma_hit
     hit = view.z_hit * INV_SQRT_2PI / view.sigma_hit * math.exp(-0.5 * u * u)
     return -u / view.sigma_hit * hit / (hit + view.rand)
+
+
+@kernel
+def fill_end_points(ranges: Floats, mounts: Floats, beams: NDArray[np.int64], cells_per_metre: float, out: Floats
+                    ) -> None:  # fmt: skip
+    """Fill out (2, m) with the end points of the given beams in the robot frame, in cells: (6.32) at pose 0."""
+    for i in range(beams.size):
+        k = beams[i]
+        u = (mounts[k, 0] + ranges[k] * math.cos(mounts[k, 2])) * cells_per_metre
+        v = (mounts[k, 1] + ranges[k] * math.sin(mounts[k, 2])) * cells_per_metre
+        out[0, i], out[1, i] = min(max(u, -FAR_OFF), FAR_OFF), min(max(v, -FAR_OFF), FAR_OFF)
 
 
 # --- nearest cell: tables ---------------------------------------------------------------------------------------------
@@ -120,36 +138,44 @@ def sin_cos(angle: float) -> tuple[float, float]:
     s = r + r * z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * s))))
     c = -2.755731922398589e-07 + z * (2.08767569878681e-09 - z * 1.1470745597729725e-11)
     c = 1.0 + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 + z * c))))
+    # 0, 1/4, 1/2 or 3/4 of a turn. One comparison each: `or` would be a branch, and branches are not vectorised.
     turn = 0.25 * quarters - np.floor(0.25 * quarters)
-    swapped = turn == 0.25 or turn == 0.75
+    swapped = abs(turn - 0.5) == 0.25
     sine, cosine = c if swapped else s, s if swapped else c
-    return -sine if turn >= 0.5 else sine, -cosine if turn == 0.25 or turn == 0.5 else cosine
+    return -sine if turn >= 0.5 else sine, -cosine if abs(turn - 0.375) < 0.25 else cosine
 
 
 @kernel
 def place(poses: Floats, frame: FrameView, x: Singles, y: Singles, c: Singles, s: Singles) -> None:
     """Fill x, y, c, s (n,) with position in the table and direction of poses (n, 3), in single precision."""
-    px, py, heading = poses[:, 0], poses[:, 1], poses[:, 2]
-    largest = 0.0
-    for i in range(poses.shape[0]):
-        dx, dy = px[i] - frame.x, py[i] - frame.y
-        x[i] = np.float32((dx * frame.cos + dy * frame.sin) * frame.cells_per_metre + frame.offset)
-        y[i] = np.float32((dy * frame.cos - dx * frame.sin) * frame.cells_per_metre + frame.offset)
-        sine, cosine = sin_cos(heading[i] - frame.yaw)
+    # Copied first: only loops over arrays without gaps are vectorised.
+    n = x.size
+    px, py, heading = np.empty(n), np.empty(n), np.empty(n)
+    large = 0
+    for i in range(n):
+        px[i], py[i], heading[i] = poses[i, 0] - frame.x, poses[i, 1] - frame.y, poses[i, 2] - frame.yaw
+        large += 1 if abs(heading[i]) >= LARGE_HEADING else 0
+    for i in range(n):
+        u = (px[i] * frame.cos + py[i] * frame.sin) * frame.cells_per_metre + frame.offset
+        v = (py[i] * frame.cos - px[i] * frame.sin) * frame.cells_per_metre + frame.offset
+        # Written so that NaN, from positions beyond all numbers, is far off as well.
+        x[i] = np.float32(u if abs(u) < FAR_OFF else FAR_OFF)
+        y[i] = np.float32(v if abs(v) < FAR_OFF else FAR_OFF)
+    for i in range(n):
+        sine, cosine = sin_cos(heading[i])
         s[i], c[i] = np.float32(sine), np.float32(cosine)
-        largest = max(largest, abs(heading[i] - frame.yaw))
-    if largest >= LARGE_HEADING:
-        for i in range(poses.shape[0]):
-            s[i] = np.float32(math.sin(heading[i] - frame.yaw))
-            c[i] = np.float32(math.cos(heading[i] - frame.yaw))
+    if large > 0:
+        for i in range(n):
+            s[i], c[i] = np.float32(math.sin(heading[i])), np.float32(math.cos(heading[i]))
 
 
-@kernel
+@fast_kernel
 def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: float, across: float, limits: tuple[int, int],
                out: NDArray[np.uint32]) -> None:  # fmt: skip
     """Fill out (n,) with the index of the cell that holds the end point of one beam (6.32), seen from n poses.
 
-    `along` and `across` are the end point in the robot frame, in cells; `limits` the table's rows and columns.
+    `along` and `across` are the end point in the robot frame, in cells, at most FAR_OFF; `limits` the table's rows and
+    columns.
     """
     zero, stride = np.float32(0.0), np.int32(limits[1])
     top, right = np.float32(limits[0] - 1), np.float32(limits[1] - 1)
@@ -172,18 +198,43 @@ def fill_scan_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes,
     """
     x, y = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     c, s = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    cells, total = np.empty(BLOCK, np.uint32), np.empty(BLOCK, np.int64)
-    flat, k = codes.ravel(), ends.shape[1]
+    # Whole pairs are read, the last one even if only half of it is in use.
+    cells, total = np.zeros((GROUP, BLOCK), np.uint32), np.empty(BLOCK, np.int64)
+    pairs = cells.view(np.uint64)
+    flat, limits, k = codes.ravel(), codes.shape, ends.shape[1]
+    grouped = k - k % GROUP
     for start in range(0, poses.shape[0], BLOCK):
         n = min(BLOCK, poses.shape[0] - start)
         place(poses[start : start + n], frame, x[:n], y[:n], c[:n], s[:n])
         total[:] = 0
-        for j in range(k):
-            fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], codes.shape, cells[:n])
+        for j in range(0, grouped, GROUP):
+            for g in range(GROUP):
+                fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j + g], ends[1, j + g], limits, cells[g, :n])
+            m = (n + 1) // 2
+            add_four(flat, pairs[0, :m], pairs[1, :m], pairs[2, :m], pairs[3, :m], total)
+        for j in range(grouped, k):
+            fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], limits, cells[0, :n])
             for i in range(n):
-                total[i] += np.int64(flat[cells[i]])
+                total[i] += np.int64(flat[cells[0, i]])
         for i in range(n):
             out[start + i] = k * low + step * total[i]
+
+
+@kernel
+def add_four(flat: Codes, c0: NDArray[np.uint64], c1: NDArray[np.uint64], c2: NDArray[np.uint64],
+             c3: NDArray[np.uint64], total: NDArray[np.int64]) -> None:  # fmt: skip
+    """Add the codes of four beams to total (2 n,), for (n,) pairs of 32-bit indices.
+
+    The loads of indices and codes are what takes the time: a pair of indices is one load, and four codes, each below
+    2^29, are added before they are widened.
+    """
+    high = np.uint64(32)
+    for i in range(c0.size):
+        a, b, c, d = c0[i], c1[i], c2[i], c3[i]
+        pair = np.int32(flat[np.uint32(a)] + flat[np.uint32(b)])
+        total[2 * i] += np.int64(np.int32(pair + np.int32(flat[np.uint32(c)] + flat[np.uint32(d)])))
+        pair = np.int32(flat[a >> high] + flat[b >> high])
+        total[2 * i + 1] += np.int64(np.int32(pair + np.int32(flat[c >> high] + flat[d >> high])))
 
 
 @kernel

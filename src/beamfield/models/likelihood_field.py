@@ -24,8 +24,6 @@ from beamfield.sensors import RangeFinder, Scan
 HIT_SIGMAS, HIT_SIGMAS_WITHOUT_RAND = 8.0, 38.6
 # From the distance on where a hit's share of a beam's value is this, the share is left out.
 NEGLIGIBLE_HIT = 1e-11
-# Codes of the table are 32-bit integers from 0 on.
-MAX_CODE = 2**31 - 2
 MAX_TABLE_CELLS = 2**32 - 1
 # Tables are kept for so many different ranges of "no return".
 MAX_TABLES = 4
@@ -39,7 +37,7 @@ class BeamProfile(NamedTuple):
     ranges: FloatArray
     """(n,) metres."""
     hit: FloatArray
-    """(n,) p_hit, a density over the range (6.33); all 0 if the axis comes near no obstacle."""
+    """(n,) p_hit, a density over the range (6.33); all 0 if it stays below double precision all along the axis."""
     density: FloatArray
     """(n,) z_hit p_hit + z_rand p_rand (6.34), without the point mass of "no return"."""
 
@@ -103,7 +101,7 @@ class LikelihoodFieldModel:
     makes the scan impossible: -inf.
 
     For "nearest", the logarithm of a beam's value is kept for each cell as a 32-bit integer (`table_bytes`), made at
-    the first scan with a given max_range. Errors against double precision: 2e-9 nats a beam from the codes (2e-7
+    the first scan with a given max_range. Errors against double precision: 1e-8 nats a beam from the codes (7e-7
     without z_rand), 2e-7 d^2 / sigma_hit^2 nats from distances in single precision, and end points are placed within
     5e-7 times the larger of the table's width, its height and the distance to the pose; an end point closer than that
     to the border of its cell may read the neighbour.
@@ -184,9 +182,10 @@ class LikelihoodFieldModel:
             raise InvalidInputError(f"off_map: expected 'continued' or 'far', got {off_map!r}")
         margin = 0.0
         if off_map == "continued":
-            reach = HIT_SIGMAS if parameters.z_rand > 0.0 else HIT_SIGMAS_WITHOUT_RAND
-            # One cell more: the interpolation's neighbour.
-            margin = min(reach * parameters.sigma_hit, max_distance or math.inf) + grid.resolution
+            margin = parameters.sigma_hit * (HIT_SIGMAS if parameters.z_rand > 0.0 else HIT_SIGMAS_WITHOUT_RAND)
+            if max_distance is not None and 0.0 < max_distance < margin:
+                margin = max_distance
+            margin += grid.resolution  # the interpolation's neighbour
         distances = DistanceField.from_grid(
             grid, max_distance=max_distance, only_boundaries=only_boundaries, margin=margin
         )
@@ -316,14 +315,15 @@ class LikelihoodFieldModel:
         if n < 1:
             raise InvalidInputError(f"n: expected at least 1, got {n}")
         spacing = finder.max_range / n
-        ranges: FloatArray = (np.arange(n) + 0.5) * spacing
+        ranges = np.asarray((np.arange(n) + 0.5) * spacing, dtype=np.float64)
         mount = finder.mounts[beam]
         direction = np.array([np.cos(mount[2]), np.sin(mount[2])])
         axis = (mount[:2, None] + direction[:, None] * ranges) / self.distances.grid.resolution
         dist = self._distances(axis, as_poses(pose).reshape(1, 3))[0]
-        hit = np.asarray(np.exp(-0.5 * np.square(dist / self.parameters.sigma_hit)), dtype=np.float64)
+        hit: FloatArray = np.exp(np.square(dist / self.parameters.sigma_hit) * -0.5)
         mass = float(hit.sum()) * spacing
-        hit = hit / mass if mass > 0.0 else np.zeros(n)
+        if mass > 0.0:
+            hit = np.asarray(hit / mass)
         density: FloatArray = self.parameters.z_hit * hit + self.parameters.z_rand / finder.max_range
         return BeamProfile(ranges, hit, density)
 
@@ -333,12 +333,8 @@ class LikelihoodFieldModel:
         beams = np.flatnonzero((scan.ranges >= finder.min_range) & (scan.ranges < finder.max_range))
         if self.n_beams is not None and self.n_beams < len(beams):
             beams = beams[np.round(np.linspace(0, len(beams) - 1, self.n_beams)).astype(np.int64)]
-        mounts, ranges = finder.mounts[beams], scan.ranges[beams]
         ends = np.empty((2, len(beams)))
-        np.multiply(ranges, np.cos(mounts[:, 2]), out=ends[0])
-        np.multiply(ranges, np.sin(mounts[:, 2]), out=ends[1])
-        ends += mounts[:, :2].T
-        ends *= 1.0 / self.distances.grid.resolution
+        kernels.fill_end_points(scan.ranges, finder.mounts, beams, 1.0 / self.distances.grid.resolution, ends)
         return beams, ends
 
     def _distances(self, ends: FloatArray, poses: FloatArray) -> FloatArray:
@@ -395,11 +391,12 @@ class LikelihoodFieldModel:
     def _view(self, max_range: float) -> kernels.FieldView:
         p = self.parameters
         rand = p.z_rand / max_range
-        reach = math.inf
+        log_rand, reach = -math.inf, math.inf
         if rand > 0.0:
+            log_rand = math.log(rand)
             ratio = p.z_hit * kernels.INV_SQRT_2PI / p.sigma_hit / (rand * NEGLIGIBLE_HIT)
             reach = p.sigma_hit * math.sqrt(2.0 * math.log(ratio)) if ratio > 1.0 else 0.0
-        return kernels.FieldView(p.z_hit, p.sigma_hit, rand, reach)
+        return kernels.FieldView(p.z_hit, p.sigma_hit, rand, log_rand, reach)
 
     def _table(self, max_range: float) -> _Table:
         """Return the table for scans with this limit, made at the first call."""
@@ -419,9 +416,9 @@ class LikelihoodFieldModel:
         distance, uniform = self.distances.distance, self._uniform
         peak = kernels.log_value(0.0, view)
         ends = [peak, log_uniform if uniform.size else peak]
-        ends.append(math.log(view.rand) if view.rand > 0.0 else peak + kernels.SMALLEST_EXPONENT)
+        ends.append(view.log_rand if view.rand > 0.0 else peak + kernels.SMALLEST_EXPONENT)
         low, high = min(ends), max(ends)
-        step = (high - low) / MAX_CODE or 1.0
+        step = (high - low) / kernels.LARGEST_CODE or 1.0
         rows, cols = distance.shape
         off = log_uniform if uniform.size else kernels.log_value(self.distances.max_distance, view)
         codes = np.full((rows + 2, cols + 2), kernels.encode(off, low, step), np.int32)

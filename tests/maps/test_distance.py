@@ -1,0 +1,190 @@
+"""Distances to obstacles against two independent computations, and by what must hold for every map."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy import ndimage
+
+from beamfield.errors import InvalidInputError
+from beamfield.maps.distance import DistanceField, distance_to_obstacles
+from beamfield.maps.occupancy import OccupancyGrid
+from tests.reference.field_tables import distance_to_nearest_obstacle
+
+MAPS = arrays.arrays(
+    np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 7).map(lambda n: n == 0)
+)
+
+
+def grid_of(occupied, resolution=0.05, **options):
+    return OccupancyGrid.from_ros(np.where(occupied, 100, 0), resolution, **options)
+
+
+@settings(max_examples=60, deadline=None)
+@given(MAPS, st.integers(0, 3))
+def test_every_cell_has_the_distance_of_the_nearest_obstacle(occupied, margin):
+    distance = distance_to_obstacles(grid_of(occupied), margin_cells=margin)
+    for (row, col), value in np.ndenumerate(distance):
+        expected = distance_to_nearest_obstacle(occupied, 0.05, row - margin, col - margin)
+        assert value == pytest.approx(expected, rel=2**-23)
+
+
+@settings(max_examples=100, deadline=None)
+@given(MAPS)
+def test_neighbours_differ_by_at_most_a_cell(occupied):
+    distance = distance_to_obstacles(grid_of(occupied))
+    if occupied.any():
+        for axis in (0, 1):
+            assert np.abs(np.diff(distance, axis=axis)).max(initial=0.0) <= 0.05 * (1 + 1e-6)
+        assert ((distance == 0.0) == occupied).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(MAPS, st.data())
+def test_another_obstacle_never_makes_anything_further(occupied, data):
+    more = occupied.copy()
+    more[data.draw(st.integers(0, occupied.shape[0] - 1)), data.draw(st.integers(0, occupied.shape[1] - 1))] = True
+    assert (distance_to_obstacles(grid_of(more)) <= distance_to_obstacles(grid_of(occupied))).all()
+
+
+def test_agrees_with_scipy_on_a_large_map(rng):
+    occupied = rng.random((700, 900)) < 0.0005
+    expected = ndimage.distance_transform_edt(~occupied) * 0.05
+    np.testing.assert_allclose(distance_to_obstacles(grid_of(occupied)), expected, rtol=2**-23)
+    in_cells = distance_to_obstacles(grid_of(occupied, 1.0))
+    assert (in_cells == ndimage.distance_transform_edt(~occupied).astype(np.float32)).all()
+
+
+def test_distances_of_ten_thousand_cells_keep_single_precision():
+    occupied = np.zeros((3, 12_000), np.bool_)
+    occupied[0, 0] = True
+    expected = np.hypot(*np.mgrid[:3, :12_000])
+    np.testing.assert_allclose(distance_to_obstacles(grid_of(occupied, 1.0)), expected, rtol=2**-22)
+
+
+def test_obstacles_on_the_border_and_in_the_corners_count():
+    occupied = np.zeros((5, 7), np.bool_)
+    occupied[0, 0] = occupied[4, 6] = True
+    distance = distance_to_obstacles(grid_of(occupied, 1.0))
+    assert distance[0, 0] == distance[4, 6] == 0.0
+    assert distance[2, 3] == np.float32(math.sqrt(13))
+
+
+def test_unknown_cells_are_no_obstacles():
+    grid = OccupancyGrid.from_ros([[100, -1, -1, 0]], 1.0)
+    assert distance_to_obstacles(grid).tolist() == [[0.0, 1.0, 2.0, 3.0]]
+
+
+@pytest.mark.parametrize("value", [0, -1])
+def test_without_obstacles_everything_is_infinitely_far(value):
+    grid = OccupancyGrid.from_ros(np.full((4, 6), value), 0.1)
+    assert (distance_to_obstacles(grid) == np.inf).all()
+    assert (distance_to_obstacles(grid, max_distance=2.5) == 2.5).all()
+    assert distance_to_obstacles(grid, margin_cells=2).shape == (8, 10)
+
+
+def test_distances_are_cut_off_at_the_longest():
+    distance = distance_to_obstacles(OccupancyGrid.from_ros([[100, 0, 0, 0]], 1.0), max_distance=1.5)
+    assert distance.tolist() == [[0.0, 1.0, 1.5, 1.5]]
+
+
+def test_only_the_surface_of_a_thick_wall_counts_if_asked_for():
+    occupied = np.zeros((7, 9), np.bool_)
+    occupied[1:6, 2:7] = True
+    distance = distance_to_obstacles(grid_of(occupied, 1.0), only_boundaries=True)
+    assert distance[3].tolist() == [2.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0, 1.0, 2.0]
+    assert (distance_to_obstacles(grid_of(occupied, 1.0))[1:6, 2:7] == 0.0).all()
+
+
+def test_a_thick_wall_at_the_edge_of_the_map_has_its_surface_inside():
+    occupied = np.zeros((3, 6), np.bool_)
+    occupied[:, :3] = True
+    distance = distance_to_obstacles(grid_of(occupied, 1.0), only_boundaries=True)
+    assert distance.tolist() == [[2.0, 1.0, 0.0, 1.0, 2.0, 3.0]] * 3
+
+
+def test_a_map_that_is_all_wall_has_no_surface():
+    assert (distance_to_obstacles(grid_of(np.ones((4, 4))), only_boundaries=True) == np.inf).all()
+
+
+def test_thin_walls_are_all_surface(rng):
+    occupied = rng.random((30, 30)) < 0.1
+    thin = occupied & ~ndimage.binary_erosion(occupied, border_value=1)
+    assert (thin == occupied).all()
+    grid = grid_of(occupied)
+    assert (distance_to_obstacles(grid, only_boundaries=True) == distance_to_obstacles(grid)).all()
+
+
+def test_the_map_is_left_alone(rng):
+    occupied = rng.random((10, 10)) < 0.2
+    grid = grid_of(occupied)
+    distance_to_obstacles(grid, max_distance=0.2, only_boundaries=True)
+    assert (grid.occupied == occupied).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_distance": 0.0}, "max_distance: expected a positive, finite number of metres or None, got 0.0"),
+        ({"max_distance": math.nan}, "max_distance: .* got nan"),
+        ({"max_distance": math.inf}, "max_distance: .* got inf"),
+        ({"margin_cells": -1}, "margin_cells: expected a number >= 0, got -1"),
+        ({"margin_cells": 40_000}, r"grid: expected at most 65535 cells a side with margin, got \(80001, 80001\)"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, message):
+    with pytest.raises(InvalidInputError, match=message):
+        distance_to_obstacles(grid_of(np.ones((1, 1))), **options)
+
+
+def test_a_field_extends_past_the_map_by_whole_cells():
+    field = DistanceField.from_grid(grid_of(np.ones((1, 1)), 0.5), margin=0.7)
+    assert field.margin_cells == 2
+    assert field.distance[2].tolist() == [1.0, 0.5, 0.0, 0.5, 1.0]
+    assert field.max_distance == math.inf
+    with pytest.raises(ValueError, match="read-only"):
+        field.distance[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.zeros((2, 3)),), r"distance: expected shape \(2, 2\) for the map and a margin of 0 cells, got \(2, 3\)"),
+        ((np.zeros((2, 2)), -1), "distance: expected shape .* margin of -1 cells"),
+        ((np.full((2, 2), -0.1),), "distance: expected metres >= 0, got -0.1"),
+        ((np.full((2, 2), np.nan),), "distance: expected metres >= 0, got nan"),
+        ((np.zeros((2, 2)), 0, 0.0), "max_distance: expected a positive number of metres, got 0.0"),
+    ],
+)
+def test_a_field_that_does_not_fit_its_map_is_refused(arguments, message):
+    with pytest.raises(InvalidInputError, match=message):
+        DistanceField(grid_of(np.ones((2, 2))), *arguments)
+
+
+def test_a_margin_that_is_no_length_is_refused():
+    with pytest.raises(InvalidInputError, match="margin: expected a finite number of metres >= 0, got inf"):
+        DistanceField.from_grid(grid_of(np.ones((2, 2))), margin=math.inf)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", ["tiny", "building"])
+def test_other_programs_agree(oracle, name):
+    if name == "tiny":
+        chart = json.loads((oracle / "tiny" / "inputs.json").read_text())["map"]
+        data, resolution = np.asarray(chart["data"]), chart["resolution"]
+        book = np.asarray(json.loads((oracle / "tiny" / "book.json").read_text())["edt_row_major"])
+    else:
+        inputs, book = (
+            np.load(oracle / "building" / "inputs.npz"),
+            np.load(oracle / "building" / "book.npz")["edt_row_major"],
+        )
+        data, resolution = inputs["map.data"], float(inputs["map.resolution"])
+    longest = float(book.max())
+    distance = distance_to_obstacles(OccupancyGrid.from_ros(data, resolution), max_distance=longest)
+    np.testing.assert_allclose(distance.ravel(), book, rtol=1e-6, atol=0)

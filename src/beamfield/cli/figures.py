@@ -1,0 +1,91 @@
+"""``beamfield figures``: the chapter's figures, from simulated data or from a log and a map of one's own."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.cli.progress import StageProgress
+from beamfield.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from beamfield.figures.world import FigureWorld
+
+DESCRIPTION = """
+Draw the figures of the chapter on measurement models (6.3 to 6.12) from a simulated office, or from your own log and
+map, and write them with their captions (gallery.md) into a folder, all of them or none.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the command."""
+    parser = subparsers.add_parser("figures", help="draw the chapter's figures", description=DESCRIPTION)
+    parser.add_argument(
+        "log", type=Path, nargs="?", metavar="LOG",
+        help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap (default: simulate one)",
+    )  # fmt: skip
+    parser.add_argument("--map", type=Path, metavar="MAP", help="the log's map: map_server .yaml, Wean .dat, or a bag")
+    parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
+    parser.add_argument("--scan", type=int, metavar="I", help="index of the scan to show (default: chosen)")
+    parser.add_argument("--only", nargs="+", metavar="N", help="draw only these figures, for example 6.7 6.10")
+    parser.add_argument("--list", action="store_true", help="say which figures there are")
+    parser.add_argument("--out", type=Path, default=Path("beamfield_figures"), metavar="DIR", help="output folder")
+    parser.add_argument("--format", choices=("svg", "png", "pdf"), default="svg", help="of the pictures (default: svg)")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated office (default: 1)")
+    add_log_options(parser)
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read or simulate, draw, write, print the captions."""
+    # The numerical libraries load here, so that --help answers at once.
+    from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
+    from beamfield.io.atomic import atomic_folder
+
+    figures = chosen_figures(arguments.only)
+    if arguments.list:
+        print("\n".join(f"{figure.number:<5} {figure.title}" for figure in figures))
+        return 0
+    _check(arguments)
+    with StageProgress(quiet=arguments.quiet) as progress, atomic_folder(arguments.out) as folder:
+        world = _world(arguments, progress)
+        for done, figure in enumerate(figures):
+            progress("drawing", done, len(figures))
+            save_figure(figure.draw(world), folder / f"{figure.stem}.{arguments.format}")
+        page = gallery_page(figures, world.name, suffix=arguments.format)
+        (folder / "gallery.md").write_text(page, encoding="utf-8")
+    for figure in figures:
+        print(f"Figure {figure.number}: {figure.title}. {figure.caption}")
+    print(f"\nwrote {len(figures)} figures and gallery.md into {arguments.out}, drawn from: {world.name}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if (arguments.log is None) != (arguments.map is None):
+        raise InvalidInputError("LOG and --map: expected both, or neither for simulated data")
+    if arguments.log is None and (arguments.poses is not None or arguments.scan is not None):
+        raise InvalidInputError("--poses and --scan: go with a LOG of your own")
+    if arguments.seed < 0:
+        raise InvalidInputError(f"--seed: expected a number >= 0, got {arguments.seed}")
+
+
+def _world(arguments: argparse.Namespace, progress: StageProgress) -> FigureWorld:
+    from beamfield.figures.world import simulated_world, world_of_log
+    from beamfield.io.read_log import read_log
+    from beamfield.io.read_map import read_map
+    from beamfield.io.trajectory import attach_poses, read_trajectory
+
+    if arguments.log is None:
+        progress("simulating", 0, 1)
+        return simulated_world(arguments.seed)
+    progress("reading", 0, 1)
+    grid = read_map(arguments.map)
+    log = read_log(arguments.log, **log_options(arguments))
+    if arguments.poses is not None:
+        log = attach_poses(log, read_trajectory(arguments.poses))
+    # The first sensor that is asked for is shown, the others are drawn beside it.
+    shown = arguments.sensor[0] if arguments.sensor else None
+    return world_of_log(log, grid, sensor=shown, index=arguments.scan)

@@ -1,0 +1,68 @@
+"""Figures 6.3 to 6.6: the beam model's densities, and readings with the densities learned from them."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.figures.world import FigureWorld
+from beamfield.report.density_figures import draw_histogram, draw_readings
+from beamfield.report.drawing import NARROW, WIDE, new_figure
+from beamfield.report.mixture_figure import draw_components, draw_mixture
+from beamfield.report.range_bins import RangeBin, telling_bin, typical_bins
+
+LETTERS = "abcdefgh"
+
+
+def components_figure(world: FigureWorld) -> Figure:
+    """Draw Figure 6.3: the four densities of the first sensor, at a typical expected range."""
+    calibration = _first(world)
+    figure = new_figure(7.2, 5.0)
+    draw_components(figure, _group(calibration).centre, calibration.parameters, calibration.table.max_range)
+    return figure
+
+
+def mixture_figure(world: FigureWorld) -> Figure:
+    """Draw Figure 6.4: their mixture."""
+    calibration = _first(world)
+    figure = new_figure(7.2, 4.2)
+    draw_mixture(figure, _group(calibration).centre, calibration.parameters, calibration.table.max_range)
+    return figure
+
+
+def readings_figure(world: FigureWorld) -> Figure:
+    """Draw Figure 6.5: readings one after the other for one expected range, for each sensor."""
+    figure = new_figure(WIDE, 3.2 * len(world.calibrations))
+    parts = figure.subfigures(len(world.calibrations), 1, squeeze=False)[:, 0]
+    for letter, part, (name, calibration) in zip(LETTERS, parts, world.calibrations.items(), strict=False):
+        part.suptitle(f"({letter}) {name}", fontsize=11, fontweight="bold", x=0.01, ha="left")
+        draw_readings(part.add_subplot(), calibration, _group(calibration))
+    return figure
+
+
+def histograms_figure(world: FigureWorld) -> Figure:
+    """Draw Figure 6.6: readings and learned densities for a near and a far expected range, for each sensor."""
+    figure = new_figure(2 * NARROW, 4.6 * len(world.calibrations))
+    rows = figure.subfigures(len(world.calibrations), 1, squeeze=False)[:, 0]
+    for letter, row, (name, calibration) in zip(LETTERS, rows, world.calibrations.items(), strict=False):
+        row.suptitle(f"({letter}) {name}", fontsize=11, fontweight="bold", x=0.01, ha="left")
+        near_and_far = _near_and_far(calibration)
+        for part, group in zip(row.subfigures(1, 2), near_and_far, strict=False):
+            draw_histogram(part, calibration, group)
+    return figure
+
+
+def _first(world: FigureWorld) -> Calibration:
+    return next(iter(world.calibrations.values()))
+
+
+def _group(calibration: Calibration) -> RangeBin:
+    return telling_bin(typical_bins(calibration.table))
+
+
+def _near_and_far(calibration: Calibration) -> list[RangeBin]:
+    """Return a near and a far group; the same one only if there are no two."""
+    bins = typical_bins(calibration.table)
+    far = telling_bin(bins)
+    nearer = [group for group in bins if group.centre < far.centre]
+    return [nearer[0], far] if nearer else [far]

@@ -1,0 +1,141 @@
+"""What several figures share: maps in a frame, arrays over a map, a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap
+from matplotlib.image import AxesImage
+from matplotlib.transforms import Affine2D
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import FloatArray, transform_points
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.plot import MAP_COLOURS, end_points
+from beamfield.report.drawing import GRID
+from beamfield.sensors import Scan
+
+# Share of a scan's end points that may lie outside a picture at each side.
+STRAY = 0.04
+
+Limits = tuple[float, float, float, float]
+
+
+def framed_map(grid: OccupancyGrid, ax: Axes, *, colours: Sequence[str] = MAP_COLOURS) -> None:
+    """Draw a map in metres and show the part of it that is known.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    ax
+        Where to draw.
+    colours
+        Of free, unknown and occupied cells.
+    """
+    shade = np.where(grid.occupied, 2, np.where(grid.free, 0, 1)).astype(np.uint8)
+    image = draw_array(shade, grid.resolution, grid.origin, ax, cmap=ListedColormap(list(colours)), vmin=0, vmax=2)
+    image.set_zorder(0)
+    x_low, x_high, y_low, y_high = known_limits(grid)
+    ax.set_xlim(x_low, x_high)
+    ax.set_ylim(y_low, y_high)
+    ax.set_aspect("equal", adjustable="box")
+
+
+def draw_array(values: Any, resolution: float, origin: FloatArray, ax: Axes, **options: Any) -> AxesImage:
+    """Draw an array of cells at its place in the map frame.
+
+    Parameters
+    ----------
+    values
+        (rows, cols), row 0 lowest; masked cells are left out.
+    resolution
+        Side of a cell, metres.
+    origin
+        (3,) pose of the lower-left corner.
+    ax
+        Where to draw.
+    **options
+        For `imshow`.
+    """
+    rows, cols = values.shape
+    x, y, yaw = (float(v) for v in origin)
+    in_map = Affine2D().rotate(yaw).translate(x, y) + ax.transData
+    options = {"interpolation": "nearest", "zorder": 1, **options}
+    extent = (0.0, cols * resolution, 0.0, rows * resolution)
+    return ax.imshow(values, origin="lower", extent=extent, transform=in_map, **options)
+
+
+def known_limits(grid: OccupancyGrid, margin: float = 0.5) -> Limits:
+    """Return (x low, x high, y low, y high) of the cells that are known, in the map frame; of all if none is."""
+    rows, cols = np.nonzero(~grid.unknown)
+    if not len(rows):
+        rows, cols = np.array([0, grid.shape[0] - 1]), np.array([0, grid.shape[1] - 1])
+    c0, c1, r0, r1 = cols.min(), cols.max() + 1, rows.min(), rows.max() + 1
+    corners = grid.to_map([[c0, r0], [c1, r0], [c1, r1], [c0, r1]])
+    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def scan_limits(scan: Scan, pose: ArrayLike, margin: float) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (low, high) of what a scan sees from a pose, a few stray end points left out.
+
+    Parameters
+    ----------
+    scan
+        The scan.
+    pose
+        (3,) metres and radians.
+    margin
+        Added on each side, metres.
+    """
+    place = np.asarray(pose, dtype=np.float64)
+    points = end_points(scan.ranges, scan.finder, place)
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = np.quantile(points, (STRAY, 1.0 - STRAY), axis=0) if len(points) else (place[:2], place[:2])
+    return np.minimum(low, place[:2]) - margin, np.maximum(high, place[:2]) + margin
+
+
+def mark_robot(pose: ArrayLike, ax: Axes, *, size: float, color: str, label: str) -> None:
+    """Draw a robot as a triangle that points along its heading.
+
+    Parameters
+    ----------
+    pose
+        (3,) metres and radians.
+    ax
+        Where to draw.
+    size
+        From its centre to its tip, metres.
+    color, label
+        Of the triangle, and its name in a legend.
+    """
+    from matplotlib.patches import Polygon
+
+    outline = size * np.array([[1.0, 0.0], [-0.7, 0.65], [-0.4, 0.0], [-0.7, -0.65]])
+    corners = transform_points(np.asarray(pose, dtype=np.float64), outline)
+    ax.add_patch(Polygon(corners, closed=True, facecolor=color, edgecolor="white", linewidth=0.8, zorder=7))
+    ax.plot([], [], marker=(3, 0, -90), color=color, linestyle="none", markersize=8, label=label)
+
+
+def colour_bar(image: ScalarMappable, ax: Axes, label: str) -> None:
+    """Add a colour bar beside axes.
+
+    Parameters
+    ----------
+    image
+        What the colours belong to.
+    ax
+        The axes.
+    label
+        With the unit.
+    """
+    # As an inset it is as high as the axes, whatever their aspect.
+    bar = ax.figure.colorbar(image, cax=ax.inset_axes((1.015, 0.0, 0.022, 1.0)))
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=9)
+    bar.outline.set_edgecolor(GRID)

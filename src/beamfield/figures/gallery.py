@@ -1,0 +1,211 @@
+"""The gallery: which figures of the chapter there are, their captions, and writing them to files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from beamfield.errors import InvalidInputError
+from beamfield.figures import beam_model_figures, field_figures, scan_figures
+from beamfield.figures.world import FigureWorld
+
+# Dots per inch of the parts of an SVG or PDF that are pictures, and of PNG.
+DPI = 130
+FORMATS = ("svg", "png", "pdf")
+
+
+@dataclass(frozen=True)
+class ChapterFigure:
+    """One figure of the chapter.
+
+    Parameters
+    ----------
+    number
+        As in the chapter: "6.7".
+    title
+        What it shows.
+    caption
+        What to see in it.
+    section
+        Where it belongs.
+    draw
+        Draws it from a world.
+    """
+
+    number: str
+    title: str
+    caption: str
+    section: str
+    draw: Callable[[FigureWorld], Figure]
+
+    @property
+    def stem(self) -> str:
+        """File name without its suffix."""
+        return f"figure_{self.number.replace('.', '_')}"
+
+
+_ALL = (
+    ChapterFigure(
+        "6.3",
+        "Components of the range finder sensor model",
+        "Each cause of a reading alone, for one expected range z* (dashed): (a) a hit with noise, (b) an "
+        "unexpected object before it, (c) no return, which is a probability and no density, (d) an unexplained "
+        "reading.",
+        "6.3.1",
+        beam_model_figures.components_figure,
+    ),
+    ChapterFigure(
+        "6.4",
+        "A typical mixture distribution p(z | x, m)",
+        "The densities of Figure 6.3 times their weights, and in grey their sum, on a logarithmic scale. The "
+        "probability of no return has an axis of its own.",
+        "6.3.1",
+        beam_model_figures.mixture_figure,
+    ),
+    ChapterFigure(
+        "6.5",
+        "Readings for one expected range",
+        "Every reading whose expected range lies near one value (dashed), in the order of the log, coloured by "
+        "its most likely cause. A sonar has much more noise, and far more readings without return, than a laser.",
+        "6.3.2",
+        beam_model_figures.readings_figure,
+    ),
+    ChapterFigure(
+        "6.6",
+        "Learned beam models and the data",
+        "Histograms of readings for a near and a far expected range, and the density that was learned from all "
+        "data. Above the hits on a linear scale, below all ranges on a logarithmic one.",
+        "6.3.2",
+        beam_model_figures.histograms_figure,
+    ),
+    ChapterFigure(
+        "6.7",
+        "A scan, and its likelihood over the map",
+        "(a) A range scan at its reference pose in the map. (b) The likelihood of this scan at every free place, "
+        "with the heading that suits it best: the darker, the more likely. The scan alone leaves several places "
+        "possible.",
+        "6.3.2",
+        scan_figures.likelihood_over_map_figure,
+    ),
+    ChapterFigure(
+        "6.8",
+        "Obstacles and their likelihood field",
+        "(a) A robot, obstacles (grey) and the axis of one beam (dashed). (b) The likelihood field: the darker a "
+        "place, the less likely is an end point there. Obstacles are outlined.",
+        "6.4.1",
+        field_figures.obstacles_figure,
+    ),
+    ChapterFigure(
+        "6.9",
+        "What one beam sees of a likelihood field",
+        "(a) The field along the beam of Figure 6.8, normalised: p_hit has a peak where the beam passes an "
+        "obstacle's nearest point. It does not know that the first obstacle would hide the others. (b) With the "
+        "two uniform parts of (6.34); no return is a probability at z_max.",
+        "6.4.1",
+        field_figures.beam_profile_figure,
+    ),
+    ChapterFigure(
+        "6.10",
+        "A map and its likelihood field",
+        "(a) An occupancy grid map. (b) The likelihood of an end point: bright near obstacles, dark in free "
+        "space, constant where nothing is known.",
+        "6.4.2",
+        field_figures.map_field_figure,
+    ),
+    ChapterFigure(
+        "6.11",
+        "A scan and its own likelihood field",
+        "(a) The end points of one scan. (b) The field it makes for other scans: the darker, the less likely is "
+        "an end point there. Space that beams passed is dark; what is hidden behind surfaces is white and costs "
+        "nothing.",
+        "6.4.2",
+        scan_figures.scan_field_figure,
+    ),
+    ChapterFigure(
+        "6.12",
+        "A local map for map matching",
+        f"(a) A local map from {scan_figures.LOCAL_SCANS} scans with the last of them: free white, occupied dark, "
+        "unknown grey. (b) Its correlation with the global map, moved around the reference pose without turning.",
+        "6.5",
+        scan_figures.local_map_figure,
+    ),
+)
+
+FIGURES: Mapping[str, ChapterFigure] = {figure.number: figure for figure in _ALL}
+"""Every figure that can be drawn, by number, in the chapter's order."""
+
+
+def chosen_figures(numbers: Sequence[str] | None = None) -> list[ChapterFigure]:
+    """Return the figures of these numbers in the chapter's order; all if None.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is not known; says which are.
+    """
+    if numbers is None:
+        return list(FIGURES.values())
+    unknown = [number for number in numbers if number not in FIGURES]
+    if unknown:
+        raise InvalidInputError(f"figure: expected one of {', '.join(FIGURES)}, got {unknown[0]!r}")
+    return [figure for number, figure in FIGURES.items() if number in numbers]
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure to a file, the same bytes on every run.
+
+    Parameters
+    ----------
+    figure
+        The figure.
+    path
+        Ends in .svg, .png or .pdf.
+
+    Raises
+    ------
+    InvalidInputError
+        If the ending is another.
+    """
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in FORMATS:
+        raise InvalidInputError(f"picture: expected a name ending in .svg, .png or .pdf, got {path.name!r}")
+    without_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
+    # Ids in an SVG are random without a salt.
+    with matplotlib.rc_context({"svg.hashsalt": "beamfield"}):
+        figure.savefig(path, dpi=DPI, format=kind, metadata=without_date, facecolor="white")
+
+
+def gallery_page(figures: Sequence[ChapterFigure], world_name: str, folder: str = ".", suffix: str = "svg") -> str:
+    """Return the gallery as Markdown.
+
+    Parameters
+    ----------
+    figures
+        What to show.
+    world_name
+        What the figures are drawn from.
+    folder
+        Where the pictures are, seen from the page.
+    suffix
+        Of the pictures.
+    """
+    lines = [
+        "# Figures of the chapter",
+        "",
+        f"Drawn from: {world_name}.",
+        "",
+    ]
+    for figure in figures:
+        lines += [
+            f"## Figure {figure.number}: {figure.title}",
+            "",
+            f"![Figure {figure.number}: {figure.title}]({folder}/{figure.stem}.{suffix})",
+            "",
+            f"{figure.caption} (section {figure.section})",
+            "",
+        ]
+    return "\n".join(lines)

@@ -13,6 +13,7 @@ from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.smoothing import smooth_map
 from beamfield.models.local_map_cells import (
+    LocalCells,
     LocalMap,
     OverlapSums,
     check_min_overlap,
@@ -128,16 +129,7 @@ class MapMatchingModel:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
-        robots = as_poses(poses)
-        cells = local_cells(z, self.grid.resolution, self.inverse_model)
-        sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3), self.threads)
-        overlap = sums.n / max(len(cells.x), 1)
-        rho, varies = correlation_of_sums(sums)
-        determined = varies & (overlap >= self.min_overlap)
-        shape = robots.shape[:-1]
-        return MapMatch(
-            np.where(determined, rho, 0.0).reshape(shape), overlap.reshape(shape), determined.reshape(shape)
-        )
+        return self._match(self._cells(z), as_poses(poses))
 
     def correlation(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
         """Return rho of (6.35) in [-1, 1] at poses (..., 3), 0 where it is not determined; see `match`."""
@@ -151,11 +143,24 @@ class MapMatchingModel:
         Nats, at most 0; -inf where the correlation is not positive or not determined; 0 everywhere for a measurement
         without any defined cell, because it says nothing.
         """
-        found = self.match(z, poses)
-        if not local_cells(z, self.grid.resolution, self.inverse_model).x.size:
-            return np.zeros(found.correlation.shape)
+        robots, cells = as_poses(poses), self._cells(z)
+        if len(cells.x) == 0:
+            return np.zeros(robots.shape[:-1])
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(np.maximum(found.correlation, 0.0)))
+            return np.asarray(np.log(np.maximum(self._match(cells, robots).correlation, 0.0)))
+
+    def _cells(self, z: LocalMap) -> LocalCells:
+        return local_cells(z, self.grid.resolution, self.inverse_model)
+
+    def _match(self, cells: LocalCells, robots: FloatArray) -> MapMatch:
+        sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3), self.threads)
+        overlap = sums.n / max(len(cells.x), 1)
+        rho, varies = correlation_of_sums(sums)
+        determined = varies & (overlap >= self.min_overlap)
+        shape = robots.shape[:-1]
+        return MapMatch(
+            np.where(determined, rho, 0.0).reshape(shape), overlap.reshape(shape), determined.reshape(shape)
+        )
 
 
 def correlation_of_sums(sums: OverlapSums) -> tuple[FloatArray, NDArray[np.bool_]]:

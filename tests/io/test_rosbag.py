@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 import pytest
-from tests.io.mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
 
 from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.rosbag import read_bag, read_bag_map
+from tests.io.mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
 
 
 def drive(bag: MiniBag, seconds: float = 3.0) -> MiniBag:

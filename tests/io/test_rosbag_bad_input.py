@@ -8,10 +8,10 @@ import struct
 
 import numpy as np
 import pytest
-from tests.io.mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 from beamfield.io.rosbag import read_bag, read_bag_map
+from tests.io.mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
 
 
 def refuse(path, pattern, error=FormatError, read=read_bag, **options):

@@ -5,7 +5,6 @@ Run: python benchmarks/distance.py
 
 from __future__ import annotations
 
-import resource
 import time
 from collections.abc import Callable
 from typing import Any
@@ -47,7 +46,6 @@ def row(what: str, occupied: np.ndarray) -> dict[str, Any]:
         "rows x columns": f"{occupied.shape[0]} x {occupied.shape[1]}",
         "seconds": round(seconds, 3),
         "seconds, SciPy": round(seconds_scipy, 3),
-        "largest memory so far, GB": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 2),
     }
 
 

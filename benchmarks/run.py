@@ -9,7 +9,7 @@ import sys
 import numba
 import numpy
 
-BENCHMARKS = ("raycast", "beam_model", "distance", "likelihood_field", "learning", "map_matching")
+BENCHMARKS = ("raycast", "beam_model", "distance", "likelihood_field", "learning", "map_matching", "alignment")
 
 
 def main(names: list[str]) -> None:

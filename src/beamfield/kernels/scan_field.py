@@ -23,9 +23,11 @@ Integers = NDArray[np.int64]
 
 INV_SQRT_2PI = 0.3989422804014327
 
-# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, and 1 for a line
-# or 0 for a point, whose distance holds in all directions.
-X, Y, NX, NY, BACK, AHEAD, IS_LINE, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
+# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, and how it pulls.
+X, Y, NX, NY, BACK, AHEAD, PULL, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
+# A line pulls across, a point from all sides. A lone end point of a surface seen sparsely (the far end of a corridor)
+# does not pull at all: the next scan meets that surface elsewhere, and a pull would claim to know where along it.
+LINE, POINT, NONE = 1.0, 0.0, -1.0
 
 # End points of neighbouring beams lie on one surface if their gap is at most this long ...
 LONGEST_GAP = 1.0
@@ -101,18 +103,24 @@ def find_surfaces(
 
 @kernel
 def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], out: Floats) -> int:
-    """Fill out (>= 6 k, 7) with the elements of the end points (k, 2) of one origin; return how many there are."""
+    """Fill out (>= 4 k, 7) with the elements of the end points (k, 2) of one origin; return how many there are."""
     k = ranges.size
     n, kept = 0, -1
-    for i in range(k):
-        if kept >= 0 and not joined[i - 1]:
+    # Begin with the begin of a surface, so that turning the sensor changes no element.
+    first = 0
+    while first < k - 1 and joined[first - 1]:
+        first += 1
+    for m in range(k):
+        i = (first + m) % k
+        if not joined[i - 1]:
             kept = -1
         if not ranges[i] >= 0.0:
             continue
         if kept >= 0 and joined[i] and _gap(points, i, kept) < SHORTEST_ELEMENT:
             # The line through the neighbour's surroundings is the same: let it reach further.
             dx, dy = points[i, 0] - out[n - 1, X], points[i, 1] - out[n - 1, Y]
-            out[n - 1, AHEAD] = max(dy * out[n - 1, NX] - dx * out[n - 1, NY], out[n - 1, AHEAD])
+            along = dy * out[n - 1, NX] - dx * out[n - 1, NY]
+            out[n - 1, AHEAD] = along + min(0.5 * _gap(points, i, (i + 1) % k), 0.5 * ELEMENT)
             continue
         h, j = (i - 1) % k, (i + 1) % k
         gap_ahead = _gap(points, i, j) if joined[i] else 0.0
@@ -131,7 +139,10 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], out:
         # At the end of a surface the true end lies somewhere before the next beam.
         out[n, AHEAD] = (reach_ahead if joined[i] else reach_behind) if flat else 0.0
         out[n, BACK] = (reach_behind if gap_behind > 0.0 else reach_ahead) if flat else 0.0
-        out[n, IS_LINE] = 1.0 if flat else 0.0
+        dense = (joined[i] or joined[h]) and max(gap_ahead, gap_behind) <= FIT_RADIUS
+        # Of what stands free, a chair's leg, both neighbouring beams see more than it.
+        stands_free = not (ranges[h] <= ranges[i] or ranges[j] <= ranges[i])
+        out[n, PULL] = LINE if flat else POINT if dense or stands_free else NONE
         n += 1
         kept = i if flat else -1
         if gap_ahead > ELEMENT:
@@ -189,7 +200,7 @@ def _fill_gap(points: Floats, i: int, j: int, gap: float, n: int, out: Floats) -
         out[n, Y] = points[i, 1] + dy * m / pieces
         out[n, NX], out[n, NY] = dy / gap, -dx / gap
         out[n, AHEAD] = out[n, BACK] = 0.5 * gap / pieces
-        out[n, IS_LINE] = 1.0
+        out[n, PULL] = LINE
         n += 1
     return n
 
@@ -348,7 +359,7 @@ def linearise(points: Floats, pose: Floats, stride: int, sigma: float, reach: fl
         p, share = point_density(square, free, sigma, view)
         score += math.log(p / view.unseen_density)
         seen += max(share, free)
-        if i < 0:
+        if i < 0 or view.elements[i, PULL] == NONE:
             continue
         weight += share
         nx, ny = view.elements[i, NX], view.elements[i, NY]
@@ -356,7 +367,7 @@ def linearise(points: Floats, pose: Floats, stride: int, sigma: float, reach: fl
         across = dx * nx + dy * ny
         squares += share * across * across
         _add(nx, ny, across, share, rx, ry, gradient, information)
-        if view.elements[i, IS_LINE] == 0.0:
+        if view.elements[i, PULL] == POINT:
             along = dy * nx - dx * ny
             squares += share * along * along
             _add(-ny, nx, along, share, rx, ry, gradient, information)

@@ -19,10 +19,10 @@ from beamfield.sensors import Scan
 
 Problem = Literal["", "no end points", "no overlap", "undetermined", "not converged"]
 
-# Coarse to fine, in units of the field's sigma: the widest catches errors of 0.3 m and 15 degrees with sigma 0.05 m.
-COARSE_SIGMAS = (8.0, 3.0)
+# Coarse to fine, in units of the field's sigma: the widest catches errors of 0.3 m and 15 degrees with sigma 0.03 m.
+COARSE_SIGMAS = (12.0, 4.0)
 # At the coarse levels this many end points are enough.
-COARSE_POINTS = 90
+COARSE_POINTS = 60
 # The ascent of a level ends with steps shorter than this, in sigma.
 COARSE_TOLERANCE, FINE_TOLERANCE = 0.06, 0.002
 COARSE_STEPS = 10
@@ -30,11 +30,14 @@ COARSE_STEPS = 10
 REACH_SIGMAS = 4.0
 # Starts of a search lie this close: within what the widest level catches. The best few are followed further.
 START_SPACING, START_TURN, FOLLOWED_STARTS = 0.4, math.radians(12.0), 4
+DEFAULT_SEARCH = (0.0, START_TURN)
 MAX_STARTS = 20_000
+# Another start replaces the initial pose only if its score is better by this share: in a round room all are as good.
+BETTER = 0.02
 # Fewer end points on surfaces than this say nothing.
 FEWEST_MATCHES = 3.0
 # A scan is worth one independent beam per this angle: see `align`. Chosen on FR079, checked on Intel.
-INDEPENDENT_ANGLE = math.radians(30.0)
+INDEPENDENT_ANGLE = math.radians(45.0)
 # What no number of beams averages away: the scan was taken on the move, its plane tilts, surfaces are not lines.
 FLOOR_DISTANCE, FLOOR_ANGLE = 0.01, 0.003
 SMALLEST_SPREAD = 0.01
@@ -96,7 +99,7 @@ def align(
     initial: ArrayLike,
     *,
     onto_poses: ArrayLike | None = None,
-    search: tuple[float, float] = (0.0, 0.0),
+    search: tuple[float, float] = DEFAULT_SEARCH,
     threshold: float = 0.02,
     max_steps: int = 30,
 ) -> AlignmentResult:
@@ -105,7 +108,7 @@ def align(
     Maximises the sum over the scan's end points of the field's logarithm. Each step is a damped Gauss-Newton step on
     the distances between end points and the nearest surfaces, every end point weighted by the probability that it is a
     hit at all, so that outliers and occluded end points do not pull; a step is kept only if the score does not fall.
-    Three levels go from 8 sigma over 3 sigma to the field's own sigma.
+    Three levels go from 12 sigma over 4 sigma to the field's own sigma.
 
     Parameters
     ----------
@@ -119,8 +122,9 @@ def align(
     onto_poses
         Poses of `onto` in the field's frame, (n, 3) for several scans and (3,) for one; identity for one if not given.
     search
-        Half-widths (metres, radians) of a window around `initial` that is searched from a grid of starts; for large
-        windows use `beamfield.localization.global_search`.
+        Half-widths (metres, radians) of a window around `initial` that is searched from a grid of starts 0.4 m and 12
+        degrees apart; (0, 0) for `initial` alone, which takes half the time and fails more often. For large windows use
+        `beamfield.localization.global_search`.
     threshold
         A direction is undetermined if its eigenvalue lies below this: if the end points' information along it is that
         of less than this share of them facing it squarely. Nothing moves along such a direction: the pose keeps what
@@ -143,8 +147,8 @@ def align(
     -----
     **Covariance.** If all n matched end points erred independently, it would be s^2 H^-1 with the spread s and the
     information H = sum of w J J^T. They do not: neighbouring beams hit the same surface, whose shape, height and
-    fit err alike. A scan counts as one independent beam per 30 degrees of view that it matches, whatever its
-    resolution: the covariance is (30 degrees / beam spacing) s^2 H^-1, plus (1 cm)^2 and (0.003 rad)^2. The angle was
+    fit err alike. A scan counts as one independent beam per 45 degrees of view that it matches, whatever its
+    resolution: the covariance is (45 degrees / beam spacing) s^2 H^-1, plus (1 cm)^2 and (0.003 rad)^2. The angle was
     chosen on one building's log and checked on another's; docs/alignment.md has the figures.
 
     The covariance is that of the optimum found. An ascent that ended in the wrong optimum has an error that no
@@ -246,28 +250,31 @@ def _climb_coarse(points: FloatArray, field: ScanField, start: FloatArray, searc
                   threshold: float) -> FloatArray:  # fmt: skip
     """Return the best pose after the coarse levels, from all starts."""
     stride = max(1, len(points) // COARSE_POINTS)
-    climbers = [(0.0, pose) for pose in _starts(start, search)]
+    climbers = _starts(start, search)
+    scores = np.zeros(len(climbers))
     for factor in COARSE_SIGMAS:
         sigma = factor * field.sigma_hit
-        scored = []
-        for _, pose in climbers:
-            score, _, _ = kernels.ascend(
+        for i, pose in enumerate(climbers):
+            scores[i], _, _ = kernels.ascend(
                 points, pose, stride, sigma, lever, threshold, COARSE_TOLERANCE * sigma, COARSE_STEPS, field.view
             )
-            scored.append((score, pose))
-        climbers = sorted(scored, key=lambda found: -found[0])[:FOLLOWED_STARTS]
-    return climbers[0][1]
+        # The initial pose stays in the race as the first.
+        kept = [0, *(1 + np.argsort(-scores[1:])[:FOLLOWED_STARTS])]
+        climbers, scores = [climbers[i] for i in kept], scores[kept]
+    best = int(np.argmax(scores))
+    return climbers[best] if scores[best] > scores[0] + BETTER * abs(scores[0]) else climbers[0]
 
 
 def _starts(start: FloatArray, search: tuple[float, float]) -> list[FloatArray]:
-    """Return the starts of a search: the initial pose and a grid around it."""
+    """Return the starts of a search: the initial pose first, then a grid around it."""
     moves = math.ceil(search[0] / START_SPACING)
     turns = math.ceil(search[1] / START_TURN)
     if (2 * moves + 1) ** 2 * (2 * turns + 1) > MAX_STARTS:
         raise InvalidInputError(f"search: expected a window of at most {MAX_STARTS} starts, got {search!r}")
     along = np.linspace(-search[0], search[0], 2 * moves + 1) if moves else np.zeros(1)
     about = np.linspace(-search[1], search[1], 2 * turns + 1) if turns else np.zeros(1)
-    return [start + np.array(offset) for offset in product(along, along, about)]
+    offsets = sorted(product(along, along, about), key=lambda offset: offset != (0.0, 0.0, 0.0))
+    return [start + np.array(offset) for offset in offsets]
 
 
 def _beam_spacing(scan: Scan) -> float:

@@ -71,7 +71,7 @@ class ScanField:
     -----
     - Not a density over z (`is_normalized` is False), like every likelihood field (6.4.1).
     - The constant of unseen places is that of 6.4.2. Like every constant it favours poses that move end points out of
-      seen space if the hit part is weak: 1 / max_range lies far below a hit (a factor of 500 for 80 m and 5 cm) and
+      seen space if the hit part is weak: 1 / max_range lies far below a hit (a factor of 1000 for 80 m and 3 cm) and
       above z_rand / max_range.
     - A field never changes; any number of threads may use one.
 
@@ -91,7 +91,7 @@ class ScanField:
 
     @classmethod
     def from_scan(cls, scan: Scan, *, pose: ArrayLike = (0.0, 0.0, 0.0), z_hit: float = 0.9, z_rand: float = 0.1,
-                  sigma_hit: float = 0.05, no_return: Literal["unseen", "free"] = "unseen") -> ScanField:  # fmt: skip
+                  sigma_hit: float = 0.03, no_return: Literal["unseen", "free"] = "unseen") -> ScanField:  # fmt: skip
         """Return the field of one scan, in the robot's frame or, with the robot's pose, in the frame of the pose.
 
         Parameters
@@ -130,7 +130,7 @@ class ScanField:
 
     @classmethod
     def from_scans(cls, scans: Sequence[Scan], poses: ArrayLike, *, z_hit: float = 0.9, z_rand: float = 0.1,
-                   sigma_hit: float = 0.05, no_return: Literal["unseen", "free"] = "unseen") -> ScanField:  # fmt: skip
+                   sigma_hit: float = 0.03, no_return: Literal["unseen", "free"] = "unseen") -> ScanField:  # fmt: skip
         """Return the field of several scans: free is what any of them saw through.
 
         Parameters

@@ -1,0 +1,57 @@
+"""Align two scans of a log, and draw the likelihood field of the first with the second on it (Figure 6.11).
+
+Run: python examples/align_two_scans.py LOG FIRST SECOND [PICTURE.png]
+"""
+
+from __future__ import annotations
+
+import sys
+
+import matplotlib as mpl
+import numpy as np
+
+from beamfield.geometry import between, transform_points
+from beamfield.io.read_log import read_log
+from beamfield.localization.alignment import align
+from beamfield.maps.scan_field import ScanField, end_points
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+
+def main(path: str, first: int, second: int, picture: str = "alignment.png") -> None:
+    """Print the result and write the picture."""
+    log = next(iter(read_log(path).sensors.values()))
+    onto, scan = log.scan(first), log.scan(second)
+    track = log.odometry if log.has_odometry else log.poses
+    start = between(track[first], track[second])
+
+    field = ScanField.from_scan(onto)
+    result = align(scan, field, start)
+    deviation = np.sqrt(np.diag(result.covariance))
+    print(f"start  x {start[0]:+.3f} m  y {start[1]:+.3f} m  theta {np.degrees(start[2]):+.2f} deg")
+    print(f"found  x {result.pose[0]:+.3f} m  y {result.pose[1]:+.3f} m  theta {np.degrees(result.pose[2]):+.2f} deg")
+    print(f"  +-     {deviation[0]:.3f} m     {deviation[1]:.3f} m         {np.degrees(deviation[2]):.2f} deg")
+    print(f"overlap {result.overlap:.0%}, score {result.score:.0f} nats, problem: {result.problem or 'none'}")
+
+    # The picture shows a wider field than the alignment uses, so that surfaces can be seen.
+    shown = ScanField.from_scan(onto, sigma_hit=0.1)
+    left, bottom, right, top = shown.bounds
+    x, y = np.arange(left - 1.0, right + 1.0, 0.04), np.arange(bottom - 1.0, top + 1.0, 0.04)
+    values = shown.log_density(np.stack(np.meshgrid(x, y), axis=-1))
+    figure, axes = plt.subplots(figsize=(9, 7))
+    axes.imshow(
+        values, origin="lower", extent=(x[0], x[-1], y[0], y[-1]), cmap="gray", vmax=1.0 - np.log(shown.max_range)
+    )
+    for pose, colour, name in ((start, "tab:orange", "start"), (result.pose, "tab:red", "aligned")):
+        points = transform_points(pose, end_points(scan))
+        axes.plot(points[:, 0], points[:, 1], ".", color=colour, markersize=3, label=name)
+    axes.plot(0.0, 0.0, "o", color="tab:blue", label="robot")
+    axes.set(xlabel="x in metres", ylabel="y in metres")
+    axes.legend()
+    figure.savefig(picture, dpi=110)
+    print(f"picture: {picture}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), *sys.argv[4:])

@@ -1,0 +1,75 @@
+"""The buckets find the nearest element, and the climb's gradient is that of its score."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.kernels import scan_field as kernels
+from beamfield.maps.scan_field import ScanField, end_points
+from beamfield.sensors import RangeFinder, Scan
+
+BEARINGS = np.radians(np.arange(-120.0, 120.5))
+
+
+@pytest.fixture(scope="module")
+def scan() -> Scan:
+    ranges = np.minimum(
+        3.0 / np.maximum(np.abs(np.cos(BEARINGS)), 1e-3), 2.0 / np.maximum(np.abs(np.sin(BEARINGS)), 1e-3)
+    )
+    ranges[30:40] = 1.0
+    return Scan(ranges, RangeFinder.from_bearings(BEARINGS, 20.0))
+
+
+def test_the_nearest_element_is_that_of_a_search_through_all(scan: Scan, rng: np.random.Generator) -> None:
+    view = ScanField.from_scan(scan).view
+    elements, reach = view.elements, 0.7
+    for x, y in rng.uniform(-4.0, 4.0, (500, 2)):
+        dx, dy = x - elements[:, kernels.X], y - elements[:, kernels.Y]
+        across = dx * elements[:, kernels.NX] + dy * elements[:, kernels.NY]
+        along = dy * elements[:, kernels.NX] - dx * elements[:, kernels.NY]
+        beyond = np.maximum(np.maximum(along - elements[:, kernels.AHEAD], -along - elements[:, kernels.BACK]), 0.0)
+        square = across**2 + beyond**2
+        index, found = kernels.nearest_element(x, y, reach, view)
+        if square.min() < reach**2:
+            assert found == pytest.approx(square.min(), abs=1e-12)
+            assert square[index] == pytest.approx(found, abs=1e-12)
+        else:
+            assert (index, found) == (-1, np.inf)
+
+
+def test_the_gradient_is_the_slope_of_the_score_away_from_ends_of_surfaces(scan: Scan) -> None:
+    # There, and behind the walls, where the other part of the density is constant, the gradient is exact.
+    field = ScanField.from_scan(scan, sigma_hit=0.1)
+    points = end_points(scan)[60:180:4]
+    points = points[(np.abs(points[:, 0]) < 2.4) | (np.abs(points[:, 1]) < 1.4)]
+    points = points + 0.08 * points / np.linalg.norm(points, axis=1, keepdims=True)
+    pose, gradient, information = np.array([0.02, -0.01, 0.002]), np.zeros(3), np.zeros((3, 3))
+
+    def score(at: np.ndarray) -> float:
+        return kernels.linearise(points, at, 1, 0.1, 0.8, field.view, np.zeros(3), np.zeros((3, 3)))[0]
+
+    kernels.linearise(points, pose, 1, 0.1, 0.8, field.view, gradient, information)
+    step = 1e-6
+    slopes = [(score(pose + d) - score(pose - d)) / (2 * step) for d in step * np.eye(3)]
+    np.testing.assert_allclose(gradient / 0.1**2, slopes, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(information, information.T)
+    assert np.linalg.eigvalsh(information).min() > 0.0
+
+
+def test_a_climb_never_lowers_the_score(scan: Scan, rng: np.random.Generator) -> None:
+    view, points = ScanField.from_scan(scan).view, end_points(scan)
+    for start in rng.normal(size=(20, 3)) * (0.3, 0.3, 0.2):
+        for sigma in (0.4, 0.05):
+            before = kernels.linearise(points, start, 1, sigma, 4 * sigma, view, np.zeros(3), np.zeros((3, 3)))[0]
+            after, _, _ = kernels.ascend(points, start, 1, sigma, 3.0, 0.02, 1e-4, 10, view)
+            assert after >= before - 1e-9
+
+
+def test_free_share_rises_smoothly_in_front_of_a_wall(scan: Scan) -> None:
+    view = ScanField.from_scan(scan).view
+    share = [kernels.free_share(3.0 - d, 0.1, 0.2, view) for d in (-0.1, 0.0, 0.05, 0.1, 0.15, 0.2, 0.5)]
+    assert np.all(np.diff(share) > -1e-5)
+    assert share[:2] == pytest.approx([0.0, 0.0], abs=1e-5)
+    assert share[3] == pytest.approx(0.5, abs=2e-3)
+    assert share[-1] == 1.0

@@ -1,0 +1,118 @@
+"""The gallery: complete, labelled with units, the same on every run, and drawn from any log."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from beamfield.errors import InvalidInputError
+from beamfield.figures.gallery import FIGURES, chosen_figures, gallery_page, save_figure
+from beamfield.figures.world import FigureWorld, simulated_world, world_of_log
+from beamfield.sensors import ScanLog, SensorLog
+
+
+@pytest.fixture(scope="module")
+def world() -> FigureWorld:
+    return simulated_world(3, duration=40.0)
+
+
+def all_axes(figure: Figure) -> list:
+    """Every axes of a figure, those of its subfigures included, without colour bars' and empty ones."""
+    return [ax for ax in figure.findobj(match=lambda item: hasattr(item, "get_xlabel")) if ax.has_data()]
+
+
+def test_the_registry_has_every_figure_of_sections_6_3_to_6_5():
+    assert list(FIGURES) == [f"6.{i}" for i in range(3, 13)]
+    assert len({figure.stem for figure in FIGURES.values()}) == len(FIGURES)
+    assert all(figure.caption.endswith(".") and figure.title for figure in FIGURES.values())
+
+
+@pytest.mark.parametrize("number", list(FIGURES))
+def test_every_figure_names_its_units(world, number):
+    figure = FIGURES[number].draw(world)
+    axes = all_axes(figure)
+    assert len(axes) >= 2
+    for ax in axes:
+        for label in (ax.get_xlabel(), ax.get_ylabel()):
+            assert not label or re.search(r"\[.+\]|number of the reading", label), label
+        assert ax.get_xlabel() or ax.get_ylabel()
+
+
+@pytest.mark.parametrize("number", ["6.8", "6.9"])
+def test_a_figure_is_the_same_on_every_run_and_small(world, tmp_path, number):
+    for name in ("one.svg", "two.svg"):
+        save_figure(FIGURES[number].draw(world), tmp_path / name)
+    content = (tmp_path / "one.svg").read_bytes()
+    assert content == (tmp_path / "two.svg").read_bytes()
+    assert b"<dc:date>" not in content
+    assert 10_000 < len(content) < 300_000
+
+
+def test_other_endings_are_refused(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"\.svg, \.png or \.pdf, got 'a\.gif'"):
+        save_figure(Figure(), tmp_path / "a.gif")
+
+
+def test_figures_are_chosen_by_number_in_the_chapters_order():
+    assert [figure.number for figure in chosen_figures(["6.10", "6.9"])] == ["6.9", "6.10"]
+    assert len(chosen_figures()) == len(FIGURES)
+    with pytest.raises(InvalidInputError, match=r"expected one of 6\.3, .*, got '7\.1'"):
+        chosen_figures(["7.1"])
+
+
+def test_the_page_shows_every_picture_with_its_caption():
+    page = gallery_page(list(FIGURES.values()), "a test", folder="images", suffix="png")
+    for figure in FIGURES.values():
+        assert f"(images/{figure.stem}.png)" in page
+        assert figure.caption.replace("*", r"\*") in page
+    assert "z*" not in page
+
+
+def test_the_maximum_of_figure_6_7_is_at_the_reference_pose(world):
+    ax = next(ax for ax in all_axes(FIGURES["6.7"].draw(world)) if ax.get_title(loc="left").startswith("(b)"))
+    maximum = next(line for line in ax.lines if line.get_label() == "maximum")
+    assert np.hypot(maximum.get_xdata()[0] - world.pose[0], maximum.get_ydata()[0] - world.pose[1]) < 0.5
+
+
+def test_the_beam_of_figure_6_9_passes_three_obstacles(world):
+    left = all_axes(FIGURES["6.9"].draw(world))[0]
+    assert [text.get_text() for text in left.texts] == ["$o_1$", "$o_2$", "$o_3$"]
+    curve = left.lines[0]
+    z, hit = curve.get_xdata(), curve.get_ydata()
+    assert np.sum(hit) * (z[1] - z[0]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_log_of_ones_own_is_shown_with_all_its_sensors(world):
+    log = ScanLog(world.sensors, source="some/where/drive.log")
+    own = world_of_log(log, world.grid, sensor="sonar")
+    assert list(own.sensors) == ["laser", "sonar"]
+    assert own.log is world.sensors["sonar"]
+    assert own.name == "drive.log"
+    chosen = world_of_log(log, world.grid, sensor="laser", index=7)
+    assert chosen.index == chosen.open_index == 7
+    for number in ("6.8", "6.9", "6.11", "6.12"):
+        assert all_axes(FIGURES[number].draw(chosen))
+
+
+def without(log: SensorLog, **changes) -> ScanLog:
+    columns = {name: getattr(log, name) for name in ("finder", "stamps", "ranges", "poses", "odometry")}
+    return ScanLog({"laser": SensorLog(**{**columns, **changes})}, source="x.log")
+
+
+def test_a_scan_that_cannot_be_shown_is_refused(world):
+    log = world.log
+    poses, ranges = np.array(log.poses), np.array(log.ranges)
+    poses[2], ranges[3] = np.nan, np.inf
+    broken = without(log, poses=poses, ranges=ranges)
+    for index, message in ((-1, "scans 0 to 199, got -1"), (2, "no reference pose"), (3, "no measured range")):
+        with pytest.raises(InvalidInputError, match=message):
+            world_of_log(broken, world.grid, index=index)
+    with pytest.raises(InvalidInputError, match="no scan has a reference pose"):
+        world_of_log(without(log, poses=np.full(poses.shape, np.nan)), world.grid)
+    with pytest.raises(InvalidInputError, match="no scan has both"):
+        world_of_log(without(log, ranges=np.full(ranges.shape, np.inf)), world.grid)
+    with pytest.raises(InvalidInputError, match="at least one"):
+        FigureWorld("x", world.grid, {}, 0, world.scene, 0)

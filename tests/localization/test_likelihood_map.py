@@ -1,0 +1,238 @@
+"""The likelihood over a map: its maximum is where the scan was taken, its values are the model's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import between, compose, wrap_angle
+from beamfield.kernels.heading_search import fill_heading_scores
+from beamfield.localization.lattice_noise import widened_field_for_lattice, widened_for_lattice
+from beamfield.localization.likelihood_map import likelihood_map
+from beamfield.localization.shared_fan import shared_fan
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.sensors import RangeFinder, Scan
+
+PARAMETERS = BeamParameters(z_hit=0.85, z_short=0.05, z_max=0.02, z_rand=0.08, sigma_hit=0.05, lambda_short=0.5)
+BEARINGS = np.radians(np.arange(-90.0, 90.0))
+TRUTH_IN_GRID = np.array([2.13, 1.48, 0.7])
+
+
+@pytest.fixture(scope="module")
+def grid() -> OccupancyGrid:
+    """A room of 6 m x 4 m without symmetry, in a frame that is moved and turned."""
+    cells = np.zeros((80, 120), np.float32)
+    cells[[0, -1]] = cells[:, [0, -1]] = 1.0
+    cells[:30, 80:83] = 1.0
+    cells[50:55, 20:40] = 1.0
+    cells[60:, 90:] = np.nan
+    return OccupancyGrid(cells, 0.05, np.array([3.0, -2.0, 0.4]))
+
+
+@pytest.fixture(scope="module")
+def truth(grid) -> np.ndarray:
+    return compose(grid.origin, TRUTH_IN_GRID)
+
+
+def finder(mount=(0.0, 0.0, 0.0), bearings=BEARINGS) -> RangeFinder:
+    return RangeFinder.from_bearings(bearings, 8.0, mount=mount)
+
+
+def noisy_scan(grid, pose, sensor) -> Scan:
+    return BeamModel(grid, PARAMETERS).sample(pose, np.random.default_rng(5), sensor)[0]
+
+
+def wide_model(grid, **options) -> BeamModel:
+    return BeamModel(grid, widened_for_lattice(PARAMETERS, resolution=0.1, headings=72), **options)
+
+
+def assert_near(best, truth) -> None:
+    step = between(truth, best)
+    assert np.hypot(*step[:2]) <= 0.15
+    assert abs(step[2]) <= np.radians(5.0)
+
+
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.3)], ids=["centred", "mounted"])
+def test_the_maximum_of_the_beam_model_is_where_the_scan_was_taken(grid, truth, mount):
+    scan = noisy_scan(grid, truth, finder(mount))
+    assert_near(likelihood_map(wide_model(grid), scan, grid).best_pose, truth)
+
+
+def test_the_maximum_of_the_likelihood_field_is_where_the_scan_was_taken(grid, truth):
+    scan = noisy_scan(grid, truth, finder())
+    parameters = widened_field_for_lattice(
+        LikelihoodFieldParameters.from_beam_parameters(PARAMETERS), scan, resolution=0.1, headings=72
+    )
+    result = likelihood_map(LikelihoodFieldModel.from_grid(grid, parameters), scan, grid)
+    assert_near(result.best_pose, truth)
+
+
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.3)], ids=["centred", "mounted"])
+def test_values_are_the_models_at_poses_inside_their_cells(grid, truth, mount):
+    scan = noisy_scan(grid, truth, finder(mount))
+    model = wide_model(grid, n_beams=40)
+    result = likelihood_map(model, scan, grid)
+    rows, cols = np.nonzero(result.evaluated)
+    poses = result.poses(rows, cols)
+    np.testing.assert_allclose(result.log_likelihood[rows, cols], model.log_likelihood(scan, poses), rtol=1e-12)
+    in_lattice = between(grid.origin, poses)[:, :2] / result.resolution
+    assert np.abs(in_lattice - np.column_stack([cols, rows]) - 0.5).max() <= 0.5 + 1e-9
+    shifts = np.abs(result.shifts)
+    assert shifts.max() <= 0.05 + 1e-12
+    assert (shifts.max() > 0.0) == (mount[0] != 0.0)
+
+
+def test_shared_rays_find_the_headings_that_casting_every_beam_finds(grid, truth):
+    scan = noisy_scan(grid, truth, finder())
+    model = wide_model(grid, n_beams=30)
+    shared = likelihood_map(model, scan, grid)
+    single = likelihood_map(model, scan, grid, direction_tolerance=0.0)
+    assert single.direction_error == 0.0
+    assert shared.direction_error < 1e-9
+    np.testing.assert_array_equal(shared.evaluated, single.evaluated)
+    there = shared.evaluated
+    # Where two headings are nearly as good, the table's interpolation may decide for the other one.
+    np.testing.assert_allclose(shared.log_likelihood[there], single.log_likelihood[there], atol=0.05)
+    assert (shared.heading_index == single.heading_index)[there].mean() > 0.99
+    assert (shared.log_likelihood <= single.log_likelihood + 1e-9)[there].all()
+
+
+def test_each_cell_holds_the_largest_value_over_the_headings(grid, truth):
+    scan = noisy_scan(grid, truth, finder())
+    model = wide_model(grid, n_beams=20)
+    result = likelihood_map(model, scan, grid, headings=36, direction_tolerance=0.0)
+    rows, cols = (index[::97] for index in np.nonzero(result.evaluated))
+    poses = np.repeat(result.poses(rows, cols)[:, None], 36, axis=1)
+    poses[..., 2] = 2.0 * np.pi * np.arange(36) / 36
+    np.testing.assert_allclose(
+        model.log_likelihood(scan, poses).max(axis=1), result.log_likelihood[rows, cols], rtol=1e-12
+    )
+
+
+def test_the_fan_of_beams_one_degree_apart_has_one_ray_per_degree():
+    headings = wrap_angle(2.0 * np.pi * np.arange(72) / 72)
+    fan = shared_fan(Scan(np.ones(180), finder((0.3, 0.0, 0.0))), headings, 0.4, 0.1, np.radians(0.25))
+    assert fan.rays.n_beams == 360
+    directions = headings[:, None] + BEARINGS
+    assert np.abs(wrap_angle(fan.rays.bearings[fan.index] - directions)).max() < 1e-9
+    # The sensor's cell and the robot's shift give the mount back.
+    offsets = 0.1 * fan.offsets[:, ::-1] - fan.shifts
+    turned = 0.3 * np.column_stack([np.cos(headings - 0.4), np.sin(headings - 0.4)])
+    np.testing.assert_allclose(offsets, turned, atol=1e-12)
+
+
+def test_the_fan_of_uneven_beams_stays_within_the_tolerance():
+    bearings = np.sort(np.random.default_rng(0).uniform(-2.0, 2.0, 300))
+    headings = wrap_angle(2.0 * np.pi * np.arange(72) / 72)
+    for tolerance in np.radians([0.25, 1.0]):
+        fan = shared_fan(Scan(np.ones(300), finder(bearings=bearings)), headings, 0.0, 0.1, tolerance)
+        error = np.abs(wrap_angle(fan.rays.bearings[fan.index] - headings[:, None] - bearings)).max()
+        assert error <= fan.direction_error + 1e-12 <= tolerance + 1e-9
+        assert fan.rays.n_beams <= np.ceil(2 * np.pi / (2 * tolerance * 72)) * 72
+
+
+def test_rays_are_not_shared_by_beams_that_start_at_different_points():
+    mounts = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 1.0]])
+    assert shared_fan(Scan(np.ones(2), RangeFinder(mounts, 8.0)), np.zeros(1), 0.0, 0.1, 0.01) is None
+
+
+def test_the_kernel_adds_up_interpolated_tables():
+    rng = np.random.default_rng(3)
+    ranges, step = rng.uniform(0.0, 5.0, (70, 12)), 0.25
+    ranges[0, :2] = 0.0, 5.0
+    index = rng.integers(0, 12, (7, 9))
+    tables = rng.normal(size=(7, 21)).astype(np.float32)
+    out = np.empty((70, 9))
+    fill_heading_scores(ranges, index, tables, step, out)
+    nodes = np.arange(21) * step
+    expected = sum(np.interp(ranges[:, index[k]], nodes, tables[k]) for k in range(7))
+    np.testing.assert_allclose(out, expected, atol=1e-5)
+
+
+def test_nothing_is_nan_and_only_free_cells_are_evaluated(grid, truth):
+    ranges = np.array(noisy_scan(grid, truth, finder()).ranges)
+    ranges[::3], ranges[1] = np.nan, np.inf
+    impossible = BeamParameters(z_hit=1.0, z_short=0.0, z_max=0.0, z_rand=0.0, sigma_hit=0.05, lambda_short=0.5)
+    result = likelihood_map(BeamModel(grid, impossible), Scan(ranges, finder()), grid)
+    assert not np.isnan(result.log_likelihood).any()
+    assert (result.log_likelihood[~result.evaluated] == -np.inf).all()
+    assert (result.heading_index[~result.evaluated] == -1).all()
+    rows, cols = np.nonzero(result.evaluated)
+    # Their centres lie on borders of the map's cells, which belong to the cell above.
+    assert grid.look_up(grid.free, grid.to_map(np.column_stack([cols, rows]) * 2.0 + 1.000001)).all()
+    # A missing return is impossible under these parameters, wherever the robot is.
+    assert result.is_flat
+    assert np.isfinite(result.best_pose).all()
+
+
+def test_a_scan_without_a_measurement_is_as_likely_everywhere(grid):
+    for model in (wide_model(grid), LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(0.8, 0.1, 0.1))):
+        result = likelihood_map(model, Scan(np.full(180, np.nan), finder()), grid, headings=4)
+        assert result.is_flat
+        assert (result.log_likelihood[result.evaluated] == 0.0).all()
+
+
+def test_a_mask_chooses_the_cells(grid, truth):
+    scan = noisy_scan(grid, truth, finder())
+    mask = np.zeros((40, 60), bool)
+    mask[14, 21] = True
+    result = likelihood_map(wide_model(grid), scan, grid, where=mask)
+    assert result.n_poses == 72
+    assert result.best_cell == result.cell_of(truth) == (14, 21)
+    assert result.cell_of(np.array([100.0, 0.0, 0.0])) is None
+    assert result.share_above(result.log_likelihood[14, 21]) == 0.0
+    every = likelihood_map(wide_model(grid), scan, grid, where="all", headings=8)
+    known = likelihood_map(wide_model(grid), scan, grid, where="known", headings=8)
+    assert every.evaluated.all()
+    assert not known.evaluated[30:, 45:].any()
+    assert known.evaluated[:30].all()
+
+
+def test_progress_ends_with_the_total(grid, truth):
+    calls = []
+    scan = noisy_scan(grid, truth, finder())
+    for tolerance in (0.0, 0.01):
+        likelihood_map(
+            wide_model(grid, n_beams=5),
+            scan,
+            grid,
+            direction_tolerance=tolerance,
+            progress=lambda done, total: calls.append((done, total)),
+        )
+        assert calls[-1][0] == calls[-1][1] > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"resolution": 0.0}, "resolution: expected a positive"),
+        ({"resolution": 1e-5}, "more than"),
+        ({"headings": 0}, "headings: expected 1 to 3600, got 0"),
+        ({"direction_tolerance": -1.0}, "direction_tolerance"),
+        ({"where": "walls"}, "where: expected 'free', 'known', 'all' or a mask, got 'walls'"),
+        ({"where": np.ones((2, 2), bool)}, r"expected a mask of shape \(40, 60\)"),
+        ({"where": np.zeros((40, 60), bool)}, "no cell to evaluate"),
+    ],
+    ids=["step", "fine", "headings", "tolerance", "word", "shape", "empty"],
+)
+def test_what_makes_no_sense_is_refused(grid, options, message):
+    with pytest.raises(InvalidInputError, match=message):
+        likelihood_map(wide_model(grid), Scan(np.ones(180), finder()), grid, **options)
+
+
+def test_the_noise_of_a_lattice_is_added_to_that_of_hits():
+    wide = widened_for_lattice(PARAMETERS, resolution=0.3, headings=36)
+    assert wide.sigma_hit == pytest.approx(np.sqrt(0.05**2 + 0.3**2 / 6))
+    assert wide.sigma_slope == pytest.approx(np.radians(10.0) / np.sqrt(12.0))
+    scan = Scan([3.0, 4.0, np.inf], finder(bearings=[0.0, 1.0, 2.0]))
+    field = widened_field_for_lattice(LikelihoodFieldParameters(0.8, 0.1, 0.05), scan, resolution=0.3, headings=36)
+    assert field.sigma_hit == pytest.approx(np.sqrt(0.05**2 + 0.3**2 / 6 + 12.5 * np.radians(10.0) ** 2 / 12))
+    with pytest.raises(InvalidInputError, match="headings"):
+        widened_for_lattice(PARAMETERS, resolution=0.3, headings=0)
+    with pytest.raises(InvalidInputError, match="resolution"):
+        widened_for_lattice(PARAMETERS, resolution=-1.0, headings=8)

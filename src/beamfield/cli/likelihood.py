@@ -25,7 +25,7 @@ and how far from the reference pose, and draw it: the scan at its reference pose
 
 PICTURES = (".png", ".svg", ".pdf")
 # Without --parameters: a laser scanner in a building with a few people.
-DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.1, "lambda_short": 0.4}
+DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.2, "lambda_short": 0.4}
 # Local maps for map matching have cells of at least this size, metres: time is proportional to their number.
 LOCAL_RESOLUTION = 0.2
 

@@ -126,7 +126,7 @@ def _draw_hit(profile: BeamProfile, ax: Axes) -> None:
         height = float(np.interp(z, profile.ranges, profile.hit))
         ax.plot([z, z], [0.0, height], color=QUIET, linewidth=0.8, linestyle=":")
         ax.annotate(f"$o_{number}$", (z, height), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=11)
-    ax.set_xlim(0.0, float(profile.ranges[-1]))
+    ax.set_xlim(0.0, _shown_end(profile))
     ax.set_ylim(0.0, 1.22 * max(float(profile.hit.max()), 1e-9))
     style(ax, title="(a) p_hit along the sensor axis", x="z [m]", y="p_hit(z) [1/m]", grid="none")
 
@@ -137,10 +137,17 @@ def _draw_with_uniforms(profile: BeamProfile, scene: ObstacleScene, ax: Axes) ->
     ax.fill_between(profile.ranges, uniform, profile.density, color=CAUSE_COLOURS[0], alpha=0.2, linewidth=0,
                     label="z_hit p_hit")  # fmt: skip
     ax.plot(profile.ranges, profile.density, color="#111111", linewidth=1.4, label="sum, with z_max p_max beside")
-    ax.set_xlim(0.0, float(profile.ranges[-1]))
+    ax.set_xlim(0.0, _shown_end(profile))
     ax.set_ylim(0.0, 1.45 * float(profile.density.max()))
     style(ax, title="(b) p(z | x, m)", x="z [m]", y="density [1/m]", grid="none")
     ax.legend(loc="upper left", fontsize=8, frameon=False, ncols=2)
+
+
+def _shown_end(profile: BeamProfile) -> float:
+    """Return where the axis of z ends: past the last obstacle, if the sensor reaches much further."""
+    limit = float(profile.ranges[-1])
+    near = profile.ranges[profile.hit > 1e-3 * profile.hit.max()] if profile.hit.any() else profile.ranges
+    return min(limit, 1.3 * float(near[-1]))
 
 
 def _nearest_points(profile: BeamProfile) -> FloatArray:

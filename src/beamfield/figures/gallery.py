@@ -193,19 +193,17 @@ def gallery_page(figures: Sequence[ChapterFigure], world_name: str, folder: str 
     suffix
         Of the pictures.
     """
-    lines = [
-        "# Figures of the chapter",
-        "",
-        f"Drawn from: {world_name}.",
-        "",
-    ]
+    again = "`beamfield figures` draws them; `beamfield figures LOG --map MAP` from a log and a map of your own."
+    lines = ["# Figures of the chapter", "", f"Drawn from: {world_name}. {again}", ""]
     for figure in figures:
+        # Two of z* would make what is between them italic.
+        caption = figure.caption.replace("*", r"\*")
         lines += [
             f"## Figure {figure.number}: {figure.title}",
             "",
             f"![Figure {figure.number}: {figure.title}]({folder}/{figure.stem}.{suffix})",
             "",
-            f"{figure.caption} (section {figure.section})",
+            f"{caption} (section {figure.section})",
             "",
         ]
     return "\n".join(lines)

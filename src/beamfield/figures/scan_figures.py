@@ -25,7 +25,7 @@ Progress = Callable[[int, int], None]
 
 RESOLUTION, HEADINGS = 0.10, 72
 # Of each scan in Figure 6.7: neighbouring beams are dependent (6.3.4).
-N_BEAMS = 24
+N_BEAMS = 12
 LOCAL_SCANS = 10
 # Positions around the reference pose in Figure 6.12b: +- metres, and the step.
 OFFSET, OFFSET_STEP = 1.5, 0.05

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,7 +145,12 @@ def world_of_log(
     name = next(name for name, other in log.sensors.items() if other is shown)
     scene = scene_of_scan(grid, shown.scan(chosen), shown.poses[chosen])
     return FigureWorld(
-        log.source, grid, {**others, name: shown}, chosen, scene, _open_scan(shown) if index is None else index
+        Path(log.source).name,
+        grid,
+        {**others, name: shown},
+        chosen,
+        scene,
+        _open_scan(shown) if index is None else index,
     )
 
 

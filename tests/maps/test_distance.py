@@ -32,7 +32,7 @@ def test_every_cell_has_the_distance_of_the_nearest_obstacle(occupied, margin):
     distance = distance_to_obstacles(grid_of(occupied), margin_cells=margin)
     for (row, col), value in np.ndenumerate(distance):
         expected = distance_to_nearest_obstacle(occupied, 0.05, row - margin, col - margin)
-        assert value == pytest.approx(expected, rel=2**-23)
+        assert value == np.float32(expected)
 
 
 @settings(max_examples=100, deadline=None)
@@ -56,9 +56,7 @@ def test_another_obstacle_never_makes_anything_further(occupied, data):
 def test_agrees_with_scipy_on_a_large_map(rng):
     occupied = rng.random((700, 900)) < 0.0005
     expected = ndimage.distance_transform_edt(~occupied) * 0.05
-    np.testing.assert_allclose(distance_to_obstacles(grid_of(occupied)), expected, rtol=2**-23)
-    in_cells = distance_to_obstacles(grid_of(occupied, 1.0))
-    assert (in_cells == ndimage.distance_transform_edt(~occupied).astype(np.float32)).all()
+    assert (distance_to_obstacles(grid_of(occupied)) == expected.astype(np.float32)).all()
 
 
 def test_distances_of_ten_thousand_cells_keep_single_precision():

@@ -1,4 +1,4 @@
-"""Likelihood fields (section 6.4): the value of one beam, its table over all cells, and sums over beams.
+"""Likelihood fields (section 6.4): distances, the value of one beam, its table over all cells, and sums over beams.
 
 Two look-ups. *Nearest* reads a table of the beam's logarithm, one 32-bit integer per cell: a beam costs a rotation and
 a load, no exp and no log. *Smooth* interpolates the distance between cell centres and has a gradient.
@@ -36,6 +36,9 @@ GROUP = 4
 # Positions are limited to this many cells: far off any table, and far from the limits of single precision.
 FAR_OFF = 1e9
 
+# Up to this many cells, a distance whose last digit is wrong still tells its whole square.
+WHOLE_SQUARES = 1024.0
+
 TWO_OVER_PI = 0.6366197723675814
 HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 # Beyond this heading the reduction to a quarter turn loses digits; such poses take the library's functions.
@@ -66,6 +69,31 @@ class FrameView(NamedTuple):
     cells_per_metre: float
     offset: float
     """Width of what surrounds the map in the table, in cells."""
+
+
+# --- distances --------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def exact_distance(cells: float) -> float:
+    """Return a distance between cells' centres, given in single precision and in cells, in double precision.
+
+    Its square is a whole number, which is found again. Any other distance (cut off, or too large) is returned as it is.
+    """
+    square = cells * cells
+    whole = np.floor(square + 0.5)
+    return math.sqrt(whole) if cells < WHOLE_SQUARES and abs(square - whole) <= 4e-7 * square else cells
+
+
+@kernel
+def to_metres(distance: Singles, resolution: float, limit: float) -> None:
+    """Turn distances (rows, cols) between cells' centres from cells into metres, at most `limit`, in place.
+
+    Equal distances become equal numbers, whichever way they were computed.
+    """
+    for i in range(distance.shape[0]):
+        for j in range(distance.shape[1]):
+            distance[i, j] = np.float32(min(exact_distance(np.float64(distance[i, j])) * resolution, limit))
 
 
 # --- one beam ---------------------------------------------------------------------------------------------------------
@@ -117,14 +145,15 @@ def encode(value: float, low: float, step: float) -> int:
 
 
 @kernel
-def fill_codes(distance: Singles, view: FieldView, low: float, step: float, out: Codes) -> None:
+def fill_codes(distance: Singles, resolution: float, view: FieldView, low: float, step: float, out: Codes) -> None:
     """Fill out (rows, cols) with the codes of `log_value`. Neighbours often repeat a distance, which is then free."""
     for i in range(distance.shape[0]):
         last, code = -1.0, 0
         for j in range(distance.shape[1]):
             d = distance[i, j]
             if d != last:
-                last, code = d, encode(log_value(float(d), view), low, step)
+                metres = exact_distance(d / resolution) * resolution
+                last, code = d, encode(log_value(metres, view), low, step)
             out[i, j] = code
 
 
@@ -336,7 +365,7 @@ def fill_distances(poses: Floats, frame: FrameView, ends: Floats, distance: Sing
             if smooth:
                 out[i, j] = interpolate(distance, far, u, v)[0]
             elif 0.0 <= u < cols and 0.0 <= v < rows:
-                out[i, j] = distance[int(v), int(u)]
+                out[i, j] = exact_distance(distance[int(v), int(u)] * frame.cells_per_metre) / frame.cells_per_metre
             else:
                 out[i, j] = far
 

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.errors import InvalidInputError
+from beamfield.kernels.field import to_metres
+from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 
 DistanceArray = NDArray[np.float32]
@@ -50,9 +52,8 @@ def distance_to_obstacles(
 
     Notes
     -----
-    The squared distance in cells is a whole number; its root and the metres are each rounded to single precision: the
-    result is exact within 2^-23 of itself (up to 4096 cells; 2^-22 beyond). 5 bytes per cell of memory are in use at a
-    time.
+    The result is the single-precision number nearest to the exact distance, up to 1024 cells, and within 2^-22 of it
+    beyond. 5 bytes per cell of memory are in use at a time.
 
     References
     ----------
@@ -77,9 +78,10 @@ def distance_to_obstacles(
     if not obstacles.any():
         return np.full(shape, limit)
     distance = _euclidean(np.pad(obstacles, margin_cells))
-    # In double precision: the resolution itself must not be rounded.
-    np.multiply(distance, grid.resolution, out=distance, dtype=np.float64, casting="same_kind")
-    return np.minimum(distance, limit, out=distance)
+    run_in_slices(
+        lambda a, b: to_metres(distance[a:b], grid.resolution, float(limit)), len(distance), work_per_row=shape[1]
+    )
+    return distance
 
 
 def _boundaries(occupied: BoolArray) -> BoolArray:

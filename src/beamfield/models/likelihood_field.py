@@ -102,9 +102,9 @@ class LikelihoodFieldModel:
 
     For "nearest", the logarithm of a beam's value is kept for each cell as a 32-bit integer (`table_bytes`), made at
     the first scan with a given max_range. Errors against double precision: 1e-8 nats a beam from the codes (7e-7
-    without z_rand), 2e-7 d^2 / sigma_hit^2 nats from distances in single precision, and end points are placed within
-    5e-7 times the larger of the table's width, its height and the distance to the pose; an end point closer than that
-    to the border of its cell may read the neighbour.
+    without z_rand), none from distances up to 1024 cells, and end points are placed within 5e-7 times the larger of the
+    table's width, its height and the distance to the pose; an end point closer than that to the border of its cell may
+    read the neighbour.
 
     Instances are immutable, can be pickled and may be used from several threads.
 
@@ -420,11 +420,12 @@ class LikelihoodFieldModel:
         low, high = min(ends), max(ends)
         step = (high - low) / kernels.LARGEST_CODE or 1.0
         rows, cols = distance.shape
+        resolution = self.distances.grid.resolution
         off = log_uniform if uniform.size else kernels.log_value(self.distances.max_distance, view)
         codes = np.full((rows + 2, cols + 2), kernels.encode(off, low, step), np.int32)
         inner = codes[1:-1, 1:-1]
         run_in_slices(
-            lambda a, b: kernels.fill_codes(distance[a:b], view, low, step, inner[a:b]),
+            lambda a, b: kernels.fill_codes(distance[a:b], resolution, view, low, step, inner[a:b]),
             rows,
             threads=self.threads,
             work_per_row=cols,

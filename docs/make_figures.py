@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.evaluation import likely_causes
 from beamfield.cli.main import main as beamfield
+from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
+from beamfield.figures.world import simulated_world
 from beamfield.geometry import compose, transform_points
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
@@ -35,6 +37,15 @@ def main() -> None:
     (HERE / "images").mkdir(exist_ok=True)
     figure = readme_picture(result, grid, log)
     figure.savefig(HERE / "images" / "demo.svg", metadata={"Date": None}, bbox_inches="tight")
+    draw_gallery()
+
+
+def draw_gallery() -> None:
+    """Draw the chapter's figures from the simulated world, and write the page that shows them."""
+    world, figures = simulated_world(), chosen_figures()
+    for figure in figures:
+        save_figure(figure.draw(world), HERE / "images" / f"{figure.stem}.svg")
+    (HERE / "gallery.md").write_text(gallery_page(figures, world.name, folder="images"), encoding="utf-8")
 
 
 def readme_picture(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> Figure:

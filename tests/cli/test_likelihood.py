@@ -1,0 +1,160 @@
+"""``beamfield likelihood``: what it prints, draws, writes and refuses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamfield.cli.main import main
+from beamfield.geometry import between
+from beamfield.io.carmen import write_carmen
+from beamfield.io.ros_map import save_map
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
+
+TRUTH = BeamParameters(z_hit=0.9, z_short=0.04, z_max=0.02, z_rand=0.04, sigma_hit=0.04, lambda_short=0.5)
+SILENT = 4
+QUICK = ("--resolution", "0.2", "--headings", "36", "--quiet")
+
+
+def make_grid() -> OccupancyGrid:
+    cells = np.zeros((60, 80), np.float32)
+    cells[[0, -1]] = cells[:, [0, -1]] = 1.0
+    cells[:25, 50:52] = 1.0
+    cells[40:44, 10:25] = 1.0
+    return OccupancyGrid(cells, 0.1, np.array([-1.0, 2.0, 0.0]))
+
+
+def make_log(grid: OccupancyGrid) -> SensorLog:
+    finder = RangeFinder.from_bearings(np.radians(np.arange(-90.0, 91.0, 2.0)), 10.0, name="FLASER")
+    poses = np.column_stack([0.5 + 0.1 * np.arange(6), np.full(6, 4.5), 0.1 * np.arange(6)])
+    scans = BeamModel(grid, TRUTH).sample(poses, np.random.default_rng(2), finder)
+    ranges = np.array([scan.ranges for scan in scans])
+    ranges[ranges >= 10.0] = np.inf
+    ranges[SILENT] = np.inf
+    return SensorLog(finder, 100.0 + np.arange(6.0), ranges, poses, poses)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    place = tmp_path_factory.mktemp("likelihood")
+    grid = make_grid()
+    log = make_log(grid)
+    save_map(grid, place / "room.yaml")
+    save_map(OccupancyGrid(np.zeros((10, 10)), 0.1), place / "empty.yaml")
+    save_map(OccupancyGrid(np.ones((10, 10)), 0.1), place / "solid.yaml")
+    write_carmen(place / "drive.log", ScanLog({"FLASER": log}, Track(log.stamps, log.odometry)))
+    return place
+
+
+def run(folder: Path, *words: str, scan: int = 2, map_name: str = "room.yaml") -> int:
+    return main(
+        ["likelihood", str(folder / "drive.log"), "--map", str(folder / map_name), "--scan", str(scan), *QUICK, *words]
+    )
+
+
+@pytest.mark.parametrize("model", ["beam", "field", "matching"])
+def test_the_maximum_is_printed_and_lies_at_the_reference(folder, tmp_path, capsys, model):
+    assert run(folder, "--model", model, "--npz", str(tmp_path / "all.npz")) == 0
+    text = capsys.readouterr().out
+    away = re.search(r"the maximum is ([0-9.]+) m and ([0-9.]+) deg away", text)
+    assert float(away[1]) <= 0.3
+    assert float(away[2]) <= 10.0
+    arrays = np.load(tmp_path / "all.npz")
+    step = between(arrays["reference_pose"], arrays["best_pose"])
+    assert np.hypot(*step[:2]) == pytest.approx(float(away[1]), abs=0.006)
+    evaluated = arrays["evaluated"]
+    assert evaluated.shape == arrays["log_likelihood"].shape == arrays["heading"].shape == (30, 40)
+    assert not np.isnan(arrays["log_likelihood"]).any()
+    assert np.isfinite(arrays["heading"][evaluated]).all()
+    assert np.isnan(arrays["heading"][~evaluated]).all()
+    assert f"compared {36 * int(evaluated.sum()):,} poses" in text
+
+
+@pytest.mark.parametrize("name", ["picture.svg", "picture.png"])
+def test_the_picture_is_written(folder, tmp_path, capsys, name):
+    assert run(folder, "--out", str(tmp_path / name)) == 0
+    assert f"wrote {tmp_path / name}" in capsys.readouterr().out
+    start = (tmp_path / name).read_bytes()[:60]
+    assert start.startswith(b"<?xml") if name.endswith("svg") else start.startswith(b"\x89PNG")
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+
+
+def test_without_a_reference_pose_only_the_likelihood_is_drawn(folder, tmp_path, capsys):
+    words = ("--lone-poses", "odometry", "--out", str(tmp_path / "b.svg"), "--npz", str(tmp_path / "b.npz"))
+    log = (folder / "drive.log").read_text()
+    lone = tmp_path / "lone.log"
+    # Older CARMEN logs end after the first pose; it is then said to be odometry.
+    lone.write_text("\n".join(_with_equal_poses(line) for line in log.splitlines()) + "\n")
+    code = main(["likelihood", str(lone), "--map", str(folder / "room.yaml"), "--scan", "2", *QUICK, *words])
+    assert code == 0
+    assert "the scan has no reference pose" in capsys.readouterr().out
+    assert np.isnan(np.load(tmp_path / "b.npz")["reference_pose"]).all()
+    assert (tmp_path / "b.svg").is_file()
+
+
+def _with_equal_poses(line: str) -> str:
+    words = line.split()
+    if not words or words[0] != "FLASER":
+        return line
+    k = 2 + int(words[1])
+    words[k : k + 3] = words[k + 3 : k + 6]
+    return " ".join(words)
+
+
+def test_parameters_come_from_a_calibration(folder, tmp_path, capsys):
+    parameters = tmp_path / "beam_model.yaml"
+    parameters.write_text(
+        "beam_model: {z_hit: 0.9, z_short: 0.04, z_max: 0.02, z_rand: 0.04, sigma_hit: 0.04, lambda_short: 0.5}\n"
+        "sensor: {name: a, min_range: 0.0, max_range: 10.0}\n"
+    )
+    values = []
+    for words in ((), ("--parameters", str(parameters)), ("--parameters", str(parameters), "--no-widening")):
+        assert run(folder, *words) == 0
+        values.append(re.search(r"= (-?[0-9.]+) nats", capsys.readouterr().out)[1])
+    assert len(set(values)) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"scan": 6}, "has scans 0 to 5, got 6"),
+        ({"scan": -1}, "has scans 0 to 5, got -1"),
+        ({"scan": SILENT}, "scan 4 of .* has no measured range"),
+        ({"map_name": "empty.yaml"}, "the map has no occupied cell"),
+        ({"map_name": "solid.yaml"}, "the map has no free cell"),
+        (("--sensor", "RLASER"), "no sensor 'RLASER'; the log has 'FLASER'"),
+        (("--out", "a.gif"), "expected a name ending in .png, .svg, .pdf, got 'a.gif'"),
+        (("--npz", "a.csv"), "expected a name ending in .npz, got 'a.csv'"),
+        (("--beams", "-3"), "--beams: expected 0"),
+        (("--local-scans", "0"), "--local-scans: expected at least 1"),
+        (("--headings", "0"), "headings: expected at least 1, got 0"),
+        (("--poses", "missing.tum"), "missing.tum: No such file"),
+    ],
+    ids=[
+        "beyond",
+        "negative",
+        "silent",
+        "empty",
+        "solid",
+        "sensor",
+        "out",
+        "npz",
+        "beams",
+        "local",
+        "headings",
+        "poses",
+    ],
+)
+def test_bad_input_is_one_line(folder, capsys, words, message):
+    options = words if isinstance(words, dict) else {}
+    assert run(folder, *(() if options else words), **options) == 1
+    error = capsys.readouterr().err
+    assert re.search(message, error)
+    assert error.count("\n") == 1
+    assert error.startswith("beamfield: error: ")

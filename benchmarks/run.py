@@ -9,7 +9,16 @@ import sys
 import numba
 import numpy
 
-BENCHMARKS = ("raycast", "beam_model", "distance", "likelihood_field", "learning", "map_matching", "alignment")
+BENCHMARKS = (
+    "raycast",
+    "beam_model",
+    "distance",
+    "likelihood_field",
+    "learning",
+    "map_matching",
+    "alignment",
+    "likelihood_map",
+)
 
 
 def main(names: list[str]) -> None:

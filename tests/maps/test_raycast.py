@@ -238,13 +238,25 @@ def test_casting_ends_for_weird_numbers():
     """Positions up to the largest float, headings of many turns, ranges far longer than the map."""
     caster = draw("..#", "...", "#..")
     turned = draw("..#", "...", "#..", resolution=1e-3, origin=(1e6, -1e6, 2.0))
-    headings = [0.0, 1e-320, 6e-17, 1e-12, -1e-12, np.pi, 0.7, 1e5, 1e6, -1e9, 1e22, 1.7e308]
+    far_yaw = draw("..#", "...", "#..", origin=(0.0, 0.0, 1.7e308))
+    headings = [0.0, -1.7e308, 1e-320, 6e-17, 1e-12, -1e-12, np.pi, 0.7, 1e5, 1e6, -1e9, 1e22, 1.7e308]
     poses = np.array(np.meshgrid(WEIRD, WEIRD, headings)).reshape(3, -1).T
-    for each in (caster, turned):
+    for each in (caster, turned, far_yaw):
         for max_range in (1e-300, 1e-9, 5.0, 1e18, 1.7e308):
             ranges = each.cast(poses, max_range)
             assert ((ranges >= 0) & (ranges <= max_range)).all()
             each.cast_hits(poses, max_range)
+
+
+def test_what_lies_in_freed_memory_does_not_reach_a_few_rays():
+    # A handful of rays leaves most of the block that walks in lockstep unused.
+    caster = draw("....#")
+    for garbage in (np.nan, np.inf, 1e200, 3.0, -7e8):
+        for size in (500, 1056, 1100, 2640, 4000):
+            junk = np.full(size, garbage)
+            del junk
+            assert caster.cast([0.5, 0.5, EAST], 10.0) == 3.5
+            assert caster.expected_ranges([0.5, 0.5, EAST], RangeFinder.from_bearings([0.0], 9.0)).tolist() == [3.5]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

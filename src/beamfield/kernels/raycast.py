@@ -208,7 +208,8 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
     for done in range(0, n, BLOCK):
         count = min(BLOCK, n - done)
         _place(origins, frame, terrain.resolution, done, count, placed)
-        for b in range(BLOCK):
+        # Lanes beyond count keep rays of the block before: every lane walks, so each must hold a real ray (or zeros).
+        for b in range(count):
             ray[CELL_X + b], ray[OFFSET_X + b] = _split(placed[b])
             ray[CELL_Y + b], ray[OFFSET_Y + b] = _split(placed[STRIDE + b])
             ray[COS + b] = placed[2 * STRIDE + b]
@@ -373,24 +374,24 @@ def _aim(
     ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
 ) -> None:
     """Fill starts and directions of `count` beams of one pose, from beam `first` on, into the block from `to` on."""
-    fan_x, fan_y, fan_c, fan_s = fan[0], fan[1], fan[2], fan[3]
     # Whole vectors of 8 beams: what they write too much is never read, or overwritten by the next pose.
-    vectors = (count + 7) // 8 * 8
-    for b in range(vectors):
-        ray[COS + to + b] = c * fan_c[first + b] - s * fan_s[first + b]
-        ray[SIN + to + b] = s * fan_c[first + b] + c * fan_s[first + b]
+    n = (count + 7) // 8 * 8
+    fan_c, fan_s = fan[2, first : first + n], fan[3, first : first + n]
+    # Slices, because LLVM vectorises only if it knows that no index is negative.
+    to_c, to_s = ray[COS + to : COS + to + n], ray[SIN + to : SIN + to + n]
+    for b in range(n):
+        to_c[b] = c * fan_c[b] - s * fan_s[b]
+        to_s[b] = s * fan_c[b] + c * fan_s[b]
+    cell_x, offset_x = ray[CELL_X + to : CELL_X + to + n], ray[OFFSET_X + to : OFFSET_X + to + n]
+    cell_y, offset_y = ray[CELL_Y + to : CELL_Y + to + n], ray[OFFSET_Y + to : OFFSET_Y + to + n]
     if same_mount:
-        cell_x, offset_x = _split(x + (c * fan_x[0] - s * fan_y[0]))
-        cell_y, offset_y = _split(y + (s * fan_x[0] + c * fan_y[0]))
-        for b in range(vectors):
-            ray[CELL_X + to + b], ray[OFFSET_X + to + b] = cell_x, offset_x
-            ray[CELL_Y + to + b], ray[OFFSET_Y + to + b] = cell_y, offset_y
+        cell_x[:], offset_x[:] = _split(x + (c * fan[0, 0] - s * fan[1, 0]))
+        cell_y[:], offset_y[:] = _split(y + (s * fan[0, 0] + c * fan[1, 0]))
     else:
-        for b in range(vectors):
-            beam_x = x + (c * fan_x[first + b] - s * fan_y[first + b])
-            beam_y = y + (s * fan_x[first + b] + c * fan_y[first + b])
-            ray[CELL_X + to + b], ray[OFFSET_X + to + b] = _split(beam_x)
-            ray[CELL_Y + to + b], ray[OFFSET_Y + to + b] = _split(beam_y)
+        fan_x, fan_y = fan[0, first : first + n], fan[1, first : first + n]
+        for b in range(n):
+            cell_x[b], offset_x[b] = _split(x + (c * fan_x[b] - s * fan_y[b]))
+            cell_y[b], offset_y[b] = _split(y + (s * fan_x[b] + c * fan_y[b]))
 
 
 @inlined_kernel
@@ -510,7 +511,8 @@ def _cast_block(
             n_free, more = _advance_pool(scratch, terrain, ranges)
             doubts += more
         n_free -= 1
-        m, j = free[n_free], chosen[i]
+        # The mask tells LLVM that the indices are not negative.
+        m, j = free[n_free] & (BLOCK - 1), chosen[i] & (BLOCK - 1)
         owner[m] = done + j
         to_base[m] = base[j]
         to_state[FX + m], to_state[FY + m] = state[FX + j], state[FY + j]
@@ -546,7 +548,7 @@ def _advance_pool(scratch: Scratch, terrain: Terrain, ranges: Floats) -> tuple[i
             n_free += 0 if alive[m] else 1
     doubts = 0
     for i in range(n_free):
-        m = free[i]
+        m = free[i] & (BLOCK - 1)
         if owner[m] >= 0:
             result = _result(ray, state, m, terrain)
             ranges[owner[m]] = result
@@ -578,7 +580,8 @@ def _start(lanes: Lanes, terrain: Terrain) -> None:
         ox, col, inv_c, c_abs = _reflect(ray[CELL_X + j], ray[OFFSET_X + j], c, cols)
         oy, row, inv_s, s_abs = _reflect(ray[CELL_Y + j], ray[OFFSET_Y + j], s, rows)
         ray[OX + j], ray[OY + j], ray[IX + j], ray[IY + j] = ox, oy, inv_c, inv_s
-        inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows)
+        # Also false for what is not a number, which must never become an index.
+        inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows) & (c_abs + s_abs > 0)
         corner = (_quadrant(c, s) * (rows + 2) + row + 1) * (cols + 2) + col + 1
         base[j] = np.int32(corner if inside else 0.0)
         # A parallel ray never crosses an edge of the other axis: anywhere inside the cell is right for it.

@@ -249,14 +249,14 @@ def test_casting_ends_for_weird_numbers():
 
 
 def test_what_lies_in_freed_memory_does_not_reach_a_few_rays():
-    # A handful of rays leaves most of the block that walks in lockstep unused.
-    caster = draw("....#")
-    for garbage in (np.nan, np.inf, 1e200, 3.0, -7e8):
-        for size in (500, 1056, 1100, 2640, 4000):
-            junk = np.full(size, garbage)
-            del junk
-            assert caster.cast([0.5, 0.5, EAST], 10.0) == 3.5
-            assert caster.expected_ranges([0.5, 0.5, EAST], RangeFinder.from_bearings([0.0], 9.0)).tolist() == [3.5]
+    # A handful of rays leaves most of the block that walks in lockstep unused. Scratch memory taken from these arrays
+    # would hold starts inside the map with infinite directions.
+    caster = draw("....#", ".....")
+    for size in range(1056, 1080):
+        junk = [np.repeat([0.5, np.inf], size // 2) for _ in range(50)]
+        del junk
+        assert caster.cast([0.5, 1.5, EAST], 10.0) == 3.5
+        assert caster.expected_ranges([0.5, 1.5, EAST], RangeFinder.from_bearings([0.0], 9.0)).tolist() == [3.5]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -1,6 +1,8 @@
 """Align two scans of a log, and draw the likelihood field of the first with the second on it (Figure 6.11).
 
-Run: python examples/align_two_scans.py LOG FIRST SECOND [PICTURE.png]
+Run: python examples/align_two_scans.py [LOG FIRST SECOND [PICTURE.png]]
+
+Without a log, two scans of a simulated drive are aligned.
 """
 
 from __future__ import annotations
@@ -14,14 +16,25 @@ from beamfield.geometry import between, transform_points
 from beamfield.io.read_log import read_log
 from beamfield.localization.alignment import align
 from beamfield.maps.scan_field import ScanField, end_points
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.floor_plan import draw_floor_plan
+from beamfield.simulation.log import simulate_log
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 
-def main(path: str, first: int, second: int, picture: str = "alignment.png") -> None:
+def simulated_drive() -> SensorLog:
+    """Return a short drive through an office, with odometry that slips."""
+    laser = RangeFinder.from_bearings(np.radians(np.arange(-90.0, 90.0)), max_range=20.0)
+    noise = BeamParameters(z_hit=0.97, z_short=0.01, z_max=0.01, z_rand=0.01, sigma_hit=0.02, lambda_short=0.5)
+    return simulate_log(draw_floor_plan(seed=1), laser, noise, duration=30.0, scan_rate=2.0, seed=3).only_sensor()
+
+
+def main(path: str | None = None, first: int = 50, second: int = 52, picture: str = "alignment.png") -> None:
     """Print the result and write the picture."""
-    log = next(iter(read_log(path).sensors.values()))
+    log = simulated_drive() if path is None else next(iter(read_log(path).sensors.values()))
     onto, scan = log.scan(first), log.scan(second)
     track = log.odometry if log.has_odometry else log.poses
     start = between(track[first], track[second])
@@ -54,4 +67,7 @@ def main(path: str, first: int, second: int, picture: str = "alignment.png") -> 
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), *sys.argv[4:])
+    words = sys.argv[1:]
+    if len(words) in (1, 2):
+        sys.exit(__doc__)
+    main(*words[:1], *(int(word) for word in words[1:3]), *words[3:4])

@@ -18,6 +18,7 @@ BENCHMARKS = (
     "map_matching",
     "alignment",
     "likelihood_map",
+    "landmark",
 )
 
 

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
+from scipy import stats
 
-from beamfield.geometry import compose
+from beamfield.detections import SPURIOUS, UNKNOWN, Detections
+from beamfield.geometry import compose, transform_points, wrap_angle
+from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_pit
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.cell_difference import CellDifferenceModel
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.histogram_matching import HistogramMatchingModel
+from beamfield.models.landmark import LandmarkModel
+from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan
@@ -140,6 +146,36 @@ def build_likelihood_field(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **option
     return LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(**{**values, **changed}), **options)
 
 
+def build_landmark_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> LandmarkModel:
+    """Return a landmark model of three landmarks; `parameters` as keywords of their own replace the defaults."""
+    values = {"sigma_range": 0.3, "sigma_bearing": 0.2, "spurious_rate": 0.2, "max_range": 80.0}
+    changed = {name: options.pop(name) for name in list(options) if name in LandmarkParameters.__dataclass_fields__}
+    landmarks = LandmarkMap(transform_points(map_from_moved, [[0.6, 0.7], [4.1, 2.2], [6.3, 3.9]]), ids=[7, 3, 12])
+    return LandmarkModel(
+        landmarks, LandmarkParameters(**{**values, **changed}), **{"correspondence": "known", **options}
+    )
+
+
+def integrate_one_feature(model: LandmarkModel, pose: np.ndarray) -> float:
+    """Return the integral over range and bearing of one feature, by the midpoint rule."""
+    ranges, bearings = -4.975 + 0.05 * np.arange(1900), (np.arange(160) + 0.5) * np.pi / 80.0
+    r, phi = (axis.ravel() for axis in np.meshgrid(ranges, bearings))
+    which = UNKNOWN if model.correspondence == "sum" else 3
+    density = np.exp(model.detection_log_likelihood(Detections(r, phi, ids=np.full(r.size, which)), pose))
+    return float(density.sum() * 0.05 * np.pi / 80.0)
+
+
+def landmark_transform(
+    model: LandmarkModel, features: list[Detections], pose: np.ndarray, _: np.random.Generator
+) -> np.ndarray:
+    """Return the probability integral transform of all ranges and bearings."""
+    expected = model.expected(pose)
+    a = np.array([z.ranges - expected[:, 0] for z in features]) / model.parameters.sigma_range
+    b = np.array([wrap_angle(z.bearings - expected[:, 1]) for z in features]) / model.parameters.sigma_bearing
+    end = np.pi / model.parameters.sigma_bearing
+    return np.concatenate([stats.norm.cdf(a).ravel(), stats.truncnorm.cdf(b, -end, end).ravel()])
+
+
 NO_RETURN = [0.0, 1.2, np.inf, 5.0, 4.9999, 7.0, 0.3, 2.0, 2.5]
 NOTHING = [np.nan] * 9
 MIXED = [np.nan, -np.inf, 0.01, 1.0, 2.0, np.nan, np.inf, 0.5, 1.5]
@@ -147,6 +183,11 @@ USUAL = [1.0, 1.1, 1.2, 1.0, 2.1, 2.2, 0.4, 1.5, 1.5]
 # A local map, turned in the robot's frame, with unknown cells.
 LOCAL_MAP = OccupancyGrid(
     [[0.1, 0.2, 0.9, np.nan], [0.1, np.nan, 0.8, 0.5], [1.0, 1.0, 0.4, 0.0]], 0.4, (-0.7, 0.1, 0.6)
+)
+
+# Range and bearing, bearing only, range only, neither; a negative range and a bearing beyond pi.
+FEATURES = Detections(
+    [2.1, np.nan, 3.0, np.nan, -0.1, 4.0], [0.5, 2.0, np.nan, np.nan, 1.0, 7.3], ids=[7, 3, 12, 7, 3, SPURIOUS]
 )
 
 CASES = [
@@ -180,6 +221,32 @@ CASES = [
             {"interpolation": "bilinear", "z_hit": 1.0, "z_rand": 0.0, "sigma_hit": 0.03},
         ),
         measurements=tuple(Scan(ranges, BLIND_FINDER) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)),
+        poses=POSES,
+    ),
+    Case(
+        name="landmarks",
+        build=build_landmark_model,
+        options=(
+            {},
+            {"correspondence": "sum"},
+            {"mount": (0.3, -0.2, 0.9), "range_bias": 0.4, "bearing_bias": -0.3},
+            {"sigma_bearing": 2.5, "correspondence": "sum"},
+        ),
+        measurements=(FEATURES, Detections([], [])),
+        poses=POSES,
+        integral=integrate_one_feature,
+        transform=landmark_transform,
+        options_close_by={"sigma_range": 0.31, "sigma_bearing": 0.205},
+    ),
+    Case(
+        name="landmarks of unknown id",
+        build=partial(build_landmark_model, correspondence="nearest"),
+        options=tuple(
+            {"correspondence": how, "spurious_rate": rate}
+            for how in ("nearest", "sum", "assignment")
+            for rate in (0.2, 0.0)
+        ),
+        measurements=(FEATURES.without_ids(), FEATURES),
         poses=POSES,
     ),
     *(

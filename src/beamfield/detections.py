@@ -1,0 +1,126 @@
+"""Features of one observation: range, bearing and signature of what a feature extractor found (6.38)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+
+SPURIOUS = -1
+"""Correspondence c = N + 1 of 6.6.3: the feature belongs to no landmark of the map."""
+UNKNOWN = -2
+"""The correspondence is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """f(z) = {(r, phi, s), ...} of (6.38): the features of one observation, in the sensor's frame.
+
+    Parameters
+    ----------
+    ranges
+        (k,) metres; NaN where no range was measured (bearing only). A negative range is kept: the Gaussian noise of
+        (6.40) can produce one next to a landmark.
+    bearings
+        (k,) radians, counter-clockwise from the sensor's axis; NaN where no bearing was measured (range only). Any
+        finite angle: directions that differ by full turns are the same.
+    signatures
+        (k,) numbers or types, or (k, d) vectors; NaN where none was measured. None if no feature has one.
+    ids
+        (k,) id of each feature's landmark, `SPURIOUS` or `UNKNOWN`; None if none is known.
+    stamp
+        Seconds.
+
+    Raises
+    ------
+    InvalidInputError
+        If shapes differ, a value is infinite, a vector is partly NaN, or an id is below `UNKNOWN`.
+    """
+
+    ranges: FloatArray
+    bearings: FloatArray
+    signatures: FloatArray | None = None
+    ids: NDArray[np.int64] | None = None
+    stamp: float = 0.0
+
+    def __post_init__(self) -> None:
+        ranges = _frozen(self.ranges, "ranges")
+        if ranges.ndim != 1:
+            raise InvalidInputError(f"ranges: expected shape (k,), got {ranges.shape}")
+        object.__setattr__(self, "ranges", ranges)
+        object.__setattr__(self, "bearings", _frozen(self.bearings, "bearings"))
+        if self.bearings.shape != ranges.shape:
+            raise InvalidInputError(f"bearings: expected shape {ranges.shape}, got {self.bearings.shape}")
+        if self.signatures is not None:
+            object.__setattr__(self, "signatures", self._checked_signatures(self.signatures))
+        if self.ids is not None:
+            ids = as_ids(self.ids, len(ranges), UNKNOWN)
+            object.__setattr__(self, "ids", ids)
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    def subset(self, features: ArrayLike) -> Detections:
+        """Return only the given features (indices or mask)."""
+        # An empty list would become an array of floats, which selects nothing.
+        chosen = np.arange(len(self))[np.asarray(features, dtype=None if np.size(features) else np.int64)]
+        return replace(
+            self,
+            ranges=self.ranges[chosen],
+            bearings=self.bearings[chosen],
+            signatures=None if self.signatures is None else self.signatures[chosen],
+            ids=None if self.ids is None else self.ids[chosen],
+        )
+
+    def without_ids(self) -> Detections:
+        """Return the same features with all correspondences unknown."""
+        return replace(self, ids=None)
+
+    def _checked_signatures(self, values: ArrayLike) -> FloatArray:
+        signatures = _frozen(values, "signatures")
+        if signatures.ndim not in (1, 2) or len(signatures) != len(self.ranges):
+            raise InvalidInputError(
+                f"signatures: expected shape ({len(self.ranges)},) or ({len(self.ranges)}, d), got {signatures.shape}"
+            )
+        if signatures.ndim == 2:
+            missing = np.isnan(signatures)
+            partly = missing.any(axis=1) & ~missing.all(axis=1)
+            if partly.any():
+                i = int(partly.argmax())
+                raise InvalidInputError(
+                    f"signatures: expected vectors that are all numbers or all NaN, got {signatures[i].tolist()} "
+                    f"at index {i}"
+                )
+        return signatures
+
+
+def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
+    """Return n ids as read-only integers, or say what is wrong with them.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are no whole numbers, not n of them, or one is below `lowest`.
+    """
+    given = np.asarray(ids)
+    if given.shape != (n,):
+        raise InvalidInputError(f"ids: expected shape ({n},), got {given.shape}")
+    if given.size and given.dtype.kind not in "iu":
+        raise InvalidInputError(f"ids: expected whole numbers, got {given.dtype}")
+    result = np.array(given, dtype=np.int64)
+    if (result < lowest).any():
+        raise InvalidInputError(f"ids: expected at least {lowest}, got {result.min()}")
+    result.flags.writeable = False
+    return result
+
+
+def _frozen(values: ArrayLike, name: str) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if np.isinf(array).any():
+        raise InvalidInputError(f"{name}: expected finite numbers or NaN, got {array[np.isinf(array)][0]}")
+    array.flags.writeable = False
+    return array

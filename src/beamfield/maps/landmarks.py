@@ -1,0 +1,122 @@
+"""Feature-based maps: a list of landmarks with positions and signatures (6.6.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.detections import as_ids
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+
+SignatureKind = Literal["none", "number", "vector", "type"]
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """m = {m_1, ..., m_N}: landmarks with a position in the map frame, an id and perhaps a signature.
+
+    Parameters
+    ----------
+    positions
+        (n, 2) metres; at least one landmark.
+    ids
+        (n,) whole numbers >= 0, each once; left out, they are 1 to n.
+    signatures
+        What a landmark looks like: (n,) numbers, (n, d) vectors, or (n,) types 0, 1, 2 ...; None if all look alike.
+    kind
+        "number", "vector", "type" or "none". Left out, the shape of the signatures tells; types must be said, because
+        they look like numbers.
+
+    Raises
+    ------
+    InvalidInputError
+        If a position or signature is not finite, an id appears twice or is negative, a type is no whole number >= 0, or
+        shapes do not fit.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.6.2.
+
+    Examples
+    --------
+    >>> landmarks = LandmarkMap([[0.0, 1.0], [4.0, 2.0]], ids=[7, 9], signatures=[0, 1], kind="type")
+    >>> landmarks.indices_of([9]).tolist()
+    [1]
+    """
+
+    positions: FloatArray
+    ids: NDArray[np.int64] = None  # type: ignore[assignment]  # always there once constructed
+    signatures: FloatArray | None = None
+    kind: SignatureKind = None  # type: ignore[assignment]  # the same
+
+    def __post_init__(self) -> None:
+        positions = _finite(self.positions, "positions")
+        if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
+            raise InvalidInputError(f"positions: expected shape (n, 2) with n >= 1, got {positions.shape}")
+        object.__setattr__(self, "positions", positions)
+        n = len(positions)
+        ids = as_ids(np.arange(1, n + 1) if self.ids is None else self.ids, n, 0)
+        values, counts = np.unique(ids, return_counts=True)
+        if (counts > 1).any():
+            raise InvalidInputError(f"ids: expected each id once, got {values[counts.argmax()]} {counts.max()} times")
+        object.__setattr__(self, "ids", ids)
+        if self.signatures is not None:
+            object.__setattr__(self, "signatures", _finite(self.signatures, "signatures"))
+        object.__setattr__(self, "kind", self._checked_kind())
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
+        """Return the index of the landmark with each id.
+
+        Parameters
+        ----------
+        ids
+            (k,) ids of landmarks.
+
+        Raises
+        ------
+        InvalidInputError
+            If the map has no such id; it is named.
+        """
+        wanted = np.asarray(ids, dtype=np.int64)
+        order = np.argsort(self.ids)
+        place = np.minimum(np.searchsorted(self.ids[order], wanted), len(self) - 1)
+        found = order[place]
+        unknown = self.ids[found] != wanted
+        if unknown.any():
+            raise InvalidInputError(f"ids: expected ids of the map, got {wanted[unknown][0]}")
+        return np.asarray(found)
+
+    def _checked_kind(self) -> SignatureKind:
+        if self.signatures is None:
+            if self.kind not in (None, "none"):
+                raise InvalidInputError(f"kind: expected 'none' without signatures, got {self.kind!r}")
+            return "none"
+        shape, n = self.signatures.shape, len(self)
+        if len(shape) not in (1, 2) or shape[0] != n:
+            raise InvalidInputError(f"signatures: expected shape ({n},) or ({n}, d), got {shape}")
+        possible = ("vector",) if len(shape) == 2 else ("number", "type")
+        if self.kind is not None and self.kind not in possible:
+            raise InvalidInputError(
+                f"kind: expected one of {possible} for signatures of shape {shape}, got {self.kind!r}"
+            )
+        if self.kind == "type":
+            wrong = (self.signatures < 0) | (self.signatures != np.floor(self.signatures))
+            if wrong.any():
+                raise InvalidInputError(f"signatures: expected types 0, 1, 2, ..., got {self.signatures[wrong][0]}")
+        return self.kind or ("vector" if len(shape) == 2 else "number")
+
+
+def _finite(values: ArrayLike, name: str) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+        raise InvalidInputError(f"{name}: expected finite numbers, got {array[where]} at index {where}")
+    array.flags.writeable = False
+    return array

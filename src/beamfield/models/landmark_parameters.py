@@ -1,0 +1,113 @@
+"""The noise of a landmark sensor (6.40)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+
+# Rows of a confusion matrix may miss the sum 1 by this much: they are read from files with a few digits.
+ROW_SUM_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkParameters:
+    """sigma_r, sigma_phi and sigma_s of (6.40), biases, and how often a feature belongs to no landmark.
+
+    Parameters
+    ----------
+    sigma_range, sigma_bearing
+        Standard deviations, metres and radians.
+    sigma_signature
+        Standard deviation of a signature that is a number.
+    signature_covariance
+        (d, d) covariance of a signature that is a vector.
+    confusion
+        (t, t) P(type seen = column | type of the landmark = row); rows sum to 1.
+    spurious_rate
+        Probability that a feature belongs to no landmark of the map (c = N + 1), in [0, 1).
+    max_range
+        Features of no landmark have ranges uniform on [0, max_range], metres; needed where there are any.
+    range_bias, bearing_bias
+        Mean of what is measured minus what is true. Beyond the chapter, where they are 0.
+
+    Raises
+    ------
+    InvalidInputError
+        If a standard deviation is not positive, the covariance is not symmetric and positive definite, a row of the
+        confusion matrix does not sum to 1 or has an entry outside [0, 1], or a value is not finite.
+    """
+
+    sigma_range: float
+    sigma_bearing: float
+    sigma_signature: float | None = None
+    signature_covariance: FloatArray | None = None
+    confusion: FloatArray | None = None
+    spurious_rate: float = 0.0
+    max_range: float | None = None
+    range_bias: float = 0.0
+    bearing_bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_range", "sigma_bearing", "sigma_signature", "max_range"):
+            value = getattr(self, name)
+            if value is None and name in ("sigma_signature", "max_range"):
+                continue
+            if not 0.0 < value < np.inf:
+                raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")
+        for name in ("range_bias", "bearing_bias"):
+            if not np.isfinite(getattr(self, name)):
+                raise InvalidInputError(f"{name}: expected a finite number, got {getattr(self, name)}")
+        if not 0.0 <= self.spurious_rate < 1.0:
+            raise InvalidInputError(f"spurious_rate: expected a probability in [0, 1), got {self.spurious_rate}")
+        if self.spurious_rate > 0.0 and self.max_range is None:
+            raise InvalidInputError("max_range: expected a limit where spurious_rate > 0, got None")
+        if self.signature_covariance is not None:
+            object.__setattr__(self, "signature_covariance", _checked_covariance(self.signature_covariance))
+        if self.confusion is not None:
+            object.__setattr__(self, "confusion", _checked_confusion(self.confusion))
+
+
+def _checked_covariance(values: Any) -> FloatArray:
+    covariance = _square(values, "signature_covariance")
+    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        raise InvalidInputError(f"signature_covariance: expected a symmetric matrix, got {covariance.tolist()}")
+    # Judged on correlations: components may have any units.
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if not (scale > 0.0).all():
+        raise InvalidInputError(
+            f"signature_covariance: expected positive variances, got {np.diag(covariance).tolist()}"
+        )
+    least = float(np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0])
+    if least < 1e-12:
+        raise InvalidInputError(
+            "signature_covariance: expected a positive definite matrix, "
+            f"got {covariance.tolist()}, whose correlations have the eigenvalue {least:.3g}"
+        )
+    return covariance
+
+
+def _checked_confusion(values: Any) -> FloatArray:
+    confusion = _square(values, "confusion")
+    if (confusion < 0.0).any() or (confusion > 1.0).any():
+        wrong = confusion[(confusion < 0.0) | (confusion > 1.0)][0]
+        raise InvalidInputError(f"confusion: expected probabilities in [0, 1], got {wrong}")
+    sums = confusion.sum(axis=1)
+    if (np.abs(sums - 1.0) > ROW_SUM_TOLERANCE).any():
+        row = int(np.abs(sums - 1.0).argmax())
+        raise InvalidInputError(f"confusion: expected rows that sum to 1, got {sums[row]:.9g} in row {row}")
+    return confusion
+
+
+def _square(values: Any, name: str) -> FloatArray:
+    matrix = np.array(values, dtype=np.float64)
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not matrix.size:
+        raise InvalidInputError(f"{name}: expected a square matrix, got shape {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise InvalidInputError(f"{name}: expected finite numbers, got {matrix[~np.isfinite(matrix)][0]}")
+    matrix.flags.writeable = False
+    return matrix

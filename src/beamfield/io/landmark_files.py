@@ -1,0 +1,277 @@
+"""Files of landmarks and of what robots saw of them: CSV, UTIAS MRCLAM, and the Freiburg course."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.detections import Detections
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.io.atomic import write_file
+from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.maps.landmarks import LandmarkMap
+
+MAX_ID = 2**53
+
+
+@dataclass(frozen=True, eq=False)
+class CourseLog:
+    """Odometry and features of the Freiburg course, step by step.
+
+    Parameters
+    ----------
+    odometry
+        (t, 3) each step's motion: first rotation, translation, second rotation; radians and metres.
+    detections
+        What the robot saw after each step; ids are known.
+    """
+
+    odometry: FloatArray
+    detections: tuple[Detections, ...]
+
+    def __len__(self) -> int:
+        return len(self.detections)
+
+
+def read_landmarks(path: str | Path) -> LandmarkMap:
+    """Read a map of landmarks from CSV, plain or gzip.
+
+    The header is ``id,x,y``, then nothing, or ``signature`` (a number), or ``type`` (0, 1, 2 ...), or ``signature_1,
+    signature_2, ...`` (a vector). Blank lines, and lines that begin with #, are left out.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If the header is another, a value is no finite number, a row has another length, an id is no whole number >= 0
+        or appears twice, or there is no landmark; the line and the value are named.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    rows = _csv_rows(source)
+    line, header = next(rows, (None, []))
+    extra = [name.strip().lower() for name in header][3:]
+    vector = [f"signature_{i + 1}" for i in range(len(extra))]
+    if [name.strip().lower() for name in header][:3] != ["id", "x", "y"] or (
+        extra not in ([], ["signature"], ["type"]) and extra != vector
+    ):
+        raise FormatError(
+            source,
+            f"expected the header id,x,y and then nothing, signature, type, or signature_1,signature_2,...; "
+            f"got {','.join(header)[:80]!r}",
+            line=line,
+        )
+    table = _Table(source)
+    for line, words in rows:
+        if len(words) != len(header):
+            raise FormatError(source, f"expected {len(header)} values, got {len(words)}", line=line)
+        table.add(line, words)
+    return table.to_map(n_columns=2 + len(extra), kind="type" if extra == ["type"] else None, vector=extra == vector)
+
+
+def write_landmarks(path: str | Path, landmarks: LandmarkMap) -> None:
+    """Write a map of landmarks as CSV that `read_landmarks` reads back without loss; an existing file is replaced.
+
+    Parameters
+    ----------
+    path
+        The file.
+    landmarks
+        The map.
+
+    Raises
+    ------
+    OSError
+        As the file system says; the old file is left as it was.
+    """
+    columns, names = [landmarks.positions], ["id", "x", "y"]
+    if landmarks.signatures is not None:
+        columns.append(landmarks.signatures.reshape(len(landmarks), -1))
+        d = columns[-1].shape[1]
+        names += (
+            [f"signature_{i + 1}" for i in range(d)]
+            if landmarks.kind == "vector"
+            else ["type" if landmarks.kind == "type" else "signature"]
+        )
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for which, values in zip(landmarks.ids.tolist(), np.column_stack(columns).tolist(), strict=True):
+        shown = [repr(value) for value in values]
+        if landmarks.kind == "type":
+            shown[-1] = str(int(values[-1]))
+        writer.writerow([which, *shown])
+    write_file(path, text.getvalue())
+
+
+def read_mrclam_landmarks(path: str | Path) -> LandmarkMap:
+    """Read Landmark_Groundtruth.dat of the UTIAS MRCLAM sets, plain or gzip.
+
+    Rows are ``subject x y x_std y_std``; the standard deviations of the survey (below a millimetre) are checked and
+    left out.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If a row has not 5 finite numbers, a deviation is negative, an id is no whole number >= 0 or appears twice, or
+        there is no landmark.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    table = _Table(source)
+    for line, words in _word_rows(source):
+        if len(words) != 5:
+            raise FormatError(source, f"expected subject, x, y, x_std, y_std, got {len(words)} values", line=line)
+        deviations = parse_numbers(source, line, words[3:], "standard deviation")
+        if not (np.isfinite(deviations) & (deviations >= 0.0)).all():
+            raise FormatError(
+                source, f"expected standard deviations >= 0, got {words[3]!r} and {words[4]!r}", line=line
+            )
+        table.add(line, words[:3])
+    return table.to_map(n_columns=2)
+
+
+def read_course_world(path: str | Path) -> LandmarkMap:
+    """Read world.dat of the Freiburg course: rows ``id x y``.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If a row has not 3 finite numbers, an id is no whole number >= 0 or appears twice, or there is no landmark.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    table = _Table(source)
+    for line, words in _word_rows(source):
+        if len(words) != 3:
+            raise FormatError(source, f"expected id, x, y, got {len(words)} values", line=line)
+        table.add(line, words)
+    return table.to_map(n_columns=2)
+
+
+def read_course_log(path: str | Path) -> CourseLog:
+    """Read sensor_data.dat of the Freiburg course.
+
+    ``ODOMETRY rotation translation rotation`` begins a step, ``SENSOR id range bearing`` are its features. Values are
+    kept as they are: the file has a negative range and bearings beyond pi, and `Detections` says what they mean.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If a line is neither, a value is no finite number, an id is no whole number >= 0, a feature comes before the
+        first step, or there is no step.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    odometry: list[FloatArray] = []
+    seen: list[list[tuple[int, float, float]]] = []
+    for line, words in _word_rows(source):
+        kind = words[0]
+        if kind not in ("ODOMETRY", "SENSOR"):
+            raise FormatError(source, f"expected ODOMETRY or SENSOR, got {kind[:40]!r}", line=line)
+        if len(words) != 4:
+            raise FormatError(source, f"expected 3 values, got {len(words) - 1}", line=line, field=kind)
+        if kind == "ODOMETRY":
+            odometry.append(_finite_numbers(source, line, words[1:], kind))
+            seen.append([])
+            continue
+        if not seen:
+            raise FormatError(source, "expected ODOMETRY before the first feature", line=line, field=kind)
+        distance, bearing = _finite_numbers(source, line, words[2:], kind).tolist()
+        seen[-1].append((_id(source, line, words[1]), distance, bearing))
+    if not seen:
+        raise FormatError(source, "no steps: the file has no ODOMETRY line")
+    return CourseLog(np.array(odometry), tuple(_as_detections(features) for features in seen))
+
+
+class _Table:
+    """Rows of a map, with the line of each for errors."""
+
+    def __init__(self, source: Path) -> None:
+        self.source = source
+        self.ids: dict[int, int] = {}
+        self.rows: list[FloatArray] = []
+
+    def add(self, line: int, words: list[str]) -> None:
+        which = _id(self.source, line, words[0])
+        if which in self.ids:
+            raise FormatError(
+                self.source, f"expected each id once, got {which} again after line {self.ids[which]}", line=line
+            )
+        self.ids[which] = line
+        self.rows.append(_finite_numbers(self.source, line, words[1:], "landmark"))
+
+    def to_map(self, *, n_columns: int, kind: str | None = None, vector: bool = False) -> LandmarkMap:
+        if not self.rows:
+            raise FormatError(self.source, "no landmarks: the file has no rows")
+        values = np.array(self.rows)
+        signatures = values[:, 2:] if n_columns > 2 else None
+        if signatures is not None and not vector:
+            signatures = signatures[:, 0]
+        try:
+            if kind == "type":
+                return LandmarkMap(values[:, :2], np.array(list(self.ids)), signatures, "type")
+            return LandmarkMap(values[:, :2], np.array(list(self.ids)), signatures)
+        except InvalidInputError as error:
+            raise FormatError(self.source, str(error)) from error
+
+
+def _as_detections(features: list[tuple[int, float, float]]) -> Detections:
+    ids, ranges, bearings = zip(*features, strict=True) if features else ((), (), ())
+    return Detections(np.array(ranges), np.array(bearings), ids=np.array(ids, dtype=np.int64))
+
+
+def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    for number, text in read_lines(path):
+        if text.strip() and not text.lstrip().startswith("#"):
+            yield number, [word.strip() for word in text.strip().split(",")]
+
+
+def _word_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    for number, text in read_lines(path):
+        if text.strip() and not text.lstrip().startswith("#"):
+            yield number, text.split()
+
+
+def _id(path: Path, line: int, word: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,16}", word) or int(word) > MAX_ID:
+        raise FormatError(path, f"expected a whole number >= 0, got {word[:40]!r}", line=line, field="id")
+    return int(word)
+
+
+def _finite_numbers(path: Path, line: int, words: list[str], what: str) -> FloatArray:
+    numbers = parse_numbers(path, line, words, what)
+    if not np.isfinite(numbers).all():
+        bad = words[int((~np.isfinite(numbers)).argmax())]
+        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
+    return numbers

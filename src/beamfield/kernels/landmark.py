@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 # Poses of one pass of the vectorised loop: five columns of doubles stay in the nearest cache.
 BLOCK = 512
 QUARTER_PI, HALF_PI = 0.7853981633974483, 1.5707963267948966
+# Terms of a sum below exp(-45) = 3e-20 of the largest change no bit of it, unless there are thousands of them.
+NEGLIGIBLE = -45.0
 TAN_PI_8 = 0.41421356237309503
 
 
@@ -128,7 +130,11 @@ def fill_known(
 def fill_candidates(
     poses: Floats, mount: Floats, features: Floats, landmarks: Floats, base: Floats, out: Floats
 ) -> None:
-    """Fill in the log density of each feature given each landmark: base is (k, N), out (n, k, N)."""
+    """Fill in the log density of each feature given each landmark.
+
+    `landmarks` is (2, N), so that the loop over them reads neighbours; base is (k, N), out (n, k, N).
+    """
+    across, along = landmarks[0], landmarks[1]
     for i in range(poses.shape[0]):
         heading = poses[i, 2] + mount[2]
         cos, sin = math.cos(heading), math.sin(heading)
@@ -137,13 +143,11 @@ def fill_candidates(
         for k in range(features.shape[0]):
             r, cos_phi, sin_phi = features[k, 0], features[k, 1], features[k, 2]
             w_r, w_phi = features[k, 3], features[k, 4]
-            for j in range(landmarks.shape[0]):
-                out[i, k, j] = _never_nan(
-                    log_value(
-                        x, y, cos, sin, landmarks[j, 0], landmarks[j, 1],
-                        r, cos_phi, sin_phi, w_r, w_phi, base[k, j],
-                    )
-                )  # fmt: skip
+            constants, row = base[k], out[i, k]
+            for j in range(across.size):
+                row[j] = _never_nan(
+                    log_value(x, y, cos, sin, across[j], along[j], r, cos_phi, sin_phi, w_r, w_phi, constants[j])
+                )
 
 
 @kernel
@@ -159,7 +163,9 @@ def fill_sums(values: Floats, log_landmark: float, log_spurious: Floats, out: Fl
                 continue
             total = math.exp(log_spurious[k] - best)
             for j in range(values.shape[2]):
-                total += math.exp(values[i, k, j] + log_landmark - best)
+                below = values[i, k, j] + log_landmark - best
+                if below > NEGLIGIBLE:
+                    total += math.exp(below)
             out[i, k] = best + math.log(total)
 
 

@@ -297,7 +297,7 @@ class LandmarkModel:
             flat,
             self._mount_in_sensor_axes(),
             tables.features[tables.unknown],
-            self.landmarks.positions,
+            np.ascontiguousarray(self.landmarks.positions.T),
             tables.base[tables.unknown],
             each,
         )

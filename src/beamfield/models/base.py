@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +16,10 @@ Z_contra = TypeVar("Z_contra", contravariant=True)
 class MeasurementModel(Protocol[Z_contra]):
     """p(z | x, m) with the map m and the parameters fixed at construction."""
 
-    is_normalized: ClassVar[bool]
-    """Whether it is a density over z (a beam model is; a likelihood field is not)."""
+    @property
+    def is_normalized(self) -> bool:
+        """Whether it is a density over z (a beam model is; a likelihood field is not). A class may fix it for good."""
+        ...
 
     def log_likelihood(self, z: Z_contra, poses: ArrayLike) -> FloatArray:
         """Return log p(z | x, m) in nats for robot poses (..., 3), shape (...); -inf where impossible, never NaN."""

@@ -15,6 +15,7 @@ from scipy import stats
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.geometry import compose, transform_points, wrap_angle
 from beamfield.maps.landmarks import LandmarkMap
+from beamfield.maps.markers import MarkerMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_pit
 from beamfield.models.beam_parameters import BeamParameters
@@ -25,6 +26,7 @@ from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.map_matching import MapMatchingModel
+from beamfield.models.marker import CeilingCamera, MarkerDetections, MarkerModel
 from beamfield.sensors import RangeFinder, Scan
 
 
@@ -176,6 +178,40 @@ def landmark_transform(
     return np.concatenate([stats.norm.cdf(a).ravel(), stats.truncnorm.cdf(b, -end, end).ravel()])
 
 
+CEILING_CAMERA = CeilingCamera(400.0, 2.5, (0.11, -0.07, 0.3), (320.0, 240.0))
+CEILING = MarkerMap([3, 8, "door"], [[1.0, 2.0, 0.5], [2.1, 1.7, -3.0], [0.4, 1.1, 2.0]])
+
+
+def build_marker_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> MarkerModel:
+    """Return a model of three markers on the ceiling."""
+    markers = MarkerMap(CEILING.ids, compose(map_from_moved, CEILING.poses))
+    return MarkerModel(markers, **{"camera": CEILING_CAMERA, "sigma_pixel": 2.0, "sigma_angle": 0.05, **options})
+
+
+def integrate_one_marker(model: MarkerModel, pose: np.ndarray) -> float:
+    """Return the integral over place and angle of one marker, by the trapezoidal rule in steps of sigma."""
+    steps = np.arange(-6.0, 7.0) * model.sigma_pixel
+    n_angles = int(np.ceil(2.0 * np.pi / model.sigma_angle)) + 8
+    angles = -np.pi + 2.0 * np.pi * np.arange(n_angles) / n_angles
+    noise = np.stack(np.meshgrid(steps, steps, angles, indexing="ij"), axis=-1).reshape(-1, 3)
+    z = MarkerDetections([8] * len(noise), model.expected(pose)[1] + noise)
+    cell = (steps[1] - steps[0]) ** 2 * 2.0 * np.pi / n_angles
+    return float(np.exp(model.detection_log_likelihood(z, pose)).sum() * cell)
+
+
+def marker_transform(
+    model: MarkerModel, samples: list[MarkerDetections], pose: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Return the distribution functions of places and (from half a turn before the expected one) of angles."""
+    del rng  # nothing is discrete
+    error = np.array([z.image for z in samples]) - model.expected(pose)
+    angle = np.pi - np.mod(np.pi - error[..., 2], 2.0 * np.pi)
+    turns = 2.0 * np.pi * np.arange(-10, 11)[:, None, None]
+    law = stats.norm(0.0, model.sigma_angle)
+    of_angle = (law.cdf(angle + turns) - law.cdf(-np.pi + turns)).sum(axis=0)
+    return np.concatenate([stats.norm.cdf(error[..., :2] / model.sigma_pixel).ravel(), of_angle.ravel()])
+
+
 NO_RETURN = [0.0, 1.2, np.inf, 5.0, 4.9999, 7.0, 0.3, 2.0, 2.5]
 NOTHING = [np.nan] * 9
 MIXED = [np.nan, -np.inf, 0.01, 1.0, 2.0, np.nan, np.inf, 0.5, 1.5]
@@ -248,6 +284,24 @@ CASES = [
         ),
         measurements=(FEATURES.without_ids(), FEATURES),
         poses=POSES,
+    ),
+    Case(
+        name="ceiling marker",
+        build=build_marker_model,
+        options=(
+            {},
+            {"sigma_angle": 2.0},
+            {"sigma_pixel": 30.0, "camera": CeilingCamera(900.0, 9.0)},
+        ),
+        measurements=(
+            MarkerDetections([3, 8], [[400.0, 300.0, -0.4], [351.3, 77.0, 2.9]]),
+            MarkerDetections(["door", 3, 3], [[1e6, -1e6, 100.0], [0.0, 0.0, np.nan], [320.0, 240.0, np.pi]]),
+            MarkerDetections([], []),
+        ),
+        poses=POSES,
+        integral=integrate_one_marker,
+        transform=marker_transform,
+        options_close_by={"sigma_pixel": 2.1, "sigma_angle": 0.052},
     ),
     *(
         Case(

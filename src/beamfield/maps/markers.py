@@ -1,0 +1,96 @@
+"""A map of markers that can be told apart, such as those on a ceiling."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses
+
+MarkerId = int | str
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerMap:
+    """Markers with an identity, a position and an orientation.
+
+    Parameters
+    ----------
+    ids
+        (j,) what is printed on each marker: numbers or names.
+    poses
+        (j, 3) where they are in the map: metres, and radians counter-clockwise seen from above.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are not as many ids as poses, an id comes twice, or a pose is not finite.
+
+    Examples
+    --------
+    >>> markers = MarkerMap([7, 12], [[0.0, 0.0, 0.0], [2.0, 1.0, 1.57]])
+    >>> markers.poses[markers.index_of([12])].tolist()
+    [[2.0, 1.0, 1.57]]
+    """
+
+    ids: Sequence[MarkerId]
+    poses: FloatArray
+    _rows: dict[MarkerId, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        poses = np.array(as_poses(self.poses, "poses"))
+        ids = as_ids(self.ids)
+        if poses.shape != (len(ids), 3):
+            raise InvalidInputError(f"poses: expected shape ({len(ids)}, 3) for {len(ids)} ids, got {poses.shape}")
+        rows: dict[MarkerId, int] = {}
+        for row, name in enumerate(ids):
+            if name in rows:
+                raise InvalidInputError(f"ids: expected each once, got {name!r} at {rows[name]} and at {row}")
+            rows[name] = row
+        poses.flags.writeable = False
+        for attribute, value in (("ids", ids), ("poses", poses), ("_rows", rows)):
+            object.__setattr__(self, attribute, value)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def index_of(self, ids: Iterable[MarkerId]) -> NDArray[np.int64]:
+        """Return the rows of markers in `poses`.
+
+        Raises
+        ------
+        InvalidInputError
+            If the map has no marker of that id.
+        """
+        wanted = as_ids(ids)
+        for name in wanted:
+            if name not in self._rows:
+                raise InvalidInputError(f"ids: the map has no marker {name!r}; it has {self._listed()}")
+        return np.array([self._rows[name] for name in wanted], dtype=np.int64)
+
+    def _listed(self) -> str:
+        shown = ", ".join(repr(name) for name in self.ids[:8])
+        return shown + (f" and {len(self) - 8} more" if len(self) > 8 else "") if len(self) else "none"
+
+
+def as_ids(ids: Iterable[MarkerId]) -> tuple[MarkerId, ...]:
+    """Return ids as plain Python numbers and strings.
+
+    Raises
+    ------
+    InvalidInputError
+        If one is neither an integer nor a string.
+    """
+    result: list[MarkerId] = []
+    for name in ids:
+        if isinstance(name, str):
+            result.append(str(name))
+        elif isinstance(name, (int, np.integer)) and not isinstance(name, bool):
+            result.append(int(name))
+        else:
+            raise InvalidInputError(f"ids: expected integers or strings, got {name!r}")
+    return tuple(result)

@@ -1,0 +1,272 @@
+"""The measurement model of markers on the ceiling: exercise 1 of section 6.10 with noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, wrap_angle
+from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
+from beamfield.kernels.threads import run_in_slices
+from beamfield.maps.markers import MarkerId, MarkerMap, as_ids
+from beamfield.models.ceiling_camera import CeilingCamera
+
+__all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel"]
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerDetections:
+    """One measurement z: the markers found in an image.
+
+    Parameters
+    ----------
+    ids
+        (k,) which marker each is. An id may come more than once, as when several images are taken as one measurement.
+    image
+        (k, 3) u, v in pixels and theta_i in radians, any turn, in the conventions of `CeilingCamera`; NaN as angle for
+        a marker of which only the place is known.
+    stamp
+        Seconds.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are not as many ids as rows, a place is not finite or an angle is infinite.
+    """
+
+    ids: Sequence[MarkerId]
+    image: FloatArray
+    stamp: float = 0.0
+
+    def __post_init__(self) -> None:
+        ids, image = as_ids(self.ids), np.array(self.image, dtype=np.float64)
+        if not ids and image.size == 0:
+            image = image.reshape(0, 3)
+        if image.shape != (len(ids), 3):
+            raise InvalidInputError(f"image: expected shape ({len(ids)}, 3) for {len(ids)} ids, got {image.shape}")
+        for name, row in zip(ids, image.tolist(), strict=True):
+            if not np.isfinite(row[:2]).all():
+                raise InvalidInputError(f"image: expected finite u and v, got {row[:2]} for marker {name!r}")
+            if np.isinf(row[2]):
+                raise InvalidInputError(f"image: expected a finite angle or NaN, got {row[2]} for marker {name!r}")
+        image.flags.writeable = False
+        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "image", image)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerModel:
+    """p(z | x, m) of the markers found in the image of a camera that looks up at the ceiling.
+
+    For each marker, the place in the image is that of `CeilingCamera.image_of` with independent normal noise on u and
+    v, and the angle has normal noise of which only the direction shows::
+
+        p(u, v, theta_i | x, m) = N(u; u*, sigma_pixel) N(v; v*, sigma_pixel)
+                                  sum_k N(theta_i + 2 pi k; theta*, sigma_angle)
+
+    The noise is independent between markers given the pose. Markers name themselves, so there is no unknown
+    correspondence.
+
+    Use it with fiducials on the ceiling (ArUco, AprilTag), where one marker gives the whole pose. Beware of two things
+    that are no noise, and to which a normal density gives no quarter: a camera that tilts as the robot brakes, and a
+    wrong marker pose in the map.
+
+    Parameters
+    ----------
+    markers
+        The map.
+    camera
+        The camera.
+    sigma_pixel
+        Standard deviation of u and of v, pixels.
+    sigma_angle
+        Standard deviation of the angle in the image, radians, at most pi. An angle that says nothing is better left out
+        of the detections, as NaN.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+
+    Raises
+    ------
+    InvalidInputError
+        If a standard deviation is not positive and finite, or sigma_angle exceeds pi.
+
+    Notes
+    -----
+    It is a density over image coordinates of those markers that were detected: per pixel^2 and radian for each, per
+    pixel^2 where the angle is NaN. That a marker is in view and is found, or not, has no probability here.
+
+    Instances are immutable, can be pickled and may be used from several threads.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.10, exercise 1; independence as in (6.39).
+
+    Examples
+    --------
+    >>> camera = CeilingCamera(focal_length=500.0, height=2.5, principal_point=(320.0, 240.0))
+    >>> model = MarkerModel(MarkerMap([7], [[3.5, 1.0, 0.0]]), camera, sigma_pixel=2.0, sigma_angle=0.05)
+    >>> z = MarkerDetections([7], [[420.0, 240.0, 0.0]])
+    >>> model.log_likelihood(z, [[3.0, 1.0, 0.0], [3.1, 1.0, 0.0]]).round(2).tolist()
+    [-1.15, -51.15]
+    """
+
+    is_normalized: ClassVar[bool] = True
+
+    markers: MarkerMap
+    camera: CeilingCamera
+    sigma_pixel: float = field(kw_only=True)
+    sigma_angle: float = field(kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.sigma_pixel < np.inf:
+            raise InvalidInputError(
+                f"sigma_pixel: expected a positive, finite number of pixels, got {self.sigma_pixel}"
+            )
+        if not 0.0 < self.sigma_angle <= np.pi:
+            raise InvalidInputError(f"sigma_angle: expected radians in (0, pi], got {self.sigma_angle}")
+
+    def log_likelihood(self, z: MarkerDetections, poses: ArrayLike) -> FloatArray:
+        """Return log p(z | x, m) of the detections of one image at many poses.
+
+        Parameters
+        ----------
+        z
+            The detections.
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (...) nats; never NaN, and -inf only where float64 ends. Without detections it is 0.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3), or a detected marker is not in the map.
+        """
+        robot = as_poses(poses)
+        rows = np.ascontiguousarray(robot.reshape(-1, 3))
+        image, seen, view = self._relative_image(z), self._seen(z), self._view()
+        total: FloatArray = np.zeros(len(rows))
+        run_in_slices(
+            lambda a, b: fill_scan_log_density(rows[a:b], image, seen, view, total[a:b]),
+            len(rows),
+            threads=self.threads,
+            work_per_row=1 + len(z),
+        )
+        return total.reshape(robot.shape[:-1])
+
+    def detection_log_likelihood(self, z: MarkerDetections, poses: ArrayLike) -> FloatArray:
+        """Return what each detection contributes to `log_likelihood`, (..., k); parameters and errors as there."""
+        robot = as_poses(poses)
+        rows = np.ascontiguousarray(robot.reshape(-1, 3))
+        image, seen, view = self._relative_image(z), self._seen(z), self._view()
+        result: FloatArray = np.zeros((len(rows), len(z)))
+        run_in_slices(
+            lambda a, b: fill_detection_log_density(rows[a:b], image, seen, view, result[a:b]),
+            len(rows),
+            threads=self.threads,
+            work_per_row=1 + len(z),
+        )
+        return result.reshape(*robot.shape[:-1], len(z))
+
+    def expected(self, poses: ArrayLike) -> FloatArray:
+        """Return the image coordinates (..., j, 3) of all markers of the map at poses (..., 3), in view or not."""
+        return self.camera.image_of(self.markers.poses, as_poses(poses)[..., None, :])
+
+    def sample(self, poses: ArrayLike, rng: np.random.Generator) -> list[MarkerDetections]:
+        """Draw the detections of one image at each pose.
+
+        Parameters
+        ----------
+        poses
+            (n, 3) robot poses, metres and radians.
+        rng
+            Source of randomness.
+
+        Returns
+        -------
+        n measurements: every marker whose expected place is in the image, all markers if the camera has no
+        `image_size`. Noise may carry a place over the image's edge.
+        """
+        expected = self.expected(as_poses(poses).reshape(-1, 3))
+        noisy = self._add_noise(expected, rng)
+        in_view = self.camera.sees(expected)
+        return [
+            MarkerDetections(tuple(self.markers.ids[j] for j in np.flatnonzero(seen).tolist()), image[seen])
+            for seen, image in zip(in_view, noisy, strict=True)
+        ]
+
+    def sample_poses(self, z: MarkerDetections, n: int, rng: np.random.Generator) -> FloatArray:
+        """Draw robot poses from p(x | z, m) for one detection and a uniform prior, exactly.
+
+        Given the heading, the place in the image is a rotated and scaled copy of the robot's position, with the same
+        scale for all headings. So the pose of noisy image coordinates, answer (c), follows the posterior; unlike with
+        range and bearing (Table 6.5) nothing needs to be corrected.
+
+        Parameters
+        ----------
+        z
+            One detection. With NaN as angle, the robot is anywhere on a circle around the marker, with any heading that
+            fits its place there.
+        n
+            Number of poses.
+        rng
+            Source of randomness.
+
+        Returns
+        -------
+        (n, 3) poses, metres and radians.
+
+        Raises
+        ------
+        InvalidInputError
+            If z is not exactly one detection, or its marker is not in the map.
+        """
+        if len(z) != 1:
+            raise InvalidInputError(f"z: expected one detection, got {len(z)}")
+        image = np.tile(z.image[0], (n, 1))
+        if np.isnan(image[:, 2]).any():
+            image[:, 2] = rng.uniform(-np.pi, np.pi, n)
+        return self.camera.robot_poses(self._add_noise(image, rng), self._seen(z)[0])
+
+    def _add_noise(self, image: FloatArray, rng: np.random.Generator) -> FloatArray:
+        noisy = image + rng.normal(0.0, [self.sigma_pixel, self.sigma_pixel, self.sigma_angle], image.shape)
+        noisy[..., 2] = wrap_angle(noisy[..., 2])
+        return noisy
+
+    def _relative_image(self, z: MarkerDetections) -> FloatArray:
+        """Return image coordinates from the principal point, angles in (-pi, pi]."""
+        image = np.empty((len(z), 3))
+        image[:, :2] = z.image[:, :2] - self.camera.principal_point
+        image[:, 2] = wrap_angle(z.image[:, 2])
+        return image
+
+    def _seen(self, z: MarkerDetections) -> FloatArray:
+        """Return the poses (k, 3) of the detected markers."""
+        return np.ascontiguousarray(self.markers.poses[self.markers.index_of(z.ids)])
+
+    def _view(self) -> CameraView:
+        x, y, theta = np.asarray(self.camera.mount).tolist()
+        # How many turns matter: at half a turn, the k-th is exp(-2 pi^2 k (k - 1) / sigma^2) of the nearest.
+        n_turns = int(np.ceil(0.5 + np.sqrt(0.25 + NEGLIGIBLE * self.sigma_angle**2 / (2.0 * np.pi**2))))
+        return CameraView(
+            x,
+            y,
+            theta,
+            self.camera.scale,
+            float(self.sigma_pixel),
+            float(self.sigma_angle),
+            float(-np.log(2.0 * np.pi * self.sigma_pixel**2)),
+            float(-0.5 * np.log(2.0 * np.pi * self.sigma_angle**2)),
+            n_turns,
+        )

@@ -1,10 +1,11 @@
-"""Run every benchmark and print its table: ``python benchmarks/run.py [NAME ...]``."""
+"""Run every benchmark, each in a process of its own, and print its table: ``python benchmarks/run.py [NAME ...]``."""
 
 from __future__ import annotations
 
-import importlib
 import platform
+import subprocess
 import sys
+from pathlib import Path
 
 import numba
 import numpy
@@ -30,7 +31,8 @@ def main(names: list[str]) -> None:
     )
     for name in names or BENCHMARKS:
         print(f"## {name}\n", flush=True)
-        importlib.import_module(name).main()
+        # A process of its own: peak memory is that of the benchmark, not of those before it.
+        subprocess.run([sys.executable, Path(__file__).with_name(f"{name}.py")], check=True)
         print(flush=True)
 
 

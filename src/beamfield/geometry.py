@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,8 @@ def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
     array = np.asarray(poses, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InvalidInputError(f"{name}: expected shape (..., 3), got {array.shape}")
-    if not np.isfinite(array).all():
+    # The sum of squares is finite only if every number is (and twice as fast to get); it may overflow, so look again.
+    if not math.isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0]
         raise InvalidInputError(
             f"{name}: expected finite numbers, got {array[tuple(where)]} at index {tuple(where.tolist())}"

@@ -125,14 +125,21 @@ def log_slope(distance: float, view: FieldView) -> float:
 
 
 @kernel
-def fill_end_points(ranges: Floats, mounts: Floats, beams: NDArray[np.int64], cells_per_metre: float, out: Floats
-                    ) -> None:  # fmt: skip
-    """Fill out (2, m) with the end points of the given beams in the robot frame, in cells: (6.32) at pose 0."""
-    for i in range(beams.size):
-        k = beams[i]
-        u = (mounts[k, 0] + ranges[k] * math.cos(mounts[k, 2])) * cells_per_metre
-        v = (mounts[k, 1] + ranges[k] * math.sin(mounts[k, 2])) * cells_per_metre
-        out[0, i], out[1, i] = min(max(u, -FAR_OFF), FAR_OFF), min(max(v, -FAR_OFF), FAR_OFF)
+def fill_end_points(ranges: Floats, mounts: Floats, shortest: float, longest: float, cells_per_metre: float,
+                    beams: NDArray[np.int64], out: Floats) -> int:  # fmt: skip
+    """Fill in which beams have an end point, and the end points (2, m) in the robot frame, in cells: (6.32) at pose 0.
+
+    `beams` (k,) and `out` (2, k) offer room for all; the number that was needed is returned.
+    """
+    m = 0
+    for k in range(ranges.size):
+        if shortest <= ranges[k] < longest:
+            u = (mounts[k, 0] + ranges[k] * math.cos(mounts[k, 2])) * cells_per_metre
+            v = (mounts[k, 1] + ranges[k] * math.sin(mounts[k, 2])) * cells_per_metre
+            out[0, m], out[1, m] = min(max(u, -FAR_OFF), FAR_OFF), min(max(v, -FAR_OFF), FAR_OFF)
+            beams[m] = k
+            m += 1
+    return m
 
 
 # --- nearest cell: tables ---------------------------------------------------------------------------------------------

@@ -135,6 +135,7 @@ class LikelihoodFieldModel:
     n_beams: int | None = field(default=None, kw_only=True)
     threads: int | None = field(default=None, kw_only=True)
     _uniform: NDArray[np.bool_] = field(init=False, repr=False)
+    _frames: tuple[kernels.FrameView, kernels.FrameView] = field(init=False, repr=False)
     _tables: dict[float, _Table] = field(init=False, repr=False)
     _lock: threading.Lock = field(init=False, repr=False)
 
@@ -330,12 +331,15 @@ class LikelihoodFieldModel:
     def _end_points(self, scan: Scan) -> tuple[NDArray[np.int64], FloatArray]:
         """Return which beams count and their end points in the robot frame, (2, k), in cells: (6.32) at pose 0."""
         finder = scan.finder
-        beams = np.flatnonzero((scan.ranges >= finder.min_range) & (scan.ranges < finder.max_range))
-        if self.n_beams is not None and self.n_beams < len(beams):
-            beams = beams[np.round(np.linspace(0, len(beams) - 1, self.n_beams)).astype(np.int64)]
-        ends = np.empty((2, len(beams)))
-        kernels.fill_end_points(scan.ranges, finder.mounts, beams, 1.0 / self.distances.grid.resolution, ends)
-        return beams, ends
+        beams, ends = np.empty(finder.n_beams, np.int64), np.empty((2, finder.n_beams))
+        n = kernels.fill_end_points(
+            scan.ranges, finder.mounts, finder.min_range, finder.max_range, 1.0 / self.distances.grid.resolution,
+            beams, ends,
+        )  # fmt: skip
+        if self.n_beams is not None and self.n_beams < n:
+            chosen = np.round(np.linspace(0, n - 1, self.n_beams)).astype(np.int64)
+            return beams[chosen], np.ascontiguousarray(ends[:, chosen])
+        return beams[:n], np.ascontiguousarray(ends[:, :n])
 
     def _distances(self, ends: FloatArray, poses: FloatArray) -> FloatArray:
         """Return the distances (n, k) at end points (2, k), in cells, for poses (n, 3)."""
@@ -371,6 +375,9 @@ class LikelihoodFieldModel:
 
     def _run(self, work: Any, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
         flat = robot.reshape(-1, 3)
+        if self.threads == 1:
+            work(flat, out)
+            return
         run_in_slices(
             lambda a, b: work(flat[a:b], out[a:b]),
             len(flat),
@@ -382,7 +389,10 @@ class LikelihoodFieldModel:
         return self._frame(0), self._view(max_range), self.distances.distance, self.distances.max_distance
 
     def _frame(self, border: int) -> kernels.FrameView:
-        """Return how the map frame becomes positions in a table with a border around the field."""
+        """Return how the map frame becomes positions in a table with a border of 0 or 1 cells around the field."""
+        return self._frames[border]
+
+    def _make_frame(self, border: int) -> kernels.FrameView:
         grid = self.distances.grid
         x, y, yaw = grid.origin.tolist()
         offset = float(self.distances.margin_cells + border)
@@ -439,12 +449,17 @@ class LikelihoodFieldModel:
         if self.unknown == "uniform":
             uniform = np.pad(self.distances.grid.unknown, self.distances.margin_cells, constant_values=True)
         object.__setattr__(self, "_uniform", uniform)
+        object.__setattr__(self, "_frames", (self._make_frame(0), self._make_frame(1)))
         object.__setattr__(self, "_tables", {})
         object.__setattr__(self, "_lock", threading.Lock())
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out tables and lock: they are quick to make again."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_uniform", "_tables", "_lock")}
+        return {
+            name: value
+            for name, value in self.__dict__.items()
+            if name not in ("_uniform", "_frames", "_tables", "_lock")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():

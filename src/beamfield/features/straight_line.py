@@ -29,6 +29,8 @@ class Line(Feature):
     ----------
     start, end
         (2,) first and last end point, put on the line; robot frame, metres, in order of bearing.
+    spacing
+        (2,) metres between the first two and between the last two end points: the wall may go on so far unseen.
     heading
         Direction from start to end, radians: the sensor is on its left.
     chi_square
@@ -39,6 +41,7 @@ class Line(Feature):
 
     start: FloatArray
     end: FloatArray
+    spacing: FloatArray
     heading: float
     chi_square: float
     sweep: int = 0
@@ -72,7 +75,7 @@ def fit_line(sweep: Sweep, places: ArrayLike, noise: RangeNoise, *, number: int 
     sweep
         Beams in order.
     places
-        (n,) which of them, at least 2, increasing.
+        (n,) which of them, at least 2, in the order of the wall.
     noise
         Of single readings.
     number
@@ -180,6 +183,7 @@ def describe(
         beams=sweep.beams[chosen],
         start=ends[0],
         end=ends[1],
+        spacing=np.hypot(*(rays.points[[1, -1]] - rays.points[[0, -2]]).T),
         heading=float(np.arctan2(*(ends[1] - ends[0])[::-1])),
         chi_square=float(np.sum((residual / sigma) ** 2)),
         sweep=number,

@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from beamfield.errors import InvalidInputError
+from beamfield.features.minima import find_local_minima
+from beamfield.features.sweep import RangeNoise
+from beamfield.geometry import wrap_angle
+from beamfield.sensors import RangeFinder, Scan
+
+BEARINGS = np.linspace(-1.0, 1.0, 401)
+
+
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.4, -0.3, 2.5)], ids=["no mount", "mounted"])
+def test_covariance_of_a_minimum_is_that_of_its_errors(rng, mount):
+    finder = RangeFinder.from_bearings(BEARINGS, 10.0, mount=mount)
+    position = np.array(mount[:2]) + 2.0 * np.array([np.cos(0.3 + mount[2]), np.sin(0.3 + mount[2])])
+    # The parabola in a window of 5 degrees leaves a bias far below the noise.
+    truth = np.array([np.hypot(*position), np.arctan2(position[1], position[0]), 2.0])
+    squares = []
+    for _ in range(400):
+        ranges = 2.0 / np.cos(BEARINGS - 0.3) + rng.normal(0, 0.001, 401)
+        found = find_local_minima(Scan(ranges, finder), RangeNoise(0.001), half_width=np.deg2rad(5.0))
+        [nearest] = [f for f in found if abs(wrap_angle(f.measurement[1] - truth[1])) < 0.1][:1]
+        error = nearest.measurement - truth
+        error[1] = wrap_angle(error[1])
+        squares.append(error @ np.linalg.solve(nearest.covariance, error))
+    # The window is put around the least reading, by the same data: the bounds are not those of chance alone.
+    assert 2.4 < np.mean(squares) < 3.4
+    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.92
+
+
+def test_noise_on_a_circle_has_no_minima(rng):
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 720, endpoint=False), 10.0)
+    found = [find_local_minima(Scan(3 + rng.normal(0, 0.02, 720), finder), RangeNoise(0.02)) for _ in range(20)]
+    assert sum(map(len, found)) <= 2
+
+
+def test_minimum_of_an_edge_is_found_with_a_wider_covariance():
+    finder = RangeFinder.from_bearings(BEARINGS, 10.0)
+    # Two walls that meet in (2, 0) and lead away at 45 degrees.
+    ranges = 2.0 * np.sin(np.pi / 4) / np.sin(np.pi / 4 - np.minimum(np.abs(BEARINGS), 0.6))
+    ranges[np.abs(BEARINGS) > 0.6] = np.nan
+    [edge] = find_local_minima(Scan(ranges, finder), RangeNoise(0.005))
+    np.testing.assert_allclose(edge.measurement[:2], [2.0, 0.0], atol=0.06)
+    smooth = find_local_minima(Scan(2.0 / np.cos(BEARINGS), finder), RangeNoise(0.005))
+    assert edge.covariance[0, 0] > 4 * smooth[0].covariance[0, 0]
+
+
+def test_gaps_and_missing_readings_are_passed_over():
+    finder = RangeFinder.from_bearings(BEARINGS, 10.0)
+    ranges = 2.0 / np.cos(BEARINGS - 0.2)
+    ranges[[235, 240]] = np.nan, np.inf
+    [found] = find_local_minima(Scan(ranges, finder), RangeNoise(0.005))
+    np.testing.assert_allclose(found.measurement, [2.0, 0.2, 2.0], atol=0.05)
+    assert not np.isin([235, 240], found.beams).any()
+    assert find_local_minima(Scan(np.full(401, np.nan), finder), RangeNoise()) == []
+
+
+def test_a_ring_of_separate_origins_is_left_out():
+    angles = np.linspace(-0.5, 0.5, 21)
+    ring = RangeFinder(np.column_stack([0.2 * np.cos(angles), 0.2 * np.sin(angles), angles]), 5.0)
+    assert find_local_minima(Scan(2 / np.cos(angles), ring), RangeNoise()) == []
+
+
+@pytest.mark.parametrize("half_width", [0.0, 1.0, np.nan], ids=str)
+def test_senseless_windows_are_refused(half_width):
+    finder = RangeFinder.from_bearings(BEARINGS, 10.0)
+    with pytest.raises(InvalidInputError, match="half_width"):
+        find_local_minima(Scan(np.full(401, 2.0), finder), RangeNoise(), half_width=half_width)

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.rooms import Room
+from scipy.stats import chi2
+
+from beamfield.errors import InvalidInputError
+from beamfield.features.poles import find_poles
+from beamfield.features.sweep import RangeNoise
+from beamfield.geometry import invert, transform_points, wrap_angle
+from beamfield.sensors import RangeFinder, Scan
+
+HALL = [(-6, -6), (6, -6), (6, 6), (-6, 6)]
+FINDER = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 720, endpoint=False), 20.0, mount=(0.1, 0.2, -0.3))
+NOISE = RangeNoise(0.005)
+
+
+@pytest.mark.parametrize("diameter", [0.1, 0.3], ids=["thin", "thick"])
+def test_covariance_of_a_pole_is_that_of_its_errors(rng, diameter):
+    squares = []
+    for _ in range(300):
+        pose = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-3, 3)])
+        direction, distance = rng.uniform(-3, 3), rng.uniform(1.2, 2.2)
+        centre = pose[:2] + distance * np.array([np.cos(direction), np.sin(direction)])
+        room = Room.from_outlines(HALL, poles=[(*centre, diameter / 2)])
+        ranges = room.cast(pose, FINDER)[0] + rng.normal(0, 0.005, 720)
+        for pole in find_poles(Scan(ranges, FINDER), NOISE):
+            x, y = transform_points(invert(pose), centre)
+            error = pole.measurement - [np.hypot(x, y), np.arctan2(y, x), diameter]
+            error[1] = wrap_angle(error[1])
+            squares.append(error @ np.linalg.solve(pole.covariance, error))
+    assert len(squares) >= 0.85 * 300
+    # The silhouette's error is uniform and the edge beams are not linear: near three, not at it.
+    assert 2.2 < np.mean(squares) < 3.6
+    assert np.mean(np.array(squares) < chi2.ppf(0.95, 3)) > 0.91
+
+
+def test_exact_readings_give_the_diameter():
+    room = Room.from_outlines(HALL, poles=[(1.5, 0.5, 0.1), (-1.0, 2.0, 0.2)])
+    found = find_poles(Scan(room.cast((0, 0, 0), FINDER)[0], FINDER), NOISE)
+    assert sorted(round(pole.diameter, 2) for pole in found) == [0.2, 0.4]
+
+
+def test_boards_and_corners_are_no_poles(rng):
+    board = Room(
+        np.vstack([Room.from_outlines(HALL).walls, [[2.0, -0.2, 2.0, 0.2], [0.3, 2.0, -0.2, 2.1]]]), np.zeros((0, 3))
+    )
+    for _ in range(20):
+        ranges = board.cast((0, 0, 0), FINDER)[0] + rng.normal(0, 0.005, 720)
+        assert find_poles(Scan(ranges, FINDER), NOISE) == []
+
+
+def test_half_hidden_poles_and_those_at_the_border_are_left_out():
+    room = Room.from_outlines(HALL, poles=[(2.0, 0.0, 0.15)])
+    hidden = Room(np.vstack([room.walls, [[1.0, 0.0, 1.0, 1.0]]]), room.poles)
+    assert len(find_poles(Scan(room.cast((0, 0, 0), FINDER)[0], FINDER), NOISE)) == 1
+    assert find_poles(Scan(hidden.cast((0, 0, 0), FINDER)[0], FINDER), NOISE) == []
+    border = RangeFinder.from_bearings(np.linspace(0.0, 2.0, 200), 20.0)
+    assert find_poles(Scan(room.cast((0, 0, 0), border)[0], border), NOISE) == []
+
+
+def test_a_pole_with_nothing_behind_and_missing_readings_is_found():
+    finder = RangeFinder.from_bearings(np.linspace(-0.5, 0.5, 201), 8.0)
+    room = Room(np.array([[100.0, 0.0, 100.0, 1.0]]), np.array([[2.0, 0.1, 0.2]]))
+    ranges = room.cast((0, 0, 0), finder)[0]
+    ranges[110] = np.nan
+    [pole] = find_poles(Scan(ranges, finder), NOISE)
+    np.testing.assert_allclose(pole.measurement, [np.hypot(2, 0.1), np.arctan2(0.1, 2), 0.4], atol=0.01)
+    assert find_poles(Scan(np.full(201, np.nan), finder), NOISE) == []
+
+
+@pytest.mark.parametrize(
+    "option",
+    [{"min_points": 2}, {"max_diameter": 0.0}, {"clearance": -1.0}, {"max_gap": 0.0}],
+    ids=lambda option: next(iter(option)),
+)
+def test_senseless_limits_are_refused(option):
+    with pytest.raises(InvalidInputError, match=next(iter(option))):
+        find_poles(Scan(np.full(720, 2.0), FINDER), NOISE, **option)

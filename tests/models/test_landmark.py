@@ -184,6 +184,15 @@ def test_signatures_decide_between_landmarks_that_geometry_cannot_tell_apart():
     assert m.correspondences(Detections([2.0, 2.0], [0.0, 0.0], [0, 1]), np.zeros(3)).tolist() == [1, 2]
 
 
+def test_a_feature_that_nothing_explains_is_of_unknown_landmark():
+    landmarks = LandmarkMap([[2.0, 0.0]], signatures=[0], kind="type")
+    z = Detections([2.0], [0.0], [1])
+    for how in ("nearest", "sum", "assignment"):
+        m = model(how, LandmarkParameters(0.3, 0.2, confusion=np.eye(2)), landmarks)
+        assert m.log_likelihood(z, np.zeros(3)) == -np.inf
+        assert m.correspondences(z, np.zeros(3)).tolist() == [UNKNOWN]
+
+
 @pytest.mark.parametrize("sigma", [0.2, 3.0])
 def test_bearings_have_a_density_on_the_circle_whatever_the_noise(sigma):
     m = model(parameters=LandmarkParameters(0.3, sigma))

@@ -190,7 +190,7 @@ class LandmarkModel:
         ----------
         z, poses
             As for `log_likelihood`. With correspondence "sum" it is the most probable landmark of each feature. Where
-            "assignment" finds no room, `UNKNOWN`.
+            nothing explains a feature (a type that no landmark can show, no room for an assignment), `UNKNOWN`.
         """
         return self._evaluate(z, poses)[1]
 
@@ -309,6 +309,7 @@ class LandmarkModel:
         chosen[...] = each.argmax(axis=-1)
         values[...] = each.max(axis=-1) + prior
         chosen[none > values] = n_landmarks
+        chosen[np.maximum(values, none) == -np.inf] = n_landmarks + 1
         if self.correspondence == "sum":
             kernels.fill_sums(each, prior, none, values)
         else:

@@ -47,7 +47,7 @@ def fill_scan_log_density(poses: Floats, image: Floats, markers: Floats, camera:
         cos, sin = math.cos(theta), math.sin(theta)
         total = 0.0
         for j in range(len(image)):
-            total += detection_log_density(x, y, theta, cos, sin, image[j], markers[j], camera)
+            total += detection_log_density(x, y, theta, cos, sin, image, markers, j, camera)
         out[i] = total
 
 
@@ -58,7 +58,7 @@ def fill_detection_log_density(poses: Floats, image: Floats, markers: Floats, ca
         x, y, theta = camera_pose(poses[i, 0], poses[i, 1], poses[i, 2], camera)
         cos, sin = math.cos(theta), math.sin(theta)
         for j in range(len(image)):
-            out[i, j] = detection_log_density(x, y, theta, cos, sin, image[j], markers[j], camera)
+            out[i, j] = detection_log_density(x, y, theta, cos, sin, image, markers, j, camera)
 
 
 @kernel
@@ -70,21 +70,26 @@ def camera_pose(x: float, y: float, theta: float, camera: CameraView) -> tuple[f
 
 @kernel
 def detection_log_density(
-    x: float, y: float, theta: float, cos: float, sin: float, image: Floats, marker: Floats, camera: CameraView
+    x: float, y: float, theta: float, cos: float, sin: float, image: Floats, markers: Floats, j: int, camera: CameraView
 ) -> float:
-    """Return the log density of one detection, for the camera at (x, y, theta); a NaN angle says nothing."""
-    dx, dy = marker[0] - x, marker[1] - y
-    du = (image[0] - camera.scale * (cos * dx + sin * dy)) / camera.sigma_pixel
-    dv = (image[1] - camera.scale * (cos * dy - sin * dx)) / camera.sigma_pixel
+    """Return the log density of detection j, for the camera at (x, y, theta); a NaN angle says nothing."""
+    dx, dy = markers[j, 0] - x, markers[j, 1] - y
+    du = (image[j, 0] - camera.scale * (cos * dx + sin * dy)) / camera.sigma_pixel
+    dv = (image[j, 1] - camera.scale * (cos * dy - sin * dx)) / camera.sigma_pixel
     value: float = camera.log_peak_place - 0.5 * (du * du + dv * dv)
-    if not math.isnan(image[2]):
-        value += wrapped_normal_log_density(image[2] - marker[2] + theta, camera)
+    if not math.isnan(image[j, 2]):
+        value += wrapped_normal_log_density(image[j, 2] - markers[j, 2] + theta, camera)
     return value
 
 
 @kernel
 def wrapped_normal_log_density(turn: float, camera: CameraView) -> float:
     """Return the log density of a normal angle error of which only the direction is seen."""
+    # Mostly one turn is enough; a remainder here costs a third of the whole density.
+    if turn > math.pi:
+        turn -= TWO_PI
+    elif turn < -math.pi:
+        turn += TWO_PI
     if abs(turn) > math.pi:
         turn %= TWO_PI
         if turn > math.pi:

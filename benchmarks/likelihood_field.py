@@ -31,7 +31,7 @@ def run() -> list[dict[str, Any]]:
     truth = np.array([25.0, 25.0, 0.3])
     scan = BeamModel(grid, BEAM_PARAMETERS, threads=1).sample(truth, rng, finder)[0]
     rows: list[dict[str, Any]] = []
-    for n in (2_000, 20_000):
+    for n in (2_000, 20_000, 200_000):
         for name, poses in {"track": near(truth, rng, n), "global": anywhere(grid, rng, n)}.items():
             rows += whole_calls(name, grid, scan, poses)
     return rows

@@ -47,6 +47,8 @@ class _Table(NamedTuple):
     low: float
     step: float
     has_impossible: bool
+    packed: FloatArray
+    """The frame of the table, low and step, (9,): as `fill_packed_sums` takes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,9 +360,13 @@ class LikelihoodFieldModel:
             return lambda flat, out: kernels.fill_smooth_sums(
                 flat, frame, ends, distance, far, uniform, log_uniform, view, out
             )
-        table, frame, singles = self._table(max_range), self._frame(1), ends.astype(np.float32)
-        fill = kernels.fill_careful_sums if table.has_impossible else kernels.fill_scan_sums
-        return lambda flat, out: fill(flat, frame, singles, table.codes, table.low, table.step, out)
+        table, singles = self._table(max_range), ends.astype(np.float32)
+        if table.has_impossible:
+            frame = self._frame(1)
+            return lambda flat, out: kernels.fill_careful_sums(
+                flat, frame, singles, table.codes, table.low, table.step, out
+            )
+        return lambda flat, out: kernels.fill_packed_sums(flat, table.packed, singles, table.codes, out)
 
     def _values(self, max_range: float, ends: FloatArray) -> Any:
         """Return the function (poses (n, 3), out (n, k)) that fills in each beam."""
@@ -442,7 +448,8 @@ class LikelihoodFieldModel:
         )
         if uniform.size:
             inner[uniform] = kernels.encode(log_uniform, low, step)
-        return _Table(codes, low, step, view.rand == 0.0 and bool(codes.min() < 0))
+        packed = np.array([*self._frame(1), low, step])
+        return _Table(codes, low, step, view.rand == 0.0 and bool(codes.min() < 0), packed)
 
     def _make_caches(self) -> None:
         uniform = np.empty((0, 0), np.bool_)

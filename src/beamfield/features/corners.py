@@ -12,6 +12,9 @@ from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.straight_line import Line, axes
 from beamfield.geometry import FloatArray, wrap_angle
 
+# How many lines ahead the other wall of a corner is looked for.
+NEXT_LINES = 3
+
 
 @dataclass(frozen=True, eq=False)
 class Corner(Feature):
@@ -49,14 +52,18 @@ def find_corners(
     corners = []
     for number in sorted({line.sweep for line in lines}):
         of_sweep = [line for line in lines if line.sweep == number]
-        # The last and the first meet behind the start of a full turn.
-        following = [*of_sweep[1:], of_sweep[0]] if len(of_sweep) > 1 else []
         corners += [
             corner
-            for one, two in zip(of_sweep, following, strict=False)
-            if (corner := meet(one, two, max_distance, min_turn)) is not None
+            for place, one in enumerate(of_sweep)
+            if (corner := first_meeting(one, of_sweep[place + 1 :] + of_sweep[:place], max_distance, min_turn))
         ]
     return corners
+
+
+def first_meeting(one: Line, others: Sequence[Line], max_distance: float, min_turn: float) -> Corner | None:
+    """Return the corner with the next wall: small things in front may come between, and a full turn has no end."""
+    corners = (meet(one, two, max_distance, min_turn) for two in others[:NEXT_LINES])
+    return next((corner for corner in corners if corner is not None), None)
 
 
 def meet(one: Line, two: Line, max_distance: float, min_turn: float) -> Corner | None:

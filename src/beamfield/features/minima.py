@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from beamfield.errors import InvalidInputError
 from beamfield.features.feature import Feature, polar_jacobian
@@ -15,6 +16,8 @@ from beamfield.sensors import Scan
 
 # A parabola has three parameters; two more points show whether it fits.
 FEWEST_POINTS = 5
+# A fit this bad happens to a parabola once in a thousand times.
+BAD_FIT = 1e-3
 # The curvature must be this many deviations above zero: noise alone has minima everywhere.
 CLEAR_CURVATURE = 4.0
 
@@ -36,12 +39,12 @@ class LocalMinimum(Feature):
 
 
 def find_local_minima(
-    scan: Scan, noise: RangeNoise, *, half_width: float = np.deg2rad(8.0), max_gap: float = 0.5
+    scan: Scan, noise: RangeNoise, *, half_width: float = np.deg2rad(15.0), max_gap: float = 0.5
 ) -> list[LocalMinimum]:
     """Return the local minima of a scan, each from a parabola through the ranges around the least one.
 
-    Sharp edges are no parabolas: their minimum is found too, with a bias of about the sagitta in the window and a
-    covariance that the bad fit has widened.
+    Where the parabola does not fit, the window is halved, at most twice. Sharp edges are no parabolas: their minimum is
+    found too, with a bias of about the sagitta in the window and a covariance that the bad fit has widened.
 
     Parameters
     ----------
@@ -50,7 +53,7 @@ def find_local_minima(
     noise
         Of single readings; the bearing's noise does not matter where the range is stationary.
     half_width
-        Half the window in radians, in (0, pi/4). Wider: less noise, more bias.
+        Half the widest window in radians, in (0, pi/4): a minimum is the least reading in it.
     max_gap
         As for `split_at_gaps`, metres.
 
@@ -82,10 +85,25 @@ def minima_of_run(sweep: Sweep, run: NDArray[np.int64], noise: RangeNoise, half_
         least = window.start + int(np.argmin(ranges[window])) == k
         inside = min(k - window.start, window.stop - 1 - k) >= 2
         if least and inside and window.stop - window.start >= FEWEST_POINTS:
-            minimum = parabola(sweep, run[window], angles[k], noise, half_width)
+            minimum = widest_fit(sweep, run[window], angles[k], noise, half_width)
             if minimum is not None:
                 found.append(minimum)
     return found
+
+
+def widest_fit(
+    sweep: Sweep, places: NDArray[np.int64], middle: float, noise: RangeNoise, half_width: float
+) -> LocalMinimum | None:
+    """Return the minimum in the widest window that a parabola fits, or in the narrowest if it fits none."""
+    minimum = None
+    for width in (half_width, half_width / 2.0, half_width / 4.0):
+        window = places[np.abs(sweep.angles[places] - middle) <= width + 1e-9]
+        if len(window) < FEWEST_POINTS:
+            break
+        minimum = parabola(sweep, window, middle, noise, width)
+        if minimum is not None and minimum.chi_square < float(chdtri(len(window) - 3, BAD_FIT)):
+            break
+    return minimum
 
 
 def parabola(

@@ -10,9 +10,11 @@ from beamfield.calibration.calibrate import Calibration, CalibrationOptions, cal
 from beamfield.calibration.pose_refinement import refine_poses, refinement_findings
 from beamfield.calibration.time_split import time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
-from beamfield.geometry import compose, interpolate_poses
+from beamfield.geometry import between, compose, interpolate_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
+from beamfield.report.verdict import is_good, verdict
+from beamfield.simulation.floor_plan import draw_floor_plan
 
 OPTIONS = CalibrationOptions(n_bootstrap=60)
 
@@ -119,6 +121,20 @@ def test_a_map_at_the_wrong_scale_is_found(drive, office):
     wrong = OccupancyGrid(office.probability, office.resolution * 0.97, office.origin * 0.97)
     log = drive.with_poses(drive.poses * np.array([0.97, 0.97, 1.0]))
     assert "map-scale" in names(calibrate(log, wrong, replace(OPTIONS, refine=False)))
+
+
+def test_a_map_of_another_place_is_said_to_be_useless(drive):
+    elsewhere = draw_floor_plan(seed=11)
+    turned = compose([15.0, 0.0, 1.3], between(drive.poses[0], drive.poses))
+    found = calibrate(drive.with_poses(turned), elsewhere, replace(OPTIONS, refine=False))
+    assert {"map-says-nothing", "poses-off-map"} <= set(names(found))
+    assert verdict(found).startswith("The readings do not fit this map")
+    assert not is_good(found)
+
+
+def test_the_verdict_on_a_good_fit_is_good(result):
+    assert is_good(result)
+    assert verdict(result).startswith("The fit beats nav2's defaults")
 
 
 def test_a_held_parameter_stays(drive, office):

@@ -15,6 +15,11 @@ RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
 
 def verdict(calibration: Calibration) -> str:
     """Return whether the fit beats the defaults, by how much, and how noisy the sensor is in this map."""
+    if _ignores_the_map(calibration):
+        return (
+            "The readings do not fit this map at these poses: the fit is hardly better than a uniform that knows "
+            "nothing of the map. Do not use these parameters before you know why."
+        )
     sentences = [_against_defaults(calibration), _noise(calibration), _warnings(calibration)]
     if not calibration.converged:
         sentences.append("The fit did not converge: do not use it as it is.")
@@ -22,8 +27,13 @@ def verdict(calibration: Calibration) -> str:
 
 
 def is_good(calibration: Calibration) -> bool:
-    """Return whether the fit converged and beats every other model on held-out beams."""
-    return calibration.converged and all(score.behind_fit > 0 for score in calibration.scores[1:])
+    """Return whether the fit converged, learned from the map and beats every other model on held-out beams."""
+    beats_all = all(score.behind_fit > 0 for score in calibration.scores[1:])
+    return calibration.converged and beats_all and not _ignores_the_map(calibration)
+
+
+def _ignores_the_map(calibration: Calibration) -> bool:
+    return any(finding.name == "map-says-nothing" for finding in calibration.findings)
 
 
 def _against_defaults(calibration: Calibration) -> str:

@@ -1,0 +1,1 @@
+"""Other programs' measurement models: their formulas, parameter names and files."""

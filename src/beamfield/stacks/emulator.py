@@ -1,0 +1,171 @@
+"""The one interface of all emulators: another program's weight of a scan, as that program computes it.
+
+`StackModel.evidence` does what is slow and does not depend on the parameters that are fitted (look-ups in the map, ray
+casting); `StackModel.log_weights` does the rest. A fit makes the evidence once and asks for thousands of parameters:
+
+    evidence = model.evidence(scan, poses)
+    for parameters in candidates:
+        log_weights = model.log_weights(evidence, parameters)
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.sensors import Scan
+
+# What an end point lies in: values of `FieldEvidence.places`.
+KNOWN, UNKNOWN, OFF_MAP = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a scan and poses say before the parameters that are fitted come in.
+
+    Parameters
+    ----------
+    beams
+        (k,) indices into the scan of the beams that the stack looks at, in its order.
+    max_range
+        The range limit that the stack divides by, metres.
+    settings
+        The parameters that the evidence depends on, by name (max_beams, for example); `log_weights` refuses others.
+    """
+
+    beams: NDArray[np.int64]
+    max_range: float
+    settings: dict[str, Any] = field(default_factory=dict, kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEvidence(Evidence):
+    """Evidence of a likelihood field.
+
+    Parameters
+    ----------
+    distances
+        (n, k) metres from each end point's cell to the nearest obstacle, not cut off; +inf off the map and in a map
+        without obstacles. In the precision in which the stack keeps them.
+    places
+        (n, k) `KNOWN`, `UNKNOWN` or `OFF_MAP`.
+    """
+
+    distances: NDArray[np.floating[Any]]
+    places: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False)
+class RayEvidence(Evidence):
+    """Evidence of a beam model.
+
+    Parameters
+    ----------
+    ranges
+        (k,) the ranges as the stack sees them, metres: after its node has replaced special readings.
+    expected_ranges
+        (n, k) metres, at most max_range.
+    """
+
+    ranges: FloatArray
+    expected_ranges: FloatArray
+
+
+P = TypeVar("P")
+E = TypeVar("E", bound=Evidence)
+
+
+class StackModel(ABC, Generic[P, E]):
+    """One measurement model of another program: a `MeasurementModel` over scans.
+
+    A member is a frozen dataclass with at least the fields `grid` and `parameters`. Weights are those that the program
+    multiplies a particle's weight by, before its filter normalises them; only ratios between poses mean anything.
+
+    Attributes
+    ----------
+    stack, model
+        How users call them: "nav2" and "likelihood_field", for example.
+    is_normalized
+        False: no stack's weight is a density over scans.
+    evidence_settings
+        Names of the parameters that the evidence depends on. With all others free, one evidence serves.
+    """
+
+    is_normalized: ClassVar[bool] = False
+    stack: ClassVar[str]
+    model: ClassVar[str]
+    evidence_settings: ClassVar[tuple[str, ...]]
+
+    parameters: P
+
+    @abstractmethod
+    def with_parameters(self, parameters: P) -> Self:
+        """Return the model with other parameters and the same map, options and tables."""
+
+    @abstractmethod
+    def evidence(self, z: Scan, poses: ArrayLike) -> E:
+        """Return what the weights of one scan at n poses depend on beside the free parameters.
+
+        Parameters
+        ----------
+        z
+            The scan, with all its beams; the stack's own selection applies.
+        poses
+            (..., 3) robot poses, metres and radians; n of them.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite, or the program itself would not return.
+        """
+
+    @abstractmethod
+    def log_weights(self, evidence: E, parameters: P | None = None) -> FloatArray:
+        """Return the logarithm of the stack's weight of each pose.
+
+        Parameters
+        ----------
+        evidence
+            From `evidence` of this model or one with the same map and options.
+        parameters
+            By default the model's own.
+
+        Returns
+        -------
+        (n,) nats; -inf where the stack's weight is 0, never NaN.
+
+        Raises
+        ------
+        InvalidInputError
+            If the parameters differ in one that the evidence depends on.
+        """
+
+    def weighs_alone(self, parameters: P | None = None) -> bool:  # noqa: ARG002
+        """Whether a pose's weight is the same whatever other poses are asked for (not so with beam skipping)."""
+        return True
+
+    def log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
+        """Return the logarithm of the stack's weight of one scan at poses (..., 3), shape (...)."""
+        robot = as_poses(poses)
+        return self.log_weights(self.evidence(z, robot)).reshape(robot.shape[:-1])
+
+    def _settings(self) -> dict[str, Any]:
+        """Return the settings for an `Evidence` that this model makes."""
+        return {name: getattr(self.parameters, name) for name in self.evidence_settings}
+
+    def _parameters_for(self, evidence: Evidence, parameters: P | None) -> P:
+        """Return the parameters to use, or say which of them the evidence was not made with."""
+        chosen = self.parameters if parameters is None else parameters
+        for name, value in evidence.settings.items():
+            if getattr(chosen, name) != value:
+                raise InvalidInputError(
+                    f"{name}: expected {value!r} as in the evidence, got {getattr(chosen, name)!r}; "
+                    "make new evidence with model.with_parameters(parameters)"
+                )
+        return chosen

@@ -48,7 +48,7 @@ class _Table(NamedTuple):
     step: float
     has_impossible: bool
     packed: FloatArray
-    """The frame of the table, low and step, (9,): as `fill_packed_sums` takes them."""
+    """The frame of the table, low and step, (9,): as `fill_range_sums` takes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,10 +220,8 @@ class LikelihoodFieldModel:
             If the poses are not finite (..., 3).
         """
         robot = as_poses(poses)
-        _, ends = self._end_points(z)
-        total: FloatArray = np.zeros(robot.shape[:-1])
-        if ends.size and total.size:
-            self._run(self._sums(z.finder.max_range, ends), robot, total.reshape(-1), ends.shape[1])
+        total: FloatArray = np.empty(robot.shape[:-1])
+        self._run(self._sums(z), robot, total.reshape(-1), z.finder.n_beams)
         return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
 
     def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
@@ -352,21 +350,33 @@ class LikelihoodFieldModel:
         )
         return values
 
-    def _sums(self, max_range: float, ends: FloatArray) -> Any:
+    def _sums(self, scan: Scan) -> Any:
         """Return the function (poses (n, 3), out (n,)) that adds up the beams."""
-        if self.interpolation == "bilinear":
-            frame, view, distance, far = self._smooth_arguments(max_range)
-            uniform, log_uniform = self._uniform, -math.log(max_range)
-            return lambda flat, out: kernels.fill_smooth_sums(
-                flat, frame, ends, distance, far, uniform, log_uniform, view, out
-            )
-        table, singles = self._table(max_range), ends.astype(np.float32)
-        if table.has_impossible:
-            frame = self._frame(1)
+        finder = scan.finder
+        if self.interpolation == "nearest":
+            table = self._table(finder.max_range)
+            if not table.has_impossible:
+                ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
+                return lambda flat, out: kernels.fill_range_sums(
+                    flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out
+                )
+            singles, border = self._end_points(scan)[1].astype(np.float32), self._frame(1)
             return lambda flat, out: kernels.fill_careful_sums(
-                flat, frame, singles, table.codes, table.low, table.step, out
+                flat, border, singles, table.codes, table.low, table.step, out
             )
-        return lambda flat, out: kernels.fill_packed_sums(flat, table.packed, singles, table.codes, out)
+        _, ends = self._end_points(scan)
+        frame, view, distance, far = self._smooth_arguments(finder.max_range)
+        uniform, log_uniform = self._uniform, -math.log(finder.max_range)
+        return lambda flat, out: kernels.fill_smooth_sums(
+            flat, frame, ends, distance, far, uniform, log_uniform, view, out
+        )
+
+    def _chosen_ranges(self, scan: Scan) -> FloatArray:
+        """Return the ranges with NaN for beams that n_beams leaves out."""
+        beams, _ = self._end_points(scan)
+        ranges: FloatArray = np.full(scan.finder.n_beams, np.nan)
+        ranges[beams] = scan.ranges[beams]
+        return ranges
 
     def _values(self, max_range: float, ends: FloatArray) -> Any:
         """Return the function (poses (n, 3), out (n, k)) that fills in each beam."""

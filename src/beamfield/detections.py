@@ -118,6 +118,39 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
     return result
 
 
+def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
+    """Return the ids of a map's n things as read-only integers; None numbers them from 1.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are no whole numbers >= 0, not n of them, or one appears twice.
+    """
+    result = as_ids(np.arange(1, n + 1) if ids is None else ids, n, 0)
+    values, counts = np.unique(result, return_counts=True)
+    if (counts > 1).any():
+        raise InvalidInputError(f"ids: expected each id once, got {values[counts.argmax()]} {counts.max()} times")
+    return result
+
+
+def indices_of_ids(map_ids: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int64]:
+    """Return where in a map each id (k,) is.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map has no such id; it is named.
+    """
+    wanted = np.asarray(ids, dtype=np.int64)
+    order = np.argsort(map_ids)
+    place = np.minimum(np.searchsorted(map_ids[order], wanted), len(map_ids) - 1)
+    found = order[place]
+    unknown = map_ids[found] != wanted
+    if unknown.any():
+        raise InvalidInputError(f"ids: expected ids of the map, got {wanted[unknown][0]}")
+    return np.asarray(found)
+
+
 def _frozen(values: ArrayLike, name: str) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     if np.isinf(array).any():

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.detections import as_ids
+from beamfield.detections import as_map_ids, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -58,12 +58,7 @@ class LandmarkMap:
         if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
             raise InvalidInputError(f"positions: expected shape (n, 2) with n >= 1, got {positions.shape}")
         object.__setattr__(self, "positions", positions)
-        n = len(positions)
-        ids = as_ids(np.arange(1, n + 1) if self.ids is None else self.ids, n, 0)
-        values, counts = np.unique(ids, return_counts=True)
-        if (counts > 1).any():
-            raise InvalidInputError(f"ids: expected each id once, got {values[counts.argmax()]} {counts.max()} times")
-        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "ids", as_map_ids(self.ids, len(positions)))
         if self.signatures is not None:
             object.__setattr__(self, "signatures", _finite(self.signatures, "signatures"))
         object.__setattr__(self, "kind", self._checked_kind())
@@ -84,14 +79,7 @@ class LandmarkMap:
         InvalidInputError
             If the map has no such id; it is named.
         """
-        wanted = np.asarray(ids, dtype=np.int64)
-        order = np.argsort(self.ids)
-        place = np.minimum(np.searchsorted(self.ids[order], wanted), len(self) - 1)
-        found = order[place]
-        unknown = self.ids[found] != wanted
-        if unknown.any():
-            raise InvalidInputError(f"ids: expected ids of the map, got {wanted[unknown][0]}")
-        return np.asarray(found)
+        return indices_of_ids(self.ids, ids)
 
     def _checked_kind(self) -> SignatureKind:
         if self.signatures is None:

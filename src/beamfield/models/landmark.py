@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.special import ndtr, ndtri
 
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
@@ -17,6 +16,7 @@ from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
 from beamfield.kernels import landmark as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.landmarks import LandmarkMap
+from beamfield.models.assignment import assign_exclusively
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_signatures import (
     LOG_2PI,
@@ -304,7 +304,7 @@ class LandmarkModel:
         if self.correspondence == "assignment":
             # Taken by a feature whose id is known.
             each[..., tables.which] = -np.inf
-            _assign(each + prior, none, values, chosen)
+            assign_exclusively(each + prior, none, values, chosen)
             return
         chosen[...] = each.argmax(axis=-1)
         values[...] = each.max(axis=-1) + prior
@@ -373,30 +373,3 @@ def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generato
 def _log_share_on_circle(sigma: float) -> float:
     """Return the log of the share of a normal of mean 0 that lies in (-pi, pi]."""
     return math.log(math.erf(math.pi / (sigma * math.sqrt(2.0))))
-
-
-def _assign(each: FloatArray, none: FloatArray, values: FloatArray, chosen: NDArray[np.int64]) -> None:
-    """Fill in the best correspondences of which no two share a landmark.
-
-    Parameters
-    ----------
-    each
-        (n, k, N) log value of each feature given each landmark.
-    none
-        (k,) the same given no landmark.
-    values, chosen
-        (n, k) results; -inf and N + 1 where there is no such correspondence.
-    """
-    k, n_landmarks = each.shape[1:]
-    # Every feature has its own way of being spurious, so that they do not compete for it.
-    table = np.full((k, n_landmarks + k), -np.inf)
-    table[np.arange(k), n_landmarks + np.arange(k)] = none
-    for i in range(len(each)):
-        table[:, :n_landmarks] = each[i]
-        try:
-            _, columns = linear_sum_assignment(table, maximize=True)
-        except ValueError:  # SciPy's word for: every assignment has a -inf
-            values[i], chosen[i] = -np.inf, n_landmarks + 1
-            continue
-        values[i] = table[np.arange(k), columns]
-        chosen[i] = np.minimum(columns, n_landmarks)

@@ -1,0 +1,36 @@
+"""Mutual exclusion within one observation: no two features belong to one thing of the map."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from beamfield.geometry import FloatArray
+
+
+def assign_exclusively(each: FloatArray, none: FloatArray, values: FloatArray, chosen: NDArray[np.int64]) -> None:
+    """Fill in the best correspondences of which no two share a landmark.
+
+    Parameters
+    ----------
+    each
+        (n, k, N) log value of each feature given each landmark.
+    none
+        (k,) the same given no landmark.
+    values, chosen
+        (n, k) results; -inf and N + 1 where there is no such correspondence.
+    """
+    k, n_landmarks = each.shape[1:]
+    # Every feature has its own way of being spurious, so that they do not compete for it.
+    table = np.full((k, n_landmarks + k), -np.inf)
+    table[np.arange(k), n_landmarks + np.arange(k)] = none
+    for i in range(len(each)):
+        table[:, :n_landmarks] = each[i]
+        try:
+            _, columns = linear_sum_assignment(table, maximize=True)
+        except ValueError:  # SciPy's word for: every assignment has a -inf
+            values[i], chosen[i] = -np.inf, n_landmarks + 1
+            continue
+        values[i] = table[np.arange(k), columns]
+        chosen[i] = np.minimum(columns, n_landmarks)

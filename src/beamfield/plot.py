@@ -1,17 +1,23 @@
-"""Draw maps, scans, trajectories and ranges: matplotlib Axes in, the same Axes out, units on every axis.
+"""Draw maps, scans, their features, trajectories and ranges: matplotlib Axes in and out, units on every axis.
 
 Matplotlib is imported when something is drawn, so that importing beamfield stays quick.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.features.corners import Corner
+from beamfield.features.feature import Feature, polar_jacobian
+from beamfield.features.minima import LocalMinimum
+from beamfield.features.poles import Pole
+from beamfield.features.straight_line import Line
+from beamfield.geometry import FloatArray, as_poses, compose, transform_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
 
@@ -23,6 +29,15 @@ MAP_COLOURS = ("#FFFFFF", "#E1E5EA", "#3C444D")
 SCAN_COLOUR = "#D55E00"
 PATH_COLOUR = "#0072B2"
 NO_RETURN_COLOUR = "#009E73"
+# Name, colour and marker of each kind of feature.
+FEATURE_STYLES: tuple[tuple[type[Feature], str, str, str], ...] = (
+    (Line, "line", "#0072B2", ""),
+    (Corner, "corner", "#009E73", "s"),
+    (LocalMinimum, "local minimum", "#CC79A7", "v"),
+    (Pole, "pole", "#111111", "+"),
+)
+# 95 % of chi-square with two degrees of freedom.
+CHI_SQUARE_95 = 5.991
 
 
 def draw_map(grid: OccupancyGrid, ax: Axes, *, max_side: int = 2000) -> Axes:
@@ -181,6 +196,54 @@ def draw_scan(
     return _in_metres(ax)
 
 
+def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes, *, ellipses: bool = True) -> Axes:
+    """Draw the features of a scan seen from a pose: lines from end to end, poles as circles, the others as points.
+
+    Parameters
+    ----------
+    features
+        Of any kinds, in the robot frame.
+    pose
+        (3,) pose of the robot in the frame of the axes, metres and radians.
+    ax
+        Where to draw.
+    ellipses
+        Also draw the 95 % ellipse of each position; a line has none.
+
+    Returns
+    -------
+    The axes; the legend's entries say how many there are of each kind.
+
+    Raises
+    ------
+    InvalidInputError
+        If the pose is not finite (3,).
+    """
+    place = as_poses(pose, "pose")
+    if place.shape != (3,):
+        raise InvalidInputError(f"pose: expected (x, y, theta), got shape {place.shape}")
+    for kind, name, colour, marker in FEATURE_STYLES:
+        chosen = [feature for feature in features if isinstance(feature, kind)]
+        label = f"{name} ({len(chosen)})"
+        for feature in chosen:
+            if isinstance(feature, Line):
+                ends = transform_points(place, np.stack([feature.start, feature.end]))
+                ax.plot(ends[:, 0], ends[:, 1], "-", color=colour, linewidth=2.0, alpha=0.8, label=label, zorder=4)
+            else:
+                x, y = transform_points(place, feature.position)
+                ax.plot(x, y, marker, color=colour, fillstyle="none", markersize=8, linestyle="none", label=label,
+                        zorder=5)  # fmt: skip
+                if ellipses:
+                    outline = transform_points(place, feature.position + _ellipse(feature))
+                    ax.plot(outline[:, 0], outline[:, 1], "-", color=colour, linewidth=0.8, zorder=5)
+            if isinstance(feature, Pole):
+                outline = transform_points(place, feature.position + feature.diameter / 2.0 * _unit_circle())
+                ax.plot(outline[:, 0], outline[:, 1], "-", color=colour, linewidth=1.5, zorder=5)
+            # One entry in the legend stands for all of a kind.
+            label = "_nolegend_"
+    return _in_metres(ax)
+
+
 def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes, *, bins: int = 80) -> Axes:
     """Draw the histogram of the measured ranges; the legend says what share is no return, NaN or too close.
 
@@ -250,6 +313,20 @@ def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> Floa
     beams = compose(np.asarray(poses, dtype=np.float64)[..., None, :], finder.mounts)
     direction = np.stack([np.cos(beams[..., 2]), np.sin(beams[..., 2])], axis=-1)
     return np.asarray(beams[..., :2] + z[..., None] * direction)
+
+
+def _ellipse(feature: Feature) -> FloatArray:
+    """Return the outline (n, 2) of the 95 % ellipse around a feature's position, robot frame, metres."""
+    from_polar = np.linalg.inv(polar_jacobian(feature.position))
+    covariance = from_polar @ feature.covariance[:2, :2] @ from_polar.T
+    values, vectors = np.linalg.eigh(covariance)
+    axes = vectors * np.sqrt(CHI_SQUARE_95 * np.maximum(values, 0.0))
+    return np.asarray(_unit_circle() @ axes.T)
+
+
+def _unit_circle() -> FloatArray:
+    angle = np.linspace(0.0, 2.0 * np.pi, 49)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _categories(grid: OccupancyGrid, step: int) -> NDArray[np.uint8]:

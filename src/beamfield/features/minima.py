@@ -111,11 +111,13 @@ def parabola(
 ) -> LocalMinimum | None:
     """Return the vertex of the parabola through the ranges, or None if there is no clear one in the window."""
     x = sweep.angles[places] - middle
-    design = np.column_stack([np.ones_like(x), x, x * x])
-    coefficients = np.linalg.lstsq(design, sweep.ranges[places], rcond=None)[0]
-    chi_square = float(np.sum(((sweep.ranges[places] - design @ coefficients) / noise.sigma_range) ** 2))
+    z = sweep.ranges[places]
+    sigma = noise.along(z)
+    design = np.column_stack([np.ones_like(x), x, x * x]) / sigma[:, None]
+    coefficients = np.linalg.lstsq(design, z / sigma, rcond=None)[0]
+    chi_square = float(np.sum((z / sigma - design @ coefficients) ** 2))
     growth = max(1.0, chi_square / (len(places) - 3)) if len(places) > 3 else 1.0
-    covariance = np.linalg.inv(design.T @ design) * noise.sigma_range**2 * growth
+    covariance = np.linalg.inv(design.T @ design) * growth
     _, slope, bend = coefficients
     if bend <= CLEAR_CURVATURE * np.sqrt(covariance[2, 2]) or abs(slope) > 2.0 * bend * half_width:
         return None

@@ -67,7 +67,8 @@ def cumulated_normal_equations(sweep: Sweep, places: NDArray[np.int64], noise: R
     """
     points = sweep.points[places] - sweep.origins[places].mean(axis=0)
     x, y = points.T
-    weight = 1.0 / ((noise.sigma_range / np.maximum(sweep.ranges[places], 1e-9)) ** 2 + noise.sigma_bearing**2)
+    z = sweep.ranges[places]
+    weight = 1.0 / ((noise.along(z) / np.maximum(z, 1e-9)) ** 2 + noise.sigma_bearing**2)
     terms = weight[:, None] * np.column_stack([x * x, x * y, y * y, x, y, np.ones_like(x)])
     return np.vstack([np.zeros(6), np.cumsum(terms, axis=0)])
 

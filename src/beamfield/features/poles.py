@@ -6,19 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtri, log_ndtr
 
 from beamfield.errors import InvalidInputError
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.straight_line import fit_line
 from beamfield.features.sweep import RangeNoise, Sweep, split_at_gaps, sweeps
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.sensors import Scan
 
-MAX_ITERATIONS = 30
-# Beams that touch the side of a trunk (small cosine of incidence) gain no more weight than this: their ranges are far
-# from linear in the circle. With 0.1 a pole of 0.1 m has a mean chi-square of 4.7 instead of 3, and no smaller errors.
-LEAST_INCIDENCE = 0.5
+# Places of each side of a pole that the posterior is summed over, in a first pass and around what that leaves.
+SIDE_PLACES = 40
+# The second pass leaves out places this much chi-square worse than the best.
+FAR_WORSE = 30.0
+# With noisy bearings, beams this many deviations beyond a side may hit it still.
+SIDE_DEVIATIONS = 2.5
+# The least cosine of incidence that is told from touching.
+LEAST_COSINE = 1e-3
 # A fit this bad happens to a round thing once in a thousand times.
 BAD_FIT = 1e-3
 # A flat board explains the points as well unless the circle is better by this much chi-square.
@@ -32,7 +36,8 @@ class Pole(Feature):
     Parameters
     ----------
     chi_square
-        Of the circle, silhouette included; n - 1 degrees of freedom with n beams.
+        Least one of the ranges over the circles that the silhouette allows; about n - 1 degrees of freedom with n
+        beams.
     """
 
     chi_square: float
@@ -54,9 +59,12 @@ def find_poles(
 ) -> list[Pole]:
     """Return the round objects that stand free before what is behind them.
 
-    A circle is fitted to the end points (weighted as lines are) and to the silhouette: the trunk ends between the
-    last beam that hits it and the next, which is uniform there. The silhouette is what fixes the diameter of thin
-    poles. A thing that a flat board explains as well is no pole.
+    The posterior of a circle under a uniform prior of centre and radius, given the ranges (with noise along the
+    beams) and the silhouette: the trunk ends between the last beam that hits it and the next. The silhouette is what
+    fixes the diameter of thin poles. The measurement is the posterior's mean, the covariance its second moments, by
+    sums over where the sides may be: a circle is too far from linear for the normal equations of a fit, whose
+    ellipses are too small from a noise of a tenth of the diameter on. A thing that a flat board explains as well is
+    no pole.
 
     Parameters
     ----------
@@ -96,10 +104,10 @@ def find_poles(
 
 
 def silhouette(sweep: Sweep, run: NDArray[np.int64], clearance: float) -> FloatArray | None:
-    """Return (2, 2) angle of each side (right, left) and the width of what is not known of it, or None if hidden."""
+    """Return (2,) angles from the last beams that hit to the next ones, right and left, or None if a side is hidden."""
     if run[0] == run[-1] or len(sweep) < len(run) + 2:
         return None
-    sides = []
+    gaps = []
     for edge, step in ((int(run[0]), -1), (int(run[-1]), 1)):
         beyond = edge + step
         if not 0 <= beyond < len(sweep) and not sweep.closed:
@@ -107,61 +115,111 @@ def silhouette(sweep: Sweep, run: NDArray[np.int64], clearance: float) -> FloatA
         beyond %= len(sweep)
         if sweep.returned[beyond] and sweep.ranges[beyond] < sweep.ranges[edge] + clearance:
             return None
-        width = np.mod(step * (sweep.angles[beyond] - sweep.angles[edge]), 2.0 * np.pi)
-        sides.append([sweep.angles[edge] + step * width / 2.0, width])
-    return np.array(sides)
+        gaps.append(np.mod(step * (sweep.angles[beyond] - sweep.angles[edge]), 2.0 * np.pi))
+    return np.array(gaps)
 
 
-def fit_pole(sweep: Sweep, run: NDArray[np.int64], sides: FloatArray, noise: RangeNoise) -> Pole | None:
+def fit_pole(sweep: Sweep, run: NDArray[np.int64], gaps: FloatArray, noise: RangeNoise) -> Pole | None:
     """Return the circle through a run, or None if it is none or a board does as well."""
-    points, directions = sweep.points[run], sweep.directions[run]
-    radius = max(np.hypot(*(points[-1] - points[0])) / 2.0, 1e-3)
-    middle = directions.mean(axis=0) / np.hypot(*directions.mean(axis=0))
-    circle = np.array([*(points[np.argmin(sweep.ranges[run])] + radius * middle), radius])
-    cost = np.inf
-    damping = 1e-3
-    for _ in range(MAX_ITERATIONS):
-        residual, jacobian = linearise(circle, sweep, run, sides, noise)
-        cost = float(residual @ residual)
-        normal = jacobian.T @ jacobian
-        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual)
-        trial = circle + step
-        better = trial[2] > 0.0 and np.sum(linearise(trial, sweep, run, sides, noise)[0] ** 2) <= cost
-        damping = damping / 10.0 if better else damping * 10.0
-        if better:
-            circle = trial
-        if np.abs(step).max() < 1e-9:
-            break
-    residual, jacobian = linearise(circle, sweep, run, sides, noise)
-    cost = float(residual @ residual)
+    origin = sweep.origins[run].mean(axis=0)
+    away = sweep.points[run] - origin
+    ranges = np.hypot(*away.T)
+    middle = np.arctan2(*away.mean(axis=0)[::-1])
+    angles = wrap_angle(np.arctan2(away[:, 1], away[:, 0]) - middle)
+    if angles[-1] - angles[0] + gaps.sum() >= np.pi:
+        return None
+    sides = Sides(angles, gaps, noise.sigma_bearing)
+    # Places of the right and of the left side, as shares of what is possible.
+    limits = np.array([[0.0, 1.0], [0.0, 1.0]])
+    for _ in range(2):
+        right, left = (low + (np.arange(SIDE_PLACES) + 0.5) / SIDE_PLACES * (high - low) for low, high in limits)
+        circles = given_sides(sides, right, left, ranges, noise)
+        limits = np.array([shrink(right, circles.chi_square.min(axis=1)), shrink(left, circles.chi_square.min(axis=0))])
+    cost = float(circles.chi_square.min())
     board = fit_line(sweep, run, noise).chi_square
     if cost > float(chdtri(len(run) - 1, BAD_FIT)) or board - cost < ROUNDER:
         return None
-    covariance: FloatArray = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
-    return describe(circle, covariance, sweep.beams[run], cost)
+    return describe(*circles.moments(origin, middle), sweep.beams[run], cost)
 
 
-def linearise(
-    circle: FloatArray, sweep: Sweep, run: NDArray[np.int64], sides: FloatArray, noise: RangeNoise
-) -> tuple[FloatArray, FloatArray]:
-    """Return normalised residuals (n + 2,) of points and sides, and their derivatives (n + 2, 3) in (x, y, radius)."""
-    centre, radius = circle[:2], circle[2]
-    outward = sweep.points[run] - centre
-    distance = np.hypot(*outward.T)
-    normal = outward / np.maximum(distance, 1e-12)[:, None]
-    facing = np.abs(np.sum(sweep.directions[run] * normal, axis=1))
-    sideways = noise.sigma_bearing**2 * sweep.ranges[run] ** 2 * (1.0 - facing**2)
-    sigma = np.sqrt((noise.sigma_range * np.maximum(facing, LEAST_INCIDENCE)) ** 2 + sideways)
-    residual = [(distance - radius) / sigma]
-    jacobian = [np.column_stack([-normal, -np.ones(len(run))]) / sigma[:, None]]
-    for (angle, width), edge, sign in zip(sides, (run[0], run[-1]), (1.0, -1.0), strict=True):
-        from_origin = centre - sweep.origins[edge]
-        left = sign * np.array([-np.sin(angle), np.cos(angle)])
-        # Uniform over the gap between two beams; also the noise of the bearing moves the side.
-        spread = np.hypot(*from_origin) * np.sqrt(max(width, 1e-6) ** 2 / 12.0 + noise.sigma_bearing**2)
-        residual.append(np.array([(left @ from_origin - radius) / spread]))
-        jacobian.append(np.array([[*left, -1.0]]) / spread)
-    return np.concatenate(residual), np.vstack(jacobian)
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Where the sides of a pole may be: `angles` (n,) of the beams that hit it, and the gaps (2,) beyond them."""
+
+    angles: FloatArray
+    gaps: FloatArray
+    sigma_bearing: float
+
+    def place(self, shares: FloatArray, side: int) -> tuple[FloatArray, FloatArray]:
+        """Return the angles at shares in [0, 1] of the possible ones, and the logarithms of their prior.
+
+        The range of the last beam that hits grows with the root of its distance from the side: in equal steps of the
+        share, which is that root, it grows evenly.
+        """
+        slack = SIDE_DEVIATIONS * self.sigma_bearing
+        beyond = (self.gaps[side] + 2.0 * slack) * shares**2 - slack
+        log_prior = np.log(shares)
+        if self.sigma_bearing > 0.0:
+            log_prior += log_ndtr(beyond / self.sigma_bearing)
+            log_prior += log_ndtr((self.gaps[side] - beyond) / self.sigma_bearing)
+        return self.angles[-side] + (1.0 if side else -1.0) * beyond, log_prior
+
+
+@dataclass(frozen=True, eq=False)
+class Circles:
+    """The best circle for each pair of sides: everything (right, left) but the distances' least chi-squares."""
+
+    bearing: FloatArray
+    half_angle: FloatArray
+    distance: FloatArray
+    variance: FloatArray
+    chi_square: FloatArray
+    log_weight: FloatArray
+
+    def moments(self, origin: FloatArray, middle: float) -> tuple[FloatArray, FloatArray]:
+        """Return mean (3,) and covariance (3, 3) of (x, y, radius) over all circles."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        weight /= weight.sum()
+        turn = self.bearing + middle
+        scale = np.stack([np.cos(turn), np.sin(turn), np.sin(self.half_angle)], axis=-1)
+        mean = np.einsum("rl,rlk->k", weight * self.distance, scale)
+        offset = self.distance[..., None] * scale - mean
+        covariance = np.einsum("rl,rli,rlj->ij", weight, offset, offset)
+        covariance += np.einsum("rl,rli,rlj->ij", weight * self.variance, scale, scale)
+        return mean + np.array([*origin, 0.0]), covariance
+
+
+def given_sides(
+    sides: Sides, right: FloatArray, left: FloatArray, ranges: FloatArray, noise: RangeNoise
+) -> Circles:
+    """Return the circles whose sides are at given shares.
+
+    A circle between two sides is fixed but for its distance d, and all ranges are proportional to d: a weighted mean.
+    """
+    (first, log_first), (last, log_last) = sides.place(right, 0), sides.place(left, 1)
+    bearing, half_angle = (last[None, :] + first[:, None]) / 2.0, (last[None, :] - first[:, None]) / 2.0
+    off = sides.angles - bearing[..., None]
+    sine = np.sin(half_angle)[..., None]
+    depth = np.sqrt(np.maximum(sine**2 - np.sin(off) ** 2, (LEAST_COSINE * sine) ** 2))
+    per_metre = np.cos(off) - depth
+    by_bearing = noise.sigma_bearing * ranges * np.sin(off) * (np.cos(off) / depth - 1.0)
+    variance = noise.along(ranges) ** 2 + by_bearing**2
+    information = np.sum(per_metre**2 / variance, axis=-1)
+    distance = np.sum(per_metre * ranges / variance, axis=-1) / information
+    chi_square = np.sum((ranges - distance[..., None] * per_metre) ** 2 / variance, axis=-1)
+    # d^2 cos(half angle) is the volume of (x, y, radius) per distance and sides.
+    log_weight = (
+        log_first[:, None] + log_last[None, :] + 2.0 * np.log(distance) + np.log(np.cos(half_angle))
+        - 0.5 * (chi_square + np.log(information) + np.sum(np.log(variance), axis=-1))
+    )  # fmt: skip
+    return Circles(bearing, half_angle, distance, 1.0 / information, chi_square, log_weight)
+
+
+def shrink(shares: FloatArray, chi_square: FloatArray) -> FloatArray:
+    """Return the limits (2,) of the shares that are not hopeless."""
+    hopeful = np.flatnonzero(chi_square < chi_square.min() + FAR_WORSE)
+    half_step = (shares[1] - shares[0]) / 2.0
+    return np.array([shares[hopeful[0]] - half_step, shares[hopeful[-1]] + half_step])
 
 
 def describe(circle: FloatArray, covariance: FloatArray, beams: NDArray[np.int64], chi_square: float) -> Pole:

@@ -142,7 +142,7 @@ def linearise(rays: Rays, rho: float, alpha: float, noise: RangeNoise) -> tuple[
     # Where the beam meets the line, not where the noise put the point: the noise would bias the slope.
     place = rays.points @ tangent - residual * along / clear
     jacobian = np.column_stack([-np.ones_like(place), place])
-    variance = (noise.sigma_range * clear) ** 2 + (noise.sigma_bearing * rays.ranges * along) ** 2
+    variance = (noise.along(rays.ranges) * clear) ** 2 + (noise.sigma_bearing * rays.ranges * along) ** 2
     return residual, jacobian, np.sqrt(variance)
 
 
@@ -163,8 +163,9 @@ def describe(
     facing, along = rays.directions @ normal, rays.directions @ tangent
     # Noise of a point along the line, and how it goes with the noise across it.
     across_beam = (noise.sigma_bearing * rays.ranges) ** 2
-    lengthwise = (noise.sigma_range * along) ** 2 + across_beam * facing**2
-    shared = (noise.sigma_range**2 - across_beam) * facing * along
+    along_beam = noise.along(rays.ranges) ** 2
+    lengthwise = along_beam * along**2 + across_beam * facing**2
+    shared = (along_beam - across_beam) * facing * along
     pull = -covariance[:2, :2] @ (jacobian * (shared / sigma**2)[:, None]).T
     covariance[:2, 2] = covariance[2, :2] = pull[:, -1] - pull[:, 0]
     covariance[2, 2] = lengthwise[0] + lengthwise[-1]

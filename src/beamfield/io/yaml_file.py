@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ MAX_DEPTH = 50
 
 # Where a value stands: the keys (and indices of lists) on the way to it.
 Place = tuple[str | int, ...]
+Spans = dict[Place, tuple[int, int]]
 
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = {"null": "construct_yaml_null", "bool": "construct_yaml_bool", "int": "construct_yaml_int",
@@ -39,11 +40,18 @@ class YamlFile:
         Plain values: dict, list, str, int, float, bool, None.
     lines
         Line number, from 1, of each value by its keys.
+    source
+        The file's text as it stands, without a byte order mark.
+    spans
+        (start, stop) of each value in the text, by its keys; of a list or map that is not in brackets, the stop lies
+        anywhere behind its last value.
     """
 
     path: Path
     values: dict[str, Any]
     lines: Mapping[Place, int]
+    source: str = ""
+    spans: Mapping[Place, tuple[int, int]] = field(default_factory=dict)
 
     def error(self, message: str, *place: str | int) -> FormatError:
         """Return the error that says what is wrong with the value at a place."""
@@ -148,8 +156,9 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> Ya
         kind = "a list" if isinstance(root, SequenceNode) else f"the text {shorten(root.value)}"
         raise FormatError(source, f"expected keys with values, got {kind}", line=root.start_mark.line + 1)
     lines: dict[Place, int] = {}
-    values = _construct(yaml, root, (), lines, source)
-    return YamlFile(source, values, lines)
+    spans: Spans = {}
+    values = _construct(yaml, root, (), lines, spans, source)
+    return YamlFile(source, values, lines, text, spans)
 
 
 def shorten(value: object, limit: int = 60) -> str:
@@ -188,19 +197,22 @@ def _check_events(yaml: YAML, text: str, path: Path) -> None:
             raise FormatError(path, f"anchors and aliases are not read, got {mark + str(event.anchor)!r}", line=line)
 
 
-def _construct(yaml: YAML, node: Node, place: Place, lines: dict[Place, int], path: Path) -> Any:
+def _construct(yaml: YAML, node: Node, place: Place, lines: dict[Place, int], spans: Spans, path: Path) -> Any:
     lines[place] = node.start_mark.line + 1
+    spans[place] = node.start_mark.index, node.end_mark.index
     if isinstance(node, MappingNode):
-        return _construct_mapping(yaml, node, place, lines, path)
+        return _construct_mapping(yaml, node, place, lines, spans, path)
     if isinstance(node, SequenceNode):
         _check_tag(node, "seq", path)
-        return [_construct(yaml, item, (*place, i), lines, path) for i, item in enumerate(node.value)]
+        return [_construct(yaml, item, (*place, i), lines, spans, path) for i, item in enumerate(node.value)]
     if isinstance(node, ScalarNode):
         return _construct_scalar(yaml, node, path)
     raise _tag_error(node, path)
 
 
-def _construct_mapping(yaml: YAML, node: MappingNode, place: Place, lines: dict[Place, int], path: Path) -> Any:
+def _construct_mapping(
+    yaml: YAML, node: MappingNode, place: Place, lines: dict[Place, int], spans: Spans, path: Path
+) -> Any:
     _check_tag(node, "map", path)
     values: dict[str, Any] = {}
     for key_node, value_node in node.value:
@@ -211,7 +223,7 @@ def _construct_mapping(yaml: YAML, node: MappingNode, place: Place, lines: dict[
             raise FormatError(path, f"expected text as a key, got {found}", line=line)
         if key in values:
             raise FormatError(path, f"the key {key!r} is there twice", line=line)
-        values[key] = _construct(yaml, value_node, (*place, key), lines, path)
+        values[key] = _construct(yaml, value_node, (*place, key), lines, spans, path)
         lines[(*place, key)] = line
     return values
 

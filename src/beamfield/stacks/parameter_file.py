@@ -1,0 +1,219 @@
+"""Read a stack's parameter file: which stack and model it is for, and its values; write changed values back."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.atomic import atomic_file, write_file
+from beamfield.stacks.ini_sections import ini_sections
+from beamfield.stacks.launch_sections import launch_sections
+from beamfield.stacks.parameter_text import ParameterSection, Value
+from beamfield.stacks.yaml_sections import yaml_sections
+
+Stack = Literal["nav2", "ros1", "beluga", "mrpt", "f1tenth"]
+STACKS: tuple[Stack, ...] = ("nav2", "ros1", "beluga", "mrpt", "f1tenth")
+
+_AMCL_MODELS = ("likelihood_field", "likelihood_field_prob", "beam")
+MODELS: Mapping[Stack, tuple[str, ...]] = {
+    "nav2": _AMCL_MODELS,
+    "ros1": _AMCL_MODELS,
+    "beluga": _AMCL_MODELS,
+    "mrpt": ("LF_Thrun", "rayTracing"),
+    "f1tenth": ("table",),
+}
+
+# Names that only this stack has.
+_SIGNS: Mapping[Stack, frozenset[str]] = {
+    "beluga": frozenset(
+        ("model_unknown_space", "only_obstacle_boundaries", "execution_policy", "spatial_resolution_x",
+         "spatial_resolution_y", "spatial_resolution_theta", "selective_resampling", "point_cloud_topic")
+    ),
+    "f1tenth": frozenset(("squash_factor", "range_method", "theta_discretization", "angle_step")),
+    "ros1": frozenset(
+        f"laser_{name}" for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
+    ),
+    "mrpt": frozenset(
+        ("likelihoodMethod", "LF_stdHit", "LF_zHit", "LF_zRandom", "LF_maxRange", "LF_decimation",
+         "LF_maxCorrsDistance", "LF_useSquareDist", "LF_alternateAverageMethod", "rayTracing_stdHit",
+         "rayTracing_decimation", "rayTracing_useDistanceFilter", "enableLikelihoodCache")
+    ),
+}  # fmt: skip
+_SHARED = frozenset(
+    ("laser_model_type", "z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams",
+     "laser_likelihood_max_dist", "laser_max_range", "laser_min_range", "do_beamskip", "beam_skip_distance")
+)  # fmt: skip
+_KNOWN = _SHARED.union(*_SIGNS.values())
+# MRPT numbers its models, or spells them with "lm" in front.
+_MRPT_MODELS = {
+    "1": "rayTracing", "lmRayTracing": "rayTracing", "4": "LF_Thrun", "lmLikelihoodField_Thrun": "LF_Thrun",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class StackFile:
+    """A parameter file of another program.
+
+    Parameters
+    ----------
+    stack, model
+        Whose file it is, and the measurement model that it chooses (or the stack's default).
+    section
+        The parameters and their places in the text.
+    stack_is_certain
+        False if nothing in the file tells nav2 from Beluga, whose files look alike, and nobody said.
+    """
+
+    stack: Stack
+    model: str
+    section: ParameterSection
+    stack_is_certain: bool = True
+
+
+def read_stack_file(
+    path: str | Path, *, stack: str | None = None, model: str | None = None, section: str | None = None
+) -> StackFile:
+    """Read a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH.
+
+    Parameters
+    ----------
+    path
+        A YAML file, a ROS 1 launch file (.launch or .xml) or an MRPT .ini file.
+    stack, model
+        What it is for; None finds out.
+    section
+        Label of the section to take if there are several: "amcl.ros__parameters", the name of a node, an ini section.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such stack or model.
+    FormatError
+        If the file cannot be read, has no parameters of a measurement model, or several sections that have.
+    OSError
+        As the file system says.
+    """
+    if stack is not None:
+        check_stack(stack)
+    source = Path(path)
+    chosen = _only(source, _sections(source), section)
+    found, certain = (stack, True) if stack is not None else _stack_of(chosen)
+    return StackFile(check_stack(found), check_model(found, model or _model_of(found, chosen)), chosen, certain)
+
+
+def check_stack(name: str) -> Stack:
+    """Return the stack of this name, or say which there are."""
+    for stack in STACKS:
+        if stack == name:
+            return stack
+    raise InvalidInputError(f"stack: expected one of {', '.join(STACKS)}, got {name!r}")
+
+
+def check_model(stack: str, model: str) -> str:
+    """Return the model if the stack has it, or say which it has."""
+    models = MODELS[check_stack(stack)]
+    if model not in models:
+        raise InvalidInputError(f"model: {stack} has {', '.join(models)}, got {model!r}")
+    return model
+
+
+def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path:
+    """Change parameters in the user's file, keeping everything else, and return the path of a backup.
+
+    Parameters
+    ----------
+    section
+        From `read_stack_file`.
+    values
+        By name, as in the file.
+
+    Raises
+    ------
+    PermissionError
+        If the file is read-only.
+    InvalidInputError
+        If the file has changed since it was read.
+    OSError
+        As the file system says; the file is then as it was.
+    """
+    path = section.path
+    if not path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
+        # Renaming a new file over it would work, but whoever made it read-only meant it.
+        raise PermissionError(13, "the file is read-only", str(path))
+    before = path.read_bytes()
+    mark = b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") and not section.text.startswith("\ufeff") else b""
+    if before != mark + section.text.encode():
+        raise InvalidInputError(f"{path}: the file has changed since it was read")
+    backup = _free_name(path)
+    with atomic_file(backup) as part:
+        part.write_bytes(before)
+    write_file(path, mark + section.with_values(values).encode())
+    return backup
+
+
+def _sections(path: Path) -> list[ParameterSection]:
+    suffix = path.suffix.lower()
+    if suffix in (".launch", ".xml"):
+        return launch_sections(path, _KNOWN)
+    if suffix in (".ini", ".cfg"):
+        return ini_sections(path, _KNOWN)
+    return yaml_sections(path, _KNOWN)
+
+
+def _only(path: Path, sections: list[ParameterSection], label: str | None) -> ParameterSection:
+    if label is not None:
+        sections = [section for section in sections if section.label == label] or _raise(path, sections, label)
+    if not sections:
+        raise FormatError(
+            path, "no parameters of a measurement model found (z_hit, laser_z_hit, LF_stdHit, ... or an amcl node)"
+        )
+    if len(sections) > 1:
+        labels = ", ".join(f"{section.label!r} (line {section.line})" for section in sections)
+        raise FormatError(path, f"several sections have such parameters, choose one of {labels}")
+    return sections[0]
+
+
+def _raise(path: Path, sections: list[ParameterSection], label: str) -> list[ParameterSection]:
+    known = ", ".join(repr(section.label) for section in sections) or "none"
+    raise FormatError(path, f"no section {label!r} with parameters of a measurement model; there are {known}")
+
+
+def _stack_of(section: ParameterSection) -> tuple[Stack, bool]:
+    if section.syntax == "launch":
+        return "ros1", True
+    if section.syntax == "ini":
+        return "mrpt", True
+    names = set(section.entries)
+    for stack, signs in _SIGNS.items():
+        if names & signs:
+            # A ROS 1 file can carry a stray name of another stack, and the other way round: the doctor says so.
+            return stack, True
+    return "nav2", False
+
+
+def _model_of(stack: str, section: ParameterSection) -> str:
+    if stack == "f1tenth":
+        return "table"
+    name = "likelihoodMethod" if stack == "mrpt" else "laser_model_type"
+    entry = section.entries.get(name)
+    if entry is None or entry.value is None:
+        return "LF_Thrun" if stack == "mrpt" else "likelihood_field"
+    model = str(entry.value)
+    model = _MRPT_MODELS.get(model, model) if stack == "mrpt" else model
+    if model not in MODELS[check_stack(stack)]:
+        known = ", ".join(MODELS[check_stack(stack)])
+        raise section.error(name, f"no model of {stack} that beamfield knows ({known}), got {entry.value!r}")
+    return model
+
+
+def _free_name(path: Path) -> Path:
+    """Return a name for a backup beside the file; earlier backups stay."""
+    candidate, number = path.with_name(path.name + ".bak"), 1
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.name}.bak{number}")
+    return candidate

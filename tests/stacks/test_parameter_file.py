@@ -1,0 +1,254 @@
+"""Parameter files of other stacks: recognised, read with their places, changed without touching anything else."""
+
+from __future__ import annotations
+
+import difflib
+
+import pytest
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.stacks.parameter_file import read_stack_file, write_values
+
+NAV2 = """\
+# localisation of the lobby robot
+map_server:
+  ros__parameters:
+    yaml_filename: "lobby.yaml"
+amcl:
+  ros__parameters:
+    use_sim_time: false
+    z_hit: 0.5      # tuned by ear
+    z_rand: 0.5
+    laser_model_type: "likelihood_field_prob"
+    max_beams: 60
+
+    initial_pose: {x: 0.0, y: 1.0}
+controller_server:
+  ros__parameters:
+    controller_frequency: 20.0
+"""
+LAUNCH = """\
+<launch>
+  <arg name="z" default="0.5"/>
+  <!-- amcl -->
+  <node pkg="amcl" type="amcl" name="loc">
+    <param name="laser_z_hit" value="0.95"/>
+    <param value='$(arg z)' name='laser_z_rand'/> <!-- é -->
+  </node>
+  <node pkg="map_server" type="map_server" name="maps"><param name="frame_id" value="map"/></node>
+</launch>
+"""
+INI = """\
+// localisation
+[MetricMap_occupancyGrid_00_creationOpts]
+resolution=0.05
+[MetricMap_occupancyGrid_00_likelihoodOpts]
+likelihoodMethod   = 4   // 4: Thrun
+LF_stdHit=0.35
+LF_zRandom   = 0.05  ; share
+"""
+FLAT = "squash_factor: 2.2\nz_hit: 0.75\nsigma_hit: 8.0\nrange_method: rmgpu\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text: str, name: str = "params.yaml"):
+        path = tmp_path / name
+        path.write_bytes(text.encode())
+        return path
+
+    return write
+
+
+def changed_lines(before: str, after: str) -> list[str]:
+    lines = [line for line in difflib.ndiff(before.splitlines(), after.splitlines()) if line[0] in "+-"]
+    return sorted(lines, key=lambda line: line[0], reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "stack", "model"),
+    [
+        (NAV2, "nav2.yaml", "nav2", "likelihood_field_prob"),
+        (NAV2.replace("z_rand: 0.5", "model_unknown_space: true"), "b.yaml", "beluga", "likelihood_field_prob"),
+        (LAUNCH, "amcl.launch", "ros1", "likelihood_field"),
+        ("amcl:\n  laser_z_hit: 0.9\n  laser_model_type: beam\n", "amcl.yaml", "ros1", "beam"),
+        (INI, "pf.ini", "mrpt", "LF_Thrun"),
+        (INI.replace("= 4", "= lmRayTracing"), "pf.ini", "mrpt", "rayTracing"),
+        (FLAT, "localize.yaml", "f1tenth", "table"),
+        (
+            "/robot1:\n  amcl:\n    ros__parameters:\n      set_initial_pose: true\n",
+            "n.yaml",
+            "nav2",
+            "likelihood_field",
+        ),
+    ],
+    ids=["nav2", "beluga", "launch", "ros1 yaml", "mrpt", "mrpt by name", "f1tenth", "amcl without weights"],
+)
+def test_stack_and_model_are_recognised(write, text, name, stack, model):
+    file = read_stack_file(write(text, name))
+    assert (file.stack, file.model) == (stack, model)
+
+
+def test_nav2_and_beluga_files_that_look_alike_are_said_to(write):
+    assert not read_stack_file(write(NAV2)).stack_is_certain
+    said = read_stack_file(write(NAV2), stack="beluga")
+    assert said.stack == "beluga"
+    assert said.stack_is_certain
+
+
+def test_values_come_with_their_lines(write):
+    section = read_stack_file(write(NAV2)).section
+    assert section.label == "amcl.ros__parameters"
+    assert section.entries["z_hit"].value == 0.5
+    assert section.entries["z_hit"].line == 8
+    assert section.entries["max_beams"].value == 60
+    assert section.number("z_short") is None
+    section = read_stack_file(write(LAUNCH, "a.launch")).section
+    assert section.label == "loc"
+    assert section.entries["laser_z_rand"].value == "$(arg z)"
+    with pytest.raises(FormatError, match=r"a\.launch:6: laser_z_rand: expected a number, got '\$\(arg z\)'"):
+        section.number("laser_z_rand")
+
+
+def test_only_changed_values_change_in_yaml(write):
+    section = read_stack_file(write(NAV2)).section
+    after = section.with_values({"z_hit": 0.97, "max_beams": 90, "laser_model_type": "beam", "sigma_hit": 1.0})
+    assert changed_lines(NAV2, after) == [
+        "-     z_hit: 0.5      # tuned by ear",
+        '-     laser_model_type: "likelihood_field_prob"',
+        "-     max_beams: 60",
+        "+     z_hit: 0.97      # tuned by ear",
+        '+     laser_model_type: "beam"',
+        "+     max_beams: 90",
+        "+     sigma_hit: 1.0",
+    ]
+
+
+def test_only_changed_values_change_in_a_launch_file(write):
+    section = read_stack_file(write(LAUNCH, "a.launch")).section
+    after = section.with_values({"laser_z_rand": 0.03, "laser_z_hit": 0.97, "laser_sigma_hit": 0.1})
+    assert changed_lines(LAUNCH, after) == [
+        '-     <param name="laser_z_hit" value="0.95"/>',
+        "-     <param value='$(arg z)' name='laser_z_rand'/> <!-- é -->",
+        '+     <param name="laser_z_hit" value="0.97"/>',
+        "+     <param value='0.03' name='laser_z_rand'/> <!-- é -->",
+        '+     <param name="laser_sigma_hit" value="0.1"/>',
+    ]
+
+
+def test_only_changed_values_change_in_an_ini_file(write):
+    section = read_stack_file(write(INI, "pf.ini")).section
+    after = section.with_values({"LF_stdHit": 0.1, "LF_zRandom": 0.2, "LF_decimation": 3})
+    assert changed_lines(INI, after) == [
+        "- LF_stdHit=0.35",
+        "- LF_zRandom   = 0.05  ; share",
+        "+ LF_stdHit=0.1",
+        "+ LF_zRandom   = 0.2  ; share",
+        "+ LF_decimation = 3",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "value", "after"),
+    [
+        ("z_hit:\nz_rand: 1\n", "z_hit", 0.5, "z_hit: 0.5\nz_rand: 1\n"),
+        ("amcl: {z_hit: 1.0}\n", "z_rand", 0.1, "amcl: {z_rand: 0.1, z_hit: 1.0}\n"),
+        ("amcl: {z_hit: 1.0}\n", "z_hit", 1e-7, "amcl: {z_hit: 1.0e-07}\n"),
+        ("z_hit: 1.0\r\nx: 2\r\n", "z_rand", 0.1, "z_hit: 1.0\r\nx: 2\r\nz_rand: 0.1\r\n"),
+        ("z_hit: 1.0", "z_rand", 0.1, "z_hit: 1.0\nz_rand: 0.1"),
+        ("amcl:\n  ros__parameters:\n    p: {x: 1}\n", "z_hit", 0.1,
+         "amcl:\n  ros__parameters:\n    z_hit: 0.1\n    p: {x: 1}\n"),
+    ],
+    ids=["without value", "in brackets", "tiny", "windows line ends", "no last line end", "only maps inside"],
+)  # fmt: skip
+def test_odd_yaml_is_changed_and_read_again(write, text, name, value, after):
+    section = read_stack_file(write(text)).section
+    assert section.with_values({name: value}) == after
+    assert read_stack_file(write(after)).section.number(name) == pytest.approx(value)
+
+
+def test_a_node_without_parameters_gets_one(write):
+    text = '<launch>\n  <node pkg="amcl" type="amcl" name="loc">\n  </node>\n</launch>\n'
+    after = read_stack_file(write(text, "a.launch")).section.with_values({"laser_z_hit": 0.5})
+    assert read_stack_file(write(after, "b.launch")).section.number("laser_z_hit") == 0.5
+
+
+def test_writing_keeps_backups_and_permissions(write):
+    path = write(NAV2)
+    path.chmod(0o640)
+    first = write_values(read_stack_file(path).section, {"z_hit": 0.6})
+    second = write_values(read_stack_file(path).section, {"z_hit": 0.7})
+    assert [first.name, second.name] == ["params.yaml.bak", "params.yaml.bak2"]
+    assert first.read_text() == NAV2
+    assert "z_hit: 0.6 " in second.read_text()
+    assert "z_hit: 0.7 " in path.read_text()
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_byte_order_mark_stays(write):
+    path = write("\ufeff" + FLAT)
+    write_values(read_stack_file(path).section, {"z_hit": 0.7})
+    assert path.read_bytes().decode() == "\ufeff" + FLAT.replace("0.75", "0.7")
+
+
+def test_a_read_only_file_is_left_alone(write):
+    path = write(NAV2)
+    section = read_stack_file(path).section
+    path.chmod(0o444)
+    with pytest.raises(PermissionError, match="read-only"):
+        write_values(section, {"z_hit": 0.6})
+    assert [file.name for file in path.parent.iterdir()] == ["params.yaml"]
+    assert path.read_text() == NAV2
+
+
+def test_a_file_that_changed_meanwhile_is_left_alone(write):
+    path = write(NAV2)
+    section = read_stack_file(path).section
+    path.write_text(NAV2 + "# more\n")
+    with pytest.raises(InvalidInputError, match="has changed since"):
+        write_values(section, {"z_hit": 0.6})
+    assert path.read_text() == NAV2 + "# more\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        ("a: 1\n", "p.yaml", r"p\.yaml: no parameters of a measurement model found"),
+        (NAV2.replace("map_server:", "amcl_2:"), "p.yaml",
+         r"several sections .* 'amcl_2.ros__parameters' \(line 3\), 'amcl.ros__parameters' \(line 6\)"),
+        (NAV2.replace("field_prob", "field_best"), "p.yaml", r"p\.yaml:10: laser_model_type: no model of nav2"),
+        ("just text\n", "p.yaml", "expected keys with values"),
+        ("<launch><node></launch>", "p.launch", r"p\.launch:1: no valid XML: mismatched tag"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><launch/>', "p.launch", r"a document type is not read, got <!DOCTYPE a"),
+        ("<launch/>", "p.launch", "no parameters of a measurement model found"),
+        (LAUNCH.replace("laser_z_rand", "laser_z_hit"), "p.launch", r"p\.launch:6: laser_z_hit: the parameter is"),
+        ("[a]\nLF_stdHit=1\nLF_stdHit=2\n", "p.ini", r"p\.ini:3: LF_stdHit: is there twice in \[a\]"),
+        ("[a]\nnonsense\n", "p.ini", r"p\.ini:2: expected \[section\], name = value or a comment, got 'nonsense'"),
+        ("[a]\nlikelihoodMethod = 77\n", "p.ini", r"p\.ini:2: likelihoodMethod: no model of mrpt .* got 77"),
+    ],
+    ids=["no such file", "several", "model", "text", "xml", "doctype", "no node", "twice", "twice 2", "ini", "method"],
+)  # fmt: skip
+def test_bad_files_are_refused_with_their_line(write, text, name, message):
+    with pytest.raises(FormatError, match=message):
+        read_stack_file(write(text, name))
+
+
+def test_one_of_several_sections_can_be_chosen(write):
+    path = write(NAV2.replace("map_server:", "amcl_2:"))
+    assert read_stack_file(path, section="amcl.ros__parameters").section.line == 6
+    with pytest.raises(FormatError, match=r"no section 'x' .* there are 'amcl_2.ros__parameters', 'amcl.ros__param"):
+        read_stack_file(path, section="x")
+
+
+def test_unknown_stacks_and_models_are_refused(write):
+    with pytest.raises(InvalidInputError, match="stack: expected one of nav2, ros1, beluga, mrpt, f1tenth, got 'ros9'"):
+        read_stack_file(write(NAV2), stack="ros9")
+    with pytest.raises(InvalidInputError, match=r"model: nav2 has likelihood_field, .* got 'table'"):
+        read_stack_file(write(NAV2), model="table")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), "two\nlines", ""])
+def test_values_that_no_file_can_hold_are_refused(write, value):
+    section = read_stack_file(write(NAV2)).section
+    with pytest.raises(InvalidInputError, match="value: expected"):
+        section.with_values({"z_hit": value})

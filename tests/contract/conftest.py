@@ -15,6 +15,7 @@ from scipy import stats
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.geometry import compose, transform_points, wrap_angle
 from beamfield.maps.landmarks import LandmarkMap
+from beamfield.maps.lines import LineMap
 from beamfield.maps.markers import MarkerMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_pit
@@ -25,6 +26,8 @@ from beamfield.models.histogram_matching import HistogramMatchingModel
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.models.line import LineModel, LineParameters
+from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.models.marker import CeilingCamera, MarkerDetections, MarkerModel
 from beamfield.sensors import RangeFinder, Scan
@@ -178,6 +181,44 @@ def landmark_transform(
     return np.concatenate([stats.norm.cdf(a).ravel(), stats.truncnorm.cdf(b, -end, end).ravel()])
 
 
+# One wall goes through a pose, another has its direction but for a little.
+WALLS = np.array([[0.5, 0.2, 7.0, 0.4], [1.63, 1.21, 1.9, 4.0], [6.8, 4.6, 0.2, 4.5]])
+
+
+def build_line_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> LineModel:
+    """Return a model of three walls; `parameters` as keywords of their own replace the defaults."""
+    values = {"sigma_rho": 0.3, "sigma_alpha": 0.2, "spurious_rate": 0.2, "max_range": 80.0}
+    changed = {name: options.pop(name) for name in list(options) if name in LineParameters.__dataclass_fields__}
+    ends = transform_points(map_from_moved, WALLS.reshape(3, 2, 2)).reshape(3, 4)
+    walls = LineMap.from_segments(ends, ids=[7, 3, 12])
+    return LineModel(walls, LineParameters(**{**values, **changed}), **{"correspondence": "known", **options})
+
+
+def integrate_one_line(model: LineModel, pose: np.ndarray) -> float:
+    """Return the integral over rho and alpha of one line, by the midpoint rule."""
+    rho, alpha = 0.025 + 0.05 * np.arange(1600), (np.arange(160) + 0.5) * np.pi / 80.0
+    r, a = (axis.ravel() for axis in np.meshgrid(rho, alpha))
+    which = np.full(r.size, UNKNOWN if model.correspondence == "sum" else 3)
+    density = np.exp(model.detection_log_likelihood(LineDetections(np.column_stack([r, a]), ids=which), pose))
+    return float(density.sum() * 0.05 * np.pi / 80.0)
+
+
+def line_transform(
+    model: LineModel, samples: list[LineDetections], pose: np.ndarray, _: np.random.Generator
+) -> np.ndarray:
+    """Return the distribution functions of rho, folded at 0, and of alpha given rho, from half a turn before it."""
+    expected = model.expected(pose)
+    measured = np.array([z.lines for z in samples])
+    rho, wide = measured[..., 0] / model.parameters.sigma_rho, np.pi / model.parameters.sigma_alpha
+    d = expected[:, 0] / model.parameters.sigma_rho
+    of_rho = stats.norm.cdf(rho - d) - stats.norm.cdf(-rho - d)
+    turn = wrap_angle(measured[..., 1] - expected[:, 1])
+    same = stats.norm.pdf(rho - d) / (stats.norm.pdf(rho - d) + stats.norm.pdf(rho + d))
+    law = stats.truncnorm(-wide, wide, scale=model.parameters.sigma_alpha)
+    behind = np.where(turn <= 0.0, law.cdf(turn + np.pi) - 0.5, 0.5 + law.cdf(turn - np.pi))
+    return np.concatenate([of_rho.ravel(), (same * law.cdf(turn) + (1.0 - same) * behind).ravel()])
+
+
 CEILING_CAMERA = CeilingCamera(400.0, 2.5, (0.11, -0.07, 0.3), (320.0, 240.0))
 CEILING = MarkerMap([3, 8, "door"], [[1.0, 2.0, 0.5], [2.1, 1.7, -3.0], [0.4, 1.1, 2.0]])
 
@@ -224,6 +265,14 @@ LOCAL_MAP = OccupancyGrid(
 # Range and bearing, bearing only, range only, neither; a negative range and a bearing beyond pi.
 FEATURES = Detections(
     [2.1, np.nan, 3.0, np.nan, -0.1, 4.0], [0.5, 2.0, np.nan, np.nan, 1.0, 7.3], ids=[7, 3, 12, 7, 3, SPURIOUS]
+)
+
+# A line through the sensor, one half a turn away, one whose alpha has turns of its own.
+LINES = LineDetections(
+    [[2.1, 0.5], [0.0, 2.0], [-3.0, 0.1], [1.2, 40.0], [70.0, 1.0]],
+    [[0.04, 0.01], [0.01, 0.02]],
+    [[2.0, -1.0, 2.1, 1.0], [0.0, 0.0, 1.0, 0.0], [3.0, 0.0, 3.0, 1.0], [1.0, 1.0, 2.0, 1.0], [0.0, 70.0, 1.0, 70.0]],
+    ids=[7, 3, 12, 7, SPURIOUS],
 )
 
 CASES = [
@@ -283,6 +332,32 @@ CASES = [
             for rate in (0.2, 0.0)
         ),
         measurements=(FEATURES.without_ids(), FEATURES),
+        poses=POSES,
+    ),
+    Case(
+        name="lines",
+        build=build_line_model,
+        options=(
+            {},
+            {"correspondence": "sum"},
+            {"mount": (0.3, -0.2, 0.9)},
+            {"sigma_alpha": 2.0, "sigma_rho": 1.0, "correspondence": "sum"},
+        ),
+        measurements=(LINES, LineDetections([])),
+        poses=POSES,
+        integral=integrate_one_line,
+        transform=line_transform,
+        options_close_by={"sigma_rho": 0.31, "sigma_alpha": 0.205},
+    ),
+    Case(
+        name="lines of unknown id",
+        build=partial(build_line_model, correspondence="nearest"),
+        options=tuple(
+            {"correspondence": how, "spurious_rate": rate, "min_overlap": overlap}
+            for how in ("nearest", "sum", "assignment")
+            for rate, overlap in ((0.2, 0.5), (0.0, None))
+        ),
+        measurements=(LINES.without_ids(), LINES),
         poses=POSES,
     ),
     Case(

@@ -1,0 +1,142 @@
+"""Files of mapped lines: CSV, and vector maps of the AMRL."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.io.atomic import write_file
+from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.maps.lines import LineMap
+
+MAX_ID = 2**53
+LINE_HEADER, SEGMENT_HEADER = ("id", "rho", "alpha"), ("id", "x1", "y1", "x2", "y2")
+
+
+def read_line_map(path: str | Path) -> LineMap:
+    """Read a map of lines from CSV, plain or gzip.
+
+    The header is ``id,rho,alpha`` (endless lines; metres and radians) or ``id,x1,y1,x2,y2`` (segments; metres). Blank
+    lines, and lines that begin with #, are left out.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If the header is another, a value is no finite number, a row has another length, an id is no whole number >= 0
+        or appears twice, both ends of a segment are one point, or there is no line; line and value are named.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    rows = _csv_rows(source)
+    line, header = next(rows, (None, []))
+    names = tuple(name.lower() for name in header)
+    if names not in (LINE_HEADER, SEGMENT_HEADER):
+        raise FormatError(
+            source,
+            f"expected the header {','.join(LINE_HEADER)} or {','.join(SEGMENT_HEADER)}; got {','.join(header)[:80]!r}",
+            line=line,
+        )
+    ids: dict[int, int] = {}
+    values = []
+    for line, words in rows:
+        if len(words) != len(header):
+            raise FormatError(source, f"expected {len(header)} values, got {len(words)}", line=line)
+        which = _id(source, line, words[0])
+        if which in ids:
+            raise FormatError(source, f"id {which} is also in line {ids[which]}", line=line, field="id")
+        ids[which] = line
+        values.append(_numbers(source, line, words[1:], is_segment=names == SEGMENT_HEADER))
+    if not values:
+        raise FormatError(source, "no lines: the file has no rows")
+    numbers = np.array(list(ids))
+    try:
+        return LineMap.from_segments(values, numbers) if names == SEGMENT_HEADER else LineMap(np.array(values), numbers)
+    except InvalidInputError as error:
+        raise FormatError(source, str(error)) from error
+
+
+def write_line_map(path: str | Path, lines: LineMap) -> None:
+    """Write a map of lines as CSV that `read_line_map` reads back; an existing file is replaced.
+
+    A map with end points is written as segments: numbers return to the last bit, and lines are computed from them.
+
+    Parameters
+    ----------
+    path
+        The file.
+    lines
+        The map.
+
+    Raises
+    ------
+    OSError
+        As the file system says; the old file is left as it was.
+    """
+    header, values = (LINE_HEADER, lines.lines) if lines.segments is None else (SEGMENT_HEADER, lines.segments)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    for which, row in zip(lines.ids.tolist(), values.tolist(), strict=True):
+        writer.writerow([which, *(repr(value) for value in row)])
+    write_file(path, text.getvalue())
+
+
+def read_amrl_vector_map(path: str | Path) -> LineMap:
+    """Read a vector map of the Autonomous Mobile Robotics Laboratory: rows ``x1, y1, x2, y2`` in metres.
+
+    Parameters
+    ----------
+    path
+        The file, plain or gzip. Segments are numbered from 1 in its order.
+
+    Raises
+    ------
+    FormatError
+        If a row has not 4 finite numbers, both ends of a segment are one point, or there is no segment.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    segments = []
+    for line, words in _csv_rows(source):
+        if len(words) != 4:
+            raise FormatError(source, f"expected x1, y1, x2, y2, got {len(words)} values", line=line)
+        segments.append(_numbers(source, line, words, is_segment=True))
+    if not segments:
+        raise FormatError(source, "no lines: the file has no rows")
+    return LineMap.from_segments(segments)
+
+
+def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    for number, text in read_lines(path):
+        if text.strip() and not text.lstrip().startswith("#"):
+            yield number, [word.strip() for word in text.strip().split(",")]
+
+
+def _id(path: Path, line: int, word: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,16}", word) or int(word) > MAX_ID:
+        raise FormatError(path, f"expected a whole number >= 0, got {word[:40]!r}", line=line, field="id")
+    return int(word)
+
+
+def _numbers(path: Path, line: int, words: list[str], *, is_segment: bool) -> FloatArray:
+    numbers = parse_numbers(path, line, words, "line")
+    if not np.isfinite(numbers).all():
+        bad = words[int((~np.isfinite(numbers)).argmax())]
+        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line)
+    if is_segment and (numbers[:2] == numbers[2:]).all():
+        raise FormatError(path, f"expected two different ends, got {','.join(words)[:80]!r}", line=line)
+    return numbers

@@ -1,0 +1,154 @@
+"""The density of one measured line given one mapped line, and loops over many poses.
+
+Notation: a mapped line is (cos a, sin a, r, a); seen from the sensor it lies at the signed distance d = r - x cos a -
+y sin a, in the direction a - theta. The same line is at -d, half a turn away. A measured line is (rho, alpha, w_rr, 2
+w_ra, w_aa) with the inverse w of its covariance; ``base`` is the logarithm of all constants.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import inlined_kernel, kernel
+
+Floats = NDArray[np.float64]
+
+# Poses of one pass of the vectorised loop: its columns of doubles stay in the nearest cache.
+BLOCK = 512
+PI, TWO_PI, TURNS_PER_RADIAN = math.pi, 2.0 * math.pi, 0.5 / math.pi
+# The second of the two pairs counts nothing when its exponent is so much smaller: exp(-40) = 4e-18.
+NEGLIGIBLE = 40.0
+
+
+@inlined_kernel
+def both_squares(d: float, turn: float, rho: float, w_rr: float, two_w_ra: float, w_aa: float) -> tuple[float, float]:
+    """Return the squared Mahalanobis distances to (d, direction) and to (-d, direction + pi).
+
+    `turn` is the measured minus the expected direction, radians, not wrapped.
+    """
+    one = turn - TWO_PI * math.floor(turn * TURNS_PER_RADIAN + 0.5)
+    other = one - PI if one > 0.0 else one + PI
+    e, f = rho - d, rho + d
+    return e * (w_rr * e + two_w_ra * one) + w_aa * one * one, f * (w_rr * f + two_w_ra * other) + w_aa * other * other
+
+
+@kernel
+def fill_known(
+    poses: Floats, mount: Floats, features: Floats, lines: Floats, base: Floats, first: int, out: Floats
+) -> None:
+    """Add up the log densities of measured lines whose mapped lines are known.
+
+    Parameters
+    ----------
+    poses
+        (n, 3) of the robot.
+    mount
+        (3,) position of the sensor on the robot in the *sensor's* axes, and its heading on the robot.
+    features, lines, base
+        (k, 5), (k, 4) and (k,).
+    first
+        Keep each feature in its own column of `out` from this one on; negative adds all features up in column 0.
+    out
+        (n, ...) the result.
+    """
+    x, y, heading, total = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    best, gap = np.empty(BLOCK), np.empty(BLOCK)
+    for start in range(0, poses.shape[0], BLOCK):
+        m = min(BLOCK, poses.shape[0] - start)
+        for i in range(m):
+            heading[i] = poses[start + i, 2] + mount[2]
+            cos, sin = math.cos(heading[i]), math.sin(heading[i])
+            x[i] = poses[start + i, 0] + cos * mount[0] - sin * mount[1]
+            y[i] = poses[start + i, 1] + sin * mount[0] + cos * mount[1]
+            total[i] = 0.0
+        for k in range(features.shape[0]):
+            cos, sin, r, a = lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3]
+            rho, alpha = features[k, 0], features[k, 1] - a
+            w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
+            nearest = math.inf
+            for i in range(m):
+                d = r - x[i] * cos - y[i] * sin
+                one, other = both_squares(d, alpha + heading[i], rho, w_rr, two_w_ra, w_aa)
+                best[i] = constant - 0.5 * (one if one < other else other)
+                gap[i] = 0.5 * abs(one - other)
+                nearest = gap[i] if gap[i] < nearest else nearest
+            if nearest < NEGLIGIBLE:
+                for i in range(m):
+                    if gap[i] < NEGLIGIBLE:
+                        best[i] += math.log1p(math.exp(-gap[i]))
+            if first >= 0:
+                for i in range(m):
+                    out[start + i, first + k] = _never_nan(best[i])
+            else:
+                for i in range(m):
+                    total[i] += best[i]
+        if first < 0:
+            for i in range(m):
+                out[start + i, 0] = _never_nan(total[i])
+
+
+@kernel
+def fill_candidates(poses: Floats, mount: Floats, features: Floats, lines: Floats, base: Floats, out: Floats) -> None:
+    """Fill in the log density of each measured line given each mapped line.
+
+    `lines` is (4, N), so that the loop over them reads neighbours; base is (k,), out (n, k, N).
+    """
+    cos, sin, r, a = lines[0], lines[1], lines[2], lines[3]
+    n_lines = r.size
+    d, gap = np.empty(n_lines), np.empty(n_lines)
+    for i in range(poses.shape[0]):
+        heading = poses[i, 2] + mount[2]
+        c, s = math.cos(heading), math.sin(heading)
+        x = poses[i, 0] + c * mount[0] - s * mount[1]
+        y = poses[i, 1] + s * mount[0] + c * mount[1]
+        for j in range(n_lines):
+            d[j] = r[j] - x * cos[j] - y * sin[j]
+        for k in range(features.shape[0]):
+            rho, alpha = features[k, 0], features[k, 1] + heading
+            w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
+            row = out[i, k]
+            nearest = math.inf
+            for j in range(n_lines):
+                one, other = both_squares(d[j], alpha - a[j], rho, w_rr, two_w_ra, w_aa)
+                row[j] = _never_nan(constant - 0.5 * (one if one < other else other))
+                gap[j] = 0.5 * abs(one - other)
+                nearest = gap[j] if gap[j] < nearest else nearest
+            if nearest < NEGLIGIBLE:
+                for j in range(n_lines):
+                    if gap[j] < NEGLIGIBLE:
+                        row[j] += math.log1p(math.exp(-gap[j]))
+
+
+@kernel
+def exclude_apart(
+    poses: Floats, mount: Floats, ends: Floats, lines: Floats, extents: Floats, min_overlap: float, out: Floats
+) -> None:
+    """Set out (n, k, N) to -inf where too little of a measured segment lies beside a mapped one.
+
+    `ends` is (k, 4) in the sensor's frame, `lines` (4, N), `extents` (2, N) along the mapped lines; `min_overlap` is
+    the least share of the measured segment's length.
+    """
+    cos, sin, a = lines[0], lines[1], lines[3]
+    for i in range(poses.shape[0]):
+        heading = poses[i, 2] + mount[2]
+        c, s = math.cos(heading), math.sin(heading)
+        x = poses[i, 0] + c * mount[0] - s * mount[1]
+        y = poses[i, 1] + s * mount[0] + c * mount[1]
+        for k in range(ends.shape[0]):
+            x1, y1 = x + c * ends[k, 0] - s * ends[k, 1], y + s * ends[k, 0] + c * ends[k, 1]
+            x2, y2 = x + c * ends[k, 2] - s * ends[k, 3], y + s * ends[k, 2] + c * ends[k, 3]
+            row = out[i, k]
+            for j in range(a.size):
+                one, two = y1 * cos[j] - x1 * sin[j], y2 * cos[j] - x2 * sin[j]
+                low, high = (one, two) if one < two else (two, one)
+                beside = min(high, extents[1, j]) - max(low, extents[0, j])
+                row[j] = row[j] if beside >= min_overlap * (high - low) else -math.inf
+
+
+@inlined_kernel
+def _never_nan(value: float) -> float:
+    """Return -inf for NaN: only coordinates beyond 1e150 m lead there."""
+    return value if value == value else -math.inf

@@ -1,0 +1,170 @@
+"""Straight lines of one observation, as a line extractor finds them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.detections import UNKNOWN, as_ids
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.maps.lines import normal_form
+
+
+class MeasuredLine(Protocol):
+    """What `LineDetections.from_lines` needs; `beamfield.features.straight_line.Line` has it."""
+
+    @property
+    def measurement(self) -> FloatArray:
+        """(2,) or more: rho, alpha, and perhaps others."""
+        ...
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(2, 2) or more, of the measurement."""
+        ...
+
+    @property
+    def start(self) -> FloatArray:
+        """(2,) one end point."""
+        ...
+
+    @property
+    def end(self) -> FloatArray:
+        """(2,) the other."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LineDetections:
+    """Lines x cos(alpha) + y sin(alpha) = rho in the sensor's frame.
+
+    (rho, alpha) and (-rho, alpha + pi) are the same line; the pair with rho >= 0 is kept, and with it the sign of the
+    covariance between them.
+
+    Parameters
+    ----------
+    lines
+        (k, 2) rho in metres and alpha in radians; rho may be given with either sign, alpha with any number of turns.
+    covariances
+        (k, 2, 2) of each line's (rho, alpha), or (2, 2) of every line's; None if the detector gives none.
+    segments
+        (k, 4) end points x1, y1, x2, y2 in the sensor's frame, metres, in any order; None if there are none.
+    ids
+        (k,) id of each line in the map, `SPURIOUS` or `UNKNOWN`; None if none is known.
+    stamp
+        Seconds.
+
+    Raises
+    ------
+    InvalidInputError
+        If shapes differ, a value is not finite, a covariance is not symmetric and positive definite, or an id is below
+        `UNKNOWN`.
+    """
+
+    lines: FloatArray
+    covariances: FloatArray | None = None
+    segments: FloatArray | None = None
+    ids: NDArray[np.int64] | None = None
+    stamp: float = 0.0
+
+    def __post_init__(self) -> None:
+        given = _finite(self.lines, "lines")
+        if given.size == 0:
+            given = given.reshape(0, 2)
+        if given.ndim != 2 or given.shape[1] != 2:
+            raise InvalidInputError(f"lines: expected shape (k, 2), got {given.shape}")
+        k = len(given)
+        object.__setattr__(self, "lines", _read_only(normal_form(given)))
+        if self.covariances is not None:
+            covariances = _checked_covariances(self.covariances, k)
+            turned = given[:, 0] < 0.0
+            covariances[turned, 0, 1] *= -1.0
+            covariances[turned, 1, 0] *= -1.0
+            object.__setattr__(self, "covariances", _read_only(covariances))
+        if self.segments is not None:
+            segments = _finite(self.segments, "segments")
+            if segments.size == 0:
+                segments = segments.reshape(0, 4)
+            if segments.shape != (k, 4):
+                raise InvalidInputError(f"segments: expected shape ({k}, 4), got {segments.shape}")
+            object.__setattr__(self, "segments", _read_only(segments))
+        if self.ids is not None:
+            object.__setattr__(self, "ids", as_ids(self.ids, k, UNKNOWN))
+
+    @classmethod
+    def from_lines(
+        cls, lines: Iterable[MeasuredLine], ids: ArrayLike | None = None, stamp: float = 0.0
+    ) -> LineDetections:
+        """Take the lines of a scan as `beamfield.features.lines.find_lines` returns them.
+
+        Those are in the robot's frame, so that the model needs no mount.
+
+        Parameters
+        ----------
+        lines
+            Lines of one scan, perhaps none.
+        ids, stamp
+            As for the class.
+        """
+        found = list(lines)
+        return cls(
+            np.array([line.measurement[:2] for line in found]),
+            np.array([line.covariance[:2, :2] for line in found]).reshape(-1, 2, 2),
+            np.array([[*line.start, *line.end] for line in found]),
+            ids,  # type: ignore[arg-type]
+            stamp,
+        )
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def subset(self, features: ArrayLike) -> LineDetections:
+        """Return only the given lines (indices or mask)."""
+        # An empty list would become an array of floats, which selects nothing.
+        chosen = np.arange(len(self))[np.asarray(features, dtype=None if np.size(features) else np.int64)]
+        return replace(
+            self,
+            lines=self.lines[chosen],
+            covariances=None if self.covariances is None else self.covariances[chosen],
+            segments=None if self.segments is None else self.segments[chosen],
+            ids=None if self.ids is None else self.ids[chosen],
+        )
+
+    def without_ids(self) -> LineDetections:
+        """Return the same lines with all correspondences unknown."""
+        return replace(self, ids=None)
+
+
+def _checked_covariances(values: ArrayLike, k: int) -> FloatArray:
+    given = _finite(values, "covariances")
+    if given.shape not in ((2, 2), (k, 2, 2)):
+        raise InvalidInputError(f"covariances: expected shape ({k}, 2, 2) or (2, 2), got {given.shape}")
+    covariances: FloatArray = np.array(np.broadcast_to(given, (k, 2, 2)))
+    for i, each in enumerate(covariances):
+        scale = float(np.sqrt(max(each[0, 0], 0.0) * max(each[1, 1], 0.0)))
+        # Judged on the correlation: rho and alpha have different units.
+        if not (
+            scale > 0.0 and abs(each[0, 1] - each[1, 0]) <= 1e-9 * scale and abs(each[0, 1]) < (1.0 - 1e-12) * scale
+        ):
+            raise InvalidInputError(
+                f"covariances: expected symmetric, positive definite matrices, got {each.tolist()} at index {i}"
+            )
+    return covariances
+
+
+def _finite(values: ArrayLike, name: str) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+        raise InvalidInputError(f"{name}: expected finite numbers, got {array[where]} at index {where}")
+    return array
+
+
+def _read_only(array: FloatArray) -> FloatArray:
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,82 @@
+"""Files of lines: read, written, and refused."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+
+from beamfield.errors import FormatError
+from beamfield.io.line_files import read_amrl_vector_map, read_line_map, write_line_map
+from beamfield.maps.lines import LineMap
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [LineMap([[0.1, 1.0 / 3.0], [3e5, -2e-9]], ids=[9, 0]), LineMap.from_segments([[0.1, 1.0 / 3.0, -2e-9, 3e5]])],
+    ids=["lines", "segments"],
+)
+def test_what_is_written_is_read_back_to_the_last_bit(lines, tmp_path):
+    write_line_map(tmp_path / "map.csv", lines)
+    back = read_line_map(tmp_path / "map.csv")
+    assert back.ids.tolist() == lines.ids.tolist()
+    assert back.lines.tolist() == lines.lines.tolist()
+    assert (back.segments is None) is (lines.segments is None)
+    if lines.segments is not None:
+        assert back.segments.tolist() == lines.segments.tolist()
+
+
+def test_csv_may_have_blanks_comments_and_gzip(tmp_path):
+    text = "# walls\nID, Rho, Alpha\n\n4, 1.5, 0\n5, -2, 0\n"
+    (tmp_path / "map.csv.gz").write_bytes(gzip.compress(text.encode()))
+    lines = read_line_map(tmp_path / "map.csv.gz")
+    assert lines.ids.tolist() == [4, 5]
+    np.testing.assert_allclose(lines.lines, [[1.5, 0.0], [2.0, np.pi]])
+
+
+def test_a_vector_map_is_read(tmp_path):
+    (tmp_path / "hall.txt").write_text("  -1.0,   2.0,   3.0,  2.0\n 0,0,0,5\n")
+    lines = read_amrl_vector_map(tmp_path / "hall.txt")
+    np.testing.assert_allclose(lines.lines, [[2.0, np.pi / 2], [0.0, lines.lines[1, 1]]], atol=1e-15)
+    assert lines.ids.tolist() == [1, 2]
+
+
+@pytest.mark.real
+def test_the_vector_map_of_a_building_is_read(data):
+    lines = read_amrl_vector_map(data / "amrl_vectormap" / "GDC1.vectormap.txt")
+    assert len(lines) == 1289
+    along = np.abs(np.sin(2.0 * lines.lines[:, 1]))
+    assert np.mean(along < 0.01) > 0.8  # most walls are parallel to the axes
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected the header"),
+        ("id,rho\n", "got 'id,rho'"),
+        ("id,rho,alpha\n", "no lines"),
+        ("id,rho,alpha\n1,2\n", ":2: expected 3 values, got 2"),
+        ("id,rho,alpha\n-1,2,3\n", "id: expected a whole number >= 0, got '-1'"),
+        ("id,rho,alpha\n1,2,3\n1,2,3\n", ":3: id: id 1 is also in line 2"),
+        ("id,rho,alpha\n1,inf,3\n", "expected a finite number, got 'inf'"),
+        ("id,rho,alpha\n1,wide,3\n", "'wide'"),
+        ("id,x1,y1,x2,y2\n1,2,3,2,3\n", ":2: expected two different ends, got '2,3,2,3'"),
+    ],
+    ids=["empty", "header", "no rows", "short", "id", "twice", "infinite", "word", "point"],
+)
+def test_bad_csv_is_refused_with_its_line(text, message, tmp_path):
+    (tmp_path / "map.csv").write_text(text)
+    with pytest.raises(FormatError, match=message):
+        read_line_map(tmp_path / "map.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("", "no lines"), ("1,2,3\n", ":1: expected x1, y1, x2, y2, got 3 values"), ("1,2,1,2\n", "two different ends")],
+    ids=["empty", "short", "point"],
+)
+def test_bad_vector_maps_are_refused(text, message, tmp_path):
+    (tmp_path / "map.txt").write_text(text)
+    with pytest.raises(FormatError, match=message):
+        read_amrl_vector_map(tmp_path / "map.txt")

@@ -314,7 +314,7 @@ CASES = [
         options=(
             {},
             {"correspondence": "sum"},
-            {"mount": (0.3, -0.2, 0.9), "range_bias": 0.4, "bearing_bias": -0.3},
+            {"mount": (0.3, -0.2, 0.9), "range_bias": 0.4, "bearing_bias": -0.3, "range_scale": 1.1},
             {"sigma_bearing": 2.5, "correspondence": "sum"},
         ),
         measurements=(FEATURES, Detections([], [])),

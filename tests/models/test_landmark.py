@@ -224,6 +224,30 @@ def test_expected_measurements_under_mount_and_bias_have_the_highest_density():
         assert ranges[0] - 0.4 == pytest.approx(math.dist(POSITIONS[0], sensor[:2]))
 
 
+def test_ranges_with_a_scale_are_normal_around_the_scaled_distance():
+    m = model(parameters=LandmarkParameters(0.3, 0.2, range_bias=0.4, range_scale=1.07))
+    for pose in POSES:
+        true = np.hypot(*(np.array(POSITIONS) - pose[:2]).T)
+        np.testing.assert_allclose(m.expected(pose)[:, 0], 1.07 * true + 0.4, rtol=1e-14)
+        z = Detections([2.0, 5.0, 0.3], [np.nan] * 3, ids=MAP.ids)
+        expected = stats.norm.logpdf(z.ranges, 1.07 * true + 0.4, 0.3)
+        np.testing.assert_allclose(m.detection_log_likelihood(z, pose), expected, rtol=1e-12)
+
+
+def test_a_sensor_without_ranges_or_bearings_has_no_sigma_for_them(rng):
+    only_bearings = model("sum", LandmarkParameters(None, 0.2, spurious_rate=0.1, max_range=6.0))
+    z = only_bearings.sample(POSES[0], rng)[0]
+    assert np.isnan(z.ranges).all()
+    both = model("sum").log_likelihood(z.without_ids(), POSES)
+    np.testing.assert_array_equal(only_bearings.log_likelihood(z.without_ids(), POSES), both)
+    only_ranges = model(parameters=LandmarkParameters(0.3, None))
+    assert np.isnan(only_ranges.sample(POSES[0], rng)[0].bearings).all()
+    with pytest.raises(InvalidInputError, match="sigma_bearing: feature 1 has a measured value, and there is no sigma"):
+        only_ranges.log_likelihood(Detections([1.0, 2.0], [np.nan, 0.1], ids=[7, 3]), POSES)
+    with pytest.raises(InvalidInputError, match="sigma_range: feature 0 has a measured value"):
+        only_bearings.log_likelihood(Detections([1.0], [0.2]), POSES)
+
+
 def test_a_landmark_at_the_sensor_counts_as_straight_ahead():
     z = Detections([0.0], [0.1], ids=[7])
     expected = stats.norm.logpdf(0.0, 0.0, 0.3) + stats.norm.logpdf(0.1, 0.0, 0.2)
@@ -403,6 +427,7 @@ def test_noise_that_does_not_fit_the_map_is_refused(landmarks, parameters, messa
         ({"sigma_bearing": np.nan}, "sigma_bearing: .* got nan"),
         ({"sigma_signature": -2.0}, "sigma_signature: .* got -2.0"),
         ({"max_range": np.inf}, "max_range: .* got inf"),
+        ({"range_scale": 0.0}, "range_scale: expected a positive, finite number, got 0.0"),
         ({"range_bias": np.nan}, "range_bias: expected a finite number, got nan"),
         ({"spurious_rate": 1.0}, r"spurious_rate: expected a probability in \[0, 1\), got 1.0"),
         ({"spurious_rate": 0.1}, "max_range: expected a limit where spurious_rate > 0, got None"),

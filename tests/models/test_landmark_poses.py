@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from beamfield.detections import SPURIOUS, Detections
+from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.occupancy import OccupancyGrid
@@ -136,6 +136,19 @@ def test_biases_are_taken_off(rng):
     assert np.hypot(poses[:, 0] - 0.2, poses[:, 1] + 0.1).mean() == pytest.approx(0.5, abs=0.01)
 
 
+def test_bias_and_scale_are_taken_out_of_poses_and_of_their_weights():
+    two = LandmarkMap([[0.2, -0.1], [1.0, 0.8]])
+    measured = Detections([1.5, np.nan, 2.0], [0.6, 0.1, np.nan], ids=[1, 2, UNKNOWN])
+    corrected = Detections((measured.ranges - 0.5) / 1.25, measured.bearings, ids=measured.ids)
+    scaled = model(two, LandmarkParameters(0.5, 0.5, max_range=3.0, range_bias=0.5, range_scale=1.25))
+    plain = model(two, LandmarkParameters(0.4, 0.5, max_range=3.0))
+    got, expected = (
+        sample_poses(of, z, 2000, np.random.default_rng(5)) for of, z in ((scaled, measured), (plain, corrected))
+    )
+    np.testing.assert_allclose(got.poses, expected.poses, atol=1e-12)
+    np.testing.assert_allclose(got.log_weights, expected.log_weights, atol=1e-10)
+
+
 @pytest.mark.parametrize("mean", [3.0, 0.5, 0.0, -0.2, -2.0])
 def test_distances_follow_their_density_for_any_mean(mean, rng):
     def density(r):
@@ -176,6 +189,19 @@ def test_a_bearing_alone_needs_a_limit(rng):
     of = model(parameters=LandmarkParameters(0.4, 0.5))
     with pytest.raises(InvalidInputError, match="max_range: feature 0 has no range, and there is no limit"):
         sample_poses(of, Detections([np.nan], [0.1], ids=[1]), 10, rng)
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "z", "message"),
+    [
+        ((None, 0.5), ONE, "sigma_range: feature 0 has a range, and there is no sigma"),
+        ((0.4, None), ONE, "sigma_bearing: feature 0 has a bearing, and there is no sigma"),
+    ],
+    ids=["range", "bearing"],
+)
+def test_what_has_no_sigma_is_refused(sigmas, z, message, rng):
+    with pytest.raises(InvalidInputError, match=message):
+        sample_poses(model(parameters=LandmarkParameters(*sigmas, max_range=3.0)), z, 10, rng)
 
 
 def test_a_map_without_free_space_near_the_landmark_is_reported(rng):

@@ -55,7 +55,7 @@ class LandmarkModel:
 
     Features are independent given pose and map (6.39). For a feature of landmark j::
 
-        r   = |m_j - x|                       + range bias   + noise(sigma_r)
+        r   = scale |m_j - x|                 + range bias   + noise(sigma_r)
         phi = atan2(m_jy - y, m_jx - x) - theta + bearing bias + noise(sigma_phi)   wrapped
         s   = s_j                             + noise(sigma_s)
 
@@ -160,8 +160,8 @@ class LandmarkModel:
         ------
         InvalidInputError
             If the poses are not finite (..., 3), an id is not in the map, an id is unknown while the correspondence is
-            "known", signatures do not fit the map's, or a feature of no landmark has a range and there is no
-            max_range.
+            "known", signatures do not fit the map's, a feature of no landmark has a range and there is no
+            max_range, or a value is measured whose sigma is None.
         """
         robot = as_poses(poses)
         tables = self._tables(z)
@@ -208,11 +208,17 @@ class LandmarkModel:
         bearings = np.arctan2(away[..., 1], away[..., 0]) - sensor[..., 2]
         bearings = np.where(ranges == 0.0, 0.0, bearings)
         return np.stack(
-            [ranges + self.parameters.range_bias, wrap_angle(bearings + self.parameters.bearing_bias)], axis=-1
+            [
+                self.parameters.range_scale * ranges + self.parameters.range_bias,
+                wrap_angle(bearings + self.parameters.bearing_bias),
+            ],
+            axis=-1,
         )
 
     def sample(self, poses: ArrayLike, rng: np.random.Generator, *, ids: ArrayLike | None = None) -> list[Detections]:
         """Draw one observation per pose, given the correspondences; the features carry their ids.
+
+        What the sensor never measures (its sigma is None) is NaN.
 
         Parameters
         ----------
@@ -233,8 +239,11 @@ class LandmarkModel:
         which = self.landmarks.indices_of(seen)
         noise_free = self.expected(robot)[:, which]
         shape = noise_free.shape[:2]
-        ranges = noise_free[..., 0] + self.parameters.sigma_range * rng.standard_normal(shape)
-        bearings = wrap_angle(noise_free[..., 1] + sample_wrapped(self.parameters.sigma_bearing, shape, rng))
+        ranges, bearings = np.full(shape, np.nan), np.full(shape, np.nan)
+        if self.parameters.sigma_range is not None:
+            ranges = noise_free[..., 0] + self.parameters.sigma_range * rng.standard_normal(shape)
+        if self.parameters.sigma_bearing is not None:
+            bearings = wrap_angle(noise_free[..., 1] + sample_wrapped(self.parameters.sigma_bearing, shape, rng))
         signatures = sample_signatures(np.broadcast_to(which, shape), self.landmarks, self.parameters, rng)
         return [
             Detections(ranges[i], bearings[i], None if signatures is None else signatures[i], seen)
@@ -324,19 +333,21 @@ class LandmarkModel:
                 f"ids: correspondence 'known' needs an id of every feature, got none for feature {unknown[0]}"
             )
         has_range, has_bearing = ~np.isnan(z.ranges), ~np.isnan(z.bearings)
+        sigma_range = _needed(p.sigma_range, has_range, "sigma_range")
+        sigma_bearing = _needed(p.sigma_bearing, has_bearing, "sigma_bearing")
         phi = np.where(has_bearing, z.bearings - p.bearing_bias, 0.0) + 0.0
         features = np.column_stack(
             [
-                np.where(has_range, z.ranges - p.range_bias, 0.0),
+                np.where(has_range, (z.ranges - p.range_bias) / p.range_scale, 0.0),
                 np.cos(phi),
                 np.sin(phi),
-                has_range / p.sigma_range,
-                has_bearing / p.sigma_bearing,
+                has_range * p.range_scale / sigma_range,
+                has_bearing / sigma_bearing,
             ]
         )
         signature = signature_log_density(z.signatures, n, self.landmarks, p)
-        constant = has_range * (-math.log(p.sigma_range) - 0.5 * LOG_2PI)
-        constant -= has_bearing * (math.log(p.sigma_bearing) + 0.5 * LOG_2PI + _log_share_on_circle(p.sigma_bearing))
+        constant = has_range * (-math.log(sigma_range) - 0.5 * LOG_2PI)
+        constant -= has_bearing * (math.log(sigma_bearing) + 0.5 * LOG_2PI + _log_share_on_circle(sigma_bearing))
         which = self.landmarks.indices_of(ids[known])
         may_be_spurious = len(spurious) or (len(unknown) and p.spurious_rate > 0.0)
         log_spurious = self._log_spurious(z, spurious) if may_be_spurious else np.full(n, -np.inf)
@@ -358,6 +369,13 @@ class LandmarkModel:
         turn = np.array([0.0, 0.0, self.mount[2]])
         offset = compose(invert(turn), np.array([self.mount[0], self.mount[1], 0.0]))
         return np.array([offset[0], offset[1], self.mount[2]])
+
+
+def _needed(sigma: float | None, measured: NDArray[np.bool_], name: str) -> float:
+    """Return the sigma, or any where nothing was measured."""
+    if sigma is None and measured.any():
+        raise InvalidInputError(f"{name}: feature {int(measured.argmax())} has a measured value, and there is no sigma")
+    return 1.0 if sigma is None else sigma
 
 
 def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:

@@ -18,10 +18,12 @@ ROW_SUM_TOLERANCE = 1e-6
 class LandmarkParameters:
     """sigma_r, sigma_phi and sigma_s of (6.40), biases, and how often a feature belongs to no landmark.
 
+    What is measured is ``range_scale * range + range_bias`` and ``bearing + bearing_bias``, plus noise.
+
     Parameters
     ----------
     sigma_range, sigma_bearing
-        Standard deviations, metres and radians.
+        Standard deviations, metres and radians; None for what the sensor never measures, and such a value is refused.
     sigma_signature
         Standard deviation of a signature that is a number.
     signature_covariance
@@ -34,16 +36,18 @@ class LandmarkParameters:
         Features of no landmark have ranges uniform on [0, max_range], metres; needed where there are any.
     range_bias, bearing_bias
         Mean of what is measured minus what is true. Beyond the chapter, where they are 0.
+    range_scale
+        How much a measured range grows when the true one grows by a metre. Beyond the chapter, where it is 1.
 
     Raises
     ------
     InvalidInputError
-        If a standard deviation is not positive, the covariance is not symmetric and positive definite, a row of the
-        confusion matrix does not sum to 1 or has an entry outside [0, 1], or a value is not finite.
+        If a standard deviation or the scale is not positive, the covariance is not symmetric and positive definite, a
+        row of the confusion matrix does not sum to 1 or has an entry outside [0, 1], or a value is not finite.
     """
 
-    sigma_range: float
-    sigma_bearing: float
+    sigma_range: float | None
+    sigma_bearing: float | None
     sigma_signature: float | None = None
     signature_covariance: FloatArray | None = None
     confusion: FloatArray | None = None
@@ -51,11 +55,12 @@ class LandmarkParameters:
     max_range: float | None = None
     range_bias: float = 0.0
     bearing_bias: float = 0.0
+    range_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("sigma_range", "sigma_bearing", "sigma_signature", "max_range"):
+        for name in ("sigma_range", "sigma_bearing", "sigma_signature", "max_range", "range_scale"):
             value = getattr(self, name)
-            if value is None and name in ("sigma_signature", "max_range"):
+            if value is None and name != "range_scale":
                 continue
             if not 0.0 < value < np.inf:
                 raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")

@@ -14,6 +14,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.landmark import LandmarkModel, sample_wrapped
+from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_signatures import LOG_2PI, signature_log_density
 
 # With a grid, drawing stops when less than one pose in so many lies in free space.
@@ -40,7 +41,9 @@ class _Proposal(NamedTuple):
     """One feature turned into a density over poses."""
 
     range: float
+    """Mean distance, bias and scale taken out; NaN if there is none."""
     bearing: float
+    """Bias taken out; NaN if there is none."""
     probabilities: FloatArray
     """(N,) of each landmark."""
     log_mass: float
@@ -95,7 +98,7 @@ def sample_poses(
     Notes
     -----
     Table 6.5 draws gamma uniform, perturbs range and bearing, and looks back from the landmark; so does this. Bearing
-    noise is cut off at a half turn and biases are subtracted, as in `LandmarkModel`.
+    noise is cut off at a half turn, and biases and scale are taken out, as in `LandmarkModel`.
 
     References
     ----------
@@ -180,6 +183,10 @@ def _proposals(model: LandmarkModel, detections: Detections) -> list[_Proposal]:
         measured, bearing = float(detections.ranges[k]), float(detections.bearings[k])
         if math.isnan(measured) and math.isnan(bearing):
             raise InvalidInputError(f"detections: feature {k} has neither range nor bearing")
+        if not math.isnan(measured) and p.sigma_range is None:
+            raise InvalidInputError(f"sigma_range: feature {k} has a range, and there is no sigma")
+        if not math.isnan(bearing) and p.sigma_bearing is None:
+            raise InvalidInputError(f"sigma_bearing: feature {k} has a bearing, and there is no sigma")
         if math.isnan(measured) and p.max_range is None:
             raise InvalidInputError(f"max_range: feature {k} has no range, and there is no limit")
         log_shares = signatures[k] - math.log(len(landmarks))
@@ -195,10 +202,17 @@ def _proposals(model: LandmarkModel, detections: Detections) -> list[_Proposal]:
         if math.isnan(measured):
             log_mass += 2.0 * math.log(float(p.max_range or math.nan)) - math.log(2.0)
         else:
-            log_mass += log_distance_mass(measured - p.range_bias, p.sigma_range)
+            # A density over measured ranges as one over distances: the scale's factor appears once.
+            log_mass += log_distance_mass(*_distance(measured, p)) - math.log(p.range_scale)
         shares = np.exp(log_shares - log_total)
-        result.append(_Proposal(measured - p.range_bias, bearing - p.bearing_bias, shares / shares.sum(), log_mass))
+        distance = _distance(measured, p)[0]
+        result.append(_Proposal(distance, bearing - p.bearing_bias, shares / shares.sum(), log_mass))
     return result
+
+
+def _distance(measured: float, p: LandmarkParameters) -> tuple[float, float]:
+    """Return mean and standard deviation of the distance, without bias and scale, that a measured range tells."""
+    return (measured - p.range_bias) / p.range_scale, (p.sigma_range or math.nan) / p.range_scale
 
 
 def _draw_free(
@@ -232,6 +246,7 @@ def _draw(
     p, positions = model.parameters, model.landmarks.positions
     poses: FloatArray = np.empty((n, 3))
     chosen = rng.integers(len(proposals), size=n)
+    sigma = (p.sigma_range or math.nan) / p.range_scale
     for k, proposal in enumerate(proposals):
         mine = np.flatnonzero(chosen == k)
         m = len(mine)
@@ -240,13 +255,13 @@ def _draw(
         if math.isnan(proposal.range):
             distance = float(p.max_range or math.nan) * np.sqrt(rng.random(m))
         elif exact:
-            distance = sample_distances(proposal.range, p.sigma_range, m, rng)
+            distance = sample_distances(proposal.range, sigma, m, rng)
         else:
-            distance = proposal.range + p.sigma_range * rng.standard_normal(m)
+            distance = proposal.range + sigma * rng.standard_normal(m)
         if math.isnan(proposal.bearing):
             bearing = rng.uniform(-np.pi, np.pi, m)
         else:
-            bearing = proposal.bearing + sample_wrapped(p.sigma_bearing, (m,), rng)
+            bearing = proposal.bearing + sample_wrapped(p.sigma_bearing or math.nan, (m,), rng)
         poses[mine, 0] = positions[j, 0] + distance * np.cos(gamma)
         poses[mine, 1] = positions[j, 1] + distance * np.sin(gamma)
         poses[mine, 2] = wrap_angle(gamma - np.pi - bearing)

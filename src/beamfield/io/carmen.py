@@ -12,7 +12,7 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, between, compose, interpolate_poses, invert
-from beamfield.io.carmen_writer import write_carmen
+from beamfield.io.carmen_writer import OPENING_ANGLE, RING_RADIUS, write_carmen
 from beamfield.io.scan_stamps import ScanStamps
 from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
 from beamfield.io.text_scans import TextOptions, TextScans, finite_pose, sorted_track
@@ -29,6 +29,7 @@ SICK_BEARINGS = {180: (-90.0, 1.0), 181: (-90.0, 1.0), 360: (-90.0, 0.5), 361: (
 CONSTANT = 2e-3
 SAME_FRAME = 0.1
 ANGLE_LIMIT = 1e3  # radians, or degrees by mistake: anything beyond is no angle
+RING_LIMIT = 100.0  # metres: no robot is larger
 
 
 def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog:
@@ -50,6 +51,9 @@ def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog
     transform between them. RAWLASERn has no pose; it is read from the ODOM lines, and only if there is no ROBOTLASERn.
 
     TRUEPOS (the true pose in a simulator) is the reference of all sensors where it is there.
+
+    A ring of sonars that `write_carmen` wrote as FLASER lines is told by its PARAM lines beamfield_ring_radius and
+    beamfield_opening_angle.
 
     Parameters
     ----------
@@ -91,8 +95,15 @@ def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog
         if truth is not None:
             poses = interpolate_poses(truth.stamps, truth.poses, stamps.seconds)
             notes.append(f"{name}: reference poses are those of the TRUEPOS lines")
+        radius, opening = _ring_and_cone(content, name)
         sensors[name], found = scans.finish(
-            mounts, chosen, stamps=stamps, poses=poses, odometry=driven, declared_max=_declared_max(content, name)
+            compose(mounts, [radius, 0.0, 0.0]) if radius != 0.0 else mounts,
+            chosen,
+            stamps=stamps,
+            poses=poses,
+            odometry=driven,
+            declared_max=_declared_max(content, name),
+            opening_angle=opening,
         )
         notes += found
     if follows and odometry is not None:
@@ -357,6 +368,27 @@ def _declared_max(content: _Content, name: str) -> float | None:
     side = {"FLASER": "front", "RLASER": "rear"}.get(name)
     limit = _number(content, f"robot_{side}_laser_max") if side else None
     return limit if limit is not None and limit > 0.0 else None
+
+
+def _ring_and_cone(content: _Content, name: str) -> tuple[float, float]:
+    """Return how far from the sensor's origin its beams start, and how wide they are; 0 and 0 if the log is silent."""
+    if name != "FLASER":
+        return 0.0, 0.0
+    values = []
+    for parameter, limit in ((RING_RADIUS, RING_LIMIT), (OPENING_ANGLE, np.pi)):
+        value = 0.0
+        if parameter in content.parameters:
+            known = _number(content, parameter)
+            value = np.nan if known is None else known
+        # A negative radius is that of a ring of sensors that look inwards.
+        if not (abs(value) < limit and (value >= 0.0 or parameter == RING_RADIUS)):
+            raise FormatError(
+                content.path,
+                f"expected a number below {limit:.6g}, got {content.parameters[parameter][:40]!r}",
+                field=parameter,
+            )
+        values.append(value)
+    return values[0], values[1]
 
 
 def _number(content: _Content, parameter: str) -> float | None:

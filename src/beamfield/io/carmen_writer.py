@@ -17,6 +17,9 @@ from beamfield.sensors import ScanLog, SensorLog
 
 # What FLASER can express: one origin on the robot's axis, and equal steps.
 TOLERANCE = 1e-9
+# Parameters of our own, for what CARMEN's have no name: how far from that origin every beam starts (a ring of sonars on
+# the robot's rim), metres, and the full width of its cone, radians. Other readers pass over them.
+RING_RADIUS, OPENING_ANGLE = "beamfield_ring_radius", "beamfield_opening_angle"
 
 
 def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -> None:
@@ -24,7 +27,8 @@ def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -
 
     Each FLASER line has the ranges, the laser's reference pose, the robot's odometry, and the stamp; reading it with
     `beamfield.io.carmen.read_carmen` gives the same log: ranges and stamps to a micrometre and a microsecond. "No
-    return" is written as max_range, "too close" as 0, NaN as nan.
+    return" is written as max_range, "too close" as 0, NaN as nan. Two PARAM lines of our own, beamfield_ring_radius and
+    beamfield_opening_angle, hold what a ring of sonars has and a laser has not; other readers pass over them.
 
     Parameters
     ----------
@@ -40,15 +44,15 @@ def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -
     ------
     InvalidInputError
         If a scan has no reference pose, only some have odometry, or the beams do not start at one point (x, 0) of the
-        robot in equal steps counter-clockwise: a FLASER line cannot say that.
+        robot, or on a ring around it, in equal steps counter-clockwise: a FLASER line cannot say that.
     """
     scans = log.only_sensor(sensor)
-    offset, start, step = _geometry(scans)
+    offset, start, step, radius = _geometry(scans)
     poses, odometry = _poses(scans)
     text = "".join(
         line + "\n"
         for line in chain(
-            _head(scans, offset, start, step),
+            _head(scans, offset, start, step, radius),
             _in_time(_scan_lines(scans, offset, poses, odometry), _odometry_lines(log)),
         )
     ).encode("ascii")
@@ -61,18 +65,31 @@ def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -
     write_file(path, text)
 
 
-def _geometry(scans: SensorLog) -> tuple[float, float, float]:
+def _geometry(scans: SensorLog) -> tuple[float, float, float, float]:
+    """Return the origin's place in front of the robot, the first bearing, the step, and the radius of the ring."""
     mounts = scans.finder.mounts
     step = float(wrap_angle(mounts[1, 2] - mounts[0, 2])) if len(mounts) > 1 else np.radians(1.0)
     start = float(mounts[0, 2])
     uniform = wrap_angle(mounts[:, 2] - (start + step * np.arange(len(mounts))))
-    one_origin = np.ptp(mounts[:, 0]) < TOLERANCE and np.abs(mounts[:, 1]).max() < TOLERANCE
-    if not one_origin or np.abs(uniform).max() > TOLERANCE or step <= 0.0:
+    offset, radius = float(mounts[0, 0]), 0.0
+    if np.ptp(mounts[:, 0]) >= TOLERANCE or np.abs(mounts[:, 1]).max() >= TOLERANCE:
+        offset, radius = _ring(mounts)
+    misplaced = mounts[:, :2] - [offset, 0.0] - radius * np.column_stack([np.cos(mounts[:, 2]), np.sin(mounts[:, 2])])
+    if np.abs(misplaced).max() > TOLERANCE or np.abs(uniform).max() > TOLERANCE or step <= 0.0:
         raise InvalidInputError(
-            "a CARMEN FLASER line needs beams that start at one point (x, 0) of the robot, in equal steps "
-            f"counter-clockwise; got mounts {mounts[0].round(4).tolist()} ... {mounts[-1].round(4).tolist()}"
+            "a CARMEN FLASER line needs beams that start at one point (x, 0) of the robot, or on a ring around it, in "
+            f"equal steps counter-clockwise; got mounts {mounts[0].round(4).tolist()} ... "
+            f"{mounts[-1].round(4).tolist()}"
         )
-    return float(mounts[0, 0]), start, step
+    return offset, start, step, radius
+
+
+def _ring(mounts: FloatArray) -> tuple[float, float]:
+    """Return the centre's x and the radius of the ring that fits the mounts best."""
+    cos, sin = np.cos(mounts[:, 2]), np.sin(mounts[:, 2])
+    along = np.concatenate([np.column_stack([np.ones_like(cos), cos]), np.column_stack([np.zeros_like(sin), sin])])
+    (offset, radius), *_ = np.linalg.lstsq(along, np.concatenate([mounts[:, 0], mounts[:, 1]]))
+    return float(offset), float(radius)
 
 
 def _poses(scans: SensorLog) -> tuple[FloatArray, FloatArray | None]:
@@ -85,7 +102,7 @@ def _poses(scans: SensorLog) -> tuple[FloatArray, FloatArray | None]:
     return scans.poses, scans.odometry if driven.any() else None
 
 
-def _head(scans: SensorLog, offset: float, start: float, step: float) -> Iterator[str]:
+def _head(scans: SensorLog, offset: float, start: float, step: float, radius: float) -> Iterator[str]:
     yield "# CARMEN log: FLASER n ranges, laser pose, odometry pose, stamp host stamp; metres, radians, seconds"
     for name, value in (
         ("robot_frontlaser_offset", offset),
@@ -95,6 +112,9 @@ def _head(scans: SensorLog, offset: float, start: float, step: float) -> Iterato
         ("laser_front_laser_fov", step * (scans.finder.n_beams - 1)),
     ):
         yield f"PARAM {name} {value!r}"
+    for name, value in ((RING_RADIUS, radius), (OPENING_ANGLE, scans.finder.opening_angle)):
+        if value != 0.0:
+            yield f"PARAM {name} {float(value)!r}"
 
 
 def _scan_lines(

@@ -104,7 +104,7 @@ def simulate_log(
     >>> len(log), log.finder.n_beams
     (50, 16)
     """
-    stamps = _stamps(duration, scan_rate, start)
+    stamps = scan_stamps(duration, scan_rate, start)
     drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell: there is nothing to measure")
@@ -123,7 +123,8 @@ def simulate_log(
     )
 
 
-def _stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
+def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
+    """Return the (t,) stamps of a log's scans, seconds; an InvalidInputError says which number is out of range."""
     for name, value in (("duration", duration), ("scan_rate", scan_rate)):
         if not 0.0 < value < np.inf:
             raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")

@@ -95,12 +95,15 @@ class StackModel(ABC, Generic[P, E]):
         False: no stack's weight is a density over scans.
     evidence_settings
         Names of the parameters that the evidence depends on. With all others free, one evidence serves.
+    fitted_parameters
+        Names of the numbers that a fit varies: factors, widths and rates that this model uses.
     """
 
     is_normalized: ClassVar[bool] = False
     stack: ClassVar[str]
     model: ClassVar[str]
     evidence_settings: ClassVar[tuple[str, ...]]
+    fitted_parameters: ClassVar[tuple[str, ...]]
 
     parameters: P
 
@@ -154,6 +157,13 @@ class StackModel(ABC, Generic[P, E]):
         """Return the logarithm of the stack's weight of one scan at poses (..., 3), shape (...)."""
         robot = as_poses(poses)
         return self.log_weights(self.evidence(z, robot)).reshape(robot.shape[:-1])
+
+    def _sharing(self, **changes: Any) -> Self:
+        """Return a copy with other fields that keeps the tables."""
+        other = object.__new__(type(self))
+        for name, value in {**self.__dict__, **changes}.items():
+            object.__setattr__(other, name, value)
+        return other
 
     def _settings(self) -> dict[str, Any]:
         """Return the settings for an `Evidence` that this model makes."""

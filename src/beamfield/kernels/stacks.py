@@ -1,0 +1,270 @@
+"""What other programs do cell by cell: brushfire distances, Bresenham rays and look-ups of end points.
+
+Cells are in the order (row, col); a point with the coordinates u, v in cells lies in the cell (floor(v), floor(u)).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+Floats = NDArray[np.float64]
+# Coordinates are held within this many cells, so that they fit an integer; no map is so large.
+FAR = 1e9
+KNOWN, UNKNOWN, OFF_MAP = np.int8(0), np.int8(1), np.int8(2)
+
+
+@kernel
+def brushfire(
+    obstacles: NDArray[np.bool_],
+    limit: float,
+    neighbours: NDArray[np.int64],
+    columns_first: bool,
+    remove_last: bool,
+    settle_beyond: bool,
+    squared: NDArray[np.int32],
+) -> None:
+    """Fill squared distances in cells to the obstacle that a brushfire finds first, -1 where it ends before.
+
+    Cells catch fire from a neighbour and take over its obstacle, nearest first. A cell's own nearest obstacle need not
+    be that of a neighbour, and a cell is never looked at again, so that some distances are too long. Which, depends on
+    the order among equals; the options are those orders.
+
+    Parameters
+    ----------
+    obstacles
+        (rows, cols).
+    limit
+        The fire ends where the squared distance exceeds this, in square cells.
+    neighbours
+        (4, 2) steps (row, col) in the order in which a cell sets fire.
+    columns_first
+        Obstacles catch fire column by column, not row by row.
+    remove_last
+        A cell leaves the binary heap after it has set fire to its neighbours, not before.
+    settle_beyond
+        A cell that the fire reaches from the limit on is done with; otherwise (beyond the limit) it may still be
+        reached from another neighbour.
+    squared
+        (rows, cols) int32, overwritten.
+    """
+    rows, cols = obstacles.shape
+    size = rows * cols
+    source = np.empty(size, np.int32)
+    key = np.empty(size + 1, np.int32)
+    cell = np.empty(size + 1, np.int32)
+    settled = np.zeros(size, np.bool_)
+    flat = squared.reshape(size)
+    flat[:] = -1
+    n = 0
+    for t in range(size):
+        r, c = (t % rows, t // rows) if columns_first else (t // cols, t % cols)
+        if obstacles[r, c]:
+            i = r * cols + c
+            flat[i], source[i], settled[i] = 0, i, True
+            n = _push(key, cell, n, 0, i)
+    while n > 0:
+        i = np.int64(cell[0])
+        if not remove_last:
+            n = _pop(key, cell, n)
+        r, c = i // cols, i % cols
+        origin_r, origin_c = source[i] // cols, source[i] % cols
+        for q in range(4):
+            row, col = r + neighbours[q, 0], c + neighbours[q, 1]
+            if row < 0 or col < 0 or row >= rows or col >= cols:
+                continue
+            j = row * cols + col
+            if settled[j]:
+                continue
+            distance = (row - origin_r) ** 2 + (col - origin_c) ** 2
+            if settle_beyond and distance >= limit:
+                settled[j] = True
+                continue
+            if distance > limit:
+                continue
+            flat[j], source[j], settled[j] = distance, source[i], True
+            n = _push(key, cell, n, distance, j)
+        if remove_last:
+            n = _pop(key, cell, n)
+
+
+@kernel
+def _push(key: NDArray[np.int32], cell: NDArray[np.int32], n: int, distance: int, index: int) -> int:
+    """Add an element to a binary heap of n, nearest on top: it rises past parents that are strictly farther."""
+    place = n
+    while place > 0:
+        parent = (place - 1) // 2
+        if key[parent] <= distance:
+            break
+        key[place], cell[place] = key[parent], cell[parent]
+        place = parent
+    key[place], cell[place] = distance, index
+    return n + 1
+
+
+@kernel
+def _pop(key: NDArray[np.int32], cell: NDArray[np.int32], n: int) -> int:
+    """Remove the top: the gap sinks to the bottom along nearer children (right if equal), the last element rises."""
+    n -= 1
+    distance, index = key[n], cell[n]
+    place = 0
+    child = 2
+    while child < n:
+        if key[child] > key[child - 1]:
+            child -= 1
+        key[place], cell[place] = key[child], cell[child]
+        place = child
+        child = 2 * place + 2
+    if child == n:
+        key[place], cell[place] = key[n - 1], cell[n - 1]
+        place = n - 1
+    while place > 0:
+        parent = (place - 1) // 2
+        if key[parent] <= distance:
+            break
+        key[place], cell[place] = key[parent], cell[parent]
+        place = parent
+    key[place], cell[place] = distance, index
+    return n
+
+
+@kernel
+def look_up_ends(
+    poses: Floats,
+    frame: tuple[float, float, float],
+    resolution: float,
+    ends: Floats,
+    distance: NDArray[np.float32],
+    unknown: NDArray[np.bool_],
+    distances: NDArray[np.float32],
+    places: NDArray[np.int8],
+) -> None:
+    """Look up the cell of every beam's end point.
+
+    Parameters
+    ----------
+    poses
+        (n, 3) robot poses in the map frame, metres and radians.
+    frame
+        (x, y, yaw) of the grid's corner in the map frame.
+    resolution
+        Metres per cell.
+    ends
+        (2, k) end points in the robot frame, metres.
+    distance, unknown
+        (rows, cols) what each cell holds.
+    distances
+        (n, k) float32, overwritten: the cell's distance, +inf off the map.
+    places
+        (n, k) int8, overwritten: known, unknown or off the map.
+    """
+    rows, cols = distance.shape
+    cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
+    for i in range(len(poses)):
+        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
+        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
+        heading = poses[i, 2] - frame[2]
+        c, s = math.cos(heading), math.sin(heading)
+        for b in range(ends.shape[1]):
+            u = math.floor((x + (c * ends[0, b] - s * ends[1, b])) / resolution)
+            v = math.floor((y + (s * ends[0, b] + c * ends[1, b])) / resolution)
+            if u >= 0.0 and v >= 0.0 and u < cols and v < rows:
+                row, col = np.int64(v), np.int64(u)
+                distances[i, b] = distance[row, col]
+                places[i, b] = UNKNOWN if unknown[row, col] else KNOWN
+            else:
+                distances[i, b] = np.inf
+                places[i, b] = OFF_MAP
+
+
+@kernel
+def cast_bresenham(
+    poses: Floats,
+    frame: tuple[float, float, float],
+    resolution: float,
+    starts: Floats,
+    bearings: Floats,
+    max_range: float,
+    stops: NDArray[np.bool_],
+    edge_stops: bool,
+    overshoot: int,
+    ranges: Floats,
+) -> None:
+    """Follow Bresenham's line from the cell of each beam's start to the cell max_range away.
+
+    Parameters
+    ----------
+    poses, frame, resolution
+        As for `look_up_ends`.
+    starts
+        (2, k) start of each beam in the robot frame, metres.
+    bearings
+        (k,) direction of each beam in the robot frame, radians.
+    max_range
+        Metres.
+    stops
+        (rows, cols) cells that stop a ray.
+    edge_stops
+        Whether the first cell off the map stops a ray; otherwise the ray then meets nothing.
+    overshoot
+        How many cells past the last one the line goes.
+    ranges
+        (n, k) overwritten: metres between the centres of the first and the stopping cell; max_range if there is none.
+    """
+    cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
+    for i in range(len(poses)):
+        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
+        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
+        heading = poses[i, 2] - frame[2]
+        c, s = math.cos(heading), math.sin(heading)
+        for b in range(len(bearings)):
+            from_x, from_y = x + (c * starts[0, b] - s * starts[1, b]), y + (s * starts[0, b] + c * starts[1, b])
+            along = heading + bearings[b]
+            to_x, to_y = from_x + max_range * math.cos(along), from_y + max_range * math.sin(along)
+            ranges[i, b] = _follow(
+                _cell(from_x / resolution),
+                _cell(from_y / resolution),
+                _cell(to_x / resolution),
+                _cell(to_y / resolution),
+                stops,
+                edge_stops,
+                overshoot,
+            )
+            if ranges[i, b] < 0.0:
+                ranges[i, b] = max_range
+            else:
+                ranges[i, b] *= resolution
+
+
+@kernel
+def _cell(coordinate: float) -> int:
+    return np.int64(math.floor(min(max(coordinate, -FAR), FAR)))
+
+
+@kernel
+def _follow(x0: int, y0: int, x1: int, y1: int, stops: NDArray[np.bool_], edge_stops: bool, overshoot: int) -> float:
+    """Return the distance in cells from the first to the stopping cell of a line, -1 if nothing stops it."""
+    rows, cols = stops.shape
+    steep = abs(y1 - y0) > abs(x1 - x0)
+    # a is the axis along which the line takes one cell per step, b the other.
+    a0, b0, a1, b1 = (y0, x0, y1, x1) if steep else (x0, y0, x1, y1)
+    long, short = abs(a1 - a0), abs(b1 - b0)
+    step_a, step_b = (1 if a0 < a1 else -1), (1 if b0 < b1 else -1)
+    a, b, error = a0, b0, 0
+    for t in range(long + 1 + overshoot):
+        if t > 0:
+            a += step_a
+            error += short
+            if 2 * error >= long:
+                b += step_b
+                error -= long
+        row, col = (a, b) if steep else (b, a)
+        if row < 0 or col < 0 or row >= rows or col >= cols:
+            return math.sqrt((a - a0) ** 2 + (b - b0) ** 2) if edge_stops else -1.0
+        if stops[row, col]:
+            return math.sqrt((a - a0) ** 2 + (b - b0) ** 2)
+    return -1.0

@@ -1,0 +1,137 @@
+"""AMCL's beam model: what nav2 and ROS 1 share."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from typing import ClassVar, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import Scan
+from beamfield.stacks.amcl_scan import amcl_grid, amcl_ranges, range_limits
+from beamfield.stacks.beam_selection import Indices, floor_step_beams
+from beamfield.stacks.emulator import RayEvidence, StackModel
+from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.stack_map import MapMode
+from beamfield.stacks.stack_rays import RayChoice, bresenham_ranges, check_rays, exact_ranges, walled
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True, eq=False)
+class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
+    """``w = 1 + sum p^3`` over beams, where p has four terms, none of them normalised.
+
+    For a beam with range z and expected range z*, p is the sum of
+
+    - ``z_hit exp(-(z - z*)^2 / 2 sigma_hit^2)``,
+    - ``z_short lambda_short exp(-lambda_short z)`` if z < z*,
+    - ``z_max`` if z is exactly range_max,
+    - ``z_rand / range_max`` if z < range_max.
+
+    Rays stop at occupied and unknown cells and where they leave the map. Readings
+    below the shortest range become range_max; +inf scores 0, so that a driver that reports missing returns as +inf
+    (REP 117) never brings z_max in; NaN counts nothing.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    parameters
+        The stack's own.
+    rays
+        "bresenham" as the program casts them, between centres of cells; "exact" to the border of the first cell.
+    no_return
+        What the robot's driver reports for a missing return: "inf" as in REP 117, or the sensor's longest range,
+        "range_max", which brings in z_max unless laser_max_range is less. Readers of logs turn both into +inf.
+    map_mode
+        How the map server turns the map into a message; see `read_as_stack`.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+    """
+
+    model: ClassVar[str] = "beam"
+    least_step: ClassVar[int]
+
+    grid: OccupancyGrid
+    parameters: P
+    rays: RayChoice = field(default="bresenham", kw_only=True)
+    no_return: str = field(default="inf", kw_only=True)
+    map_mode: MapMode = field(default="trinary", kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    _seen: OccupancyGrid = field(init=False, repr=False)
+    _caster: RayCaster | None = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_rays(self.rays)
+        check_no_return(self.no_return)
+        seen = amcl_grid(self.grid, self.map_mode)
+        object.__setattr__(self, "_seen", seen)
+        caster = RayCaster(walled(seen), unknown="occupied") if self.rays == "exact" else None
+        object.__setattr__(self, "_caster", caster)
+
+    @staticmethod
+    @abstractmethod
+    def as_nav2(parameters: P) -> Nav2Parameters:
+        """Return the parameters under nav2's names."""
+
+    def with_parameters(self, parameters: P) -> Self:
+        """Return the model with other parameters and the same map, options and tables."""
+        return self._sharing(parameters=parameters)
+
+    def selected_beams(self, n_beams: int) -> Indices:
+        """Return the indices of the beams that the program looks at in a scan of n_beams."""
+        return floor_step_beams(n_beams, self.as_nav2(self.parameters).max_beams, least_step=self.least_step)
+
+    def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
+        """Return readings and expected ranges; see `StackModel.evidence`."""
+        robot = as_poses(poses).reshape(-1, 3)
+        parameters = self.as_nav2(self.parameters)
+        _, range_max = range_limits(z.finder, parameters)
+        ranges = amcl_ranges(z, parameters)
+        if self.no_return == "range_max":
+            ranges[ranges == np.inf] = z.finder.max_range
+        beams = self.selected_beams(len(ranges))
+        # +inf has p = 0, and NaN is skipped: neither adds to the sum.
+        beams = beams[np.isfinite(ranges[beams])]
+        expected = self.expected_ranges(robot, z.finder.mounts[beams], range_max)
+        return RayEvidence(beams, range_max, ranges[beams], expected, settings=self._settings())
+
+    def expected_ranges(self, poses: FloatArray, mounts: FloatArray, range_max: float) -> FloatArray:
+        """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
+        if self._caster is None:
+            return bresenham_ranges(
+                self._seen, poses, mounts, range_max, edge_stops=True, overshoot=1, threads=self.threads
+            )
+        return exact_ranges(self._caster, poses, mounts, range_max, self.threads)
+
+    def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
+        """Return p of each beam that counts, (n, k)."""
+        values = self.as_nav2(self._parameters_for(evidence, parameters))
+        z, z_star = evidence.ranges, evidence.expected_ranges
+        p = z_star - z
+        p *= p
+        p *= -0.5 / values.sigma_hit**2
+        np.exp(p, out=p)
+        p *= values.z_hit
+        p += np.where(z < z_star, values.z_short * values.lambda_short * np.exp(-values.lambda_short * z), 0.0)
+        p += np.where(z == evidence.max_range, values.z_max, 0.0)
+        p += np.where(z < evidence.max_range, values.z_rand / evidence.max_range, 0.0)
+        return np.asarray(p)
+
+    def log_weights(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
+        """Return log(1 + sum p^3), (n,); see `StackModel.log_weights`."""
+        p = self.beam_values(evidence, parameters)
+        return np.asarray(np.log1p((p * p * p).sum(axis=1)))
+
+
+def check_no_return(no_return: str) -> None:
+    """Raise InvalidInputError if there is no such report of a missing return."""
+    if no_return not in ("inf", "range_max"):
+        raise InvalidInputError(f"no_return: expected 'inf' or 'range_max', got {no_return!r}")

@@ -1,0 +1,114 @@
+"""AMCL's likelihood_field: formula and look-ups that nav2 and ROS 1 share."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import Scan
+from beamfield.stacks.amcl_scan import amcl_grid, amcl_ranges, range_limits
+from beamfield.stacks.beam_selection import Indices, floor_step_beams
+from beamfield.stacks.emulator import FieldEvidence, StackModel
+from beamfield.stacks.field_table import AMCL_FIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.stack_map import MapMode
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True, eq=False)
+class AmclField(StackModel[P, FieldEvidence], Generic[P]):
+    """``w = 1 + sum p^3`` with ``p = z_hit exp(-d^2 / 2 sigma_hit^2) + z_rand / range_max`` for each beam.
+
+    d is the distance from the beam's end point to the nearest obstacle, cut off at laser_likelihood_max_dist, and that
+    maximum off the map. Readings of range_max and more, too short ones (which the node turns into range_max) and NaN
+    count nothing. Unknown cells are as free ones.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    parameters
+        The stack's own.
+    distance
+        "exact" distances, or those of the program's "brushfire", which are too long in places.
+    map_mode
+        How the map server turns the map into a message; see `read_as_stack`.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+    """
+
+    model: ClassVar[str] = "likelihood_field"
+    least_step: ClassVar[int]
+    max_distance_name: ClassVar[str] = "laser_likelihood_max_dist"
+
+    grid: OccupancyGrid
+    parameters: P
+    distance: DistanceChoice = field(default="exact", kw_only=True)
+    map_mode: MapMode = field(default="trinary", kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    _table: FieldTable = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        seen = amcl_grid(self.grid, self.map_mode)
+        max_distance = self.as_nav2(self.parameters).laser_likelihood_max_dist
+        object.__setattr__(self, "_table", field_table(seen, self.distance, AMCL_FIRE, max_distance))
+
+    @staticmethod
+    @abstractmethod
+    def as_nav2(parameters: P) -> Nav2Parameters:
+        """Return the parameters under nav2's names."""
+
+    def with_parameters(self, parameters: P) -> Self:
+        """Return the model with other parameters; a brushfire burns anew if its end changes."""
+        name = self.max_distance_name
+        if self.distance == "brushfire" and getattr(parameters, name) != getattr(self.parameters, name):
+            return replace(self, parameters=parameters)
+        return self._sharing(parameters=parameters)
+
+    def selected_beams(self, n_beams: int) -> Indices:
+        """Return the indices of the beams that the program looks at in a scan of n_beams."""
+        return floor_step_beams(n_beams, self.as_nav2(self.parameters).max_beams, least_step=self.least_step)
+
+    def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
+        """Return distances of end points; see `StackModel.evidence`."""
+        robot = as_poses(poses).reshape(-1, 3)
+        parameters = self.as_nav2(self.parameters)
+        _, range_max = range_limits(z.finder, parameters)
+        ranges = amcl_ranges(z, parameters)
+        beams = self.selected_beams(len(ranges))
+        beams = beams[ranges[beams] < range_max]
+        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges[beams]), self.threads)
+        return FieldEvidence(beams, range_max, distances, places, settings=self._settings())
+
+    def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return p of each beam that counts, (n, k)."""
+        return field_values(evidence, self.as_nav2(self._parameters_for(evidence, parameters)))
+
+    def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return log(1 + sum p^3), (n,); see `StackModel.log_weights`."""
+        p = self.beam_values(evidence, parameters)
+        return np.asarray(np.log1p((p * p * p).sum(axis=1)))
+
+    def _settings(self) -> dict[str, Any]:
+        settings = super()._settings()
+        if self.distance == "brushfire":
+            settings[self.max_distance_name] = getattr(self.parameters, self.max_distance_name)
+        return settings
+
+
+def field_values(evidence: FieldEvidence, parameters: Nav2Parameters) -> FloatArray:
+    """Return z_hit exp(-d^2 / 2 sigma_hit^2) + z_rand / range_max for each end point, (n, k)."""
+    p: FloatArray = np.minimum(evidence.distances, np.float32(parameters.laser_likelihood_max_dist), dtype=np.float64)
+    p *= p
+    p *= -0.5 / parameters.sigma_hit**2
+    np.exp(p, out=p)
+    p *= parameters.z_hit
+    p += parameters.z_rand / evidence.max_range
+    return p

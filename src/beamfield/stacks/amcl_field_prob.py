@@ -1,0 +1,71 @@
+"""AMCL's likelihood_field_prob with beam skipping: what nav2 and ROS 1 share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, TypeVar
+
+import numpy as np
+
+from beamfield.geometry import FloatArray
+from beamfield.stacks.amcl_field import AmclField, field_values
+from beamfield.stacks.beam_selection import Indices, ceil_step_beams
+from beamfield.stacks.emulator import OFF_MAP, FieldEvidence
+from beamfield.stacks.nav2_parameters import Nav2Parameters
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True, eq=False)
+class AmclFieldProb(AmclField[P]):
+    """``w = exp(sum log p)`` with the p of `AmclField`, over the beams that enough particles agree with.
+
+    With do_beamskip a beam counts if more than beam_skip_threshold of the particles have its end point closer than
+    beam_skip_distance to an obstacle of the map; end points off the map disagree. If beam_skip_error_threshold of
+    max_beams or more would be left out, beams without reading among them, all beams count.
+
+    **With beam skipping a pose's weight depends on all poses of the call**, which are taken as the particle set.
+
+    Parameters
+    ----------
+    grid, parameters, distance, map_mode, threads
+        As for `AmclField`.
+
+    Notes
+    -----
+    Where all beams count after all, the program also multiplies in what its buffer holds for beams without a reading:
+    zeros, so that every weight becomes 0, or what an earlier scan left there. Here such beams count nothing. The
+    program's weights underflow to 0 where the logarithms here do not.
+    """
+
+    model: ClassVar[str] = "likelihood_field_prob"
+
+    def selected_beams(self, n_beams: int) -> Indices:
+        """Return the indices of the beams that the program looks at in a scan of n_beams."""
+        return ceil_step_beams(n_beams, self.as_nav2(self.parameters).max_beams)
+
+    def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return the sum of log p over the beams that count, (n,); see `StackModel.log_weights`."""
+        values = self.as_nav2(self._parameters_for(evidence, parameters))
+        p = field_values(evidence, values)
+        if values.do_beamskip:
+            p = p[:, counted_beams(evidence, values)]
+        with np.errstate(divide="ignore"):
+            np.log(p, out=p)
+        return np.asarray(p.sum(axis=1))
+
+    def weighs_alone(self, parameters: P | None = None) -> bool:
+        """Whether a pose's weight is the same whatever other poses are asked for: not with beam skipping."""
+        return not self.as_nav2(self.parameters if parameters is None else parameters).do_beamskip
+
+
+def counted_beams(evidence: FieldEvidence, parameters: Nav2Parameters) -> slice | Indices:
+    """Return which columns of the evidence count with beam skipping."""
+    nearest = np.minimum(evidence.distances, parameters.laser_likelihood_max_dist)
+    agrees = (nearest < parameters.beam_skip_distance) & (evidence.places != OFF_MAP)
+    share = agrees.sum(axis=0) / max(1, len(agrees))
+    counted = np.flatnonzero(share > parameters.beam_skip_threshold)
+    left_out = parameters.max_beams - len(counted)
+    if left_out >= parameters.beam_skip_error_threshold * parameters.max_beams:
+        return slice(None)
+    return counted

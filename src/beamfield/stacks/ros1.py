@@ -1,0 +1,62 @@
+"""ROS 1's amcl: its three measurement models, emulated.
+
+nav2's are ported from it. The formulas are the same; names and defaults of the parameters are not.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from beamfield.stacks.amcl_beam import AmclBeam
+from beamfield.stacks.amcl_field import AmclField
+from beamfield.stacks.amcl_field_prob import AmclFieldProb
+from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.ros1_parameters import Ros1Parameters
+
+__all__ = ["Ros1Beam", "Ros1Field", "Ros1FieldProb"]
+
+SETTINGS = ("laser_max_beams", "laser_max_range", "laser_min_range")
+FIELD = ("laser_z_hit", "laser_z_rand", "laser_sigma_hit")
+BEAM = ("laser_z_hit", "laser_z_short", "laser_z_max", "laser_z_rand", "laser_sigma_hit", "laser_lambda_short")
+
+
+class Ros1Field(AmclField[Ros1Parameters]):
+    """ROS 1 amcl's likelihood_field; see `AmclField`."""
+
+    stack: ClassVar[str] = "ros1"
+    evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
+    fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
+    least_step: ClassVar[int] = 1
+
+    @staticmethod
+    def as_nav2(parameters: Ros1Parameters) -> Nav2Parameters:
+        """Return the parameters under nav2's names."""
+        return parameters.as_nav2()
+
+
+class Ros1FieldProb(AmclFieldProb[Ros1Parameters]):
+    """ROS 1 amcl's likelihood_field_prob; see `AmclFieldProb`."""
+
+    stack: ClassVar[str] = "ros1"
+    evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
+    fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
+    least_step: ClassVar[int] = 1
+
+    @staticmethod
+    def as_nav2(parameters: Ros1Parameters) -> Nav2Parameters:
+        """Return the parameters under nav2's names."""
+        return parameters.as_nav2()
+
+
+class Ros1Beam(AmclBeam[Ros1Parameters]):
+    """ROS 1 amcl's beam model; see `AmclBeam`."""
+
+    stack: ClassVar[str] = "ros1"
+    evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
+    fitted_parameters: ClassVar[tuple[str, ...]] = BEAM
+    least_step: ClassVar[int] = 1
+
+    @staticmethod
+    def as_nav2(parameters: Ros1Parameters) -> Nav2Parameters:
+        """Return the parameters under nav2's names."""
+        return parameters.as_nav2()

@@ -1,0 +1,74 @@
+"""How other programs read a map: which cells are occupied, free and unknown, and where cells lie."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.maps.occupancy import OccupancyGrid
+
+MapMode = Literal["trinary", "scale", "raw"]
+MODES = ("trinary", "scale", "raw")
+
+
+def read_as_stack(
+    grid: OccupancyGrid,
+    mode: MapMode = "trinary",
+    *,
+    ignore_yaw: bool = False,
+    shift_cells: float = 0.0,
+    scale_top: int = 100,
+) -> OccupancyGrid:
+    """Return the map as a localisation program sees it: occupied where the map message says 100, free where it says 0.
+
+    Every other value of the message is unknown to these programs.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    mode
+        How the map server makes the message: "trinary" by the grid's two thresholds; "scale" the same with percents in
+        between (which round to 0 or 100 only next to a threshold); "raw" takes the probability itself in percent, as
+        if `grid` came from a message.
+    ignore_yaw
+        The program takes only x and y of the map's origin.
+    shift_cells
+        The program places cells so far from where the map has them, in x and y; nav2 -1/2: its cell (0, 0) is centred
+        on the origin.
+    scale_top
+        What the ratio between the thresholds is multiplied by in "scale".
+
+    Returns
+    -------
+    A grid with the probabilities 1, 0 and NaN.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such mode.
+    """
+    if mode not in MODES:
+        raise InvalidInputError(f"map_mode: expected one of {', '.join(map(repr, MODES))}, got {mode!r}")
+    probability = grid.probability.astype(np.float64)
+    if mode == "raw":
+        value = np.round(100.0 * probability)
+        occupied, free = value == 100.0, value == 0.0
+    else:
+        occupied, free = grid.occupied, grid.free
+        if mode == "scale":
+            ratio = (probability - grid.free_thresh) / (grid.occupied_thresh - grid.free_thresh)
+            value = np.round(scale_top * ratio)
+            between = grid.unknown & ~np.isnan(probability)
+            occupied, free = occupied | (between & (value == 100.0)), free | (between & (value == 0.0))
+    seen = np.full(grid.shape, np.nan, np.float32)
+    seen[free] = 0.0
+    seen[occupied] = 1.0
+    x, y, yaw = grid.origin
+    yaw = 0.0 if ignore_yaw else yaw
+    shift = shift_cells * grid.resolution
+    # Along the grid's own axes.
+    corner = x + shift * (np.cos(yaw) - np.sin(yaw)), y + shift * (np.sin(yaw) + np.cos(yaw)), yaw
+    return OccupancyGrid(seen, grid.resolution, np.array(corner))

@@ -1,0 +1,94 @@
+"""Expected ranges as other programs find them: along Bresenham's line from cell to cell, or exactly."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, compose
+from beamfield.kernels import stacks as kernels
+from beamfield.kernels.threads import run_in_slices
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import RangeFinder
+
+RayChoice = Literal["bresenham", "exact"]
+# A step along Bresenham's line costs about as much as a ray's share of a unit of work.
+WORK_PER_RAY = 10
+
+
+def check_rays(rays: str) -> None:
+    """Raise InvalidInputError if there is no such way to cast rays."""
+    if rays not in ("bresenham", "exact"):
+        raise InvalidInputError(f"rays: expected 'bresenham' or 'exact', got {rays!r}")
+
+
+def bresenham_ranges(
+    grid: OccupancyGrid,
+    poses: FloatArray,
+    mounts: FloatArray,
+    max_range: float,
+    *,
+    edge_stops: bool,
+    overshoot: int,
+    threads: int | None = None,
+) -> FloatArray:
+    """Return the ranges that Bresenham's line gives, between the centres of cells, to the first cell that is not free.
+
+    Parameters
+    ----------
+    grid
+        The map as the stack reads it.
+    poses, mounts
+        (n, 3) robot poses and (k, 3) mounts of the beams.
+    max_range
+        Longest range in metres.
+    edge_stops
+        Whether the first cell off the map is an obstacle; otherwise a ray that leaves the map meets nothing.
+    overshoot
+        How many cells past the one max_range away are looked at.
+    threads
+        Number of threads; None uses what pays.
+
+    Returns
+    -------
+    (n, k) metres.
+    """
+    ranges: FloatArray = np.empty((len(poses), len(mounts)))
+    rows = np.require(poses, requirements=["C", "W"])
+    starts = np.array(mounts[:, :2].T, order="C")
+    bearings = np.array(mounts[:, 2])
+    x, y, yaw = grid.origin.tolist()
+    stops = ~grid.free
+
+    def work(a: int, b: int) -> None:
+        kernels.cast_bresenham(
+            rows[a:b],
+            (x, y, yaw),
+            grid.resolution,
+            starts,
+            bearings,
+            max_range,
+            stops,
+            edge_stops,
+            overshoot,
+            ranges[a:b],
+        )
+
+    run_in_slices(work, len(rows), threads=threads, work_per_row=WORK_PER_RAY * len(mounts))
+    return ranges
+
+
+def exact_ranges(
+    caster: RayCaster, poses: FloatArray, mounts: FloatArray, max_range: float, threads: int | None = None
+) -> FloatArray:
+    """Return exact expected ranges (n, k) in metres; parameters as for `bresenham_ranges`."""
+    return caster.expected_ranges(poses, RangeFinder(mounts, max_range), threads=threads)
+
+
+def walled(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return the grid with a frame of one occupied cell, for programs to which the map's edge is a wall."""
+    corner = compose(grid.origin, [-grid.resolution, -grid.resolution, 0.0])
+    return OccupancyGrid(np.pad(grid.probability, 1, constant_values=1.0), grid.resolution, corner)

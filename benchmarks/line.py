@@ -58,7 +58,7 @@ def main() -> None:
 def row(what: str, n_poses: int, threads: Any, call: Callable[[], object]) -> dict[str, Any]:
     call()  # compile before the clock runs
     best = np.inf
-    for _ in range(7):
+    for _ in range(40):
         start = time.perf_counter()
         call()
         best = min(best, time.perf_counter() - start)

@@ -20,6 +20,7 @@ BENCHMARKS = (
     "alignment",
     "likelihood_map",
     "landmark",
+    "line",
     "features",
 )
 

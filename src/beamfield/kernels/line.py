@@ -29,10 +29,61 @@ def both_squares(d: float, turn: float, rho: float, w_rr: float, two_w_ra: float
 
     `turn` is the measured minus the expected direction, radians, not wrapped.
     """
-    one = turn - TWO_PI * math.floor(turn * TURNS_PER_RADIAN + 0.5)
+    one = turn - TWO_PI * np.floor(turn * TURNS_PER_RADIAN + 0.5)
     other = one - PI if one > 0.0 else one + PI
     e, f = rho - d, rho + d
     return e * (w_rr * e + two_w_ra * one) + w_aa * one * one, f * (w_rr * f + two_w_ra * other) + w_aa * other * other
+
+
+@kernel
+def for_poses(
+    x: Floats,
+    y: Floats,
+    heading: Floats,
+    cos: float,
+    sin: float,
+    r: float,
+    rho: float,
+    alpha: float,
+    w_rr: float,
+    two_w_ra: float,
+    w_aa: float,
+    best: Floats,
+    gap: Floats,
+) -> None:
+    """Fill in the larger exponent of the two pairs, and how much smaller the other is, for one line and many poses."""
+    for i in range(x.size):
+        d = r - x[i] * cos - y[i] * sin
+        one, other = both_squares(d, alpha + heading[i], rho, w_rr, two_w_ra, w_aa)
+        best[i] = -0.5 * (one if one < other else other)
+        gap[i] = 0.5 * abs(one - other)
+
+
+@kernel
+def for_lines(
+    d: Floats,
+    a: Floats,
+    rho: float,
+    alpha: float,
+    w_rr: float,
+    two_w_ra: float,
+    w_aa: float,
+    best: Floats,
+    gap: Floats,
+) -> None:
+    """Fill in the same for one pose and many mapped lines."""
+    for j in range(d.size):
+        one, other = both_squares(d[j], alpha - a[j], rho, w_rr, two_w_ra, w_aa)
+        best[j] = -0.5 * (one if one < other else other)
+        gap[j] = 0.5 * abs(one - other)
+
+
+@kernel
+def add_other_pair(best: Floats, gap: Floats) -> None:
+    """Add the smaller of the two densities where it counts, which is rare."""
+    for i in range(best.size):
+        if gap[i] < NEGLIGIBLE:
+            best[i] += math.log1p(math.exp(-gap[i]))
 
 
 @kernel
@@ -68,17 +119,10 @@ def fill_known(
             cos, sin, r, a = lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3]
             rho, alpha = features[k, 0], features[k, 1] - a
             w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
-            nearest = math.inf
+            for_poses(x[:m], y[:m], heading[:m], cos, sin, r, rho, alpha, w_rr, two_w_ra, w_aa, best[:m], gap[:m])
+            add_other_pair(best[:m], gap[:m])
             for i in range(m):
-                d = r - x[i] * cos - y[i] * sin
-                one, other = both_squares(d, alpha + heading[i], rho, w_rr, two_w_ra, w_aa)
-                best[i] = constant - 0.5 * (one if one < other else other)
-                gap[i] = 0.5 * abs(one - other)
-                nearest = gap[i] if gap[i] < nearest else nearest
-            if nearest < NEGLIGIBLE:
-                for i in range(m):
-                    if gap[i] < NEGLIGIBLE:
-                        best[i] += math.log1p(math.exp(-gap[i]))
+                best[i] += constant
             if first >= 0:
                 for i in range(m):
                     out[start + i, first + k] = _never_nan(best[i])
@@ -110,16 +154,10 @@ def fill_candidates(poses: Floats, mount: Floats, features: Floats, lines: Float
             rho, alpha = features[k, 0], features[k, 1] + heading
             w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
             row = out[i, k]
-            nearest = math.inf
+            for_lines(d, a, rho, alpha, w_rr, two_w_ra, w_aa, row, gap)
+            add_other_pair(row, gap)
             for j in range(n_lines):
-                one, other = both_squares(d[j], alpha - a[j], rho, w_rr, two_w_ra, w_aa)
-                row[j] = _never_nan(constant - 0.5 * (one if one < other else other))
-                gap[j] = 0.5 * abs(one - other)
-                nearest = gap[j] if gap[j] < nearest else nearest
-            if nearest < NEGLIGIBLE:
-                for j in range(n_lines):
-                    if gap[j] < NEGLIGIBLE:
-                        row[j] += math.log1p(math.exp(-gap[j]))
+                row[j] = _never_nan(row[j] + constant)
 
 
 @kernel

@@ -13,7 +13,7 @@ from scipy import stats
 
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models import beam
+from beamfield.models import range_mixture
 from beamfield.models.beam import BeamModel, beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, Scan
@@ -191,7 +191,7 @@ def test_chunks_change_no_bit(grid, rng, monkeypatch):
     scan = model.sample([5.0, 2.5, 0.1], rng, sensor)[0]
     poses = rng.uniform([0, 1, -3], [10, 4, 3], (1000, 3))
     whole = model.log_likelihood(scan, poses)
-    monkeypatch.setattr(beam, "RAYS_PER_CHUNK", 300)
+    monkeypatch.setattr(range_mixture, "RAYS_PER_CHUNK", 300)
     assert (model.log_likelihood(scan, poses) == whole).all()
 
 

@@ -24,8 +24,8 @@ def all_axes(figure: Figure) -> list:
     return [ax for ax in figure.findobj(match=lambda item: hasattr(item, "get_xlabel")) if ax.has_data()]
 
 
-def test_the_registry_has_every_figure_of_sections_6_3_to_6_5():
-    assert list(FIGURES) == [f"6.{i}" for i in range(3, 13)]
+def test_the_registry_has_every_figure_in_order():
+    assert [number for number in FIGURES if number.count(".") == 1] == [f"6.{i}" for i in range(3, 14)]
     assert len({figure.stem for figure in FIGURES.values()}) == len(FIGURES)
     assert all(figure.caption.endswith(".") and figure.title for figure in FIGURES.values())
 
@@ -83,6 +83,15 @@ def test_the_beam_of_figure_6_9_passes_three_obstacles(world):
     curve = left.lines[0]
     z, hit = curve.get_xdata(), curve.get_ydata()
     assert np.sum(hit) * (z[1] - z[0]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_every_pose_of_figure_6_13_sees_the_landmark_to_its_left(world):
+    left, right = all_axes(FIGURES["6.13"].draw(world))
+    starts, tips = np.stack(right.collections[0].get_segments(), axis=1)
+    bearing = np.arctan2(-starts[:, 1], -starts[:, 0]) - np.arctan2(*(tips - starts).T[::-1])
+    assert np.degrees(np.angle(np.exp(1j * bearing)).mean()) == pytest.approx(30.0, abs=2.0)
+    assert np.hypot(*starts.T).mean() == pytest.approx(5.0, abs=0.1)
+    assert left.images[0].get_array().sum() * 0.05**2 == pytest.approx(1.0)
 
 
 def test_a_log_of_ones_own_is_shown_with_all_its_sensors(world):

@@ -10,7 +10,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from beamfield.errors import InvalidInputError
-from beamfield.figures import beam_model_figures, field_figures, scan_figures
+from beamfield.figures import beam_model_figures, field_figures, landmark_figures, scan_figures
 from beamfield.figures.world import FigureWorld
 
 # Dots per inch of the parts of an SVG or PDF that are pictures, and of PNG.
@@ -132,6 +132,15 @@ _ALL = (
         "unknown grey. (b) Its correlation with the global map, moved around the reference pose without turning.",
         "6.5",
         scan_figures.local_map_figure,
+    ),
+    ChapterFigure(
+        "6.13",
+        "Where a robot can be that sees one landmark",
+        "A landmark (star) was seen at a range of 5 m and a bearing of 30 degrees. (a) The posterior over "
+        "positions is a ring: nothing tells from which side it was seen. (b) Poses drawn from it: each has a "
+        "heading that puts the landmark 30 degrees to its left, so that in x, y and theta the ring is a spiral.",
+        "6.6.4",
+        landmark_figures.poses_of_detection_figure,
     ),
 )
 

@@ -30,6 +30,7 @@ from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.models.marker import CeilingCamera, MarkerDetections, MarkerModel
+from beamfield.models.sonar import SonarModel
 from beamfield.sensors import RangeFinder, Scan
 
 
@@ -85,8 +86,10 @@ FLOOR = """
 """
 RESOLUTION = 0.5
 FINDER = RangeFinder.from_bearings(np.linspace(-2.0, 2.0, 9), 5.0, mount=(0.11, -0.07, 0.3), name="lidar")
+SONAR_FINDER = replace(FINDER, opening_angle=0.6, name="sonar")
 # The same with a blind zone; samples of the density itself need one without.
 BLIND_FINDER = replace(FINDER, min_range=0.05)
+BLIND_SONAR = replace(SONAR_FINDER, min_range=0.05)
 POSES = np.array(
     [
         [1.63, 1.21, 0.4],
@@ -115,6 +118,18 @@ def build_beam_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any
     return BeamModel(grid, BeamParameters(**{**values, **changed}), **{"finder": FINDER, **options})
 
 
+def build_sonar_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> SonarModel:
+    """Return a sonar model of the floor, or of three posts; `parameters` as for the beam model."""
+    if options.pop("landmarks", False):
+        points = [[0.6, 0.7], [4.1, 2.2], [2.6, 1.6]]
+        chosen: Any = LandmarkMap(transform_points(map_from_moved, points))
+    else:
+        chosen = draw_floor(compose(map_from_moved, np.zeros(3)))
+    values = {"z_hit": 0.6, "z_short": 0.2, "z_max": 0.1, "z_rand": 0.1, "sigma_hit": 0.1, "lambda_short": 0.8}
+    changed = {name: options.pop(name) for name in list(options) if name in BeamParameters.__dataclass_fields__}
+    return SonarModel(chosen, BeamParameters(**{**values, **changed}), **{"finder": SONAR_FINDER, **options})
+
+
 def build_matching(model: Callable[..., Any]) -> Callable[..., Any]:
     """Return a `Case.build` for a model that compares local maps with the floor."""
 
@@ -124,23 +139,25 @@ def build_matching(model: Callable[..., Any]) -> Callable[..., Any]:
     return build
 
 
-def integrate_one_beam(model: BeamModel, pose: np.ndarray) -> float:
+def integrate_one_beam(model: BeamModel | SonarModel, pose: np.ndarray) -> float:
     """Return the integral over the range of a single beam, by the midpoint rule, plus the mass at max_range."""
-    finder = RangeFinder(FINDER.mounts[4:5], FINDER.max_range)
+    finder = model.finder.subset([4])
     total = np.exp(model.log_likelihood(Scan([FINDER.max_range], finder), pose))
     # In a wall, p_short fills the first micrometre.
     for low, high, n in [(0.0, 2e-6, 100), (2e-6, FINDER.max_range, 200_000)]:
         ranges = low + (np.arange(n) + 0.5) * (high - low) / n
-        same_ray = RangeFinder(np.repeat(finder.mounts, n, axis=0), FINDER.max_range)
+        same_ray = finder.subset(np.zeros(n, np.int64))
         density = np.exp(model.beam_log_likelihood(Scan(ranges, same_ray), pose))
         total += density.mean() * (high - low)
     return float(total)
 
 
-def beam_transform(model: BeamModel, scans: list[Scan], pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def beam_transform(
+    model: BeamModel | SonarModel, scans: list[Scan], pose: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """Return the randomised probability integral transform of all beams of all scans."""
     ranges = np.array([scan.ranges for scan in scans])
-    return beam_pit(ranges, model.expected(pose, FINDER), FINDER.max_range, model.parameters, rng).ravel()
+    return beam_pit(ranges, model.expected(pose), FINDER.max_range, model.parameters, rng).ravel()
 
 
 def build_likelihood_field(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> LikelihoodFieldModel:
@@ -287,6 +304,22 @@ CASES = [
             {"z_hit": 0.9, "z_short": 0.1, "z_max": 0.0, "z_rand": 0.0, "sigma_hit": 0.01},
         ),
         measurements=tuple(Scan(ranges, BLIND_FINDER) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)),
+        poses=POSES,
+        integral=integrate_one_beam,
+        transform=beam_transform,
+        options_close_by={"z_hit": 0.55, "z_rand": 0.15, "sigma_hit": 0.105, "lambda_short": 0.7},
+    ),
+    Case(
+        name="sonar",
+        build=build_sonar_model,
+        options=(
+            {},
+            {"exponent": 0.3, "n_beams": 4},
+            {"unknown": "occupied", "range_offset": 0.1, "sigma_slope": 0.05},
+            {"landmarks": True},
+            {"landmarks": True, "landmark_radius": 0.1, "lambda_short": 0.0},
+        ),
+        measurements=tuple(Scan(ranges, BLIND_SONAR) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)),
         poses=POSES,
         integral=integrate_one_beam,
         transform=beam_transform,

@@ -86,8 +86,8 @@ def test_the_beam_of_figure_6_9_passes_three_obstacles(world):
 
 
 def test_every_pose_of_figure_6_13_sees_the_landmark_to_its_left(world):
-    left, right = all_axes(FIGURES["6.13"].draw(world))
-    starts, tips = np.stack(right.collections[0].get_segments(), axis=1)
+    left, right = (ax for ax in all_axes(FIGURES["6.13"].draw(world)) if ax.get_title(loc="left"))
+    starts, tips = np.array(right.collections[0].get_segments()).transpose(1, 0, 2)
     bearing = np.arctan2(-starts[:, 1], -starts[:, 0]) - np.arctan2(*(tips - starts).T[::-1])
     assert np.degrees(np.angle(np.exp(1j * bearing)).mean()) == pytest.approx(30.0, abs=2.0)
     assert np.hypot(*starts.T).mean() == pytest.approx(5.0, abs=0.1)

@@ -35,14 +35,13 @@ def poses_of_detection_figure(world: FigureWorld) -> Figure:
     """
     del world
     noise = LandmarkParameters(SIGMA_RANGE, float(np.radians(SIGMA_BEARING_DEG)))
-    model = LandmarkModel(LandmarkMap([[0.0, 0.0]]), noise, correspondence="known")
+    model = LandmarkModel(LandmarkMap(np.zeros((1, 2))), noise, correspondence="known")
     figure = new_figure(10.8, 4.9)
     left, right = figure.subplots(1, 2)
     cells = int(2 * REACH / STEP)
     corner = np.array([-REACH, -REACH, 0.0])
     image = draw_array(position_density(model, corner, cells), STEP, corner, left, cmap="Blues", vmin=0.0)
-    seen = Detections([RANGE], [np.radians(BEARING_DEG)], ids=[1])
-    poses = sample_poses(model, seen, N_POSES, np.random.default_rng(6)).poses
+    poses = sample_poses(model, detection(np.radians(BEARING_DEG)), N_POSES, np.random.default_rng(6)).poses
     _draw_poses(poses, right)
     what = f"seen at {RANGE:g} m, {BEARING_DEG:g} degrees to the left"
     for ax, title in ((left, f"(a) p(x, y | f, c, m): {what}"), (right, f"(b) {N_POSES} poses drawn from it")):
@@ -57,6 +56,11 @@ def poses_of_detection_figure(world: FigureWorld) -> Figure:
     return figure
 
 
+def detection(bearing: float) -> Detections:
+    """Return the landmark's detection with this bearing (radians, or NaN for none)."""
+    return Detections(np.array([RANGE]), np.array([bearing]), ids=np.array([1]))
+
+
 def position_density(model: LandmarkModel, corner: FloatArray, cells: int) -> FloatArray:
     """Return p(x, y | r, phi) per square metre at the centres of cells x cells: all headings together.
 
@@ -66,7 +70,7 @@ def position_density(model: LandmarkModel, corner: FloatArray, cells: int) -> Fl
     poses = np.zeros((cells, cells, 3))
     poses[..., 0] = corner[0] + centres[None, :]
     poses[..., 1] = corner[1] + centres[:, None]
-    log_density = model.log_likelihood(Detections([RANGE], [np.nan], ids=[1]), poses)
+    log_density = model.log_likelihood(detection(np.nan), poses)
     density = np.exp(log_density - log_density.max())
     return np.asarray(density / (density.sum() * STEP**2))
 

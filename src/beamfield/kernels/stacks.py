@@ -138,9 +138,9 @@ def look_up_ends(
     frame: tuple[float, float, float],
     resolution: float,
     ends: Floats,
-    distance: NDArray[np.float32],
+    distance: NDArray[np.floating],
     unknown: NDArray[np.bool_],
-    distances: NDArray[np.float32],
+    distances: NDArray[np.floating],
     places: NDArray[np.int8],
 ) -> None:
     """Look up the cell of every beam's end point.
@@ -158,7 +158,7 @@ def look_up_ends(
     distance, unknown
         (rows, cols) what each cell holds.
     distances
-        (n, k) float32, overwritten: the cell's distance, +inf off the map.
+        (n, k) overwritten, of the same type: the cell's distance, +inf off the map.
     places
         (n, k) int8, overwritten: known, unknown or off the map.
     """
@@ -170,10 +170,11 @@ def look_up_ends(
         heading = poses[i, 2] - frame[2]
         c, s = math.cos(heading), math.sin(heading)
         for b in range(ends.shape[1]):
-            u = math.floor((x + (c * ends[0, b] - s * ends[1, b])) / resolution)
-            v = math.floor((y + (s * ends[0, b] + c * ends[1, b])) / resolution)
+            u = (x + (c * ends[0, b] - s * ends[1, b])) / resolution
+            v = (y + (s * ends[0, b] + c * ends[1, b])) / resolution
+            # Compared before they become integers, which might not hold them.
             if u >= 0.0 and v >= 0.0 and u < cols and v < rows:
-                row, col = np.int64(v), np.int64(u)
+                row, col = math.floor(v), math.floor(u)
                 distances[i, b] = distance[row, col]
                 places[i, b] = UNKNOWN if unknown[row, col] else KNOWN
             else:
@@ -192,6 +193,7 @@ def cast_bresenham(
     stops: NDArray[np.bool_],
     edge_stops: bool,
     overshoot: int,
+    ties_turn: bool,
     ranges: Floats,
 ) -> None:
     """Follow Bresenham's line from the cell of each beam's start to the cell max_range away.
@@ -212,6 +214,8 @@ def cast_bresenham(
         Whether the first cell off the map stops a ray; otherwise the ray then meets nothing.
     overshoot
         How many cells past the last one the line goes.
+    ties_turn
+        Whether the line changes rows (or columns) already where it passes midway between two cells.
     ranges
         (n, k) overwritten: metres between the centres of the first and the stopping cell; max_range if there is none.
     """
@@ -233,6 +237,7 @@ def cast_bresenham(
                 stops,
                 edge_stops,
                 overshoot,
+                ties_turn,
             )
             if ranges[i, b] < 0.0:
                 ranges[i, b] = max_range
@@ -242,11 +247,13 @@ def cast_bresenham(
 
 @kernel
 def _cell(coordinate: float) -> int:
-    return np.int64(math.floor(min(max(coordinate, -FAR), FAR)))
+    return math.floor(min(max(coordinate, -FAR), FAR))
 
 
 @kernel
-def _follow(x0: int, y0: int, x1: int, y1: int, stops: NDArray[np.bool_], edge_stops: bool, overshoot: int) -> float:
+def _follow(
+    x0: int, y0: int, x1: int, y1: int, stops: NDArray[np.bool_], edge_stops: bool, overshoot: int, ties_turn: bool
+) -> float:
     """Return the distance in cells from the first to the stopping cell of a line, -1 if nothing stops it."""
     rows, cols = stops.shape
     steep = abs(y1 - y0) > abs(x1 - x0)
@@ -259,7 +266,7 @@ def _follow(x0: int, y0: int, x1: int, y1: int, stops: NDArray[np.bool_], edge_s
         if t > 0:
             a += step_a
             error += short
-            if 2 * error >= long:
+            if 2 * error > long or (ties_turn and 2 * error == long):
                 b += step_b
                 error -= long
         row, col = (a, b) if steep else (b, a)

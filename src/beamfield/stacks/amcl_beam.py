@@ -19,7 +19,7 @@ from beamfield.stacks.beam_selection import Indices, floor_step_beams
 from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.stack_map import MapMode
-from beamfield.stacks.stack_rays import RayChoice, bresenham_ranges, check_rays, exact_ranges, walled
+from beamfield.stacks.stack_rays import AMCL_LINE, RayChoice, bresenham_ranges, check_rays, exact_ranges, walled
 
 P = TypeVar("P")
 
@@ -106,9 +106,7 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
     def expected_ranges(self, poses: FloatArray, mounts: FloatArray, range_max: float) -> FloatArray:
         """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
         if self._caster is None:
-            return bresenham_ranges(
-                self._seen, poses, mounts, range_max, edge_stops=True, overshoot=1, threads=self.threads
-            )
+            return bresenham_ranges(self._seen, poses, mounts, range_max, AMCL_LINE, self.threads)
         return exact_ranges(self._caster, poses, mounts, range_max, self.threads)
 
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:

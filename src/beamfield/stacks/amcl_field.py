@@ -58,7 +58,7 @@ class AmclField(StackModel[P, FieldEvidence], Generic[P]):
     def __post_init__(self) -> None:
         seen = amcl_grid(self.grid, self.map_mode)
         max_distance = self.as_nav2(self.parameters).laser_likelihood_max_dist
-        object.__setattr__(self, "_table", field_table(seen, self.distance, AMCL_FIRE, max_distance))
+        object.__setattr__(self, "_table", field_table(seen, seen.occupied, self.distance, AMCL_FIRE, max_distance))
 
     @staticmethod
     @abstractmethod

@@ -70,7 +70,7 @@ class RayEvidence(Evidence):
     ranges
         (k,) the ranges as the stack sees them, metres: after its node has replaced special readings.
     expected_ranges
-        (n, k) metres, at most max_range.
+        (n, k) metres; max_range where nothing is met.
     """
 
     ranges: FloatArray

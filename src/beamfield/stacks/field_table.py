@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,12 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import stacks as kernels
 from beamfield.kernels.threads import run_in_slices
-from beamfield.maps.distance import DistanceArray, distance_to_obstacles
+from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 
 DistanceChoice = Literal["exact", "brushfire"]
+# Single precision but where a program keeps squares.
+Metres = NDArray[np.floating[Any]]
 # Steps (row, col).
 _RIGHT, _UP, _LEFT, _DOWN = (0, 1), (1, 0), (0, -1), (-1, 0)
 
@@ -26,27 +28,33 @@ class Brushfire(NamedTuple):
     columns_first: bool
     remove_last: bool
     settle_beyond: bool
+    keeps_squares: bool
+    """The program keeps squared distances in single precision, not distances."""
 
 
-AMCL_FIRE = Brushfire((_LEFT, _DOWN, _RIGHT, _UP), columns_first=True, remove_last=True, settle_beyond=False)
-BELUGA_FIRE = Brushfire((_RIGHT, _UP, _LEFT, _DOWN), columns_first=False, remove_last=False, settle_beyond=True)
+AMCL_FIRE = Brushfire(
+    (_LEFT, _DOWN, _RIGHT, _UP), columns_first=True, remove_last=True, settle_beyond=False, keeps_squares=False
+)
+BELUGA_FIRE = Brushfire(
+    (_RIGHT, _UP, _LEFT, _DOWN), columns_first=False, remove_last=False, settle_beyond=True, keeps_squares=True
+)
 
 
 class FieldTable(NamedTuple):
     """What each cell of a map holds for a likelihood field."""
 
     grid: OccupancyGrid
-    distance: DistanceArray
-    """(rows, cols) metres, single precision; +inf where no obstacle was found."""
+    distance: Metres
+    """(rows, cols) metres; +inf where no obstacle was found."""
     unknown: BoolArray
-    """(rows, cols)."""
+    """(rows, cols) cells of which the map message says nothing (-1)."""
 
     def look_up(
         self, poses: FloatArray, ends: FloatArray, threads: int | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+    ) -> tuple[Metres, NDArray[np.int8]]:
         """Return distances and places, (n, k) each, of end points (2, k) in the robot frame at poses (n, 3)."""
         n, k = len(poses), ends.shape[1]
-        distances, places = np.empty((n, k), np.float32), np.empty((n, k), np.int8)
+        distances, places = np.empty((n, k), self.distance.dtype), np.empty((n, k), np.int8)
         rows = np.require(poses, requirements=["C", "W"])
         x, y, yaw = self.grid.origin.tolist()
         run_in_slices(
@@ -68,12 +76,7 @@ class FieldTable(NamedTuple):
 
 
 def field_table(
-    grid: OccupancyGrid,
-    distance: DistanceChoice,
-    fire: Brushfire,
-    max_distance: float,
-    *,
-    only_boundaries: bool = False,
+    grid: OccupancyGrid, obstacles: BoolArray, distance: DistanceChoice, fire: Brushfire, max_distance: float
 ) -> FieldTable:
     """Work out a stack's distance map.
 
@@ -81,14 +84,14 @@ def field_table(
     ----------
     grid
         The map as the stack reads it.
+    obstacles
+        (rows, cols) the cells to which distances are measured.
     distance
         "exact" measures to the nearest obstacle; "brushfire" does what the program does, with its errors.
     fire
         The program's brushfire.
     max_distance
         Where the brushfire ends, metres. Exact distances are not cut off.
-    only_boundaries
-        Count only those occupied cells as obstacles that have a neighbour which is not occupied.
 
     Raises
     ------
@@ -98,20 +101,22 @@ def field_table(
     if distance not in ("exact", "brushfire"):
         raise InvalidInputError(f"distance: expected 'exact' or 'brushfire', got {distance!r}")
     if distance == "exact":
-        metres = distance_to_obstacles(grid, only_boundaries=only_boundaries)
-        return FieldTable(grid, metres, grid.unknown)
-    obstacles = _boundaries(grid.occupied) if only_boundaries else grid.occupied
-    squared = np.empty(grid.shape, np.int32)
-    limit = (max_distance / grid.resolution) ** 2
+        metres: Metres = distance_to_obstacles(OccupancyGrid(obstacles.astype(np.float32), grid.resolution))
+    else:
+        metres = _burn(obstacles, grid.resolution, fire, max_distance)
+    return FieldTable(grid, metres, np.isnan(grid.probability))
+
+
+def _burn(obstacles: BoolArray, resolution: float, fire: Brushfire, max_distance: float) -> Metres:
+    """Return the distances in metres that a brushfire finds; +inf where it does not come."""
+    squared = np.empty(obstacles.shape, np.int32)
+    limit = (max_distance / resolution) ** 2
     order = fire.columns_first, fire.remove_last, fire.settle_beyond
     kernels.brushfire(obstacles, limit, np.array(fire.neighbours), *order, squared)
-    metres = np.where(squared < 0, np.inf, np.sqrt(np.maximum(squared, 0)) * grid.resolution).astype(np.float32)
-    return FieldTable(grid, metres, grid.unknown)
-
-
-def _boundaries(occupied: BoolArray) -> BoolArray:
-    padded = np.pad(occupied, 1, constant_values=True)
-    return occupied & ~(padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:])
+    cells = np.where(squared < 0, np.inf, squared)
+    if fire.keeps_squares:
+        return np.sqrt((cells * resolution**2).astype(np.float32).astype(np.float64))
+    return np.asarray((np.sqrt(cells) * resolution).astype(np.float32))
 
 
 def end_points(mounts: FloatArray, ranges: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ def read_as_stack(
 ) -> OccupancyGrid:
     """Return the map as a localisation program sees it: occupied where the map message says 100, free where it says 0.
 
-    Every other value of the message is unknown to these programs.
+    Cells with other values are neither. AMCL takes them for unknown cells; Beluga only those with -1.
 
     Parameters
     ----------
@@ -43,7 +43,8 @@ def read_as_stack(
 
     Returns
     -------
-    A grid with the probabilities 1, 0 and NaN.
+    A grid with the probabilities 1, 0, NaN where the message says -1, and 0.5 where it says anything else; the latter
+    two are `unknown`.
 
     Raises
     ------
@@ -63,7 +64,8 @@ def read_as_stack(
             value = np.round(scale_top * ratio)
             between = grid.unknown & ~np.isnan(probability)
             occupied, free = occupied | (between & (value == 100.0)), free | (between & (value == 0.0))
-    seen = np.full(grid.shape, np.nan, np.float32)
+    has_value = np.zeros(grid.shape, np.bool_) if mode == "trinary" else ~np.isnan(probability)
+    seen = np.where(has_value, np.float32(0.5), np.float32(np.nan))
     seen[free] = 0.0
     seen[occupied] = 1.0
     x, y, yaw = grid.origin

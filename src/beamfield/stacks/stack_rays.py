@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,21 @@ RayChoice = Literal["bresenham", "exact"]
 WORK_PER_RAY = 10
 
 
+class Line(NamedTuple):
+    """How a program follows Bresenham's line; see `beamfield.kernels.stacks.cast_bresenham`."""
+
+    edge_stops: bool
+    """The first cell off the map is an obstacle; otherwise a ray that leaves the map meets nothing."""
+    overshoot: int
+    """How many cells past the one max_range away are looked at."""
+    ties_turn: bool
+    """The line changes rows already where it passes midway between two cells."""
+
+
+AMCL_LINE = Line(edge_stops=True, overshoot=1, ties_turn=True)
+BELUGA_LINE = Line(edge_stops=False, overshoot=0, ties_turn=False)
+
+
 def check_rays(rays: str) -> None:
     """Raise InvalidInputError if there is no such way to cast rays."""
     if rays not in ("bresenham", "exact"):
@@ -30,9 +45,7 @@ def bresenham_ranges(
     poses: FloatArray,
     mounts: FloatArray,
     max_range: float,
-    *,
-    edge_stops: bool,
-    overshoot: int,
+    line: Line,
     threads: int | None = None,
 ) -> FloatArray:
     """Return the ranges that Bresenham's line gives, between the centres of cells, to the first cell that is not free.
@@ -44,11 +57,9 @@ def bresenham_ranges(
     poses, mounts
         (n, 3) robot poses and (k, 3) mounts of the beams.
     max_range
-        Longest range in metres.
-    edge_stops
-        Whether the first cell off the map is an obstacle; otherwise a ray that leaves the map meets nothing.
-    overshoot
-        How many cells past the one max_range away are looked at.
+        How far away the line's last cell is, metres. Ranges of that cell may be a little more.
+    line
+        How the program follows the line.
     threads
         Number of threads; None uses what pays.
 
@@ -72,8 +83,7 @@ def bresenham_ranges(
             bearings,
             max_range,
             stops,
-            edge_stops,
-            overshoot,
+            *line,
             ranges[a:b],
         )
 

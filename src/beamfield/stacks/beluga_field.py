@@ -1,0 +1,118 @@
+"""Beluga's likelihood_field, emulated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import Scan
+from beamfield.stacks.beluga_parameters import BelugaParameters
+from beamfield.stacks.beluga_scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries, check_no_return
+from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, StackModel
+from beamfield.stacks.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.stack_map import MapMode
+
+
+@dataclass(frozen=True, eq=False)
+class BelugaField(StackModel[BelugaParameters, FieldEvidence]):
+    """``w = 1 + sum p^3`` with ``p = z_hit N(d; 0, sigma_hit^2) + z_rand / laser_max_range`` for each beam.
+
+    d is the distance from the end point to the nearest obstacle, cut off at laser_likelihood_max_dist. Off the map, and
+    with model_unknown_space in unknown cells, p is 1 / laser_max_range. NaN and readings outside the limits are dropped
+    after max_beams have been selected; a reading of exactly the longest range is a hit.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    parameters
+        The stack's own.
+    distance
+        "exact" distances, or those of the program's "brushfire", which are too long in places.
+    no_return
+        What the robot's driver reports for a missing return: "inf" as in REP 117, which is dropped, or the sensor's
+        longest range, "range_max", which is a hit there unless laser_max_range is less. Readers of logs turn both into
+        +inf.
+    map_mode
+        How the map server turns the map into a message; see `read_as_stack`.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+
+    Notes
+    -----
+    In a map without obstacles every distance is 0, as in the program. With the brushfire p has single precision, as in
+    the program's table; with exact distances it is left smooth in the parameters.
+    """
+
+    stack: ClassVar[str] = "beluga"
+    model: ClassVar[str] = "likelihood_field"
+    evidence_settings: ClassVar[tuple[str, ...]] = (*SCAN_SETTINGS, "only_obstacle_boundaries")
+    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
+    # Whether the node hands model_unknown_space and only_obstacle_boundaries to this model.
+    has_map_options: ClassVar[bool] = True
+
+    grid: OccupancyGrid
+    parameters: BelugaParameters
+    distance: DistanceChoice = field(default="exact", kw_only=True)
+    no_return: str = field(default="inf", kw_only=True)
+    map_mode: MapMode = field(default="trinary", kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    _table: FieldTable = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_no_return(self.no_return)
+        seen = beluga_grid(self.grid, self.map_mode)
+        only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
+        obstacles = boundaries(seen) if only_boundaries else seen.occupied
+        table = field_table(seen, obstacles, self.distance, BELUGA_FIRE, self.parameters.laser_likelihood_max_dist)
+        if not obstacles.any():
+            table = table._replace(distance=np.zeros(seen.shape, np.float32))
+        object.__setattr__(self, "_table", table)
+
+    def with_parameters(self, parameters: BelugaParameters) -> Self:
+        """Return the model with other parameters; its distances are made anew if these bear on them."""
+        names = self._table_settings()
+        if any(getattr(parameters, name) != getattr(self.parameters, name) for name in names):
+            return replace(self, parameters=parameters)
+        return self._sharing(parameters=parameters)
+
+    def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
+        """Return distances of end points; see `StackModel.evidence`."""
+        robot = as_poses(poses).reshape(-1, 3)
+        beams, ranges = beluga_beams(z, self.parameters, self.no_return)
+        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges), self.threads)
+        return FieldEvidence(beams, self.parameters.laser_max_range, distances, places, settings=self._settings())
+
+    def beam_values(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return p of each beam that counts, (n, k)."""
+        values = self._parameters_for(evidence, parameters)
+        p: FloatArray = np.minimum(evidence.distances, values.laser_likelihood_max_dist, dtype=np.float64)
+        p *= p
+        p *= -0.5 / values.sigma_hit**2
+        np.exp(p, out=p)
+        p *= values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi))
+        p += values.z_rand / evidence.max_range
+        uniform = evidence.places == OFF_MAP
+        if self.has_map_options and values.model_unknown_space:
+            uniform |= evidence.places == UNKNOWN
+        p[uniform] = 1.0 / evidence.max_range
+        return p.astype(np.float32).astype(np.float64) if self.distance == "brushfire" else p
+
+    def log_weights(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return log(1 + sum p^3), (n,); see `StackModel.log_weights`."""
+        p = self.beam_values(evidence, parameters)
+        return np.asarray(np.log1p((p * p * p).sum(axis=1)))
+
+    def _table_settings(self) -> tuple[str, ...]:
+        """Return the names of the parameters that the distances depend on."""
+        names = ("only_obstacle_boundaries",) if self.has_map_options else ()
+        return (*names, "laser_likelihood_max_dist") if self.distance == "brushfire" else names
+
+    def _settings(self) -> dict[str, Any]:
+        return super()._settings() | {name: getattr(self.parameters, name) for name in self._table_settings()}

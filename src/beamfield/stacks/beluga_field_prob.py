@@ -1,0 +1,43 @@
+"""Beluga's likelihood_field_prob, emulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from beamfield.geometry import FloatArray
+from beamfield.stacks.beluga_field import BelugaField
+from beamfield.stacks.beluga_parameters import BelugaParameters
+from beamfield.stacks.beluga_scan import SCAN_SETTINGS
+from beamfield.stacks.emulator import FieldEvidence
+
+
+@dataclass(frozen=True, eq=False)
+class BelugaFieldProb(BelugaField):
+    """``w = exp(sum log p)`` with the p of `BelugaField`.
+
+    The node hands neither model_unknown_space nor only_obstacle_boundaries to this model: unknown cells are as free
+    ones, and all occupied cells count.
+
+    Parameters
+    ----------
+    grid, parameters, distance, no_return, map_mode, threads
+        As for `BelugaField`.
+
+    Notes
+    -----
+    The program's weights underflow to 0 where the logarithms here do not.
+    """
+
+    model: ClassVar[str] = "likelihood_field_prob"
+    evidence_settings: ClassVar[tuple[str, ...]] = SCAN_SETTINGS
+    has_map_options: ClassVar[bool] = False
+
+    def log_weights(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return the sum of log p, (n,); see `StackModel.log_weights`."""
+        p = self.beam_values(evidence, parameters)
+        with np.errstate(divide="ignore"):
+            np.log(p, out=p)
+        return np.asarray(p.sum(axis=1))

@@ -1,0 +1,307 @@
+"""The posterior over poses given one measurement, on a lattice, and its entropy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
+from beamfield.maps.occupancy import BoolArray, OccupancyGrid
+from beamfield.models.base import MeasurementModel
+
+Progress = Callable[[int, int], None]
+
+# Poses per call of a model: progress moves, memory does not.
+POSES_PER_CHUNK = 200_000
+# 8 bytes each, several arrays.
+MAX_POSES = 200_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class PoseLattice:
+    """Poses at the centres of equal cells in x, y and theta; the prior is uniform over the cells.
+
+    Parameters
+    ----------
+    corner
+        (3,) pose of the lower-left corner of the cells in the map frame, metres and radians.
+    resolution
+        Side of a cell, metres.
+    inside
+        (rows, cols) which cells there are; row 0 has the lowest y of the corner's frame.
+    headings
+        (h,) middles of the heading cells in the map frame, radians.
+    heading_step
+        Width of a heading cell, radians.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range, or there is no cell, or more than 200 million poses.
+    """
+
+    corner: FloatArray
+    resolution: float
+    inside: BoolArray
+    headings: FloatArray
+    heading_step: float
+
+    def __post_init__(self) -> None:
+        for name in ("resolution", "heading_step"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InvalidInputError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")
+        if self.heading_step * len(self.headings) > 2.0 * np.pi * (1.0 + 1e-9):
+            raise InvalidInputError(
+                f"headings: {len(self.headings)} cells of {self.heading_step:g} rad are more than a full turn"
+            )
+        if not self.n_poses:
+            raise InvalidInputError("inside: expected at least one cell and one heading, got none")
+        if self.n_poses > MAX_POSES:
+            raise InvalidInputError(f"resolution: {self.n_poses:,} poses are more than {MAX_POSES:,}")
+
+    @classmethod
+    def over_map(
+        cls,
+        grid: OccupancyGrid,
+        *,
+        resolution: float = 0.1,
+        headings: int = 72,
+        where: Literal["free", "all"] = "free",
+    ) -> PoseLattice:
+        """Cover a map, with all headings.
+
+        Parameters
+        ----------
+        grid
+            The map.
+        resolution
+            Side of a cell, metres.
+        headings
+            Number of headings over the full turn, from 0 on.
+        where
+            "free": the cells whose centre is free in the map; "all" of them.
+
+        Raises
+        ------
+        InvalidInputError
+            As for the class, or if `where` has another value.
+        """
+        if not 0.0 < resolution < np.inf or headings < 1:
+            raise InvalidInputError(f"resolution, headings: expected positive numbers, got {resolution}, {headings}")
+        if where not in ("free", "all"):
+            raise InvalidInputError(f"where: expected 'free' or 'all', got {where!r}")
+        # The sides of a map are rarely exact multiples in floating point.
+        rows, cols = (max(1, int(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape)
+        angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
+        every = cls(grid.origin, resolution, np.ones((rows, cols), np.bool_), angles, 2.0 * np.pi / headings)
+        if where == "all":
+            return every
+        return replace(every, inside=grid.look_up(grid.free, every.centres()).reshape(rows, cols))
+
+    @classmethod
+    def around(
+        cls, pose: ArrayLike, *, reach: float, resolution: float, heading_reach: float, heading_step: float
+    ) -> PoseLattice:
+        """Cover a box around a pose, turned with it; the pose is the middle of a cell.
+
+        Parameters
+        ----------
+        pose
+            (3,) metres and radians.
+        reach, resolution
+            Half the side of the box and the side of a cell, metres.
+        heading_reach, heading_step
+            Half the range of headings and the width of a cell, radians; pi and more is a full turn.
+
+        Raises
+        ------
+        InvalidInputError
+            As for the class, or if a number is not positive.
+        """
+        middle = as_poses(pose, "pose")
+        if not (0.0 < resolution <= reach < np.inf and 0.0 < heading_step <= heading_reach):
+            raise InvalidInputError(
+                f"reach, heading_reach: expected at least one positive step, got {reach} / {resolution}, "
+                f"{heading_reach} / {heading_step}"
+            )
+        n = 2 * round(reach / resolution) + 1
+        if heading_reach >= np.pi:
+            h = max(1, round(2.0 * np.pi / heading_step))
+            heading_step, offsets = 2.0 * np.pi / h, np.asarray(2.0 * np.pi * np.arange(h) / h)
+        else:
+            steps = round(heading_reach / heading_step)
+            offsets = np.asarray(heading_step * np.arange(-steps, steps + 1))
+        half = -0.5 * n * resolution
+        corner = np.array([*transform_points(middle, [half, half]), middle[2]])
+        return cls(corner, resolution, np.ones((n, n), np.bool_), wrap_angle(middle[2] + offsets), heading_step)
+
+    @property
+    def n_poses(self) -> int:
+        """Number of cells in x, y and theta."""
+        return int(self.inside.sum()) * len(self.headings)
+
+    @property
+    def cell_volume(self) -> float:
+        """Of one cell, metres^2 radians."""
+        return self.resolution**2 * self.heading_step
+
+    def centres(self) -> FloatArray:
+        """Return the middles (c, 2) of the cells that are inside, row by row, in the map frame."""
+        rows, cols = np.nonzero(self.inside)
+        return transform_points(self.corner, (np.column_stack([cols, rows]) + 0.5) * self.resolution)
+
+    def halved(self) -> PoseLattice:
+        """Return the same region in steps half as wide: eight cells for each one."""
+        quarter = 0.25 * self.heading_step
+        return PoseLattice(
+            self.corner,
+            0.5 * self.resolution,
+            np.kron(self.inside, np.ones((2, 2), np.bool_)),
+            wrap_angle(np.add.outer(self.headings, [-quarter, quarter]).ravel()),
+            0.5 * self.heading_step,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PosePosterior:
+    """p(x | z, m) under a uniform prior over the cells of a lattice.
+
+    Parameters
+    ----------
+    lattice
+        The cells.
+    log_mass
+        (c, h) log probability of each cell, c as in `PoseLattice.centres`; the probabilities sum to 1.
+    log_evidence
+        Log of the mean likelihood over the lattice: of p(z | m) if the model is a density.
+    """
+
+    lattice: PoseLattice
+    log_mass: FloatArray
+    log_evidence: float
+
+    @property
+    def entropy(self) -> float:
+        """-sum p log p over the cells, nats: 0 if one cell has it all. Half as wide steps add up to log 8."""
+        p = np.exp(self.log_mass)
+        return max(0.0, float(-(p * np.where(p > 0.0, self.log_mass, 0.0)).sum()))
+
+    @property
+    def prior_entropy(self) -> float:
+        """Entropy of the uniform prior: log of the number of cells, nats."""
+        return float(np.log(self.lattice.n_poses))
+
+    @property
+    def information(self) -> float:
+        """How much the measurement told: prior entropy minus entropy, nats, >= 0.
+
+        It is also the divergence of the posterior from the prior. Finer lattices leave it as it is once their steps are
+        smaller than the posterior's peaks.
+        """
+        return self.prior_entropy - self.entropy
+
+    @property
+    def differential_entropy(self) -> float:
+        """Entropy of the density over x, y, theta: that of the cells plus the log of a cell's metres^2 radians."""
+        return self.entropy + float(np.log(self.lattice.cell_volume))
+
+    def divergence_from(self, other: PosePosterior) -> float:
+        """Return the Kullback-Leibler divergence sum p log(p / q) to another posterior q on the same lattice, nats.
+
+        inf where q excludes a cell that p allows.
+
+        Raises
+        ------
+        InvalidInputError
+            If the lattices are not the same object.
+        """
+        if other.lattice is not self.lattice:
+            raise InvalidInputError("lattice: expected posteriors on one lattice, got two lattices")
+        p = np.exp(self.log_mass)
+        with np.errstate(invalid="ignore"):
+            difference = np.where(p > 0.0, self.log_mass - other.log_mass, 0.0)
+            return max(0.0, float(np.where(p > 0.0, p * difference, 0.0).sum()))
+
+    def position_mass(self) -> FloatArray:
+        """Return the probability of each position, headings summed, (rows, cols); NaN where there is no cell."""
+        mass: FloatArray = np.full(self.lattice.inside.shape, np.nan)
+        mass[self.lattice.inside] = np.exp(self.log_mass).sum(axis=1)
+        return mass
+
+    def best_pose(self) -> FloatArray:
+        """Return the most probable cell's pose, (3,) metres and radians."""
+        cell, heading = np.unravel_index(int(np.argmax(self.log_mass)), self.log_mass.shape)
+        return np.array([*self.lattice.centres()[cell], self.lattice.headings[heading]])
+
+
+def pose_posterior(
+    model: MeasurementModel[Any], z: Any, lattice: PoseLattice, *, progress: Progress | None = None
+) -> PosePosterior:
+    """Return the posterior over the cells of a lattice, from the likelihood at their middles.
+
+    Steps must be narrower than the peaks of the likelihood: `PoseLattice.halved` tells, or
+    `beamfield.localization.lattice_noise` widens the peaks.
+
+    Parameters
+    ----------
+    model
+        Any measurement model. How dependent its beams or features are taken to be is the model's own choice.
+    z
+        What it measures.
+    lattice
+        Where the robot may be.
+    progress
+        Called with the number of poses done and in total.
+
+    Raises
+    ------
+    TooLittleDataError
+        If the measurement is impossible at every pose of the lattice: there is no posterior.
+    """
+    centres, h = lattice.centres(), len(lattice.headings)
+    values: FloatArray = np.empty((len(centres), h))
+    step = max(1, POSES_PER_CHUNK // h)
+    for start in range(0, len(centres), step):
+        part = centres[start : start + step]
+        poses = np.empty((len(part), h, 3))
+        poses[..., :2] = part[:, None]
+        poses[..., 2] = lattice.headings
+        values[start : start + step] = model.log_likelihood(z, poses)
+        if progress is not None:
+            progress(min(start + step, len(centres)) * h, lattice.n_poses)
+    return posterior_of(values, lattice)
+
+
+def posterior_of(log_likelihood: FloatArray, lattice: PoseLattice) -> PosePosterior:
+    """Normalise log-likelihoods (c, h) of a lattice's poses.
+
+    Parameters
+    ----------
+    log_likelihood
+        Nats; -inf where impossible.
+    lattice
+        Its poses, cells in the order of `PoseLattice.centres`.
+
+    Raises
+    ------
+    InvalidInputError
+        If the shape is another or a value is NaN or +inf.
+    TooLittleDataError
+        If every value is -inf.
+    """
+    shape = (int(lattice.inside.sum()), len(lattice.headings))
+    if log_likelihood.shape != shape:
+        raise InvalidInputError(f"log_likelihood: expected shape {shape}, got {log_likelihood.shape}")
+    top = float(log_likelihood.max())
+    if np.isnan(top) or top == np.inf:
+        raise InvalidInputError(f"log_likelihood: expected numbers below infinity, got {top}")
+    if top == -np.inf:
+        raise TooLittleDataError(f"the measurement is impossible at all {lattice.n_poses} poses of the lattice")
+    # Sums of exponentials of differences to the largest: nothing overflows, and what underflows adds nothing.
+    log_total = top + float(np.log(np.exp(log_likelihood - top).sum()))
+    return PosePosterior(lattice, log_likelihood - log_total, log_total - float(np.log(lattice.n_poses)))

@@ -14,6 +14,7 @@ from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.ros_map import save_map
 from beamfield.io.trajectory import read_trajectory
+from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.simulation.floor_plan import draw_floor_plan
@@ -190,4 +191,67 @@ def test_an_error_while_writing_leaves_nothing_behind(tmp_path: Path, monkeypatc
     monkeypatch.setattr("beamfield.io.carmen.write_carmen", fail)
     with pytest.raises(OSError, match="No space left"):
         run(tmp_path / "out")
+    assert names(tmp_path) == []
+
+
+SONAR = ("--sensor", "sonar", "--ring", "12")
+
+
+def run_sonar(out: Path, *words: str) -> int:
+    parser = argparse.ArgumentParser()
+    simulate.add_parser(parser.add_subparsers())
+    command = ["simulate", str(out), "--duration", "10", "--scan-rate", "4", "--quiet", *SONAR, *words]
+    arguments = parser.parse_args(command)
+    code: int = arguments.run(arguments)
+    return code
+
+
+def test_a_ring_of_sonars_is_written_with_its_cones_and_causes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_sonar(tmp_path / "out", "--opening-deg", "25", "--ring-radius", "0.15", "--cross-talk", "0") == 0
+    assert "simulated 40 scans of 12 sonars in 10 s" in capsys.readouterr().out
+    log = read_log(tmp_path / "out" / "log.carmen").only_sensor()
+    assert log.finder.n_beams == 12
+    assert log.finder.opening_angle == pytest.approx(np.radians(25.0))
+    assert log.finder.max_range == 5.0
+    np.testing.assert_allclose(np.hypot(*log.finder.mounts[:, :2].T), 0.15)
+    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
+    assert truth["physics"]["cross_talk"] == 0.0
+    assert truth["causes"]["cross_talk"] == 0.0
+    assert sum(truth["causes"].values()) == pytest.approx(1.0, abs=1e-5)
+    assert truth["causes"]["lost"] + truth["causes"]["nothing"] == pytest.approx(
+        np.isposinf(log.ranges).mean(), abs=0.01
+    )
+
+
+def test_rough_walls_give_the_ranges_that_a_cone_expects(tmp_path: Path) -> None:
+    words = ("--roughness", "1", "--cross-talk", "0", "--dropout", "0", "--phantoms", "0", "--sigma", "0.03")
+    run_sonar(tmp_path / "out", *words)
+    log, grid = read_log(tmp_path / "out" / "log.carmen").only_sensor(), read_map(tmp_path / "out" / "map.yaml")
+    expected = ConeCaster(grid).expected_ranges(log.poses, log.finder)
+    error = (log.ranges - expected)[np.isfinite(log.ranges)]
+    # Walls aslant the grid are straightened: a few readings are a cell off.
+    assert np.median(np.abs(error)) == pytest.approx(0.6745 * 0.03, rel=0.3)
+    assert (np.abs(error) < 0.15).mean() > 0.98
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--sensor", "sonar", "--ring", "0"), "--ring: expected 1 to 360 sensors, got 0"),
+        (("--sensor", "sonar", "--opening-deg", "180"), "--opening-deg: expected 0 to below 180"),
+        (("--sensor", "sonar", "--roughness", "2"), "roughness: expected a share"),
+        (("--sensor", "sonar", "--z-hit", "0.9"), "--z-hit: is no option of --sensor sonar"),
+        (("--sensor", "sonar", "--mount-x", "0.3"), "--mount-x: is no option of --sensor sonar"),
+        (("--sensor", "sonar", "--format", "both"), "--format: a ring of sonars is written as CARMEN text"),
+        (("--cross-talk", "0.5"), "--cross-talk: is an option of --sensor sonar"),
+    ],
+)
+def test_options_of_the_other_sensor_are_refused(tmp_path: Path, words: tuple[str, ...], message: str) -> None:
+    parser = argparse.ArgumentParser()
+    simulate.add_parser(parser.add_subparsers())
+    arguments = parser.parse_args(["simulate", str(tmp_path / "out"), "--quiet", *words])
+    with pytest.raises(BeamfieldError, match=message):
+        arguments.run(arguments)
     assert names(tmp_path) == []

@@ -315,3 +315,42 @@ def test_what_a_flaser_line_cannot_say_is_refused_and_nothing_is_written(tmp_pat
         with pytest.raises(InvalidInputError, match=message):
             write_carmen(tmp_path / "out.log", ScanLog({"scan": bad}))
     assert list(tmp_path.iterdir()) == []
+
+
+def ring_lines(*parameters):
+    return [*[f"PARAM {name} {value}" for name, value in parameters], *[flaser(i) for i in range(3)]]
+
+
+def test_a_ring_of_cones_is_told_by_parameters_of_our_own(tmp_path):
+    lines = ring_lines(("beamfield_ring_radius", 0.2), ("beamfield_opening_angle", 0.5), ("laser_front_laser_fov", 3.0))
+    finder = read_one(tmp_path, *lines).finder
+    assert finder.opening_angle == 0.5
+    np.testing.assert_allclose(finder.mounts, compose(np.outer([-1.5, -0.5, 0.5, 1.5], [0, 0, 1]), [0.2, 0, 0]))
+    assert read_one(tmp_path, *ring_lines()).finder.opening_angle == 0.0
+
+
+def test_a_ring_before_the_robots_centre_survives_writing(tmp_path):
+    bearings = np.radians(np.arange(0.0, 360.0, 45.0))
+    mounts = compose([0.1, 0.0, 0.0], compose(np.outer(bearings, [0, 0, 1]), [0.25, 0.0, 0.0]))
+    finder = RangeFinder(mounts, 5.0, opening_angle=0.4, name="FLASER")
+    poses = np.column_stack([np.arange(4.0), np.zeros(4), 0.1 * np.arange(4)])
+    log = SensorLog(finder, np.arange(4.0), np.ones((4, 8)), poses, np.full((4, 3), np.nan))
+    write_carmen(tmp_path / "ring.log", ScanLog({"FLASER": log}))
+    read = read_carmen(tmp_path / "ring.log").only_sensor()
+    np.testing.assert_allclose(read.finder.mounts, mounts, atol=1e-12)
+    np.testing.assert_allclose(read.poses, poses, atol=1e-8)
+    assert read.finder.opening_angle == 0.4
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("beamfield_ring_radius", "inf"),
+        ("beamfield_ring_radius", "wide"),
+        ("beamfield_opening_angle", "-0.1"),
+        ("beamfield_opening_angle", "30"),
+    ],
+)
+def test_a_ring_that_is_none_is_refused_by_name(tmp_path, name, value):
+    with pytest.raises(FormatError, match=f"{name}: expected a number below .*, got '{value}'"):
+        read_one(tmp_path, *ring_lines((name, value)))

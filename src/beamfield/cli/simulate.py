@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import file_hash, provenance
+from beamfield.cli.simulate_sonar import add_sonar_options, cause_shares, given_options, physics_of, ring_of
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -19,17 +20,30 @@ if TYPE_CHECKING:
     from beamfield.models.beam_parameters import BeamParameters
     from beamfield.sensors import RangeFinder, ScanLog
     from beamfield.simulation.dependence import Dependence
+    from beamfield.simulation.trajectory import DriveOptions
 
 DESCRIPTION = """
 Drive a simulated robot through an office (or a map of your own) and write what its range finder measures: map.yaml and
-map.pgm, the log, the true poses (truth.tum) and the true parameters (truth.json); all of them or none. Every reading is
-drawn from the beam model.
+map.pgm, the log, the true poses (truth.tum) and what is true (truth.json); all of them or none. A laser's readings
+are drawn from the beam model. Those of a ring of sonars (--sensor sonar) come from walls that mirror sound: pulses are
+lost or come back late, and sensors hear each other.
 """
 
 # Names in the output folder.
 MAP, CARMEN, BAG, POSES, TRUTH = "map.yaml", "log.carmen", "bag", "truth.tum", "truth.json"
 FORMATS: Mapping[str, tuple[str, ...]] = {"carmen": (CARMEN,), "mcap": (BAG,), "both": (CARMEN, BAG)}
 MAX_BEAMS = 10_000
+LASER_MAX_RANGE = 12.0
+LASER_OPTIONS: tuple[tuple[str, float, str], ...] = (
+    ("z-hit", 0.82, "weight of hits"),
+    ("z-short", 0.09, "weight of unexpected objects"),
+    ("z-max", 0.03, "weight of missing returns"),
+    ("z-rand", 0.06, "weight of random readings"),
+    ("sigma-hit", 0.04, "noise of hits, metres"),
+    ("lambda-short", 0.5, "rate of unexpected objects, 1/metre"),
+    ("range-offset", 0.0, "hits beyond the expected range, metres"),
+    ("sigma-slope", 0.0, "growth of the noise with the expected range"),
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -61,72 +75,110 @@ def _add_world_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
     sensor = parser.add_argument_group("sensor")
+    sensor.add_argument("--sensor", choices=("laser", "sonar"), default="laser",
+                        help="a laser scanner or a ring of sonars (default: %(default)s)")  # fmt: skip
     sensor.add_argument("--beams", type=int, default=180, metavar="K", help="beams of a scan (default: 180)")
     sensor.add_argument("--fov-deg", type=float, default=270.0, metavar="DEG", help="first to last beam (270)")
-    sensor.add_argument("--max-range", type=float, default=12.0, metavar="M", help="no return from here on (12)")
+    sensor.add_argument("--max-range", type=float, metavar="M", help="no return from here on (12; sonar: 5)")
     sensor.add_argument("--mount-x", type=float, default=0.1, metavar="M", help="sensor in front of the centre (0.1)")
     truth = parser.add_argument_group("true parameters of the beam model (the four weights must sum to 1)")
-    for name, value, meaning in (
-        ("z-hit", 0.82, "weight of hits"),
-        ("z-short", 0.09, "weight of unexpected objects"),
-        ("z-max", 0.03, "weight of missing returns"),
-        ("z-rand", 0.06, "weight of random readings"),
-        ("sigma-hit", 0.04, "noise of hits, metres"),
-        ("lambda-short", 0.5, "rate of unexpected objects, 1/metre"),
-        ("range-offset", 0.0, "hits beyond the expected range, metres"),
-        ("sigma-slope", 0.0, "growth of the noise with the expected range"),
-    ):
+    for name, value, meaning in LASER_OPTIONS:
         truth.add_argument(f"--{name}", type=float, default=value, metavar="V", help=f"{meaning} (default: {value:g})")
     burst = parser.add_argument_group(
         "dependence: errors in bursts, while each beam alone keeps the model's distribution"
     )
     burst.add_argument("--dependence-deg", type=float, default=0.0, metavar="DEG", help="reach over beams (default: 0)")
     burst.add_argument("--dependence-s", type=float, default=0.0, metavar="S", help="reach over time (default: 0)")
+    add_sonar_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Parse, simulate, write."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.atomic import atomic_folder
-    from beamfield.simulation.log import simulate_log
-    from beamfield.simulation.trajectory import DriveOptions
 
     _require_empty(arguments.out, overwrite=arguments.overwrite)
     if arguments.seed < 0:
         raise InvalidInputError(f"--seed: expected a number >= 0, got {arguments.seed}")
-    parameters, finder, dependence = _parameters(arguments), _finder(arguments), _dependence(arguments)
-    drive = DriveOptions(robot_radius=arguments.robot_radius, speed=arguments.speed)
+    _require_options_of_the_sensor(arguments)
+    simulate = _simulate_sonar if arguments.sensor == "sonar" else _simulate_laser
     with StageProgress(quiet=arguments.quiet) as progress:
         progress("making the map", 0, 1)
         grid = _world(arguments)
-        log = simulate_log(
-            grid,
-            finder,
-            parameters,
-            duration=arguments.duration,
-            scan_rate=arguments.scan_rate,
-            seed=arguments.seed,
-            drive=drive,
-            dependence=dependence,
-            threads=arguments.threads,
-            progress=lambda done, total: progress("measuring", done, total),
-        )
+        log, known = simulate(arguments, grid, lambda done, total: progress("measuring", done, total))
         progress("writing", 0, 1)
+        sensor = log.only_sensor()
         with atomic_folder(arguments.out) as folder:
             names = _write_data(folder, grid, log, FORMATS[arguments.format])
             truth = {
                 **_provenance(arguments),
-                "parameters": asdict(parameters),
-                "dependence": asdict(dependence),
-                "drive": asdict(drive),
-                "scans": len(log.only_sensor()),
+                **known,
+                "scans": len(sensor),
                 "files": {name: file_hash(folder / name) for name in names},
             }
             (folder / TRUTH).write_text(json.dumps(truth, indent=2) + "\n", encoding="utf-8")
-    sensor = log.only_sensor()
-    print(f"simulated {len(sensor)} scans of {finder.n_beams} beams in {arguments.duration:g} s")
+    what = "sonars" if arguments.sensor == "sonar" else "beams"
+    print(f"simulated {len(sensor)} scans of {sensor.finder.n_beams} {what} in {arguments.duration:g} s")
     print(f"wrote {', '.join([*names, TRUTH])} into {arguments.out}")
     return 0
+
+
+def _simulate_laser(
+    arguments: argparse.Namespace, grid: OccupancyGrid, progress: Callable[[int, int], None]
+) -> tuple[ScanLog, dict[str, Any]]:
+    """Return the log, and what is known about its truth."""
+    from beamfield.simulation.log import simulate_log
+
+    parameters, dependence, drive = _parameters(arguments), _dependence(arguments), _drive(arguments)
+    log = simulate_log(
+        grid,
+        _finder(arguments),
+        parameters,
+        duration=arguments.duration,
+        scan_rate=arguments.scan_rate,
+        seed=arguments.seed,
+        drive=drive,
+        dependence=dependence,
+        threads=arguments.threads,
+        progress=progress,
+    )
+    return log, {"parameters": asdict(parameters), "dependence": asdict(dependence), "drive": asdict(drive)}
+
+
+def _simulate_sonar(
+    arguments: argparse.Namespace, grid: OccupancyGrid, progress: Callable[[int, int], None]
+) -> tuple[ScanLog, dict[str, Any]]:
+    """Return the log, and what is known about its truth."""
+    from beamfield.simulation.sonar_log import simulate_sonar_log
+
+    physics, drive = physics_of(arguments), _drive(arguments)
+    log, readings = simulate_sonar_log(
+        grid,
+        ring_of(arguments),
+        physics,
+        duration=arguments.duration,
+        scan_rate=arguments.scan_rate,
+        seed=arguments.seed,
+        drive=drive,
+        threads=arguments.threads,
+        progress=progress,
+    )
+    return log, {"physics": asdict(physics), "causes": cause_shares(readings), "drive": asdict(drive)}
+
+
+def _require_options_of_the_sensor(arguments: argparse.Namespace) -> None:
+    """Refuse options that would change nothing."""
+    if arguments.sensor == "laser":
+        if given := given_options(arguments):
+            raise InvalidInputError(f"{given[0]}: is an option of --sensor sonar")
+        return
+    laser = {"beams": 180, "fov_deg": 270.0, "mount_x": 0.1, "dependence_deg": 0.0, "dependence_s": 0.0}
+    laser |= {name.replace("-", "_"): value for name, value, _ in LASER_OPTIONS}
+    for name, value in laser.items():
+        if getattr(arguments, name) != value:
+            raise InvalidInputError(f"--{name.replace('_', '-')}: is no option of --sensor sonar")
+    if arguments.format != "carmen":
+        raise InvalidInputError("--format: a ring of sonars is written as CARMEN text; a LaserScan has one origin")
 
 
 def _require_empty(folder: Path, *, overwrite: bool) -> None:
@@ -162,7 +214,14 @@ def _finder(arguments: argparse.Namespace) -> RangeFinder:
     half = math.radians(arguments.fov_deg) / 2
     # Over a full turn the first and the last beam would be the same.
     bearings = np.linspace(-half, half, arguments.beams, endpoint=arguments.fov_deg < 360.0)
-    return RangeFinder.from_bearings(bearings, arguments.max_range, mount=(arguments.mount_x, 0.0, 0.0))
+    max_range = LASER_MAX_RANGE if arguments.max_range is None else arguments.max_range
+    return RangeFinder.from_bearings(bearings, max_range, mount=(arguments.mount_x, 0.0, 0.0))
+
+
+def _drive(arguments: argparse.Namespace) -> DriveOptions:
+    from beamfield.simulation.trajectory import DriveOptions
+
+    return DriveOptions(robot_radius=arguments.robot_radius, speed=arguments.speed)
 
 
 def _dependence(arguments: argparse.Namespace) -> Dependence:

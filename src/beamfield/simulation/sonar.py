@@ -87,7 +87,7 @@ class SonarPhysics:
         If a share is outside [0, 1], or another number negative, zero where it may not be, or not finite.
     """
 
-    roughness: float = 0.15
+    roughness: float = 0.3
     corner_echo: float = 0.9
     edge_echo: float = 0.2
     second_echo: float = 0.7
@@ -146,7 +146,7 @@ def sonar_ring(
     radius: float = 0.2,
     opening_angle: float = np.radians(30.0),
     max_range: float = 5.0,
-    min_range: float = 0.0,
+    min_range: float = 0.1,
     first_bearing: float = 0.0,
     name: str = "sonar",
 ) -> RangeFinder:
@@ -161,7 +161,7 @@ def sonar_ring(
     opening_angle
         Full width of each cone, radians.
     max_range, min_range
-        Limits of each sensor, metres.
+        Limits of each sensor, metres. Shortly after its own pulse a sonar hears nothing else.
     first_bearing
         Where the first sensor looks, radians; the others follow counter-clockwise.
     name
@@ -324,7 +324,7 @@ def _readings(
     silent = z >= ring.max_range
     # An echo that noise alone puts beyond the limit is lost, too.
     cause = np.where(silent, np.where(nearest < ring.max_range, EchoCause.LOST, EchoCause.NOTHING), cause)
-    z = np.where(silent, np.inf, np.where(z < ring.min_range, -np.inf, np.maximum(z, 0.0)))
+    z = np.where(silent, np.inf, np.where(z < ring.min_range, -np.inf, z))
     return z, cause.astype(np.int8)
 
 
@@ -339,7 +339,7 @@ def _cross_talk(arrivals: FloatArray, physics: SonarPhysics, min_range: float, r
     k = arrivals.shape[1]
     if physics.cross_talk == 0.0 or k == 1:
         return np.full(arrivals.shape[:2], np.inf)
-    groups = min(k, physics.firing_groups or k)
+    groups = physics.firing_groups or k
     fired = np.arange(k) % groups * physics.firing_interval
     late = 0.5 * SPEED_OF_SOUND * (fired[:, None] - fired[None, :])
     cycle = 0.5 * SPEED_OF_SOUND * groups * physics.firing_interval

@@ -24,7 +24,7 @@ def simulate_sonar_log(
     start: float = 100.0,
     drive: DriveOptions | None = None,
     odometry_noise: OdometryNoise | None = None,
-    smoothing: float = 0.75,
+    smoothing: float = 1.25,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[ScanLog, SonarReadings]:

@@ -120,12 +120,13 @@ class Surfaces:
         return kernels.Walls(ax, ay, ux, uy, long, after_x, after_y, end.astype(np.int64))
 
 
-def surfaces_of_grid(grid: OccupancyGrid, *, smoothing: float = 0.75) -> Surfaces:
+def surfaces_of_grid(grid: OccupancyGrid, *, smoothing: float = 1.25) -> Surfaces:
     """Find the walls of an occupancy grid: the faces of its occupied cells, joined and straightened.
 
     A wall that does not run along the grid is a staircase of cell faces there. To sound a staircase is something else
     than a wall, so outlines are straightened: vertices are left out as long as the outline moves by no more than
-    `smoothing` cells.
+    `smoothing` cells. Stairs reach almost a cell to one side of a line through some of their corners, and further if
+    its ends happen to be inner ones; 1.25 straightens walls of any direction and keeps things of two cells.
 
     Parameters
     ----------

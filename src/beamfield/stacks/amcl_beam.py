@@ -107,7 +107,7 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
         if self._caster is None:
             return bresenham_ranges(self._seen, poses, mounts, range_max, AMCL_LINE, self.threads)
-        return exact_ranges(self._caster, poses, mounts, range_max, self.threads)
+        return exact_ranges(self._caster, self._seen, poses, mounts, range_max, off_map=0.0, threads=self.threads)
 
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""

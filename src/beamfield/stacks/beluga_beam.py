@@ -89,7 +89,7 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
         if self._caster is None:
             ranges = bresenham_ranges(self._seen, poses, mounts, max_range, BELUGA_LINE, self.threads)
             return np.minimum(ranges, max_range, out=ranges)
-        return exact_ranges(self._caster, poses, mounts, max_range, self.threads)
+        return exact_ranges(self._caster, self._seen, poses, mounts, max_range, off_map=max_range, threads=self.threads)
 
     def beam_values(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""

@@ -13,7 +13,7 @@ from beamfield.io.atomic import atomic_file, write_file
 from beamfield.stacks.ini_sections import ini_sections
 from beamfield.stacks.launch_sections import launch_sections
 from beamfield.stacks.parameter_text import ParameterSection, Value
-from beamfield.stacks.yaml_sections import yaml_sections
+from beamfield.stacks.yaml_sections import ROS_2_KEY, yaml_sections
 
 Stack = Literal["nav2", "ros1", "beluga", "mrpt", "f1tenth"]
 STACKS: tuple[Stack, ...] = ("nav2", "ros1", "beluga", "mrpt", "f1tenth")
@@ -188,11 +188,12 @@ def _stack_of(section: ParameterSection) -> tuple[Stack, bool]:
     if section.syntax == "ini":
         return "mrpt", True
     names = set(section.entries)
-    for stack, signs in _SIGNS.items():
-        if names & signs:
-            # A ROS 1 file can carry a stray name of another stack, and the other way round: the doctor says so.
-            return stack, True
-    return "nav2", False
+    # Stray names of another stack do not change whose file it is: only ROS 2 has this key.
+    ros_2 = section.label.rsplit(".", 1)[-1] == ROS_2_KEY
+    possible: tuple[Stack, ...] = ("beluga", "f1tenth") if ros_2 else ("f1tenth", "ros1", "mrpt", "beluga")
+    counts = {stack: len(names & _SIGNS[stack]) for stack in possible}
+    best = max(possible, key=lambda stack: counts[stack])
+    return (best, True) if counts[best] > 0 else ("nav2", False)
 
 
 def _model_of(stack: str, section: ParameterSection) -> str:

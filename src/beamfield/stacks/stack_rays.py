@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, compose
+from beamfield.geometry import FloatArray, compose, transform_points
 from beamfield.kernels import stacks as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.occupancy import OccupancyGrid
@@ -92,10 +92,32 @@ def bresenham_ranges(
 
 
 def exact_ranges(
-    caster: RayCaster, poses: FloatArray, mounts: FloatArray, max_range: float, threads: int | None = None
+    caster: RayCaster,
+    seen: OccupancyGrid,
+    poses: FloatArray,
+    mounts: FloatArray,
+    max_range: float,
+    *,
+    off_map: float,
+    threads: int | None = None,
 ) -> FloatArray:
-    """Return exact expected ranges (n, k) in metres; parameters as for `bresenham_ranges`."""
-    return caster.expected_ranges(poses, RangeFinder(mounts, max_range), threads=threads)
+    """Return exact expected ranges (n, k) in metres.
+
+    Parameters
+    ----------
+    caster
+        Casts the rays; its map may have a frame around `seen`.
+    seen
+        The map as the stack reads it.
+    poses, mounts, max_range, threads
+        As for `bresenham_ranges`.
+    off_map
+        The range of rays that start off the map, as the program has it.
+    """
+    ranges = caster.expected_ranges(poses, RangeFinder(mounts, max_range), threads=threads)
+    starts = transform_points(poses[:, None], mounts[:, :2])
+    ranges[~seen.look_up(np.ones(seen.shape, np.bool_), starts)] = off_map
+    return ranges
 
 
 def walled(grid: OccupancyGrid) -> OccupancyGrid:

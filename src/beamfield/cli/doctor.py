@@ -1,0 +1,109 @@
+"""``beamfield doctor``: what is wrong with a localisation's parameter file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beamfield.cli.calibrate import add_log_options, log_options
+
+if TYPE_CHECKING:
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.stacks.doctor.diagnosis import Diagnosis
+    from beamfield.stacks.doctor.patient import MapFile
+    from beamfield.stacks.parameter_file import StackFile
+
+DESCRIPTION = """
+Examine the measurement model in a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH: what is wrong, why it
+matters and what to do, worst first. With --map and --log it looks at what the robot really sees. Exit code 1 if
+something is wrong.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the command."""
+    parser = subparsers.add_parser("doctor", help="what is wrong with a parameter file", description=DESCRIPTION)
+    parser.add_argument("params", type=Path, metavar="PARAMS", help="YAML, ROS 1 launch file or MRPT ini")
+    add_file_options(parser)
+    parser.add_argument("--map", type=Path, metavar="MAP", help="the map: map_server .yaml, Wean .dat, or a bag")
+    parser.add_argument("--log", type=Path, metavar="LOG", help="a log of the robot's scans")
+    add_log_options(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON for programs")
+    parser.set_defaults(run=run)
+
+
+def add_file_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say whose parameter file it is."""
+    group = parser.add_argument_group("the parameter file")
+    group.add_argument("--stack", metavar="NAME", help="nav2, ros1, beluga, mrpt or f1tenth (default: find out)")
+    group.add_argument("--model", metavar="NAME", help="measurement model (default: as the file says)")
+    group.add_argument("--section", metavar="LABEL", help="which section, if several have such parameters")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, examine, print."""
+    from beamfield.io.read_log import read_log
+    from beamfield.stacks.doctor.examine import examine
+    from beamfield.stacks.parameter_file import read_stack_file
+
+    file = read_stack_file(arguments.params, stack=arguments.stack, model=arguments.model, section=arguments.section)
+    grid, map_file = (None, None) if arguments.map is None else _read_map(arguments.map)
+    log = None
+    if arguments.log is not None:
+        sensors = read_log(arguments.log, **log_options(arguments))
+        log = sensors.only_sensor(arguments.sensor[0] if arguments.sensor else None)
+    found = examine(file, grid=grid, map_file=map_file, log=log)
+    print(_as_json(file, found) if arguments.json else _as_text(file, found))
+    return 1 if any(item.severity != "info" for item in found) else 0
+
+
+def _read_map(path: Path) -> tuple[OccupancyGrid, MapFile]:
+    from beamfield.io.read_map import read_map
+    from beamfield.io.ros_map import ros_map_notes
+    from beamfield.io.yaml_file import read_yaml
+    from beamfield.stacks.doctor.patient import MapFile
+
+    grid = read_map(path)
+    yaw = float(grid.origin[2])
+    if path.suffix not in (".yaml", ".yml"):
+        return grid, MapFile(path.name, yaw=yaw)
+    mode = str(read_yaml(path).values.get("mode", "trinary"))
+    return grid, MapFile(path.name, mode, yaw, tuple(ros_map_notes(path)))
+
+
+def _as_text(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
+    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
+    section = f", section {file.section.label}" if file.section.label else ""
+    lines = [f"{file.section.path}: {file.stack}, {file.model}{section}"]
+    for item in found:
+        where = f" (line {item.line})" if item.line is not None else ""
+        lines.append("")
+        head = f"{item.severity}: {item.name}{where}"
+        lines.append(head)
+        for label, text in (("seen", item.seen), ("why", item.why), ("do", item.remedy)):
+            lines += textwrap.wrap(text, width, initial_indent=f"  {label + ':':6}", subsequent_indent=" " * 8)
+    counts = {kind: sum(item.severity == kind for item in found) for kind in ("error", "warning", "info")}
+    summary = ", ".join(f"{n} {kind}{'s' if n != 1 and kind != 'info' else ''}" for kind, n in counts.items() if n)
+    return "\n".join([*lines, "", summary or "nothing found"])
+
+
+def _as_json(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
+    document = {
+        "file": file.section.path.name,
+        "stack": file.stack,
+        "stack_is_certain": file.stack_is_certain,
+        "model": file.model,
+        "section": file.section.label,
+        "findings": [
+            {
+                "name": item.name, "severity": item.severity, "parameter": item.parameter or None, "line": item.line,
+                "seen": item.seen, "why": item.why, "remedy": item.remedy, "values": dict(item.values),
+            }
+            for item in found
+        ],
+    }  # fmt: skip
+    return json.dumps(document, indent=1, allow_nan=False)

@@ -1,0 +1,1 @@
+"""What is wrong with a parameter file, and what to do about it."""

@@ -1,0 +1,95 @@
+"""How many beams a model really uses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.stacks.beam_selection import ceil_step_beams, even_beams, floor_step_beams
+from beamfield.stacks.doctor.diagnosis import Diagnosis
+from beamfield.stacks.doctor.patient import Patient
+
+# With fewer readings that end at a wall, one scan hardly tells a pose.
+FEWEST_USABLE = 15
+# Products treat every beam as independent; more than this many of them never are.
+MANY_IN_PRODUCT = 30
+
+
+def beam_count(patient: Patient) -> Iterator[Diagnosis]:
+    """Find a number of beams that the program cannot handle, or that its rounding changes."""
+    if not patient.is_amcl or patient.log is None:
+        return
+    n, asked = patient.log.finder.n_beams, patient.value("max_beams")
+    stepping = patient.file.stack != "beluga" and patient.file.model != "likelihood_field_prob"
+    if patient.file.stack == "nav2" and stepping and n < asked:
+        yield patient.finds(
+            "max-beams-above-scan", "error", f"max_beams is {asked}, the scans have {n} beams",
+            "nav2's step over beams becomes floor((n - 1) / (max_beams - 1)) = 0: the first update never returns",
+            f"set max_beams to at most {n}", parameter="max_beams", values={"beams": n, "max_beams": asked},
+        )  # fmt: skip
+        return
+    used = len(_selected(patient, n))
+    # Stepping by whole beams takes nearly twice as many, or little more than half as many.
+    if n >= asked and not 0.75 <= used / asked <= 1.34:
+        yield patient.finds(
+            "max-beams-rounded", "info", f"max_beams is {asked}, but of {n} beams the program uses {used}",
+            "it steps over beams by a whole number",
+            "count with the number that is used", parameter="max_beams", values={"used": used, "max_beams": asked},
+        )  # fmt: skip
+
+
+def usable_beams(patient: Patient) -> Iterator[Diagnosis]:
+    """Find scans of which, after NaN and missing returns, few of the chosen beams are left."""
+    if not patient.is_amcl or patient.log is None or len(patient.log) == 0:
+        return
+    n, asked = patient.log.finder.n_beams, patient.value("max_beams")
+    if patient.file.stack == "nav2" and patient.file.model != "likelihood_field_prob" and n < asked:
+        return
+    selected = _selected(patient, n)
+    ranges = patient.log.ranges[:, selected]
+    limit = min(patient.log.finder.max_range, _limit(patient))
+    with np.errstate(invalid="ignore"):
+        usable = ((ranges >= patient.log.finder.min_range) & (ranges < limit)).sum(axis=1)
+    median = float(np.median(usable))
+    poor = float((usable < FEWEST_USABLE).mean())
+    if median < FEWEST_USABLE or poor > 0.2:
+        yield patient.finds(
+            "few-usable-beams", "warning",
+            f"of {len(selected)} chosen beams the median scan has {median:.0f} with a range below {limit:g} m; "
+            f"{poor:.0%} of the scans have fewer than {FEWEST_USABLE}",
+            "beams are chosen before NaN, missing returns and far readings are dropped, without an error or a warning",
+            "raise max_beams, or have the driver report what it knows", parameter="max_beams",
+            values={"median_usable": median, "chosen": len(selected), "share_of_poor_scans": poor},
+        )  # fmt: skip
+
+
+def many_beams_in_product(patient: Patient) -> Iterator[Diagnosis]:
+    """Find products over so many beams that they cannot be independent."""
+    if patient.file.model != "likelihood_field_prob":
+        return
+    asked = patient.value("max_beams")
+    if asked > MANY_IN_PRODUCT:
+        yield patient.finds(
+            "many-beams-in-product", "info", f"likelihood_field_prob multiplies up to {asked} beams",
+            "neighbouring beams err together (a person, a door, a map a little off), so the product is too sure; this "
+            "stack has no exponent, fewer beams are the only cure",
+            "calibrate: the number of beams is chosen with the other values",
+            parameter="max_beams", values={"max_beams": asked},
+        )  # fmt: skip
+
+
+def _selected(patient: Patient, n: int) -> NDArray[np.int64]:
+    asked: Any = patient.value("max_beams")
+    if patient.file.stack == "beluga":
+        return even_beams(n, asked)
+    if patient.file.model == "likelihood_field_prob":
+        return ceil_step_beams(n, asked)
+    return floor_step_beams(n, asked, least_step=1)
+
+
+def _limit(patient: Patient) -> float:
+    limit = patient.value("laser_max_range")
+    return float(limit) if limit is not None and limit > 0.0 else float("inf")

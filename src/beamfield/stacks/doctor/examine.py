@@ -1,0 +1,58 @@
+"""Examine a parameter file: every check, worst first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+from beamfield.stacks.doctor import beam_checks, map_checks, range_checks, sharpness, value_checks, weight_checks
+from beamfield.stacks.doctor.diagnosis import Diagnosis, worst_first
+from beamfield.stacks.doctor.patient import MapFile, Patient
+from beamfield.stacks.parameter_file import StackFile
+from beamfield.stacks.typed_values import typed_values
+
+CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
+    value_checks.unusable_values,
+    map_checks.no_obstacles,
+    map_checks.ignored_yaw,
+    beam_checks.beam_count,
+    sharpness.sharpness,
+    beam_checks.usable_beams,
+    weight_checks.weights_sum,
+    weight_checks.no_random,
+    weight_checks.sigma_against_resolution,
+    weight_checks.distance_limit,
+    range_checks.range_limits,
+    range_checks.short_limit,
+    range_checks.unreachable_z_max,
+    map_checks.lost_cells,
+    map_checks.unknown_space,
+    map_checks.half_cell,
+    value_checks.foreign_names,
+    beam_checks.many_beams_in_product,
+    weight_checks.unused_weights,
+    value_checks.stack_guess,
+)
+
+
+def examine(
+    file: StackFile,
+    *,
+    grid: OccupancyGrid | None = None,
+    map_file: MapFile | None = None,
+    log: SensorLog | None = None,
+) -> tuple[Diagnosis, ...]:
+    """Return everything that is wrong with a parameter file, or worth knowing, worst first.
+
+    Parameters
+    ----------
+    file
+        From `read_stack_file`.
+    grid, map_file
+        The map that the robot uses and what its file says; None leaves out what needs it.
+    log
+        Scans of the robot; None leaves out what needs them.
+    """
+    patient = Patient(file, typed_values(file), grid, map_file, log)
+    return worst_first([found for check in CHECKS for found in check(patient)])

@@ -1,0 +1,125 @@
+"""What a stack makes of the map: where its cells are, and which count."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.stacks.doctor.diagnosis import Diagnosis
+from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.stack_map import read_as_stack
+
+YAW_TOLERANCE = 1e-9
+# More than this share of the cells changes hands, or of the free cells' neighbours is unknown.
+CHANGED_SHARE = 0.02
+OPEN_EDGE_SHARE = 0.002
+
+
+def ignored_yaw(patient: Patient) -> Iterator[Diagnosis]:
+    """Find a map origin with a yaw that the stack does not honour."""
+    if patient.map_file is None or abs(patient.map_file.yaw) <= YAW_TOLERANCE or patient.file.stack == "beluga":
+        return
+    yield patient.finds(
+        "map-yaw-ignored", "error",
+        f"the map's origin has a yaw of {math.degrees(patient.map_file.yaw):.3g} degrees; {patient.file.stack} takes "
+        "only its x and y",
+        "every pose is matched against a map that lies turned: localisation cannot work",
+        "save the map with a yaw of 0 (turn the picture)", values={"yaw": patient.map_file.yaw},
+    )  # fmt: skip
+
+
+def half_cell(patient: Patient) -> Iterator[Diagnosis]:
+    """Say how far the stack places cells from where the map has them."""
+    if patient.grid is None or patient.file.stack not in ("nav2", "ros1"):
+        return
+    shift = patient.grid.resolution / 2.0
+    sigma = float(patient.value("sigma_hit"))
+    yield patient.finds(
+        "half-cell-shift", "warning" if shift > sigma else "info",
+        f"{patient.file.stack} centres cell (0, 0) on the map's origin, so every wall lies {shift:g} m off in x and y",
+        "poses come out shifted by as much; other programs on the robot (costmaps, planners) do not shift",
+        "use a finer map, or move its origin by half a cell for amcl alone", values={"shift": shift, "sigma": sigma},
+    )  # fmt: skip
+
+
+def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
+    """Say what the stack makes of unknown cells that beams can reach."""
+    if patient.grid is None:
+        return
+    share = _open_edges(patient.grid)
+    if share <= OPEN_EDGE_SHARE:
+        return
+    seen = f"{share:.1%} of the free cells have an unknown neighbour"
+    model, stack = patient.file.model, patient.file.stack
+    if model == "beam" or stack == "f1tenth":
+        yield patient.finds(
+            "unknown-stops-rays", "warning", seen,
+            "rays stop at unknown cells as at walls: readings through open doors into unmapped rooms count against the "
+            "true pose, and poses inside unknown space see walls at arm's length",
+            "paint unknown cells that beams pass as free, or use a field model", values={"share": share},
+        )  # fmt: skip
+    elif stack == "beluga" and model == "likelihood_field" and patient.parameters.model_unknown_space:
+        yield patient.finds(
+            "unknown-attracts", "warning", seen,
+            "with model_unknown_space an end point in unknown space is worth 1 / laser_max_range, more than the "
+            "z_rand / laser_max_range of free space: poses gain by pointing beams there",
+            "switch it off unless the robot really leaves the map",
+            parameter="model_unknown_space", values={"share": share},
+        )  # fmt: skip
+    else:
+        yield patient.finds(
+            "unknown-is-free", "info", seen,
+            "the field treats unknown cells as free: a pose whose readings end in unmapped space loses as much as one "
+            "whose readings end in a free room",
+            "nothing, if the map covers where the robot goes", values={"share": share},
+        )  # fmt: skip
+
+
+def lost_cells(patient: Patient) -> Iterator[Diagnosis]:
+    """Find maps of probabilities that become mostly unknown, and thresholds that turn unknown into free."""
+    if patient.map_file is None or patient.grid is None:
+        return
+    for note in patient.map_file.notes:
+        yield patient.finds(
+            "unknown-read-as-free", "warning", f"{patient.map_file.name}: {note}",
+            "space that nobody has seen counts as free: rays pass it, and particles are spread over it",
+            "set free_thresh to 0.196 in the map's file",
+        )  # fmt: skip
+    if not patient.is_amcl or patient.map_file.mode == "trinary":
+        return
+    grid = patient.grid
+    known = ~np.isnan(grid.probability)
+    mode = "raw" if patient.map_file.mode == "raw" else "scale"
+    seen = read_as_stack(grid, "raw") if mode == "raw" else grid
+    between = float((known & seen.unknown).mean())
+    if between > CHANGED_SHARE:
+        yield patient.finds(
+            "map-mode-loses-cells", "warning",
+            f"{patient.map_file.name} has mode {patient.map_file.mode}: {between:.1%} of its cells have a value "
+            "strictly between free (0) and occupied (100)",
+            "amcl keeps only 0 and 100; all else becomes unknown, among it most walls of a map of probabilities",
+            "set mode: trinary in the map's file", values={"share": between},
+        )  # fmt: skip
+
+
+def no_obstacles(patient: Patient) -> Iterator[Diagnosis]:
+    """Find a map in which the stack sees no wall."""
+    if patient.grid is not None and not patient.grid.occupied.any():
+        yield patient.finds(
+            "no-obstacles", "error", "the map has no occupied cell",
+            "every reading is equally far from an obstacle (or, in Beluga, at one): no pose can be told from another",
+            "look at occupied_thresh, negate and the picture",
+        )  # fmt: skip
+
+
+def _open_edges(grid: OccupancyGrid) -> float:
+    """Return the share of free cells with an unknown neighbour: places where beams leave the known map."""
+    free, unknown = grid.free, np.pad(grid.unknown, 1)
+    rows, cols = free.shape
+    beside = np.zeros_like(free)
+    for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
+        beside |= unknown[i : i + rows, j : j + cols]
+    return float((free & beside).sum() / max(1, int(free.sum())))

@@ -1,0 +1,117 @@
+"""What the doctor looks at: a parameter file, and if there are, a map and a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+from beamfield.stacks.doctor.diagnosis import Diagnosis, Severity
+from beamfield.stacks.parameter_file import StackFile
+from beamfield.stacks.typed_values import TypedValues
+
+# What checks call a parameter, and what ROS 1 and MRPT call it where they differ from nav2.
+_ROS_1 = {
+    name: f"laser_{name}" for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
+}
+_MRPT = {
+    "z_hit": "LF_zHit", "z_rand": "LF_zRandom", "sigma_hit": "LF_stdHit", "laser_max_range": "LF_maxRange",
+    "laser_likelihood_max_dist": "LF_maxCorrsDistance",
+}  # fmt: skip
+_MRPT_RAYS = {"sigma_hit": "rayTracing_stdHit"}
+_F1TENTH = {"laser_max_range": "max_range"}
+
+
+@dataclass(frozen=True)
+class MapFile:
+    """What a map_server file says besides its cells.
+
+    Parameters
+    ----------
+    name
+        The file's name.
+    mode
+        "trinary", "scale" or "raw".
+    yaw
+        Of the origin, radians.
+    notes
+        What its reader noticed.
+    """
+
+    name: str
+    mode: str = "trinary"
+    yaw: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Patient:
+    """Everything that a check may look at.
+
+    Parameters
+    ----------
+    file
+        The parameter file.
+    typed
+        Its values as the stack's parameters.
+    grid, map_file
+        The map and what its file says; None without.
+    log
+        The scans, with reference poses if it has them; None without.
+    """
+
+    file: StackFile
+    typed: TypedValues
+    grid: OccupancyGrid | None = None
+    map_file: MapFile | None = None
+    log: SensorLog | None = None
+
+    @property
+    def is_amcl(self) -> bool:
+        """Whether the stack descends from amcl, and shares its models."""
+        return self.file.stack in ("nav2", "ros1", "beluga")
+
+    @property
+    def is_field(self) -> bool:
+        """Whether the model looks up distances to obstacles."""
+        return self.file.model in ("likelihood_field", "likelihood_field_prob", "LF_Thrun")
+
+    @property
+    def parameters(self) -> Any:
+        """The stack's parameters."""
+        return self.typed.parameters
+
+    def name_of(self, parameter: str) -> str:
+        """Return what the stack calls a parameter, given nav2's name."""
+        names: Mapping[str, str] = {}
+        if self.file.stack == "ros1":
+            names = _ROS_1
+        elif self.file.stack == "mrpt":
+            names = _MRPT if self.is_field else _MRPT_RAYS
+        elif self.file.stack == "f1tenth":
+            names = _F1TENTH
+        return names.get(parameter, parameter)
+
+    def value(self, parameter: str) -> Any:
+        """Return a parameter's value by nav2's name, a default if the file says nothing; None if there is no such."""
+        return getattr(self.parameters, self.name_of(parameter), None)
+
+    def finds(
+        self,
+        name: str,
+        severity: Severity,
+        seen: str,
+        why: str,
+        remedy: str,
+        *,
+        parameter: str = "",
+        own: str = "",
+        values: Mapping[str, float] | None = None,
+    ) -> Diagnosis:
+        """Return a diagnosis; the parameter is given by nav2's name, or as `own` by the file's."""
+        own = own or self.name_of(parameter)
+        entry = self.file.section.entries.get(own)
+        line = None if entry is None else entry.line
+        return Diagnosis(name, severity, seen, why, remedy, own, line, values or {})

@@ -1,0 +1,141 @@
+"""How much one scan changes a set of particles: nearly nothing, or nearly everything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+from beamfield.stacks.doctor.diagnosis import Diagnosis
+from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.emulator import KNOWN, FieldEvidence, RayEvidence
+from beamfield.stacks.registry import build_model
+
+# The test: so many particles around the true pose, metres and radians.
+N_PARTICLES = 2000
+POSITION_SD, HEADING_SD = 0.2, 0.035
+# Readings: walls of a room in four directions; noise of a laser on a map; some see something else.
+NOISE, OUTLIERS, ROOM = 0.04, 0.1, (1.0, 6.0)
+# A share of the particles beyond which the scan says nothing, and below which it says too much.
+FLAT, SHARP = 0.6, 0.01
+DEFAULT_BEAMS = 60
+# The sensor's longest range where nobody knows it, metres.
+PLAIN_LIMIT = 10.0
+N_SCANS = 9
+
+
+def sharpness(patient: Patient) -> Iterator[Diagnosis]:
+    """Find parameters with which a scan hardly moves the particles, or with which a handful take all the weight."""
+    if patient.typed.unusable:
+        return
+    try:
+        effective, where = _effective(patient)
+    except InvalidInputError:  # the program would not return; another check says so
+        return
+    share = effective / N_PARTICLES
+    seen = (
+        f"one scan leaves an effective {effective:.0f} of {N_PARTICLES} particles that are spread by {POSITION_SD:g} m "
+        f"around the true pose {where}"
+    )
+    numbers = {"effective_sample_size": effective, "particles": float(N_PARTICLES)}
+    if share > FLAT:
+        yield patient.finds(
+            "nearly-flat", "warning", seen,
+            "weights hardly differ: the filter follows odometry and corrects only over many scans",
+            "calibrate (beamfield calibrate --stack), or use likelihood_field_prob with few beams"
+            if patient.file.model == "likelihood_field" else "calibrate (beamfield calibrate --stack)",
+            values=numbers,
+        )  # fmt: skip
+    elif share < SHARP:
+        yield patient.finds(
+            "absurdly-sharp", "warning", seen,
+            "beams err together, but are multiplied as if they were independent: the first bad scan can throw away the "
+            "true pose",
+            "calibrate (beamfield calibrate --stack), or take fewer beams or a wider sigma_hit",
+            values=numbers,
+        )  # fmt: skip
+
+
+def effective_sample_size(log_weights: FloatArray) -> float:
+    """Return (sum w)^2 / sum w^2 of weights given by their logarithms; 0 if all are 0."""
+    top = float(log_weights.max(initial=-np.inf))
+    if not np.isfinite(top):
+        return 0.0
+    weights = np.exp(log_weights - top)
+    return float(weights.sum() ** 2 / np.square(weights).sum())
+
+
+def _effective(patient: Patient) -> tuple[float, str]:
+    """Return the effective sample size after one scan, and where that was."""
+    log, grid = patient.log, patient.grid
+    if log is not None and grid is not None and log.has_poses:
+        return _effective_in_log(patient, log, grid), f"in the log (median of up to {N_SCANS} scans)"
+    return effective_sample_size(_room_weights(patient)), "in a plain room"
+
+
+def _effective_in_log(patient: Patient, log: SensorLog, grid: OccupancyGrid) -> float:
+    model = build_model(patient.file.stack, patient.file.model, grid, patient.parameters)
+    with_pose = np.flatnonzero(np.isfinite(log.poses).all(axis=1))
+    chosen = with_pose[np.linspace(0, len(with_pose) - 1, min(N_SCANS, len(with_pose))).astype(np.int64)]
+    rng = np.random.default_rng(0)
+    spread = np.array([POSITION_SD, POSITION_SD, HEADING_SD])
+    sizes = [
+        effective_sample_size(
+            model.log_likelihood(log.scan(int(i)), log.poses[i] + rng.normal(0.0, spread, (N_PARTICLES, 3)))
+        )
+        for i in chosen
+    ]
+    return float(np.median(sizes))
+
+
+def _room_weights(patient: Patient) -> FloatArray:
+    grid = OccupancyGrid.from_ros(np.zeros((1, 1)), resolution=0.05)
+    model: Any = build_model(patient.file.stack, patient.file.model, grid, patient.parameters)
+    settings = {name: getattr(patient.parameters, name) for name in model.evidence_settings}
+    n_beams = _n_beams(patient)
+    readings, expected = _room(np.random.default_rng(0), n_beams)
+    beams, limit = np.arange(n_beams), _range_limit(patient)
+    if patient.is_field:
+        distances = np.abs(readings - expected)
+        places = np.full(distances.shape, KNOWN, np.int8)
+        return np.asarray(model.log_weights(FieldEvidence(beams, limit, distances, places, settings=settings)))
+    return np.asarray(model.log_weights(RayEvidence(beams, limit, readings, expected, settings=settings)))
+
+
+def _range_limit(patient: Patient) -> float:
+    """Return the range that random readings are spread over, metres; at least what the room needs."""
+    asked = patient.value("laser_max_range")
+    limit = float(asked) if asked is not None and asked > 0.0 else PLAIN_LIMIT
+    if patient.log is not None and patient.file.stack in ("nav2", "ros1"):
+        limit = min(limit, patient.log.finder.max_range)
+    return max(limit, 1.5 * ROOM[1])
+
+
+def _n_beams(patient: Patient) -> int:
+    asked = patient.value("max_beams")
+    n = int(asked) if asked is not None else DEFAULT_BEAMS
+    return n if patient.log is None else min(n, patient.log.finder.n_beams)
+
+
+def _room(rng: np.random.Generator, n_beams: int) -> tuple[FloatArray, FloatArray]:
+    """Return readings (k,) and expected ranges (n, k), metres.
+
+    Beams meet walls at right angles, in the four directions of a room. A pose that is off by (x, y) and turned expects
+    them longer or shorter.
+    """
+    directions = rng.integers(0, 4, n_beams) * (np.pi / 2.0)
+    ranges = rng.uniform(*ROOM, n_beams)
+    lever = rng.uniform(-1.0, 1.0, n_beams) * ranges
+    offsets = rng.normal(0.0, POSITION_SD, (N_PARTICLES, 2))
+    turns = rng.normal(0.0, HEADING_SD, N_PARTICLES)
+    expected = ranges - offsets[:, :1] * np.cos(directions) - offsets[:, 1:] * np.sin(directions)
+    expected += turns[:, None] * lever
+    readings = ranges + rng.normal(0.0, NOISE, n_beams)
+    outlier = rng.random(n_beams) < OUTLIERS
+    readings[outlier] = rng.uniform(0.3, 1.0, int(outlier.sum())) * ranges[outlier]
+    return np.asarray(readings), np.asarray(np.maximum(expected, 0.05))

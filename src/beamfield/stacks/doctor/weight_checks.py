@@ -1,0 +1,105 @@
+"""Factors and widths: what they add up to, and what cancels them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from beamfield.stacks.doctor.diagnosis import Diagnosis
+from beamfield.stacks.doctor.patient import Patient
+
+SUM_TOLERANCE = 1e-3
+# A hit that is cut off nearer than this many sigma still weighs something there.
+CUT_SIGMAS = 2.5
+
+
+def weights_sum(patient: Patient) -> Iterator[Diagnosis]:
+    """Find weights that the model uses and that do not sum to 1."""
+    if patient.file.stack == "mrpt" and not patient.is_field:
+        return
+    names = ("z_hit", "z_rand") if patient.is_field else ("z_hit", "z_short", "z_max", "z_rand")
+    values = [patient.value(name) for name in names]
+    total = sum(values)
+    if abs(total - 1.0) <= SUM_TOLERANCE:
+        return
+    terms = " + ".join(f"{patient.name_of(name)} {value:g}" for name, value in zip(names, values, strict=True))
+    # In a product a common factor cancels; in 1 + a sum of cubes it changes how much the scan counts.
+    product = patient.file.model in ("likelihood_field_prob", "LF_Thrun")
+    yield patient.finds(
+        "weights-sum", "info" if product else "warning",
+        f"the weights that {patient.file.model} uses sum to {total:.4g}: {terms}",
+        "a common factor cancels in a product of beams, so nothing is lost but their meaning as shares"
+        if product else
+        "they are no shares then; and as this model adds 1 or a power of the values, a common factor changes how much "
+        "a scan counts",
+        "divide each by their sum", parameter="z_hit", values={"total": total},
+    )  # fmt: skip
+
+
+def unused_weights(patient: Patient) -> Iterator[Diagnosis]:
+    """Find values in the file that its model never reads."""
+    if not (patient.is_amcl and patient.is_field):
+        return
+    names = [patient.name_of(name) for name in ("z_short", "z_max", "lambda_short")]
+    given = [name for name in names if name in patient.file.section.entries]
+    if given:
+        yield patient.finds(
+            "unused-parameters", "info", f"{', '.join(given)} do nothing in {patient.file.model}",
+            "only the beam model has short and max readings; changing them changes nothing",
+            "leave them out when comparing files", own=given[0],
+        )  # fmt: skip
+
+
+def no_random(patient: Patient) -> Iterator[Diagnosis]:
+    """Find a product of beams in which one unexplained reading forbids a pose."""
+    if patient.value("z_rand") == 0.0 and patient.file.model != "beam":
+        yield patient.finds(
+            "no-random-readings", "warning", f"{patient.name_of('z_rand')} is 0",
+            "one reading that nothing in the map explains, such as a person, makes the true pose (nearly) impossible",
+            "give it a few percent", parameter="z_rand",
+        )  # fmt: skip
+
+
+def sigma_against_resolution(patient: Patient) -> Iterator[Diagnosis]:
+    """Find a sigma that the map's cells cannot show, or one as wide as a corridor."""
+    sigma, grid = _sigma_metres(patient), patient.grid
+    if sigma is None:
+        return
+    if grid is not None and sigma < grid.resolution / 2.0:
+        yield patient.finds(
+            "sigma-below-resolution", "warning",
+            f"{patient.name_of('sigma_hit')} is {sigma:g} m, the map's cells are {grid.resolution:g} m",
+            "a wall is drawn up to half a cell from where it is: a narrower hit calls most true readings random",
+            f"take at least half a cell, {grid.resolution / 2.0:g} m, or calibrate", parameter="sigma_hit",
+            values={"sigma": sigma, "resolution": grid.resolution},
+        )  # fmt: skip
+    if sigma > 0.5:
+        yield patient.finds(
+            "sigma-huge", "warning", f"{patient.name_of('sigma_hit')} is {sigma:g} m",
+            "laser readings miss walls of a good map by centimetres; so wide a hit cannot tell a pose from the next",
+            "calibrate it; 0.05 to 0.2 m is usual", parameter="sigma_hit", values={"sigma": sigma},
+        )  # fmt: skip
+
+
+def distance_limit(patient: Patient) -> Iterator[Diagnosis]:
+    """Find a maximum distance that cuts into the hits."""
+    if not patient.is_field:
+        return
+    sigma, limit = _sigma_metres(patient), patient.value("laser_likelihood_max_dist")
+    if sigma is not None and limit is not None and limit < CUT_SIGMAS * sigma:
+        yield patient.finds(
+            "distance-limit", "warning",
+            f"{patient.name_of('laser_likelihood_max_dist')} is {limit:g} m, {limit / sigma:.2g} sigma_hit",
+            "a reading anywhere beyond it is worth as much as one at that distance, which is still a fair hit: poses "
+            "that do not fit lose too little",
+            f"take at least {CUT_SIGMAS:g} sigma_hit, {CUT_SIGMAS * sigma:.2g} m, or a smaller sigma_hit",
+            parameter="laser_likelihood_max_dist", values={"limit": limit, "sigma": sigma},
+        )  # fmt: skip
+
+
+def _sigma_metres(patient: Patient) -> float | None:
+    sigma = patient.value("sigma_hit")
+    if sigma is None:
+        return None
+    if patient.file.stack == "f1tenth":  # in pixels of the map
+        return None if patient.grid is None else float(sigma) * patient.grid.resolution
+    return float(sigma)

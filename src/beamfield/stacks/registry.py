@@ -1,0 +1,58 @@
+"""Which parameters and which emulator belong to a stack's model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga_parameters import BelugaParameters
+from beamfield.stacks.emulator import StackModel
+from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.parameter_file import Stack, check_model, check_stack
+from beamfield.stacks.ros1 import Ros1Beam, Ros1Field, Ros1FieldProb
+from beamfield.stacks.ros1_parameters import Ros1Parameters
+
+_MODELS: Mapping[Stack, Mapping[str, type[StackModel[Any, Any]]]] = {
+    "nav2": {"likelihood_field": Nav2Field, "likelihood_field_prob": Nav2FieldProb, "beam": Nav2Beam},
+    "ros1": {"likelihood_field": Ros1Field, "likelihood_field_prob": Ros1FieldProb, "beam": Ros1Beam},
+    "beluga": {"likelihood_field": BelugaField, "likelihood_field_prob": BelugaFieldProb, "beam": BelugaBeam},
+}
+PARAMETERS: Mapping[Stack, type[Any]] = {"nav2": Nav2Parameters, "ros1": Ros1Parameters, "beluga": BelugaParameters}
+
+
+def parameter_class(stack: str) -> type[Any]:
+    """Return the dataclass of a stack's parameters: its fields have the names of the stack's files."""
+    return PARAMETERS[check_stack(stack)]
+
+
+def emulator(stack: str, model: str) -> type[StackModel[Any, Any]]:
+    """Return the class that emulates a stack's model.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such stack, or it has no such model.
+    """
+    return _MODELS[check_stack(stack)][check_model(stack, model)]
+
+
+def build_model(stack: str, model: str, grid: OccupancyGrid, parameters: Any, **options: Any) -> StackModel[Any, Any]:
+    """Return the emulator of a stack's model on a map.
+
+    Parameters
+    ----------
+    stack, model
+        For example "nav2" and "likelihood_field".
+    grid
+        The map.
+    parameters
+        Of the class `parameter_class` gives.
+    **options
+        Of the emulator: distance, rays, map_mode, threads.
+    """
+    kind: Any = emulator(stack, model)
+    made: StackModel[Any, Any] = kind(grid, parameters, **options)
+    return made

@@ -1,0 +1,164 @@
+"""The doctor: every finding with a file that triggers it, and one that does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.stacks.doctor.examine import CHECKS, examine
+from beamfield.stacks.doctor.patient import MapFile
+from beamfield.stacks.parameter_file import read_stack_file
+
+N_BEAMS = 120
+
+
+def amcl(tmp_path, stack="nav2", **values):
+    """Return a parameter file; ROS 1's flat, the others' for ROS 2."""
+    path = tmp_path / "params.yaml"
+    indent, head = ("  ", "amcl:\n") if stack == "ros1" else ("    ", "amcl:\n  ros__parameters:\n")
+    path.write_text(head + "".join(f"{indent}{name}: {value}\n" for name, value in values.items()) + f"{indent}x: 1\n")
+    return read_stack_file(path, stack=stack)
+
+
+def room(resolution=0.05, unknown=False):
+    """Return 8 x 6 m with walls all round; on request with an unmapped part that nothing separates."""
+    rows, cols = round(6.0 / resolution), round(8.0 / resolution)
+    cells = np.zeros((rows, cols))
+    cells[[0, -1]] = 100
+    cells[:, [0, -1]] = 100
+    if unknown:
+        cells[1:-1, cols // 2 : -1] = -1
+    return OccupancyGrid.from_ros(cells, resolution=resolution)
+
+
+def scans(fill=3.0, *, max_range=10.0, n_beams=N_BEAMS, poses=None):
+    """Return ten scans of a full circle with one value for all beams, or values given."""
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, n_beams, endpoint=False), max_range, min_range=0.1)
+    ranges = np.broadcast_to(np.asarray(fill, dtype=np.float64), (10, n_beams)).copy()
+    nowhere = np.full((10, 3), np.nan)
+    return SensorLog(finder, np.arange(10.0), ranges, nowhere if poses is None else poses, nowhere)
+
+
+def some(value, share, other=3.0):
+    """Return (k,) readings of which the first share has one value."""
+    ranges = np.full(N_BEAMS, other)
+    ranges[: round(share * N_BEAMS)] = value
+    return ranges
+
+
+# name, keywords for the file, map and log that trigger it, and what to change so that they do not.
+FINDINGS = {
+    "not-finite": ({"z_rand": ".inf"}, {}, {"z_rand": 0.5}, {}),
+    "wrong-type": ({"z_rand": 1}, {}, {"z_rand": 1.0}, {}),
+    "wrong-type of text": ({"z_rand": "much"}, {}, {"z_rand": 0.5}, {}),
+    "wrong-type of count": ({"max_beams": 59.5}, {}, {"max_beams": 59}, {}),
+    "out-of-range": ({"sigma_hit": -0.1}, {}, {"sigma_hit": 0.1}, {}),
+    "foreign-name": ({"laser_z_hit": 0.5}, {}, {"z_hit": 0.5}, {}),
+    "foreign-name in ROS 1": ({"stack": "ros1", "z_hit": 0.5}, {}, {"stack": "ros1", "laser_z_hit": 0.5}, {}),
+    "foreign-name of Beluga": ({"model_unknown_space": "true"}, {},
+                               {"stack": "beluga", "model_unknown_space": "true"}, {}),
+    "misspelt-name": ({"simga_hit": 0.5}, {}, {"odom_frame_id": "odom"}, {}),
+    "weights-sum": ({"z_hit": 0.5, "z_rand": 0.6}, {}, {"z_hit": 0.5, "z_rand": 0.5}, {}),
+    "weights-sum of the beam model": ({"laser_model_type": "beam"}, {},
+                                      {"laser_model_type": "beam", "z_hit": 0.4}, {}),
+    "unused-parameters": ({"z_short": 0.1}, {}, {"z_short": 0.05, "z_hit": 0.4, "laser_model_type": "beam"}, {}),
+    "no-random-readings": ({"z_rand": 0.0, "z_hit": 1.0}, {}, {"z_rand": 0.1, "z_hit": 0.9}, {}),
+    "sigma-below-resolution": ({"sigma_hit": 0.02}, {"grid": room(0.05)}, {"sigma_hit": 0.02}, {"grid": room(0.04)}),
+    "sigma-huge": ({"sigma_hit": 1.0}, {}, {"sigma_hit": 0.4}, {}),
+    "distance-limit": ({"sigma_hit": 0.4, "laser_likelihood_max_dist": 0.9}, {},
+                       {"sigma_hit": 0.4, "laser_likelihood_max_dist": 1.0}, {}),
+    "nearly-flat": ({}, {}, {"laser_model_type": "likelihood_field_prob"}, {}),
+    "absurdly-sharp": ({"laser_model_type": "likelihood_field_prob", "sigma_hit": 0.05, "z_hit": 0.99, "z_rand": 0.01},
+                       {}, {"laser_model_type": "likelihood_field_prob", "max_beams": 10, "z_rand": 5.0}, {}),
+    "max-beams-above-scan": ({"max_beams": 121}, {"log": scans()}, {"max_beams": 120}, {"log": scans()}),
+    "max-beams-above-scan of nav2 only": ({"max_beams": 121}, {"log": scans()},
+                                          {"stack": "ros1", "laser_max_beams": 121}, {"log": scans()}),
+    "max-beams-rounded": ({"max_beams": 70}, {"log": scans()}, {"max_beams": 100}, {"log": scans(n_beams=1001)}),
+    "few-usable-beams": ({"max_beams": 60}, {"log": scans(some(np.inf, 0.9))},
+                         {"max_beams": 60}, {"log": scans(some(np.inf, 0.4))}),
+    "few-usable-beams by NaN in Beluga": ({"stack": "beluga", "max_beams": 30}, {"log": scans(some(np.nan, 0.7))},
+                                          {"stack": "beluga", "max_beams": 90}, {"log": scans(some(np.nan, 0.7))}),
+    "many-beams-in-product": ({"laser_model_type": "likelihood_field_prob", "max_beams": 60}, {},
+                              {"laser_model_type": "likelihood_field_prob", "max_beams": 12}, {}),
+    "range-limit-above-sensor": ({"laser_max_range": 100.0}, {"log": scans()}, {"laser_max_range": 10.0},
+                                 {"log": scans()}),
+    "range-limit-hides-readings": ({"laser_max_range": 5.0}, {"log": scans(some(6.0, 0.1))},
+                                   {"laser_max_range": 5.0}, {"log": scans(some(6.0, 0.01))}),
+    "min-range-hides-readings": ({"laser_min_range": 0.5}, {"log": scans(some(0.4, 0.1))},
+                                 {"laser_min_range": 0.3}, {"log": scans(some(0.4, 0.1))}),
+    "z-max-unreachable": ({"laser_model_type": "beam"}, {"log": scans(some(np.inf, 0.1))},
+                          {"laser_model_type": "beam"}, {"log": scans()}),
+    "no-obstacles": ({}, {"grid": OccupancyGrid.from_ros(np.zeros((9, 9)), resolution=0.1)}, {}, {"grid": room()}),
+    "map-yaw-ignored": ({}, {"grid": room(), "map_file": MapFile("m.yaml", yaw=0.1)},
+                        {"stack": "beluga"}, {"grid": room(), "map_file": MapFile("m.yaml", yaw=0.1)}),
+    "half-cell-shift": ({}, {"grid": room()}, {"stack": "beluga"}, {"grid": room()}),
+    "unknown-stops-rays": ({"laser_model_type": "beam"}, {"grid": room(unknown=True)},
+                           {"laser_model_type": "beam"}, {"grid": room()}),
+    "unknown-attracts": ({"stack": "beluga", "model_unknown_space": "true"}, {"grid": room(unknown=True)},
+                         {"stack": "beluga"}, {"grid": room(unknown=True)}),
+    "unknown-is-free": ({}, {"grid": room(unknown=True)}, {}, {"grid": room()}),
+    "unknown-read-as-free": ({}, {"grid": room(), "map_file": MapFile("m.yaml", notes=("all grey",))},
+                             {}, {"grid": room(), "map_file": MapFile("m.yaml")}),
+    "map-mode-loses-cells": (
+        {}, {"grid": OccupancyGrid(np.full((9, 9), 0.7, np.float32), 0.1), "map_file": MapFile("m.yaml", "raw")},
+        {}, {"grid": OccupancyGrid(np.full((9, 9), 0.7, np.float32), 0.1), "map_file": MapFile("m.yaml")}),
+    "nav2-or-beluga": ({"stack": None, "z_hit": 0.5}, {}, {"stack": "nav2", "z_hit": 0.5}, {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FINDINGS)
+def test_a_finding_comes_where_it_is_due_and_not_elsewhere(tmp_path, case):
+    name = case.split()[0]
+    sick, with_sick, well, with_well = FINDINGS[case]
+    found = [item for item in examine(amcl(tmp_path, **sick), **with_sick) if item.name == name]
+    assert len(found) == 1
+    assert all((found[0].seen, found[0].why, found[0].remedy))
+    assert name not in [item.name for item in examine(amcl(tmp_path, **well), **with_well)]
+
+
+def test_every_check_has_a_test(tmp_path):
+    """Run each check on all the cases that trigger something: none may stay silent."""
+    silent = set(CHECKS)
+    for sick, others, _, _ in FINDINGS.values():
+        from beamfield.stacks.doctor.patient import Patient
+        from beamfield.stacks.typed_values import typed_values
+
+        file = amcl(tmp_path, **sick)
+        patient = Patient(file, typed_values(file), **others)
+        silent -= {check for check in silent if list(check(patient))}
+    assert not silent
+
+
+def test_the_worst_comes_first_with_its_line(tmp_path):
+    found = examine(amcl(tmp_path, z_short=0.1, z_rand=".nan", laser_z_hit=0.4))
+    assert [item.severity for item in found] == sorted(
+        [item.severity for item in found], key=["error", "warning", "info"].index
+    )
+    assert (found[0].name, found[0].parameter, found[0].line) == ("not-finite", "z_rand", 4)
+    assert {item.line for item in found if item.name == "foreign-name"} == {5}
+
+
+def test_parameters_keep_the_names_of_their_stack(tmp_path):
+    found = examine(amcl(tmp_path, stack="ros1", laser_z_hit=0.5))
+    sums = next(item for item in found if item.name == "weights-sum")
+    assert sums.parameter == "laser_z_hit"
+    assert sums.seen == "the weights that likelihood_field uses sum to 0.55: laser_z_hit 0.5 + laser_z_rand 0.05"
+
+
+def test_sharpness_is_measured_on_the_log_if_there_are_poses(tmp_path):
+    grid = room()
+    poses = np.tile([4.0, 3.0, 0.0], (10, 1))
+    # From the middle of the room, by hand.
+    bearings = np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False)
+    with np.errstate(divide="ignore"):
+        walls = np.minimum(3.95 / np.abs(np.cos(bearings)), 2.95 / np.abs(np.sin(bearings)))
+    file = amcl(tmp_path, laser_model_type="likelihood_field_prob", sigma_hit=0.05, z_hit=0.99, z_rand=0.01)
+    log = scans(walls, poses=poses)
+    found = {item.name: item for item in examine(file, grid=grid, log=log)}
+    assert "in the log" in found["absurdly-sharp"].seen
+    without = {item.name: item for item in examine(file, grid=grid, log=replace(log, poses=np.full((10, 3), np.nan)))}
+    assert "in a plain room" in without["absurdly-sharp"].seen

@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 
 from beamfield.errors import InvalidInputError
 from beamfield.figures.gallery import FIGURES, chosen_figures, gallery_page, save_figure
+from beamfield.figures.sonar_figures import RIGHT, kinds_of
 from beamfield.figures.world import FigureWorld, simulated_world, world_of_log
 from beamfield.sensors import ScanLog, SensorLog
+from beamfield.simulation.sonar import EchoCause, simulate_sonar, sonar_ring
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,7 @@ def all_axes(figure: Figure) -> list:
 
 
 def test_the_registry_has_every_figure_in_order():
-    assert [number for number in FIGURES if number.count(".") == 1] == [f"6.{i}" for i in range(3, 14)]
+    assert [number for number in FIGURES if number.count(".") == 1] == ["6.1", *(f"6.{i}" for i in range(3, 14))]
     assert len({figure.stem for figure in FIGURES.values()}) == len(FIGURES)
     assert all(figure.caption.endswith(".") and figure.title for figure in FIGURES.values())
 
@@ -59,7 +61,7 @@ def test_other_endings_are_refused(tmp_path):
 def test_figures_are_chosen_by_number_in_the_chapters_order():
     assert [figure.number for figure in chosen_figures(["6.10", "6.9"])] == ["6.9", "6.10"]
     assert len(chosen_figures()) == len(FIGURES)
-    with pytest.raises(InvalidInputError, match=r"expected one of 6\.3, .*, got '7\.1'"):
+    with pytest.raises(InvalidInputError, match=r"expected one of 6\.1, .*, got '7\.1'"):
         chosen_figures(["7.1"])
 
 
@@ -104,6 +106,17 @@ def test_a_log_of_ones_own_is_shown_with_all_its_sensors(world):
     assert chosen.index == chosen.open_index == 7
     for number in ("6.8", "6.9", "6.11", "6.12"):
         assert all_axes(FIGURES[number].draw(chosen))
+
+
+def test_the_cones_of_figure_6_1_end_at_the_nearest_thing_or_are_marked(world):
+    readings = simulate_sonar(world.grid, world.log.poses[::10], sonar_ring(24))
+    kinds = kinds_of(readings)
+    near = np.abs(readings.ranges - readings.nearest) <= RIGHT
+    np.testing.assert_array_equal(kinds == 0, near)
+    lost = np.isposinf(readings.ranges) & (readings.nearest < 5.0)
+    np.testing.assert_array_equal(kinds == 3, lost)
+    assert (readings.causes[kinds == 2] != EchoCause.DIRECT).all()
+    assert {0, 1, 2, 3} <= set(np.unique(kinds).tolist())
 
 
 def without(log: SensorLog, **changes) -> ScanLog:

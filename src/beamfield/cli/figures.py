@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from beamfield.figures.world import FigureWorld
 
 DESCRIPTION = """
-Draw the figures of the chapter on measurement models (6.3 to 6.12) from a simulated office, or from your own log and
+Draw the figures of the chapter on measurement models (6.1 to 6.13) from a simulated office, or from your own log and
 map, and write them with their captions (gallery.md) into a folder, all of them or none.
 """
 

@@ -10,7 +10,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from beamfield.errors import InvalidInputError
-from beamfield.figures import beam_model_figures, field_figures, landmark_figures, scan_figures
+from beamfield.figures import beam_model_figures, field_figures, landmark_figures, scan_figures, sonar_figures
 from beamfield.figures.world import FigureWorld
 
 # Dots per inch of the parts of an SVG or PDF that are pictures, and of PNG.
@@ -49,6 +49,16 @@ class ChapterFigure:
 
 
 _ALL = (
+    ChapterFigure(
+        "6.1",
+        "A sonar scan, and how sonars misread",
+        "(a) A ring of sonars simulated in the map. Cones end where something was heard: most at the nearest thing in "
+        "them, some too late or too early, and the dashed ones heard nothing although there is a wall. (b) A smooth "
+        "wall mirrors the pulse: if the angle to its normal exceeds half the opening angle, the echo goes elsewhere. "
+        "(c) What a scanner measured at the same pose, with a few random readings.",
+        "6.1",
+        sonar_figures.sonar_figure,
+    ),
     ChapterFigure(
         "6.3",
         "Components of the range finder sensor model",

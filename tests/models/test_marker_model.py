@@ -195,7 +195,64 @@ def test_a_marker_that_is_not_in_the_map_is_refused_by_its_id():
         many.index_of(["3"])
 
 
-def test_poses_are_drawn_for_one_detection_only(rng):
-    two = MarkerDetections([4, 9], np.zeros((2, 3)))
-    with pytest.raises(InvalidInputError, match="z: expected one detection, got 2"):
-        build().sample_poses(two, 3, rng)
+def test_poses_are_drawn_for_at_least_one_detection(rng):
+    with pytest.raises(InvalidInputError, match="z: expected at least one detection, got none"):
+        build().sample_poses(MarkerDetections([], []), 3, rng)
+
+
+SEVERAL = {
+    "two with angles": ([4, 9], [0.3, 0.35], 25.0, 0.25),
+    "three with angles": ([4, 9, "door"], [0.0, 0.1, -0.1], 25.0, 0.25),
+    "two without angles": ([4, 9], [np.nan, np.nan], 20.0, 0.1),
+    "one angle of two": ([4, "door"], [0.2, np.nan], 25.0, 0.4),
+    "the same one twice": ([4, 4], [0.1, -0.1], 25.0, 0.4),
+    "angles that hardly agree": ([4, 9], [1.0, -1.0], 60.0, 0.5),
+}
+
+
+@pytest.mark.parametrize("case", SEVERAL)
+def test_poses_drawn_from_several_detections_follow_the_posterior_on_a_fine_grid(rng, case):
+    """Chi-square over bins of x, y, theta, with the model's own likelihood integrated over each bin."""
+    ids, off, sigma_pixel, sigma_angle = SEVERAL[case]
+    model = build(sigma_pixel=sigma_pixel, sigma_angle=sigma_angle)
+    truth = np.array([1.1, 1.4, 0.3])
+    image = model.expected(truth)[MARKERS.index_of(ids)]
+    image[:, 0] += 10.0 * np.arange(len(ids))
+    image[:, 2] += off
+    z = MarkerDetections(ids, image)
+    poses = model.sample_poses(z, 20_000, rng)
+
+    spread = np.column_stack([poses[:, :2] - poses[:, :2].mean(axis=0), wrap_angle(poses[:, 2] - truth[2])])
+    middle = np.array([*poses[:, :2].mean(axis=0), truth[2] + np.median(spread[:, 2])])
+    half = 5.0 * np.std(spread, axis=0)
+    offsets = np.column_stack([poses[:, :2] - middle[:2], wrap_angle(poses[:, 2] - middle[2])])
+    edges = [np.linspace(-reach, reach, 9) for reach in half]
+    counts, _ = np.histogramdd(offsets, edges)
+    fine = [edge[0] + (np.arange(80) + 0.5) / 80 * (edge[-1] - edge[0]) for edge in edges]
+    grid = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)
+    log_density = model.log_likelihood(z, middle + grid)
+    mass = np.exp(log_density - log_density.max()).reshape(8, 10, 8, 10, 8, 10).sum(axis=(1, 3, 5))
+    expected = mass / mass.sum() * counts.sum()
+    assert counts.sum() > 0.99 * len(poses)
+    usable = expected > 10.0
+    assert usable.sum() > 20
+    chi_square = ((counts - expected)[usable] ** 2 / expected[usable]).sum()
+    assert stats.chi2.sf(chi_square, usable.sum() - 1) > 1e-3
+
+
+def test_sharp_noise_does_not_slip_between_the_cells_of_the_histogram(rng):
+    """A micropixel and a microradian: the heading's density is 1e-7 wide."""
+    model = build(sigma_pixel=1e-6, sigma_angle=1e-6)
+    truth = np.array([1.1, 1.4, 0.3])
+    z = MarkerDetections(MARKERS.ids, model.expected(truth))
+    poses = model.sample_poses(z, 4000, rng)
+    lever = np.linalg.norm(MARKERS.poses[:, :2] - MARKERS.poses[:, :2].mean(axis=0))
+    information = 3.0 / 1e-12 + (lever * CAMERA.scale / 1e-6) ** 2
+    assert np.std(poses[:, 2]) == pytest.approx(1.0 / np.sqrt(information), rel=0.05)
+    np.testing.assert_allclose(poses.mean(axis=0), truth, atol=1e-8)
+
+
+def test_any_number_of_poses_is_drawn(rng):
+    z = MarkerDetections([4], [[300.0, 150.0, 2.9]])
+    assert build().sample_poses(z, 0, rng).shape == (0, 3)
+    assert build().sample_poses(z, 1, rng).shape == (1, 3)

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, wrap_angle
+from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.markers import MarkerId, MarkerMap, as_ids
 from beamfield.models.ceiling_camera import CeilingCamera
+from beamfield.models.heading_density import HeadingDensity
 
 __all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel"]
 
@@ -207,17 +208,22 @@ class MarkerModel:
         ]
 
     def sample_poses(self, z: MarkerDetections, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw robot poses from p(x | z, m) for one detection and a uniform prior, exactly.
+        """Draw robot poses from p(x | z, m) for one or more detections and a uniform prior, exactly.
 
-        Given the heading, the place in the image is a rotated and scaled copy of the robot's position, with the same
-        scale for all headings. So the pose of noisy image coordinates, answer (c), follows the posterior; unlike with
-        range and bearing (Table 6.5) nothing needs to be corrected.
+        All poses have the same weight. Unlike range and bearing (Table 6.5), the places of markers in an image are a
+        rotated and scaled copy of the map, with the same scale for all headings. So, with b_j a place in metres on the
+        ceiling seen from the camera and R(theta) its rotation:
+
+        - given the heading, every detection puts the camera at m_j - R(theta) b_j with the same round normal, and k of
+          them at the mean of these, with 1 / k of the variance;
+        - the heading has the density exp(kappa cos(theta - theta_0)) prod_j p(theta_j | theta), where kappa and theta_0
+          come from how the markers lie to each other. It is drawn by rejection from a histogram that lies above it.
 
         Parameters
         ----------
         z
-            One detection. With NaN as angle, the robot is anywhere on a circle around the marker, with any heading that
-            fits its place there.
+            At least one detection. With one that has NaN as angle, the robot is anywhere on a circle around the marker,
+            with any heading that fits its place there; two such fix the pose.
         n
             Number of poses.
         rng
@@ -230,14 +236,22 @@ class MarkerModel:
         Raises
         ------
         InvalidInputError
-            If z is not exactly one detection, or its marker is not in the map.
+            If z has no detection, or a marker is not in the map.
         """
-        if len(z) != 1:
-            raise InvalidInputError(f"z: expected one detection, got {len(z)}")
-        image = np.tile(z.image[0], (n, 1))
-        if np.isnan(image[:, 2]).any():
-            image[:, 2] = rng.uniform(-np.pi, np.pi, n)
-        return self.camera.robot_poses(self._add_noise(image, rng), self._seen(z)[0])
+        if len(z) == 0:
+            raise InvalidInputError("z: expected at least one detection, got none")
+        image, seen = self._relative_image(z), self._seen(z)
+        ceiling = image[:, :2] @ [1.0, 1.0j] / self.camera.scale
+        markers = seen[:, :2] @ [1.0, 1.0j]
+        turns = (seen[:, 2] - image[:, 2])[~np.isnan(image[:, 2])]
+        sigma = self.sigma_pixel / self.camera.scale
+        moment = np.sum((markers - markers.mean()) * np.conj(ceiling - ceiling.mean())) / sigma**2
+        density = HeadingDensity(complex(moment), turns, float(self.sigma_angle), self._view().n_turns)
+        theta = density.sample(n, rng)
+        place = markers.mean() - np.exp(1j * theta) * ceiling.mean()
+        place = place + rng.normal(0.0, sigma / np.sqrt(len(z)), (n, 2)) @ [1.0, 1.0j]
+        lenses = np.column_stack([place.real, place.imag, wrap_angle(theta)])
+        return compose(lenses, invert(self.camera.mount))
 
     def _add_noise(self, image: FloatArray, rng: np.random.Generator) -> FloatArray:
         noisy = image + rng.normal(0.0, [self.sigma_pixel, self.sigma_pixel, self.sigma_angle], image.shape)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.maps.cone import make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import SensorLog, usable_ranges
@@ -84,7 +85,7 @@ def build_beam_table(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> BeamTable:
-    """Cast the beams of the given scans from their reference poses.
+    """Cast the beams of the given scans from their reference poses; cones, if the sensor has an opening angle.
 
     Parameters
     ----------
@@ -94,7 +95,8 @@ def build_beam_table(
         Indices or mask of the scans to use.
     unknown
         What a ray does in unknown cells: "skip" leaves out beams whose ray enters unknown space before an obstacle
-        (their expected range is not known); "free" passes through; "occupied" stops there.
+        (their expected range is not known); "free" passes through; "occupied" stops there. A cone is left out if its
+        axis enters unknown space nearer than its expected range: some cell beside the axis nearly always is unknown.
     threads
         For the ray caster; None uses all processors.
     progress
@@ -108,7 +110,7 @@ def build_beam_table(
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
     chosen = np.arange(len(log))[np.asarray(scans)]
-    caster = RayCaster(grid, unknown="occupied" if unknown == "occupied" else "free")
+    caster = make_caster(grid, log.finder, unknown="occupied" if unknown == "occupied" else "free")
     stopping = RayCaster(grid, unknown="occupied") if unknown == "skip" and grid.unknown.any() else None
     parts: list[tuple[FloatArray, FloatArray, NDArray[np.int32], NDArray[np.int32]]] = []
     n_no_measurement = n_unknown = 0
@@ -119,7 +121,7 @@ def build_beam_table(
         keep = np.isfinite(ranges)
         n_no_measurement += int((~keep).sum())
         if stopping is not None:
-            # The same ray stopped by unknown cells is shorter exactly if it enters one before an obstacle.
+            # The ray stopped by unknown cells is shorter exactly if it enters one before the obstacle.
             doubtful = keep & (stopping.expected_ranges(log.poses[rows], log.finder, threads=threads) < expected)
             n_unknown += int(doubtful.sum())
             keep &= ~doubtful

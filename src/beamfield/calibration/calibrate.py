@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -200,6 +201,9 @@ def calibrate(
     held-out likelihood asks for them, a range offset and a sigma that grows with range) are learned by exact EM on the
     other blocks, judged on the held-out ones, and the map and the reference poses are checked.
 
+    Where the sensor has an opening angle (sonars), expected ranges are those of cones: `SonarModel` is learned instead
+    of `BeamModel`. To treat its readings as beams, give a finder without opening angle.
+
     Parameters
     ----------
     log
@@ -286,6 +290,7 @@ def calibrate(
         *refinement_findings(refinement),
         *_selection_findings(selection),
         *_score_findings(scores),
+        *_cone_findings(log),
         *chosen.result.findings,
         *intervals.findings,
         *([cross_fit_finding(grid, table)] if isinstance(grid, CrossFitMaps) else _table_findings(table)),
@@ -440,6 +445,21 @@ def _score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
         if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM
     ]
     return found
+
+
+def _cone_findings(log: SensorLog) -> list[Finding]:
+    opening = log.finder.opening_angle
+    if opening == 0.0:
+        return []
+    return [
+        Finding(
+            "cones",
+            "info",
+            f"The sensor's readings are taken as cones of {math.degrees(opening):.3g} degrees: the expected range is "
+            "that of the nearest obstacle in the cone. Use the parameters with SonarModel.",
+            {"opening_angle": opening},
+        )
+    ]
 
 
 def _selection_findings(selection: Selection) -> list[Finding]:

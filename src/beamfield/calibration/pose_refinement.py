@@ -12,6 +12,7 @@ from beamfield.calibration.em import learn_intrinsic_parameters
 from beamfield.calibration.finding import Finding
 from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
+from beamfield.maps.cone import ConeCaster, make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam import beam_log_density
@@ -87,7 +88,7 @@ def refine_poses(
         None if there are too few beams to say.
     """
     chosen = scans[np.unique(np.linspace(0, len(scans) - 1, min(MAX_SCANS, len(scans))).astype(np.int64))]
-    caster = RayCaster(grid, unknown="occupied" if unknown_occupied else "free")
+    caster = make_caster(grid, log.finder, unknown="occupied" if unknown_occupied else "free")
     beams = np.arange(log.finder.n_beams)
     even, odd = beams[::2], beams[1::2]
     ranges = usable_ranges(log.ranges[chosen], log.finder)
@@ -117,7 +118,7 @@ def refine_poses(
 
 
 def _climb(
-    caster: RayCaster,
+    caster: RayCaster | ConeCaster,
     log: SensorLog,
     pose: FloatArray,
     ranges: FloatArray,

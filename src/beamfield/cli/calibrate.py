@@ -75,6 +75,8 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
                        help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
     group.add_argument("--max-range", type=float, metavar="M", help="the sensor's limit, if the log is wrong about it")
     group.add_argument("--min-range", type=float, metavar="M", help="shortest range that counts")
+    group.add_argument("--opening-angle", type=float, metavar="DEG",
+                       help="full width of the sensor's cones, if the log does not say it; 0: beams")  # fmt: skip
     group.add_argument("--stamps", choices=("file", "order"), default="file",
                        help="text logs: the file's stamps, or scans numbered one second apart")  # fmt: skip
     group.add_argument("--lone-poses", choices=("reference", "odometry"), default="reference",
@@ -99,6 +101,7 @@ def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
         "no_return": no_return,
         "max_range": arguments.max_range,
         "min_range": arguments.min_range,
+        "opening_angle": _radians(arguments.opening_angle),
         "stamps": arguments.stamps,
         "lone_poses": arguments.lone_poses,
     }

@@ -147,6 +147,7 @@ def _measurement_and_model(
     from beamfield.models.field_parameters import LikelihoodFieldParameters
     from beamfield.models.likelihood_field import LikelihoodFieldModel
     from beamfield.models.map_matching import MapMatchingModel
+    from beamfield.models.sonar import SonarModel
 
     if arguments.model == "matching":
         return _local_map(sensor, grid, arguments), MapMatchingModel(grid, threads=arguments.threads)
@@ -156,7 +157,7 @@ def _measurement_and_model(
     if arguments.model == "beam":
         if not arguments.no_widening:
             parameters = widened_for_lattice(parameters, **lattice)
-        return scan, BeamModel(grid, parameters, **options)
+        return scan, (SonarModel if scan.finder.opening_angle > 0.0 else BeamModel)(grid, parameters, **options)
     of_field = LikelihoodFieldParameters.from_beam_parameters(parameters)
     if not arguments.no_widening:
         of_field = widened_field_for_lattice(of_field, scan, **lattice)

@@ -19,7 +19,7 @@ HEADER = """\
 # Beam model p(z | x, m) of a range finder: parameters, their 95 % intervals, and where they come from.
 # z_hit + z_short + z_max + z_rand = 1; sigma_hit and range_offset in metres, lambda_short in 1/metre.
 # A hit is a Gaussian around expected range + range_offset with variance sigma_hit^2 + (sigma_slope * expected range)^2.
-# max_range is the range in metres from which a reading means "no return".
+# max_range is the range in metres from which a reading means "no return"; opening_angle is the cone's in radians.
 """
 
 
@@ -47,6 +47,9 @@ def beam_model_text(
         "beam_model": asdict(parameters),
         "sensor": {"name": finder.name, "min_range": float(finder.min_range), "max_range": float(finder.max_range)},
     }
+    if finder.opening_angle > 0.0:
+        # Radians: parameters of cones mean nothing to a model of beams.
+        document["sensor"]["opening_angle"] = float(finder.opening_angle)
     if intervals:
         document["intervals_95"] = {name: [float(low), float(high)] for name, (low, high) in intervals.items()}
     if provenance:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -48,6 +49,7 @@ def read_log(
     no_return: NoReturnRule = "detect",
     max_range: float | None = None,
     min_range: float | None = None,
+    opening_angle: float | None = None,
     stamps: StampRule = "file",
     lone_poses: LonePoses = "reference",
 ) -> ScanLog:
@@ -68,6 +70,8 @@ def read_log(
         "detect" the values that mean "no return", "none", or the values in metres.
     max_range, min_range
         The sensor's limits in metres, instead of what the file or the data say.
+    opening_angle
+        Full width of the sensor's cones in radians, instead of what the file or the format says; 0 for beams.
     stamps
         Text logs only: "file", or "order" to number the scans, one second apart.
     lone_poses
@@ -96,10 +100,12 @@ def read_log(
     source = Path(path)
     if min_range is not None and not 0.0 <= min_range < float("inf"):
         raise InvalidInputError(f"min_range: expected a finite number of metres >= 0, got {min_range!r}")
+    if opening_angle is not None and not 0.0 <= opening_angle < math.pi:
+        raise InvalidInputError(f"opening_angle: expected [0, pi) radians, got {opening_angle!r}")
     if _is_bag(source):
         if stamps != "file" or lone_poses != "reference":
             raise InvalidInputError(f"{source}: stamps and lone_poses are for text logs, this is a bag")
-        return _read_bag(
+        bag = _read_bag(
             source,
             sensor_topic=sensor_topic,
             poses_topic=poses_topic,
@@ -110,6 +116,7 @@ def read_log(
             max_range=max_range,
             min_range=min_range,
         )
+        return _with_cones(bag, opening_angle)
     bag_options = {"poses_topic": poses_topic, "map_frame": map_frame, "base_frame": base_frame, "mount": mount}
     for name, value in bag_options.items():
         if value is not None:
@@ -119,13 +126,24 @@ def read_log(
     asked = (sensor_topic,) if isinstance(sensor_topic, str) else None if sensor_topic is None else tuple(sensor_topic)
     options = TextOptions(asked, no_return, max_range, min_range, stamps, lone_poses)
     reader = _text_reader(source)
-    log = reader(source, options)
+    log = _with_cones(reader(source, options), opening_angle)
     if asked is None:
         return log
     if not set(asked) <= set(log.sensors):
         # Read once more without the choice, to say what there is to choose from.
         log = reader(source, replace(options, sensors=None))
     return _only(log, asked)
+
+
+def _with_cones(log: ScanLog, opening_angle: float | None) -> ScanLog:
+    """Return the log with another opening angle of its sensors, if one is given."""
+    if opening_angle is None:
+        return log
+    sensors = {
+        name: replace(sensor, finder=replace(sensor.finder, opening_angle=opening_angle))
+        for name, sensor in log.sensors.items()
+    }
+    return replace(log, sensors=sensors)
 
 
 def _is_bag(path: Path) -> bool:

@@ -21,6 +21,9 @@ SNAP = 1e-9
 PARALLEL = 1e-12
 HUGE = 1e300
 
+# Distance of the rays that fill a cone, at its end, in cells: few cells of it are missed.
+RAY_SPACING = 0.5
+
 # What a reading does to the cells on its way.
 SKIP, HIT, PASS = 0, 1, 2
 
@@ -107,6 +110,121 @@ def last_cells(x: Floats, y: Floats, c: Floats, s: Floats, lengths: Floats, cell
     """Fill cells (n, 2) int64 with the (col, row) in which rays of the given lengths end."""
     for i in range(x.shape[0]):
         cells[i, 0], cells[i, 1] = _last_cell(x[i], y[i], c[i], s[i], lengths[i])
+
+
+@kernel
+def count_passes(
+    poses: Floats,
+    cones: Floats,
+    half: float,
+    lengths: Floats,
+    kinds: NDArray[np.uint8],
+    first_stamp: int,
+    passes: NDArray[np.float32],
+    stamps: NDArray[np.int32],
+) -> None:
+    """Count for each cell the scans in which it lies in a cone, nearer than the cone's reading.
+
+    A cone is filled with rays, less than a cell apart at its end. The cells in which they end, the arc, are not passed
+    by any cone of the same scan.
+
+    Parameters
+    ----------
+    poses
+        (t, 4) x, y in cells, cos and sin of the heading, in the grid's frame.
+    cones
+        (k, 3) x, y in cells and direction of each cone in the robot frame.
+    half
+        Half the opening angle, radians.
+    lengths, kinds, first_stamp, stamps
+        As for `update_log_odds`.
+    passes
+        (rows, cols) float32, changed.
+    """
+    for i in range(poses.shape[0]):
+        pass_stamp = first_stamp + 2 * i
+        for b in range(cones.shape[0]):
+            if kinds[i, b] == HIT:
+                x, y, direction = _aim(poses[i], cones[b])
+                n = _rays_in_cone(half, lengths[i, b])
+                for j in range(n):
+                    angle = direction + half * (2.0 * (j + 0.5) / n - 1.0)
+                    col, row = _last_cell(x, y, np.cos(angle), np.sin(angle), lengths[i, b])
+                    stamps[row, col] = pass_stamp + 1
+        for b in range(cones.shape[0]):
+            if kinds[i, b] != SKIP:
+                x, y, direction = _aim(poses[i], cones[b])
+                n = _rays_in_cone(half, lengths[i, b])
+                for j in range(n):
+                    angle = direction + half * (2.0 * (j + 0.5) / n - 1.0)
+                    _pass(
+                        x, y, np.cos(angle), np.sin(angle), lengths[i, b], kinds[i, b] == PASS, pass_stamp,
+                        1.0, 0.0, HUGE, passes, stamps,
+                    )  # fmt: skip
+
+
+@kernel
+def share_hits(
+    poses: Floats,
+    cones: Floats,
+    half: float,
+    lengths: Floats,
+    kinds: NDArray[np.uint8],
+    first_mark: int,
+    log_odds_of_pass: float,
+    passes: NDArray[np.float32],
+    hits: NDArray[np.float32],
+    marks: NDArray[np.int32],
+) -> None:
+    """Share each reading among the cells of its arc: those that were passed least get a hit, others a part of one.
+
+    A cell's part is exp(log_odds_of_pass (passes - fewest passes on the arc)).
+
+    Parameters
+    ----------
+    poses, cones, half, lengths, kinds
+        As for `count_passes`.
+    first_mark
+        Number of the first reading; each is entered into a cell once.
+    passes
+        (rows, cols) what `count_passes` found over the whole log.
+    hits
+        (rows, cols) float32, changed.
+    marks
+        (rows, cols) int32, changed: the last reading that was entered; all lower than first_mark before.
+    """
+    k = cones.shape[0]
+    for i in range(poses.shape[0]):
+        for b in range(k):
+            if kinds[i, b] != HIT:
+                continue
+            x, y, direction = _aim(poses[i], cones[b])
+            n = _rays_in_cone(half, lengths[i, b])
+            cells = np.empty((n, 2), np.int64)
+            fewest = np.float32(np.inf)
+            for j in range(n):
+                angle = direction + half * (2.0 * (j + 0.5) / n - 1.0)
+                cells[j, 0], cells[j, 1] = _last_cell(x, y, np.cos(angle), np.sin(angle), lengths[i, b])
+                fewest = min(fewest, passes[cells[j, 1], cells[j, 0]])
+            mark = first_mark + i * k + b
+            for j in range(n):
+                col, row = cells[j, 0], cells[j, 1]
+                if marks[row, col] != mark:
+                    marks[row, col] = mark
+                    hits[row, col] += np.exp(log_odds_of_pass * (passes[row, col] - fewest))
+
+
+@kernel
+def _aim(pose: Floats, cone: Floats) -> tuple[float, float, float]:
+    """Return apex and direction of a cone."""
+    x, y, c, s = pose[0], pose[1], pose[2], pose[3]
+    return x + c * cone[0] - s * cone[1], y + s * cone[0] + c * cone[1], np.arctan2(s, c) + cone[2]
+
+
+@kernel
+def _rays_in_cone(half: float, length: float) -> int:
+    """Return how many rays fill a cone so that they are at most RAY_SPACING apart at its end."""
+    return 1 + int(2.0 * half * length / RAY_SPACING)
 
 
 @kernel

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points
 from beamfield.kernels import mapping as kernels
+from beamfield.maps.cone_mapping import build_cone_map
+from beamfield.maps.inverse_sensor import CONFIDENT as CONFIDENT
+from beamfield.maps.inverse_sensor import InverseSensorModel as InverseSensorModel
+from beamfield.maps.inverse_sensor import log_odds_steps
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
 
@@ -20,67 +23,6 @@ Progress = Callable[[int, int], None]
 # Eight bytes per cell: 800 MB.
 MAX_CELLS = 100_000_000
 SCANS_PER_CHUNK = 128
-
-
-@dataclass(frozen=True)
-class InverseSensorModel:
-    """What one reading says about the cells on its way: p(occupied | z, x) of a cell, by three cases.
-
-    - The cell in which a reading ends has probability `hit`.
-    - The cells that its beam crosses before have probability `passed`.
-    - Cells beyond the reading, and cells off the beam, learn nothing: a map made so never sees through walls.
-
-    A reading without return says that nothing was within max_range, or that a surface did not reflect; it marks cells
-    as passed up to `clear_without_return` and no cell as hit.
-
-    Parameters
-    ----------
-    hit
-        In (0.5, 1).
-    passed
-        In (0, 0.5).
-    lowest, highest
-        Bounds on the probability of a cell, 0 < lowest <= passed and hit <= highest < 1, so that a map can still
-        change after many scans.
-    clear_without_return
-        Metres that a reading without return marks as passed; 0: none at all.
-    longest_hit
-        Readings longer than this, metres, mark cells as passed up to there and no cell as hit; None: no limit. Far
-        readings are sparse and their end points suffer from small errors of the heading.
-
-    Raises
-    ------
-    InvalidInputError
-        If a value is outside its range.
-    """
-
-    hit: float = 0.7
-    passed: float = 0.4
-    lowest: float = 0.03
-    highest: float = 0.97
-    clear_without_return: float = field(default=0.0, kw_only=True)
-    longest_hit: float | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        if not 0.5 < self.hit < 1.0:
-            raise InvalidInputError(f"hit: expected a probability in (0.5, 1), got {self.hit}")
-        if not 0.0 < self.passed < 0.5:
-            raise InvalidInputError(f"passed: expected a probability in (0, 0.5), got {self.passed}")
-        if not (0.0 < self.lowest <= self.passed and self.hit <= self.highest < 1.0):
-            raise InvalidInputError(
-                "bounds: expected 0 < lowest <= passed and hit <= highest < 1, "
-                f"got lowest {self.lowest} and highest {self.highest}"
-            )
-        if not 0.0 <= self.clear_without_return < np.inf:
-            raise InvalidInputError(
-                f"clear_without_return: expected 0 or a finite number of metres, got {self.clear_without_return}"
-            )
-        if self.longest_hit is not None and not 0.0 < self.longest_hit < np.inf:
-            raise InvalidInputError(f"longest_hit: expected metres > 0 or None, got {self.longest_hit}")
-
-
-# For maps of a few scans, whose cells are seen once or twice: full confidence at the first reading.
-CONFIDENT = InverseSensorModel(hit=0.97, passed=0.03)
 
 
 def build_map(
@@ -97,7 +39,8 @@ def build_map(
 
     Each cell holds the log-odds l of being occupied; a scan adds log(p / (1 - p)) of the inverse sensor model. A scan
     changes a cell at most once, however many of its beams cross it, and a hit counts before a pass: else the many beams
-    that cross the cells near the robot, and graze the cells of a wall, would count as independent evidence.
+    that cross the cells near the robot, and graze the cells of a wall, would count as independent evidence. A sensor
+    with an opening angle is mapped by its cones, see `beamfield.maps.cone_mapping.build_cone_map`.
 
     Parameters
     ----------
@@ -140,6 +83,11 @@ def build_map(
     chosen = chosen[np.isfinite(track[chosen]).all(axis=-1)]
     if len(chosen) == 0:
         raise TooLittleDataError("building a map: no scan that was chosen has a pose")
+    if log.finder.opening_angle > 0.0:
+        return build_cone_map(
+            log.ranges[chosen], log.finder, track[chosen], resolution=resolution,
+            inverse_model=inverse_model or InverseSensorModel(), max_cells=max_cells, progress=progress,
+        )  # fmt: skip
     mapper = OccupancyMapper(resolution, inverse_model=inverse_model, max_cells=max_cells)
     chunks = [chosen[i : i + SCANS_PER_CHUNK] for i in range(0, len(chosen), SCANS_PER_CHUNK)]
     for part in chunks:
@@ -348,7 +296,7 @@ class OccupancyMapper:
         starts = beams.starts.copy()
         starts[:, :2] -= self._first
         outside = kernels.update_log_odds(
-            starts, beams.fan, beams.lengths, beams.kinds, _steps(self.inverse_model), 2 * self.n_scans,
+            starts, beams.fan, beams.lengths, beams.kinds, log_odds_steps(self.inverse_model), 2 * self.n_scans,
             self._log_odds, self._stamps,
         )  # fmt: skip
         if outside:
@@ -457,12 +405,6 @@ def _extent(beams: _Beams) -> tuple[FloatArray, FloatArray] | None:
     low = np.array([min(a[used].min(), b[used].min()) for a, b in ((start_x, end_x), (start_y, end_y))])
     high = np.array([max(a[used].max(), b[used].max()) for a, b in ((start_x, end_x), (start_y, end_y))])
     return np.floor(low) - 1.0, np.floor(high) + 1.0
-
-
-def _steps(model: InverseSensorModel) -> NDArray[np.float32]:
-    """Return what a hit and a pass add to the log-odds, and their bounds."""
-    p = np.array([model.hit, model.passed, model.lowest, model.highest])
-    return np.log(p / (1.0 - p)).astype(np.float32)
 
 
 def _poses_of(log: SensorLog, poses: ArrayLike | None) -> FloatArray:

@@ -1,0 +1,163 @@
+"""Occupancy maps from wide cones: a reading says that something is on an arc, and nothing before it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, compose
+from beamfield.kernels import mapping as kernels
+from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import RangeFinder, usable_ranges
+
+SCANS_PER_CHUNK = 128
+
+
+def build_cone_map(
+    ranges: FloatArray,
+    finder: RangeFinder,
+    poses: FloatArray,
+    *,
+    resolution: float,
+    inverse_model: InverseSensorModel,
+    max_cells: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> OccupancyGrid:
+    """Build the occupancy map of scans of a sensor with an opening angle.
+
+    A sonar's reading z says two things: no cell of the cone is occupied nearer than z, and at least one cell is on the
+    arc at z. Which one it is, other readings tell: a cell that other cones passed is not it. So there are two rounds
+    over the log.
+
+    1. Every scan passes the cells in its cones that are nearer than the reading.
+    2. Every reading is a hit of those cells of its arc that were passed least; other cells of the arc get a part of a
+       hit, (passed / (1 - passed))^d where they were passed d times more often.
+
+    A cell's log-odds is the sum of its hits and passes. Arcs end beside the wall that they come from; where no other
+    cone clears these ends, they stay in the map, mostly behind the wall.
+
+    Parameters
+    ----------
+    ranges
+        (t, k) metres in the conventions of `Scan`.
+    finder
+        The sensor, with an opening angle.
+    poses
+        (t, 3) poses of the robot, finite.
+    resolution
+        Side of a cell, metres. Cell borders lie at its multiples.
+    inverse_model
+        What a reading says about cells: `hit` for the cells on the arc, `passed` for those before it. Bounds are
+        applied to the sums, so the order of scans never matters.
+    max_cells
+        Largest map, in cells of 16 bytes.
+    progress
+        Called with the number of scans done and in total.
+
+    Returns
+    -------
+    OccupancyGrid
+        The smallest grid that holds every cell that was seen; NaN where nothing was.
+
+    Raises
+    ------
+    InvalidInputError
+        If the resolution is not positive, or the map would have more than `max_cells` cells.
+
+    References
+    ----------
+    Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985: evidence of occupancy on the arc is
+    weighed against evidence of emptiness before it is entered.
+    """
+    if not 0.0 < resolution < np.inf:
+        raise InvalidInputError(f"resolution: expected a positive number of metres, got {resolution}")
+    readings = _readings(ranges, finder, resolution, inverse_model)
+    first, shape = _extent(readings, finder, poses, resolution, max_cells)
+    starts = np.column_stack([poses[:, :2] / resolution - first, np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    cones = finder.mounts / np.array([resolution, resolution, 1.0])
+    half = finder.opening_angle / 2.0
+    passes, hits = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    seen = np.full(shape, -1, np.int32)
+    hit, passed, low, high = (float(step) for step in log_odds_steps(inverse_model))
+    chunks = [slice(i, i + SCANS_PER_CHUNK) for i in range(0, len(starts), SCANS_PER_CHUNK)]
+    for number, part in enumerate(chunks):
+        kernels.count_passes(
+            starts[part], cones, half, readings.lengths[part], readings.kinds[part], 2 * part.start, passes, seen
+        )
+        _report(progress, len(starts) * (number + 1) // (2 * len(chunks)), len(starts))
+    marks = np.full(shape, -1, np.int32)
+    for number, part in enumerate(chunks):
+        kernels.share_hits(
+            starts[part], cones, half, readings.lengths[part], readings.kinds[part],
+            part.start * finder.n_beams, passed, passes, hits, marks,
+        )  # fmt: skip
+        _report(progress, len(starts) * (len(chunks) + number + 1) // (2 * len(chunks)), len(starts))
+    log_odds = np.clip(hits * hit + passes * passed, low, high)
+    return _to_grid(log_odds, seen >= 0, first, resolution)
+
+
+class _Readings(NamedTuple):
+    """How far each cone is followed, in cells, and what its end is."""
+
+    lengths: FloatArray
+    kinds: NDArray[np.uint8]
+
+
+def _readings(ranges: FloatArray, finder: RangeFinder, resolution: float, model: InverseSensorModel) -> _Readings:
+    z = usable_ranges(ranges, finder)
+    kinds = np.full(z.shape, kernels.HIT, np.uint8)
+    kinds[np.isnan(z)] = kernels.SKIP
+    lost = z == finder.max_range
+    kinds[lost] = kernels.PASS if model.clear_without_return > 0 else kernels.SKIP
+    z[lost] = min(model.clear_without_return, finder.max_range)
+    if model.longest_hit is not None:
+        with np.errstate(invalid="ignore"):
+            far = z > model.longest_hit
+        kinds[far & (kinds == kernels.HIT)] = kernels.PASS
+        z[far] = model.longest_hit
+    z[kinds == kernels.SKIP] = 0.0
+    return _Readings(z / resolution, kinds)
+
+
+def _extent(
+    readings: _Readings, finder: RangeFinder, poses: FloatArray, resolution: float, max_cells: int
+) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """Return (col, row) of the first cell and (rows, cols) of a grid that holds all cones, whatever they face."""
+    used = readings.kinds != kernels.SKIP
+    if not used.any():
+        return np.zeros(2, np.int64), (1, 1)
+    apex = (compose(poses[:, None], finder.mounts)[..., :2] / resolution)[used]
+    reach = readings.lengths[used][:, None] + 2.0
+    low, high = np.floor((apex - reach).min(axis=0)), np.ceil((apex + reach).max(axis=0))
+    size = high - low
+    if not np.prod(size) <= max_cells:
+        wide, tall = size * resolution
+        raise InvalidInputError(
+            f"building a map: {wide:.6g} m x {tall:.6g} m at {resolution:g} m are {size[1]:.0f} x {size[0]:.0f} cells, "
+            f"and the limit is {max_cells}; use a coarser resolution or a longest_hit"
+        )
+    return low.astype(np.int64), (int(size[1]), int(size[0]))
+
+
+def _report(progress: Callable[[int, int], None] | None, done: int, total: int) -> None:
+    if progress is not None:
+        progress(done, total)
+
+
+def _to_grid(
+    log_odds: NDArray[np.float32], seen: NDArray[np.bool_], first: NDArray[np.int64], resolution: float
+) -> OccupancyGrid:
+    """Return the smallest grid with all cells that were seen, or one unknown cell."""
+    rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    if len(rows) == 0:
+        return OccupancyGrid(np.full((1, 1), np.nan, np.float32), resolution)
+    part = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
+    probability = np.float32(1.0) / (np.float32(1.0) + np.exp(-log_odds[part]))
+    probability[~seen[part]] = np.nan
+    origin = (first + np.array([cols[0], rows[0]])) * resolution
+    return OccupancyGrid(probability, resolution, np.array([*origin, 0.0]))

@@ -62,7 +62,7 @@ class HeadingDensity:
         while missing > 0:
             drawn = int(1.1 * missing) + 10
             cell = np.minimum(np.searchsorted(mass, rng.uniform(0.0, mass[-1], drawn), side="right"), len(mass) - 1)
-            theta = starts[cell] + width * rng.random(drawn)
+            theta: FloatArray = np.asarray(starts[cell] + width * rng.random(drawn), dtype=np.float64)
             accepted = np.log(rng.random(drawn)) < self.log(theta) - log_height[cell]
             parts.append(theta[accepted][:missing])
             missing -= len(parts[-1])

@@ -9,11 +9,11 @@ import warnings
 from collections.abc import Sequence
 
 from beamfield import __version__
-from beamfield.cli import calibrate, demo, doctor, figures, inspect, likelihood, simulate
+from beamfield.cli import calibrate, demo, doctor, figures, inspect, likelihood, simulate, translate
 from beamfield.cli import map as map_command
 from beamfield.errors import BeamfieldError, BeamfieldWarning
 
-COMMANDS = (calibrate, doctor, inspect, map_command, simulate, likelihood, figures, demo)
+COMMANDS = (calibrate, doctor, translate, inspect, map_command, simulate, likelihood, figures, demo)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -1,0 +1,112 @@
+"""``beamfield doctor`` and ``beamfield translate`` as a user runs them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from beamfield.cli.main import main
+from beamfield.io.ros_map import save_map
+from beamfield.maps.occupancy import OccupancyGrid
+
+GOOD = """\
+amcl:
+  ros__parameters:
+    laser_model_type: likelihood_field_prob
+    model_unknown_space: false
+    z_hit: 0.9  # of a hit
+    z_rand: 0.1
+    sigma_hit: 0.2
+    max_beams: 20
+    laser_max_range: 10.0
+"""
+
+
+@pytest.fixture
+def good(tmp_path):
+    path = tmp_path / "params.yaml"
+    path.write_text(GOOD)
+    return path
+
+
+def test_the_doctor_is_content_with_a_good_file(good, capsys):
+    assert main(["doctor", str(good)]) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[0].endswith("params.yaml: beluga, likelihood_field_prob, section amcl.ros__parameters")
+    assert out.splitlines()[-1] == "nothing found"
+
+
+def test_the_doctor_names_what_is_wrong(good, capsys):
+    good.write_text(GOOD.replace("z_rand: 0.1", "z_rand: .nan"))
+    assert main(["doctor", str(good)]) == 1
+    out = capsys.readouterr().out
+    assert "error: not-finite (line 6)\n  seen: z_rand is nan\n" in out
+    assert out.splitlines()[-1] == "1 error, 1 info"
+
+
+def test_the_doctor_speaks_json(good, capsys):
+    good.write_text(GOOD.replace("z_rand: 0.1", "z_rand: 1"))
+    assert main(["doctor", str(good), "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert document["stack"] == "beluga"
+    assert document["stack_is_certain"] is True
+    first = document["findings"][0]
+    assert (first["name"], first["severity"], first["parameter"], first["line"]) == ("wrong-type", "error", "z_rand", 6)
+
+
+def test_the_doctor_looks_at_the_map(good, tmp_path, capsys):
+    grid = OccupancyGrid.from_ros([[100, 0, 0], [0, 0, 0]], resolution=0.5, origin=(0.0, 0.0, 0.2))
+    save_map(grid, tmp_path / "map.yaml")
+    assert main(["doctor", str(good), "--stack", "nav2", "--map", str(tmp_path / "map.yaml"), "--json"]) == 1
+    found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert found["map-yaw-ignored"]["values"]["yaw"] == pytest.approx(0.2)
+    assert found["half-cell-shift"]["severity"] == "warning"
+    assert found["foreign-name"]["parameter"] == "model_unknown_space"
+
+
+def test_a_file_without_parameters_is_an_error_on_one_line(tmp_path, capsys):
+    path = tmp_path / "other.yaml"
+    path.write_text("a: 1\n")
+    assert main(["doctor", str(path)]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(f"beamfield: error: {path}: no parameters of a measurement model")
+    assert err.count("\n") == 1
+
+
+def test_translation_is_printed_as_the_other_stacks_file(good, capsys):
+    assert main(["translate", str(good), "--to", "nav2"]) == 0
+    captured = capsys.readouterr()
+    lines = captured.out.splitlines()
+    assert lines[0].startswith("# nav2 likelihood_field_prob, from beluga likelihood_field_prob by beamfield")
+    body = dict(line.strip().split(": ") for line in lines if ": " in line and line.startswith("    "))
+    # 0.9 / (0.2 sqrt(2 pi)) against 0.1
+    assert float(body["z_hit"]) / float(body["z_rand"]) == pytest.approx(9.0 / 0.501326, rel=1e-4)
+    assert body["max_beams"] == "20"
+    assert "note: the same relative weights\n" in captured.err
+
+
+def test_translation_patches_the_users_file(good, tmp_path, capsys):
+    target = tmp_path / "nav2.yaml"
+    target.write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5  # mine\n    alpha1: 0.2\n")
+    assert main(["translate", str(good), "--to", "nav2", "--patch", str(target)]) == 0
+    text = target.read_text()
+    assert "    z_hit: 0.947236  # mine\n    alpha1: 0.2\n" in text
+    assert "    sigma_hit: 0.2\n" in text
+    assert (tmp_path / "nav2.yaml.bak").read_text().startswith("amcl:")
+    assert "the old file is nav2.yaml.bak" in capsys.readouterr().out
+
+
+def test_translation_writes_launch_lines(good, tmp_path):
+    out = tmp_path / "amcl.launch"
+    assert main(["translate", str(good), "--to", "ros1", "--out", str(out)]) == 0
+    assert '<param name="laser_z_hit" value="0.947236"/>' in out.read_text()
+
+
+def test_what_cannot_be_translated_is_one_line(good, tmp_path, capsys):
+    out = tmp_path / "new.yaml"
+    assert main(["translate", str(good), "--to", "f1tenth", "--out", str(out)]) == 1
+    err = capsys.readouterr().err
+    assert "f1tenth has no model that can weigh as beluga's likelihood_field_prob does" in err
+    assert err.count("\n") == 1
+    assert not out.exists()

@@ -1,0 +1,124 @@
+"""Translated parameters weigh as the originals do, by the emulators of both stacks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.errors import InvalidInputError
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.stacks.emulator import KNOWN, FieldEvidence
+from beamfield.stacks.parameter_file import read_stack_file
+from beamfield.stacks.registry import emulator, parameter_class
+from beamfield.stacks.translate import translate
+from beamfield.stacks.typed_values import checked_values
+
+GRID = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=0.05)
+SENSOR_LIMIT = 12.0
+
+
+@pytest.fixture
+def params(tmp_path):
+    def write(stack: str, **values):
+        path = tmp_path / ("p.ini" if stack == "mrpt" else "p.yaml")
+        lines = [f"{name}: {value}" for name, value in values.items()]
+        if stack == "mrpt":
+            path.write_text("[a_likelihoodOpts]\nlikelihoodMethod = 4\n" + "\n".join(lines).replace(": ", " = "))
+        else:
+            head = "amcl:\n  " if stack == "ros1" else "amcl:\n  ros__parameters:\n    "
+            path.write_text(head + head.rsplit("\n", 1)[1].join(f"{line}\n" for line in lines))
+        return read_stack_file(path, stack=stack)
+
+    return write
+
+
+def weights(stack, model, parameters, max_range):
+    """Return the stack's log weights of 50 poses at given distances of 20 beams."""
+    made = emulator(stack, model)(GRID, parameters)
+    rng = np.random.default_rng(3)
+    distances = rng.exponential(0.3, (50, 20))
+    settings = {name: getattr(parameters, name) for name in made.evidence_settings}
+    limit = parameters.laser_max_range if stack == "beluga" else max_range
+    evidence = FieldEvidence(np.arange(20), limit, distances, np.full((50, 20), KNOWN, np.int8), settings=settings)
+    return made.log_weights(evidence)
+
+
+FIELDS = [("nav2", "beluga"), ("ros1", "beluga"), ("beluga", "nav2"), ("beluga", "ros1"), ("nav2", "ros1")]
+
+
+@pytest.mark.parametrize(("source", "to"), FIELDS)
+@pytest.mark.parametrize("model", ["likelihood_field", "likelihood_field_prob"])
+def test_relative_weights_stay_the_same(params, source, to, model):
+    prefix = "laser_" if source == "ros1" else ""
+    file = params(source, laser_model_type=model, laser_likelihood_max_dist=1.5, laser_max_range=20.0,
+                  **{f"{prefix}z_hit": 0.7, f"{prefix}z_rand": 0.4, f"{prefix}sigma_hit": 0.13})  # fmt: skip
+    result = translate(file, to, max_range=SENSOR_LIMIT)
+    assert result.exact
+    assert (result.stack, result.model) == (to, model)
+    before = weights(source, model, checked_values(file), SENSOR_LIMIT)
+    after = weights(to, model, parameter_class(to)(**result.values), SENSOR_LIMIT)
+    if model == "likelihood_field_prob":  # a product: up to a common factor
+        before, after = before - before.mean(), after - after.mean()
+    np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
+
+
+def test_the_gaussian_constant_of_the_chapter(params):
+    """z_hit .8, z_rand .2 and sigma .05 of the chapter are nav2's .970 and .030: here the other way round."""
+    file = params("nav2", laser_model_type="likelihood_field_prob", z_hit=0.969619, z_rand=0.030381, sigma_hit=0.05)
+    result = translate(file, "chapter", max_range=10.0)
+    assert result.values["z_hit"] == pytest.approx(0.8, abs=1e-4)
+    assert result.values["z_rand"] == pytest.approx(0.2, abs=1e-4)
+
+
+def test_the_sensors_limit_decides_what_z_rand_means(params):
+    file = params("nav2", laser_model_type="likelihood_field_prob")
+    with_limit, without = translate(file, "beluga", max_range=10.0), translate(file, "beluga")
+    # nav2 divides z_rand by the sensor's 10 m instead of the file's 100 m.
+    ratio = with_limit.values["z_rand"] / with_limit.values["z_hit"]
+    assert ratio == pytest.approx(0.5 / 0.5 / (np.sqrt(2 * np.pi) * 0.2))
+    assert with_limit.values["laser_max_range"] == 10.0
+    assert with_limit.exact
+    assert not without.exact
+    assert any("assumed that the sensor's longest range is 100 m" in note for note in without.notes)
+
+
+def test_beam_models_are_translated_with_the_reasons_why_not_exactly(params):
+    file = params("nav2", laser_model_type="beam", laser_max_range=10.0)
+    result = translate(file, "beluga")
+    assert not result.exact
+    assert sum(result.values[name] for name in ("z_hit", "z_short", "z_max", "z_rand")) == pytest.approx(1.0)
+    # The peak of a hit against the random floor stays.
+    peak = result.values["z_hit"] / (np.sqrt(2 * np.pi) * 0.2)
+    assert peak / result.values["z_rand"] == pytest.approx(1.0)
+    assert any("add 1 to the sum of cubes" in note for note in result.notes)
+    back = translate(params("beluga", **{n: v for n, v in result.values.items() if n != "max_beams"}), "nav2")
+    assert back.values["z_hit"] / back.values["z_rand"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "values", "to", "model", "reason"),
+    [
+        (
+            "nav2",
+            {},
+            "mrpt",
+            None,
+            "mrpt has no model that can weigh as nav2's likelihood_field does: that takes 1 \\+",
+        ),
+        ("nav2", {}, "beluga", "beam", r"takes 1 \+ the sum of p\^3 over fields, beluga's beam takes a sum of p\^3"),
+        ("nav2", {"laser_model_type": "beam"}, "f1tenth", None, "f1tenth has no model that can weigh as nav2's beam"),
+        ("nav2", {}, "ros9", None, "stack: expected one of nav2"),
+        ("nav2", {}, "beluga", "table", "model: beluga has likelihood_field"),
+        ("ros1", {"laser_model_type": "beam"}, "beluga", None, "max_range: the sensor's longest range is needed"),
+    ],
+    ids=["no such family", "other family", "table", "no stack", "no model", "no limit"],
+)
+def test_what_cannot_be_translated_says_why(params, source, values, to, model, reason):
+    with pytest.raises(InvalidInputError, match=reason):
+        translate(params(source, z_hit=0.5, **values), to, model=model)
+
+
+def test_beam_skipping_does_not_get_lost_in_silence(params):
+    file = params("nav2", laser_model_type="likelihood_field_prob", do_beamskip="true", laser_max_range=10.0)
+    assert any("beam skipping is left out" in note for note in translate(file, "beluga").notes)
+    assert translate(file, "ros1").values["do_beamskip"] is True

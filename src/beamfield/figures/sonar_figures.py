@@ -40,7 +40,7 @@ def sonar_figure(world: FigureWorld) -> Figure:
     ring = sonar_ring(N_SENSORS, max_range=MAX_RANGE)
     pose = world.pose
     readings = simulate_sonar(world.grid, pose[None], ring, SonarPhysics(phantoms=0.0), np.random.default_rng(61))
-    figure = new_figure(11.0, 4.6)
+    figure = new_figure(11.0, 4.9)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 0.72, 1.0))
     for ax in (left, right):
         framed_map(world.grid, ax)
@@ -54,7 +54,9 @@ def sonar_figure(world: FigureWorld) -> Figure:
         ax.set_aspect("equal", adjustable="box")
         style(ax, title=title, x="x [m]", y="y [m]", grid="none")
     handles = [Patch(facecolor=colour, alpha=0.6, label=label) for label, colour in KINDS]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+    # Axes of equal scales move after the layout has made room, so the room for the legend is given.
+    figure.set_layout_engine("constrained", rect=(0.0, 0.08, 1.0, 0.92))
+    figure.legend(handles=handles, loc="lower center", ncols=4, fontsize=8.5, frameon=False)
     return figure
 
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.path import Path
 
 from beamfield.geometry import compose
+from beamfield.maps.landmarks import LandmarkMap
+from beamfield.maps.lines import LineMap
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
 
 
@@ -52,6 +56,26 @@ class Room:
         half = self.poles[None, :, 2] ** 2 - aside
         distance = along - np.sqrt(np.maximum(half, 0.0))
         return np.where((half > 0) & (distance > 0), distance, np.inf)
+
+
+def drawn_room(outline: object, resolution: float = 0.1) -> tuple[OccupancyGrid, LineMap, LandmarkMap]:
+    """Return a room without furniture as a grid, as walls and as corners with opening angles, all exactly the same.
+
+    The sides of the outline (n, 2), counter-clockwise, go along x or y through multiples of the resolution, so that the
+    surfaces of the grid's cells are the walls. Corners have the opening angle as their signature.
+    """
+    corners = np.asarray(outline, dtype=float)
+    low = corners.min(axis=0) - 2 * resolution
+    size = np.round((corners.max(axis=0) - low) / resolution).astype(int) + 2
+    rows, cols = np.indices(size[::-1])
+    centres = low + (np.stack([cols, rows], axis=-1).reshape(-1, 2) + 0.5) * resolution
+    inside = Path(np.vstack([corners, corners[:1]])).contains_points(centres).reshape(rows.shape)
+    walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    ahead, behind = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
+    turns_left = behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0] > 0.0
+    opening = np.where(turns_left, 0.5 * np.pi, 1.5 * np.pi)
+    grid = OccupancyGrid(np.where(inside, 0.0, 1.0), resolution, np.array([*low, 0.0]))
+    return grid, LineMap.from_segments(walls), LandmarkMap(corners, signatures=opening)
 
 
 def l_shaped_room() -> Room:

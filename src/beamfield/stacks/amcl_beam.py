@@ -114,7 +114,8 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         values = self.as_nav2(self._parameters_for(evidence, parameters))
         z, z_star = evidence.ranges, evidence.expected_ranges
         p = z_star - z
-        p *= p
+        with np.errstate(over="ignore"):
+            p *= p
         p *= -0.5 / values.sigma_hit**2
         np.exp(p, out=p)
         p *= values.z_hit

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.nav2_parameters import MODEL_TYPES, Nav2Parameters
+from beamfield.stacks.parameter_checks import check_choice, check_counts, check_numbers, check_switches
 
 # nav2 dropped the prefix of these names.
 _PREFIXED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
@@ -46,9 +47,24 @@ class Ros1Parameters:
     beam_skip_error_threshold: float = 0.9
 
     def __post_init__(self) -> None:
-        checked = self.as_nav2()
-        for item in fields(self):
-            object.__setattr__(self, item.name, getattr(checked, nav2_name(item.name)))
+        check_choice(self, "laser_model_type", MODEL_TYPES)
+        check_numbers(
+            self,
+            at_least_zero=(
+                "laser_z_hit",
+                "laser_z_short",
+                "laser_z_max",
+                "laser_z_rand",
+                "laser_lambda_short",
+                "beam_skip_distance",
+                "beam_skip_threshold",
+                "beam_skip_error_threshold",
+            ),
+            positive=("laser_sigma_hit", "laser_likelihood_max_dist"),
+            finite=("laser_max_range", "laser_min_range"),
+        )
+        check_counts(self, laser_max_beams=2)
+        check_switches(self, "do_beamskip")
 
     def as_nav2(self) -> Nav2Parameters:
         """Return the same values under nav2's names."""

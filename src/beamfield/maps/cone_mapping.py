@@ -16,6 +16,10 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, usable_ranges
 
 SCANS_PER_CHUNK = 128
+# The arc lies so many cells behind the reading, which is the near surface of the cell that reflects. Measured in a room
+# of perfect cones, drawn and cast again: ranges come out a cell too short at 0, right from 0.25 to 1; with noise of
+# half a cell, nine in ten are within 0.01 m at 0.5 and 0.06 m at 0.25.
+BEHIND_READING = 0.5
 
 
 def build_cone_map(
@@ -30,9 +34,9 @@ def build_cone_map(
 ) -> OccupancyGrid:
     """Build the occupancy map of scans of a sensor with an opening angle.
 
-    A sonar's reading z says two things: no cell of the cone is occupied nearer than z, and at least one cell is on the
-    arc at z. Which one it is, other readings tell: a cell that other cones passed is not it. So there are two rounds
-    over the log.
+    A sonar's reading z says two things: no cell of the cone is occupied nearer than z, and at least one cell on the arc
+    is, which begins at z (it is drawn half a cell behind it). Which one it is, other readings tell: a cell that other
+    cones passed is not it. So there are two rounds over the log.
 
     1. Every scan passes the cells in its cones that are nearer than the reading.
     2. Every reading is a hit of those cells of its arc that were passed least; other cells of the arc get a part of a
@@ -121,7 +125,7 @@ def _readings(ranges: FloatArray, finder: RangeFinder, resolution: float, model:
         kinds[far & (kinds == kernels.HIT)] = kernels.PASS
         z[far] = model.longest_hit
     z[kinds == kernels.SKIP] = 0.0
-    return _Readings(z / resolution, kinds)
+    return _Readings(z / resolution + np.where(kinds == kernels.HIT, BEHIND_READING, 0.0), kinds)
 
 
 def _extent(

@@ -57,8 +57,9 @@ class MatchingHeadings:
     correlation
         (n,) its correlation, 0 where no heading has a positive one.
     is_exact
-        Whether the correlations are the model's to 1e-8 (double precision). If not, that of the heading may be smaller by
-        1e-3 than that of the best, and the model is to be asked for its value. Both hold in all tests; they are no bound.
+        Whether the correlations are the model's to 1e-8 (double precision). If not, that of the heading may be smaller
+        by 1e-3 than that of the best, and the model is to be asked for its value. Both hold in all tests, and are no
+        proven bounds.
     """
 
     heading_index: Integers

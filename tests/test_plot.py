@@ -11,9 +11,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from beamfield.errors import InvalidInputError
+from beamfield.features.corners import Corner
+from beamfield.features.lines import find_lines
+from beamfield.features.poles import Pole
+from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.plot import MAP_COLOURS, draw_map, draw_ranges, draw_scan, draw_trajectory, end_points
+from beamfield.plot import MAP_COLOURS, draw_features, draw_map, draw_ranges, draw_scan, draw_trajectory, end_points
 from beamfield.sensors import RangeFinder, Scan
 
 FINDER = RangeFinder.from_bearings([-np.pi / 2, 0.0, np.pi / 2], 10.0, mount=(0.2, 0.0, 0.0), min_range=0.1)
@@ -153,3 +157,36 @@ def test_a_histogram_without_measured_ranges_is_still_drawn_but_not_without_read
     assert "no return (10 m or more): 50.0%" in [text.get_text() for text in ax.get_legend().get_texts()]
     with pytest.raises(InvalidInputError, match="at least one reading"):
         draw_ranges(np.zeros((0, 3)), FINDER, ax)
+
+
+def test_features_are_drawn_where_the_pose_puts_them(ax):
+    finder = RangeFinder.from_bearings(np.linspace(-0.5, 0.5, 30), 10.0)
+    [wall] = find_lines(Scan(2.0 / np.cos(finder.bearings), finder), RangeNoise(0.01))
+    covariance = np.diag([0.01**2, 0.02**2, 0.01**2])
+    pole = Pole(np.array([3.0, 0.0, 0.4]), covariance, np.arange(4), 1.0)
+    corner = Corner(np.array([1.0, np.pi / 2, np.pi / 2]), covariance, np.arange(9))
+    pose = np.array([1.0, 2.0, np.pi / 2])
+    assert draw_features([wall, pole, corner], pose, ax) is ax
+    drawn = {line.get_label(): np.column_stack(line.get_data()) for line in ax.lines if line.get_label()[0] != "_"}
+    # The robot looks along +y: straight ahead is up, and left is towards -x.
+    wide = 2.0 * np.tan(0.5)
+    np.testing.assert_allclose(drawn["line (1)"], [[1.0 + wide, 4.0], [1.0 - wide, 4.0]], atol=1e-9)
+    np.testing.assert_allclose(drawn["pole (1)"], [[1.0, 5.0]], atol=1e-12)
+    np.testing.assert_allclose(drawn["corner (1)"], [[0.0, 2.0]], atol=1e-12)
+    outlines = [np.column_stack(line.get_data()) for line in ax.lines if len(line.get_xdata()) > 4]
+    reaches = sorted((np.ptp(o[:, 0]), np.ptp(o[:, 1])) for o in outlines)
+    # The corner's and the pole's ellipse (along the beam and across it), and the pole's outline.
+    sigmas = 2.0 * np.sqrt(5.991)
+    expected = sorted([(0.01, 0.02), (3.0 * 0.02, 0.01)])
+    np.testing.assert_allclose(reaches[:2], sigmas * np.array(expected), rtol=1e-2)
+    np.testing.assert_allclose(reaches[2], [0.4, 0.4], rtol=1e-2)
+
+
+def test_features_without_ellipses_and_none_at_all(ax):
+    draw_features([], np.zeros(3), ax)
+    assert not ax.lines
+    pole = Pole(np.array([3.0, 0.0, 0.4]), np.eye(3), np.arange(4), 1.0)
+    draw_features([pole], np.zeros(3), ax, ellipses=False)
+    assert len(ax.lines) == 2
+    with pytest.raises(InvalidInputError, match="pose"):
+        draw_features([pole], np.zeros((2, 3)), ax)

@@ -62,6 +62,22 @@ def test_covariance_of_a_line_is_that_of_its_errors(rng, offset, sigma_bearing):
     assert np.mean(np.array(squares) < chi2.ppf(0.95, 2 if sigma_bearing else 3)) == pytest.approx(0.95, abs=0.02)
 
 
+def test_noise_that_grows_with_the_range_is_weighted_and_stated(rng):
+    """A wall from 1 m to 9 m, as a scanner that triangulates sees it."""
+    noise = RangeNoise(0.005, sigma_slope=0.005)
+    finder = RangeFinder.from_bearings(np.linspace(0.0, 1.45, 150), 20.0)
+    exact = 1.0 / np.cos(finder.bearings)
+    squares, n = [], 1000
+    for _ in range(n):
+        z = exact + rng.normal(0.0, np.hypot(0.005, 0.005 * exact))
+        [sweep] = sweeps(Scan(z, finder))
+        line = fit_line(sweep, np.arange(150), noise)
+        error = line.measurement[:2] - [1.0, 0.0]
+        squares.append(error @ np.linalg.solve(line.covariance[:2, :2], error))
+    # The noise of a reading is that at the measured range, not at the true one: a per cent of difference.
+    assert 0.93 * chi2.ppf(1e-4, 2 * n) / n < np.mean(squares) < 1.07 * chi2.ppf(1 - 1e-4, 2 * n) / n
+
+
 def test_lines_of_an_exact_scan_are_the_walls():
     room = l_shaped_room()
     ranges, hit = room.cast(POSE, FULL_TURN)
@@ -157,7 +173,9 @@ def test_senseless_limits_are_refused(options, message):
         find_lines(Scan(np.full(720, 2.0), FULL_TURN), NOISE, **options)
 
 
-@pytest.mark.parametrize("wrong", [(0.0, 0.0), (np.nan, 0.0), (0.1, -1.0), (0.1, np.inf)], ids=str)
+@pytest.mark.parametrize(
+    "wrong", [(0.0, 0.0), (np.nan, 0.0), (0.1, -1.0), (0.1, np.inf), (0.1, 0.0, -0.1), (0.1, 0.0, np.nan)], ids=str
+)
 def test_senseless_noise_is_refused(wrong):
     with pytest.raises(InvalidInputError, match="sigma"):
         RangeNoise(*wrong)

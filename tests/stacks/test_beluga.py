@@ -85,6 +85,9 @@ def test_only_obstacles_beside_free_cells_count_with_only_obstacle_boundaries():
     model = BelugaField(thick, BelugaParameters(only_obstacle_boundaries=True))
     evidence = model.evidence(scan, poses)
     assert evidence.distances[:, 0].tolist() == [1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    inside = dataclasses.replace(model.parameters, model_unknown_space=True)
+    # The inside of the wall and the unknown cell.
+    assert (model.beam_values(evidence, inside)[:, 0] == 1.0 / 100.0).tolist() == [False, False] + [True] * 5
     everything = dataclasses.replace(model.parameters, only_obstacle_boundaries=False)
     again = model.with_parameters(everything).evidence(scan, poses)
     assert again.distances[:, 0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]

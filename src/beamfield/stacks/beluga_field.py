@@ -71,6 +71,9 @@ class BelugaField(StackModel[BelugaParameters, FieldEvidence]):
         only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
         obstacles = boundaries(seen) if only_boundaries else seen.occupied
         table = field_table(seen, obstacles, self.distance, BELUGA_FIRE, self.parameters.laser_likelihood_max_dist)
+        if only_boundaries:
+            # The inside of thick walls is as unknown space (Beluga's pull request 541).
+            table = table._replace(unknown=table.unknown | (seen.occupied & ~obstacles))
         if not obstacles.any():
             table = table._replace(distance=np.zeros(seen.shape, np.float32))
         object.__setattr__(self, "_table", table)

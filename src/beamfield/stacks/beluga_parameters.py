@@ -39,7 +39,8 @@ class BelugaParameters:
         Whether an end point in an unknown cell is worth 1 / laser_max_range; otherwise unknown cells are as free ones.
         likelihood_field only.
     only_obstacle_boundaries
-        Whether only obstacles beside a cell that is none count. likelihood_field only.
+        Whether only occupied cells beside a free cell count as obstacles; other occupied cells are then as unknown
+        ones. likelihood_field only.
 
     Raises
     ------

@@ -1,0 +1,171 @@
+"""Compare emulators with the programs they emulate, exact with approximate distances and ranges, and time them.
+
+Run: python benchmarks/stacks.py
+
+The first table needs other programs' answers in the folder ``shared/oracle`` beside the checkout and is left out without.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beam_model import MAX_RANGE, N_BEAMS, N_POSES, PARAMETERS, anywhere, near, office
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.sensors import RangeFinder, Scan
+from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga_parameters import BelugaParameters
+from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2_parameters import Nav2Parameters
+
+ORACLE = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared")) / "oracle"
+KINDS = (Nav2Field, Nav2FieldProb, Nav2Beam, BelugaField, BelugaFieldProb, BelugaBeam)
+COMMON = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
+
+
+def main() -> None:
+    """Print three Markdown tables: agreement, what the approximations change, and times."""
+    for rows in (agreement(), approximations(), times()):
+        if rows:
+            print(f"| {' | '.join(rows[0])} |")
+            print(f"|{'---|' * len(rows[0])}")
+            for row in rows:
+                print(f"| {' | '.join(str(value) for value in row.values())} |")
+            print()
+
+
+def agreement() -> list[dict[str, Any]]:
+    """Return the largest difference from each program's own weights over the poses of both oracle maps."""
+    if not ORACLE.is_dir():
+        return []
+    rows = []
+    cases = [_oracle_case(name) for name in ("tiny", "building")]
+    for kind in KINDS:
+        row: dict[str, Any] = {"emulator": kind.__name__}
+        for title, options in (("as the program", _program(kind)), ("exact", _exact(kind))):
+            worst = 0.0
+            for grid, scan, poses, values, answers in cases:
+                parameters = _oracle_parameters(kind, values)
+                got = kind(grid, parameters, map_mode="raw", **options).log_likelihood(scan, poses)
+                worst = max(worst, np.abs(np.expm1(got - np.log(answers[kind.stack][kind.model]))).max())
+            row[f"{title}: largest relative difference of a weight"] = f"{worst:.1e}"
+        rows.append(row)
+    return rows
+
+
+def approximations() -> list[dict[str, Any]]:
+    """Return how much exact distances and ranges change log-weights, at the stacks' defaults, on a synthetic office."""
+    grid, scan, sets = _scene()
+    rows = []
+    for kind in KINDS:
+        parameters = _defaults(kind)
+        program, exact = (kind(grid, parameters, **options) for options in (_program(kind), _exact(kind)))
+        for name, poses in sets.items():
+            a, b = program.log_likelihood(scan, poses), exact.log_likelihood(scan, poses)
+            # What matters is how weights of one scan compare.
+            change = np.abs((a - a.mean()) - (b - b.mean()))
+            rows.append(
+                {
+                    "emulator": kind.__name__,
+                    "poses": name,
+                    "spread of log w [nats]": f"{a.std():.2g}",
+                    "median change [nats]": f"{np.median(change):.1e}",
+                    "largest [nats]": f"{change.max():.1e}",
+                }
+            )
+    return rows
+
+
+def times() -> list[dict[str, Any]]:
+    """Return milliseconds for 2000 poses and 60 beams."""
+    grid, scan, sets = _scene()
+    poses = sets["track"]
+    rows = []
+    for kind in KINDS:
+        parameters = _defaults(kind)
+        model = kind(grid, parameters, threads=1)
+        evidence = model.evidence(scan, poses)
+        row: dict[str, Any] = {
+            "emulator": kind.__name__,
+            "evidence [ms]": _least_ms(lambda model=model: model.evidence(scan, poses)),
+            "log_weights [ms]": _least_ms(lambda model=model, evidence=evidence: model.log_weights(evidence)),
+        }
+        if kind.model == "beam":
+            exact = kind(grid, parameters, threads=1, rays="exact")
+            row["evidence, exact rays [ms]"] = _least_ms(lambda exact=exact: exact.evidence(scan, poses))
+        else:
+            row["evidence, exact rays [ms]"] = ""
+        rows.append(row)
+    return rows
+
+
+def _program(kind: Any) -> dict[str, str]:
+    return {} if kind.model == "beam" else {"distance": "brushfire"}
+
+
+def _exact(kind: Any) -> dict[str, str]:
+    return {"rays": "exact"} if kind.model == "beam" else {"distance": "exact"}
+
+
+def _defaults(kind: Any) -> Any:
+    return Nav2Parameters() if kind.stack == "nav2" else BelugaParameters()
+
+
+def _scene() -> tuple[OccupancyGrid, Scan, dict[str, np.ndarray]]:
+    rng = np.random.default_rng(7)
+    grid = office(rng)
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
+    truth = np.array([25.0, 25.0, 0.3])
+    scan = BeamModel(grid, PARAMETERS, threads=1).sample(truth, rng, finder)[0]
+    return grid, scan, {"track": near(truth, rng, N_POSES), "global": anywhere(grid, rng, N_POSES)}
+
+
+def _oracle_parameters(kind: Any, values: Mapping[str, float]) -> Any:
+    shared = {name: values[name] for name in COMMON}
+    shared |= {"laser_likelihood_max_dist": values["max_occ_dist"], "max_beams": int(values["n_beams"])}
+    if kind.stack == "nav2":
+        return Nav2Parameters(**shared)
+    beluga = BelugaParameters(**shared, only_obstacle_boundaries=False)
+    return replace(beluga, laser_max_range=values["max_range"])
+
+
+def _oracle_case(name: str) -> tuple[OccupancyGrid, Scan, np.ndarray, dict[str, float], dict[str, Any]]:
+    inputs, *answers = (_flat(ORACLE / name, part) for part in ("inputs", "nav2", "beluga"))
+    cells = np.reshape(inputs["map.data"], (int(inputs["map.height"]), int(inputs["map.width"])))
+    grid = OccupancyGrid.from_ros(cells, float(inputs["map.resolution"]), [*inputs["map.origin"], 0.0])
+    values = {k.removeprefix("params."): float(v) for k, v in inputs.items() if k.startswith("params.")}
+    values["n_beams"] = len(inputs["bearings"])
+    scan = Scan(inputs["ranges"], RangeFinder.from_bearings(inputs["bearings"], values["max_range"]))
+    return grid, scan, np.asarray(inputs["poses"]), values, dict(zip(("nav2", "beluga"), answers, strict=True))
+
+
+def _flat(folder: Path, name: str) -> dict[str, Any]:
+    if (folder / f"{name}.npz").is_file():
+        with np.load(folder / f"{name}.npz") as file:
+            return dict(file)
+    flat: dict[str, Any] = {}
+    for key, value in json.loads((folder / f"{name}.json").read_text()).items():
+        flat |= {f"{key}.{k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}
+    return {k: v if isinstance(v, str) else np.array(v, dtype=np.float64) for k, v in flat.items()}
+
+
+def _least_ms(function: Callable[[], object], repeats: int = 15) -> str:
+    function()
+    least = np.inf
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        least = min(least, time.perf_counter() - start)
+    return f"{1e3 * least:.2f}"
+
+
+if __name__ == "__main__":
+    main()

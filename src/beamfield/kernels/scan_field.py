@@ -1,8 +1,8 @@
 """The likelihood field of scans (Figure 6.11) and the ascent on it that aligns a scan.
 
-A measured surface is a row of small line elements ("surfels"): one per end point, and more where two neighbouring end
-points on one surface lie far apart. Distances to them are exact, there is no grid of distances: a scan is used for a
-few alignments only, and a grid would cost more than all of them. Buckets of cells find the elements near a point.
+Measured surfaces are the line elements of `kernels.surfaces`. Distances to them are exact, there is no grid of
+distances: a scan is used for a few alignments only, and a grid would cost more than all of them. Buckets of cells find
+the elements near a point.
 
 Free space is what a beam has passed: per origin of beams, their bearings in order and the ranges. Notation: (nx, ny) is
 an element's normal, its tangent is (-ny, nx).
@@ -23,29 +23,10 @@ Integers = NDArray[np.int64]
 
 INV_SQRT_2PI = 0.3989422804014327
 
-# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, and how it pulls.
+# As in `kernels.surfaces`, whose elements these are: constants of other files would not renew a cached kernel.
 X, Y, NX, NY, BACK, AHEAD, PULL, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
-# A line pulls across, a point from all sides. A lone end point of a surface seen sparsely (the far end of a corridor)
-# does not pull at all: the next scan meets that surface elsewhere, and a pull would claim to know where along it.
-LINE, POINT, NONE = 1.0, 0.0, -1.0
-
-# End points of neighbouring beams lie on one surface if their gap is at most this long ...
-LONGEST_GAP = 1.0
-# ... and not seen more grazingly than this (sine of 8 degrees), which is how edges of what stands in front look ...
-SMALLEST_SINE = 0.139
-# ... or if they are this close anyway: range noise turns short gaps into any direction.
-NOISY_GAP = 0.1
-# A line is fitted to the end points of one surface within this distance, or to the neighbours if they are further.
-FIT_RADIUS = 0.15
-# The end points around a line scatter across it by less than this share of their scatter along it.
-FLATNESS = 0.2
-# Longer stretches between end points get elements of their own, about this long.
+POINT, NONE = 0.0, -1.0
 ELEMENT = 0.25
-# End points of one surface that lie closer to each other than this share an element.
-SHORTEST_ELEMENT = 0.05
-
-# Beams see free space as far as halfway to their neighbours, but never further aside than this (3 degrees).
-WIDEST_BEAM = 0.0524
 
 
 class FieldView(NamedTuple):
@@ -71,138 +52,7 @@ class FieldView(NamedTuple):
     random_density: float
 
 
-# --- building ---------------------------------------------------------------------------------------------------------
-
-
-@kernel
-def find_surfaces(
-    mounts: Floats, ranges: Floats, opening: float, joined: NDArray[np.bool_], half_width: Floats
-) -> None:
-    """Fill joined (k,): beam i and the next lie on one surface; and half_width (k,): how far aside beam i sees.
-
-    `mounts` (k, 3) of one origin in the order of their directions, the last next to the first; `ranges` (k,), NaN
-    without end point.
-    """
-    k = ranges.size
-    for i in range(k):
-        j = (i + 1) % k
-        h = (i - 1) % k
-        ahead = (mounts[j, 2] - mounts[i, 2]) % (2.0 * math.pi)
-        behind = (mounts[i, 2] - mounts[h, 2]) % (2.0 * math.pi)
-        nearest = min(ahead, behind) if k > 2 else ahead
-        half_width[i] = max(min(0.5 * nearest if k > 1 else 0.0, WIDEST_BEAM), 0.5 * opening)
-        joined[i] = False
-        if k > 1 and ahead < 4.0 * WIDEST_BEAM and ranges[i] >= 0.0 and ranges[j] >= 0.0:
-            dx = ranges[j] * math.cos(ahead) - ranges[i]
-            dy = ranges[j] * math.sin(ahead)
-            gap = math.hypot(dx, dy)
-            # The gap's angle with the beam halfway between the two.
-            sine = abs(dy * math.cos(0.5 * ahead) - dx * math.sin(0.5 * ahead))
-            joined[i] = gap <= NOISY_GAP or (gap <= LONGEST_GAP and sine >= SMALLEST_SINE * gap)
-
-
-@kernel
-def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], out: Floats) -> int:
-    """Fill out (>= 4 k, 7) with the elements of the end points (k, 2) of one origin; return how many there are."""
-    k = ranges.size
-    n, kept = 0, -1
-    # Begin with the begin of a surface, so that turning the sensor changes no element.
-    first = 0
-    while first < k - 1 and joined[first - 1]:
-        first += 1
-    for m in range(k):
-        i = (first + m) % k
-        if not joined[i - 1]:
-            kept = -1
-        if not ranges[i] >= 0.0:
-            continue
-        if kept >= 0 and joined[i] and _gap(points, i, kept) < SHORTEST_ELEMENT:
-            # The line through the neighbour's surroundings is the same: let it reach further.
-            dx, dy = points[i, 0] - out[n - 1, X], points[i, 1] - out[n - 1, Y]
-            along = dy * out[n - 1, NX] - dx * out[n - 1, NY]
-            out[n - 1, AHEAD] = along + min(0.5 * _gap(points, i, (i + 1) % k), 0.5 * ELEMENT)
-            continue
-        h, j = (i - 1) % k, (i + 1) % k
-        gap_ahead = _gap(points, i, j) if joined[i] else 0.0
-        gap_behind = _gap(points, h, i) if k > 1 and joined[h] else 0.0
-        radius = max(FIT_RADIUS, 1.01 * max(gap_ahead, gap_behind))
-        cx, cy, nx, ny, flat = _fit_line(points, joined, i, radius)
-        # The tangent points along the beams' order, so that AHEAD is towards the next end point.
-        a, b = (i, j) if joined[i] else (h, i)
-        if (points[b, 0] - points[a, 0]) * -ny + (points[b, 1] - points[a, 1]) * nx < 0.0:
-            nx, ny = -nx, -ny
-        along = (points[i, 0] - cx) * -ny + (points[i, 1] - cy) * nx
-        out[n, X] = cx - ny * along if flat else points[i, 0]
-        out[n, Y] = cy + nx * along if flat else points[i, 1]
-        out[n, NX], out[n, NY] = nx, ny
-        reach_ahead, reach_behind = min(0.5 * gap_ahead, 0.5 * ELEMENT), min(0.5 * gap_behind, 0.5 * ELEMENT)
-        # At the end of a surface the true end lies somewhere before the next beam.
-        out[n, AHEAD] = (reach_ahead if joined[i] else reach_behind) if flat else 0.0
-        out[n, BACK] = (reach_behind if gap_behind > 0.0 else reach_ahead) if flat else 0.0
-        dense = (joined[i] or joined[h]) and max(gap_ahead, gap_behind) <= FIT_RADIUS
-        # Of what stands free, a chair's leg, both neighbouring beams see more than it.
-        stands_free = not (ranges[h] <= ranges[i] or ranges[j] <= ranges[i])
-        out[n, PULL] = LINE if flat else POINT if dense or stands_free else NONE
-        n += 1
-        kept = i if flat else -1
-        if gap_ahead > ELEMENT:
-            n = _fill_gap(points, i, j, gap_ahead, n, out)
-            kept = -1
-    return n
-
-
-@kernel
-def _gap(points: Floats, i: int, j: int) -> float:
-    """Return the distance of two end points."""
-    return math.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
-
-
-@kernel
-def _fit_line(
-    points: Floats, joined: NDArray[np.bool_], i: int, radius: float
-) -> tuple[float, float, float, float, bool]:
-    """Return mean, normal and flatness of the end points of i's surface within a radius."""
-    k = points.shape[0]
-    x0, y0 = points[i, 0], points[i, 1]
-    count, sx, sy, sxx, sxy, syy = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for direction in (1, -1):
-        j = i
-        for _ in range(k - 1):
-            if not joined[j if direction == 1 else (j - 1) % k]:
-                break
-            j = (j + direction) % k
-            dx, dy = points[j, 0] - x0, points[j, 1] - y0
-            if dx * dx + dy * dy > radius * radius:
-                break
-            count += 1.0
-            sx += dx
-            sy += dy
-            sxx += dx * dx
-            sxy += dx * dy
-            syy += dy * dy
-    mx, my = sx / count, sy / count
-    cxx, cxy, cyy = sxx / count - mx * mx, sxy / count - mx * my, syy / count - my * my
-    half_trace, half_difference = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
-    root = math.hypot(half_difference, cxy)
-    small, large = half_trace - root, half_trace + root
-    angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
-    flat = count >= 3.0 and small <= FLATNESS * FLATNESS * large
-    return x0 + mx, y0 + my, -math.sin(angle), math.cos(angle), flat
-
-
-@kernel
-def _fill_gap(points: Floats, i: int, j: int, gap: float, n: int, out: Floats) -> int:
-    """Append elements between two end points of one surface; return the new number of elements."""
-    pieces = math.ceil(gap / ELEMENT)
-    dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-    for m in range(1, pieces):
-        out[n, X] = points[i, 0] + dx * m / pieces
-        out[n, Y] = points[i, 1] + dy * m / pieces
-        out[n, NX], out[n, NY] = dy / gap, -dx / gap
-        out[n, AHEAD] = out[n, BACK] = 0.5 * gap / pieces
-        out[n, PULL] = LINE
-        n += 1
-    return n
+# --- indexing ---------------------------------------------------------------------------------------------------------
 
 
 @kernel

@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, wrap_angle
 from beamfield.kernels import scan_field as kernels
+from beamfield.localization.weak_direction import weigh_optima
 from beamfield.maps.scan_field import ScanField, end_points
 from beamfield.sensors import Scan
 
-Problem = Literal["", "no end points", "no overlap", "undetermined", "not converged"]
+Problem = Literal["", "no end points", "no overlap", "undetermined", "ambiguous", "not converged"]
 
 # Coarse to fine, in units of the field's sigma: the widest catches errors of 0.3 m and 15 degrees with sigma 0.03 m.
 COARSE_SIGMAS = (12.0, 4.0)
@@ -39,8 +40,11 @@ FEWEST_MATCHES = 3.0
 # A scan is worth one independent beam per this angle: see `align`. Chosen on FR079, checked on Intel.
 INDEPENDENT_ANGLE = math.radians(45.0)
 # What no number of beams averages away: the scan was taken on the move, its plane tilts, surfaces are not lines.
-FLOOR_DISTANCE, FLOOR_ANGLE = 0.01, 0.003
+FLOOR_DISTANCE, FLOOR_ANGLE = 0.015, 0.005
 SMALLEST_SPREAD = 0.01
+# Other optima are looked for along the weakest direction if its eigenvalue lies below this, and reported if their joint
+# probability exceeds `DOUBT`.
+WEAK, DOUBT = 0.25, 0.05
 # Standard deviation along an undetermined direction, metres of end points.
 UNDETERMINED_DEVIATION = 100.0
 
@@ -179,29 +183,59 @@ def align(
     _, converged, _ = kernels.ascend(
         points, pose, 1, sigma, lever, threshold, FINE_TOLERANCE * sigma, max_steps, field.view
     )
-    gradient, information = np.zeros(3), np.zeros((3, 3))
-    score, matched, squares, seen = kernels.linearise(
-        points, pose, 1, sigma, REACH_SIGMAS * sigma, field.view, gradient, information
-    )
-    overlap = min(seen / len(points), 1.0)
-    if matched < FEWEST_MATCHES:
-        return _failure(start, score, overlap, lever, "no overlap")
-    spread = math.sqrt(squares / matched)
-    scale = np.array([1.0, 1.0, 1.0 / lever])
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / matched)
+    fit = _inspect(points, pose, field, lever)
+    if fit.n_matched < FEWEST_MATCHES:
+        return _failure(start, fit.score, fit.overlap, lever, "no overlap")
     dependence = max(INDEPENDENT_ANGLE / _beam_spacing(scan), 1.0)
-    variances = dependence * max(spread, SMALLEST_SPREAD) ** 2 / (matched * np.maximum(values, threshold))
-    free = values < threshold
+    spread, doubt = np.zeros((3, 3)), 0.0
+    if threshold <= fit.eigenvalues[0] < max(WEAK, threshold):
+        optima = weigh_optima(
+            points, field, pose, fit.directions[0], start,
+            lever=lever, threshold=threshold, dependence=dependence, window=search[0],
+        )  # fmt: skip
+        fit = _inspect(points, optima.pose, field, lever)
+        spread, doubt = optima.spread, optima.share
+    free = fit.eigenvalues < threshold
+    determined = fit.n_matched * np.maximum(fit.eigenvalues, threshold)
+    variances = dependence * max(fit.spread, SMALLEST_SPREAD) ** 2 / determined
     variances[free] = UNDETERMINED_DEVIATION**2
-    covariance = (vectors * variances) @ vectors.T * np.outer(scale, scale)
+    covariance = (fit.directions.T * variances) @ fit.directions + spread
     covariance += np.diag([FLOOR_DISTANCE**2, FLOOR_DISTANCE**2, FLOOR_ANGLE**2])
-    pose[2] = wrap_angle(pose[2])
-    problem: Problem = "undetermined" if free.any() else "" if converged else "not converged"
-    directions = vectors[:, free].T * scale
+    found = np.array([*fit.pose[:2], wrap_angle(fit.pose[2])])
+    problem: Problem = (
+        "undetermined" if free.any() else "ambiguous" if doubt > DOUBT else "" if converged else "not converged"
+    )
     return AlignmentResult(
-        pose, 0.5 * (covariance + covariance.T), score, overlap, matched, spread, converged, np.maximum(values, 0.0),
-        directions, lever, problem,
+        found, 0.5 * (covariance + covariance.T), fit.score, fit.overlap, fit.n_matched, fit.spread, converged,
+        np.maximum(fit.eigenvalues, 0.0), fit.directions[free], lever, problem,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """How end points lie at a pose; fields as in `AlignmentResult`, directions (3, 3) one per eigenvalue."""
+
+    pose: FloatArray
+    score: float
+    overlap: float
+    n_matched: float
+    spread: float
+    eigenvalues: FloatArray
+    directions: FloatArray
+
+
+def _inspect(points: FloatArray, pose: FloatArray, field: ScanField, lever: float) -> _Fit:
+    """Return how end points lie at a pose."""
+    sigma = field.sigma_hit
+    information = np.zeros((3, 3))
+    score, matched, squares, seen = kernels.linearise(
+        points, pose, 1, sigma, REACH_SIGMAS * sigma, field.view, np.zeros(3), information
+    )
+    some = max(matched, FEWEST_MATCHES)
+    scale = np.array([1.0, 1.0, 1.0 / lever])
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / some)
+    overlap = min(seen / len(points), 1.0)
+    return _Fit(pose, score, overlap, matched, math.sqrt(squares / some), values, vectors.T * scale)
 
 
 def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: float, max_steps: int) -> FloatArray:

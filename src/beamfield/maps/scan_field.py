@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import scan_field as kernels
 from beamfield.kernels.threads import run_in_slices
+from beamfield.maps.scan_surfaces import Fan, measured_fans
 from beamfield.sensors import Scan, usable_ranges
 
 # Nearer than this many sigma to a surface, a point is taken to be on it.
@@ -54,7 +55,8 @@ class ScanField:
 
     Surfaces are more than points: a line is fitted to the end points of neighbouring beams on one surface, and the gap
     between two of them belongs to the surface if it is at most 1 m long and not seen more grazingly than 8 degrees. Far
-    walls whose end points are sparse stay walls. Distances to these lines are exact; there is no grid.
+    walls whose end points are sparse stay walls. Lone end points, most of them random or short readings, do not part a
+    wall. Distances to these lines are exact; there is no grid.
 
     Use `from_scan` or `from_scans`. To align scans with it, see `beamfield.localization.alignment.align`.
 
@@ -155,7 +157,11 @@ class ScanField:
             raise InvalidInputError(
                 f"poses: expected one per scan and at least one, got shape {where.shape} for {len(scans)} scans"
             )
-        fans = [fan for scan, pose in zip(scans, where, strict=True) for fan in _fans(scan, pose, no_return == "free")]
+        fans = [
+            fan
+            for scan, pose in zip(scans, where, strict=True)
+            for fan in measured_fans(scan, pose, no_return == "free")
+        ]
         max_range = max(scan.finder.max_range for scan in scans)
         view = _index(fans, max(BUCKET, HIT_SIGMAS * sigma_hit), z_hit, z_rand, max_range)
         return cls(z_hit, z_rand, sigma_hit, max_range, view)
@@ -261,18 +267,6 @@ def end_points(scan: Scan) -> FloatArray:
     return np.column_stack([m[:, 0] + r * np.cos(m[:, 2]), m[:, 1] + r * np.sin(m[:, 2])])
 
 
-@dataclass(frozen=True, eq=False)
-class _Fan:
-    """Beams of one origin in the order of their directions."""
-
-    origin: FloatArray
-    bearings: FloatArray
-    passed: FloatArray
-    half_width: FloatArray
-    joined: NDArray[np.bool_]
-    elements: FloatArray
-
-
 def _check_parameters(z_hit: float, z_rand: float, sigma_hit: float) -> None:
     """Refuse weights and sigmas that make no sense."""
     if not (z_hit > 0.0 and z_rand > 0.0 and abs(z_hit + z_rand - 1.0) <= 1e-9):
@@ -281,42 +275,7 @@ def _check_parameters(z_hit: float, z_rand: float, sigma_hit: float) -> None:
         raise InvalidInputError(f"sigma_hit: expected a positive number of metres, got {sigma_hit}")
 
 
-def _fans(scan: Scan, pose: FloatArray, free_without_return: bool) -> list[_Fan]:
-    """Return the beams of a scan, fan by fan, in the frame of the pose."""
-    finder = scan.finder
-    ranges = usable_ranges(scan.ranges, finder)
-    mounts = compose(pose, finder.mounts)
-    if not len(mounts):
-        return []
-    if np.ptp(finder.mounts[:, :2], axis=0).max() < 1e-6:
-        return [_fan(mounts, ranges, finder.max_range, finder.opening_angle, free_without_return)]
-    # Positions that agree within a micrometre are one origin.
-    _, which = np.unique(np.round(finder.mounts[:, :2], 6), axis=0, return_inverse=True)
-    which = which.ravel()
-    return [
-        _fan(mounts[which == g], ranges[which == g], finder.max_range, finder.opening_angle, free_without_return)
-        for g in range(which.max() + 1)
-    ]
-
-
-def _fan(mounts: FloatArray, ranges: FloatArray, max_range: float, opening: float, free_without_return: bool) -> _Fan:
-    """Sort the beams of one origin and find the surfaces they measured."""
-    order = np.argsort(mounts[:, 2], kind="stable")
-    mounts, ranges = mounts[order], ranges[order]
-    with np.errstate(invalid="ignore"):
-        returned = ranges < max_range
-    passed = np.where(returned | (free_without_return & (ranges == max_range)), ranges, 0.0)
-    ranges = np.where(returned, ranges, np.nan)
-    joined, half_width = np.empty(len(ranges), np.bool_), np.empty(len(ranges))
-    kernels.find_surfaces(mounts, ranges, opening, joined, half_width)
-    points = mounts[:, :2] + ranges[:, None] * np.column_stack([np.cos(mounts[:, 2]), np.sin(mounts[:, 2])])
-    # A gap of a metre is filled with three elements at most.
-    elements = np.empty((4 * len(ranges), kernels.COLUMNS))
-    n = kernels.fit_elements(points, ranges, joined, elements)
-    return _Fan(mounts[0, :2], mounts[:, 2], passed, half_width, joined, elements[:n])
-
-
-def _index(fans: list[_Fan], bucket: float, z_hit: float, z_rand: float, max_range: float) -> kernels.FieldView:
+def _index(fans: list[Fan], bucket: float, z_hit: float, z_rand: float, max_range: float) -> kernels.FieldView:
     """Return the view of all fans, with their elements sorted into buckets."""
     elements = np.concatenate([np.empty((0, kernels.COLUMNS)), *(fan.elements for fan in fans)])
     left, bottom, rows, cols = 0.0, 0.0, 1, 1

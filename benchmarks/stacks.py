@@ -2,7 +2,7 @@
 
 Run: python benchmarks/stacks.py
 
-The first table needs other programs' answers in the folder ``shared/oracle`` beside the checkout and is left out without.
+The first table needs other programs' answers, in the folder ``shared/oracle`` beside the checkout; else it is left out.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ PHYSICS_OPTIONS: tuple[tuple[str, float, str, str], ...] = (
     ("corner-echo", 0.9, "P", "share of inner corners that are heard"),
     ("edge-echo", 0.2, "P", "share of edges that are heard"),
     ("second-echo", 0.7, "P", "share of echoes over several walls that are heard"),
-    ("dropout", 0.01, "P", "share of echoes that are too faint"),
+    ("dropout", 0.01, "P", "share of readings that miss their echo"),
     ("sigma", 0.02, "M", "noise of a range"),
     ("cross-talk", 0.3, "P", "share of the other sensors' echoes that are taken for one's own"),
     ("firing-groups", 4, "N", "sensors k, k + N, k + 2 N ... fire at once"),

@@ -10,6 +10,7 @@ import numpy as np
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.maps.cone import ConeCaster, make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
@@ -49,7 +50,8 @@ def simulate_log(
     grid
         The world.
     finder
-        The sensor.
+        The sensor. If it has an opening angle, the readings are those of `SonarModel`; for sonars among walls that
+        mirror sound see `simulate_sonar_log`.
     parameters
         The true parameters of the beam model.
     duration
@@ -110,7 +112,7 @@ def simulate_log(
         raise InvalidInputError("the map has no occupied cell: there is nothing to measure")
     truth = drive_through(grid, stamps, seed=int(drive_seed), options=drive)
     odometry = noisy_odometry(truth.poses, np.random.default_rng(odometry_seed), odometry_noise)
-    expected = _expected_ranges(RayCaster(grid, unknown=unknown), truth.poses, finder, threads, progress)
+    expected = _expected_ranges(make_caster(grid, finder, unknown=unknown), truth.poses, finder, threads, progress)
     ranges = _draw(expected, finder, parameters, stamps, dependence, np.random.default_rng(reading_seed))
     policy = NoReturnPolicy((), float(np.isinf(ranges).mean()), "declared", "simulated: no return is +inf")
     name = finder.name or "scan"
@@ -137,7 +139,11 @@ def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
 
 
 def _expected_ranges(
-    caster: RayCaster, poses: FloatArray, finder: RangeFinder, threads: int | None, progress: Progress | None
+    caster: RayCaster | ConeCaster,
+    poses: FloatArray,
+    finder: RangeFinder,
+    threads: int | None,
+    progress: Progress | None,
 ) -> FloatArray:
     expected: FloatArray = np.empty((len(poses), finder.n_beams))
     for first in range(0, len(poses), SCANS_PER_CHUNK):

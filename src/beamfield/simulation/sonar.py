@@ -54,7 +54,7 @@ class EchoCause(IntEnum):
 
 @dataclass(frozen=True)
 class SonarPhysics:
-    """How sound is sent, reflected and heard. The shares are probabilities, drawn for each way anew.
+    """How sound is sent, reflected and heard. The shares are probabilities, drawn anew for each reading.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class SonarPhysics:
     second_echo
         Share of echoes over two or three mirrors that are loud enough to be heard.
     dropout
-        Share of echoes, of any kind, that are too faint.
+        Share of readings in which a sensor misses its own echoes, all of them.
     sigma, sigma_slope
         Standard deviation of the range: sqrt(sigma^2 + (sigma_slope z)^2), metres.
     cross_talk
@@ -116,7 +116,11 @@ class SonarPhysics:
 
     @classmethod
     def diffuse(cls, *, sigma: float = 0.05, **changes: float) -> SonarPhysics:
-        """Return a world of rough walls and without cross-talk, in which the assumptions of `SonarModel` hold."""
+        """Return a world of rough walls and without cross-talk, in which the assumptions of `SonarModel` hold.
+
+        With `dropout` d and `phantoms` p the mixture then is z_hit = (1 - d)(1 - p), z_max = d (1 - p), z_rand = p, and
+        sigma_hit = `sigma`.
+        """
         plain: dict[str, float] = {"dropout": 0.0, "cross_talk": 0.0, "phantoms": 0.0, "sigma_slope": 0.0}
         return cls(roughness=1.0, sigma=sigma, **{**plain, **changes})  # type: ignore[arg-type]
 
@@ -146,7 +150,7 @@ def sonar_ring(
     radius: float = 0.2,
     opening_angle: float = np.radians(30.0),
     max_range: float = 5.0,
-    min_range: float = 0.1,
+    min_range: float = 0.0,
     first_bearing: float = 0.0,
     name: str = "sonar",
 ) -> RangeFinder:
@@ -161,7 +165,7 @@ def sonar_ring(
     opening_angle
         Full width of each cone, radians.
     max_range, min_range
-        Limits of each sensor, metres. Shortly after its own pulse a sonar hears nothing else.
+        Limits of each sensor, metres.
     first_bearing
         Where the first sensor looks, radians; the others follow counter-clockwise.
     name
@@ -304,9 +308,10 @@ def _readings(
     shares[[kernels.MIRROR, kernels.CORNER, kernels.EDGE, kernels.SECOND, kernels.DIFFUSE]] = (
         1.0, physics.corner_echo, physics.edge_echo, physics.second_echo, physics.roughness,
     )  # fmt: skip
-    heard = rng.random(ways.shape) < shares * (1.0 - physics.dropout)
+    heard = rng.random(ways.shape) < shares
     arrivals = np.where(heard, 0.5 * ways, np.inf)
-    own = _own(arrivals)
+    own = _own(arrivals).copy()
+    own[rng.random(own.shape[:2]) < physics.dropout] = np.inf
     kind = np.argmin(own, axis=-1)
     z = np.take_along_axis(own, kind[..., None], axis=-1)[..., 0]
     cause = _CAUSE_OF_WAY[kind]

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
 from beamfield.stacks.beluga_parameters import BelugaParameters
 from beamfield.stacks.emulator import StackModel
+from beamfield.stacks.f1tenth_parameters import F1tenthParameters
+from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
 from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.nav2_parameters import Nav2Parameters
-from beamfield.stacks.parameter_file import Stack, check_model, check_stack
+from beamfield.stacks.parameter_file import MODELS, Stack, check_model, check_stack
 from beamfield.stacks.ros1 import Ros1Beam, Ros1Field, Ros1FieldProb
 from beamfield.stacks.ros1_parameters import Ros1Parameters
 
@@ -20,12 +23,41 @@ _MODELS: Mapping[Stack, Mapping[str, type[StackModel[Any, Any]]]] = {
     "ros1": {"likelihood_field": Ros1Field, "likelihood_field_prob": Ros1FieldProb, "beam": Ros1Beam},
     "beluga": {"likelihood_field": BelugaField, "likelihood_field_prob": BelugaFieldProb, "beam": BelugaBeam},
 }
-PARAMETERS: Mapping[Stack, type[Any]] = {"nav2": Nav2Parameters, "ros1": Ros1Parameters, "beluga": BelugaParameters}
+# Of each model, or one for all models of a stack; MRPT's models share no name.
+_PARAMETERS: Mapping[Stack, Mapping[str, type[Any]] | type[Any]] = {
+    "nav2": Nav2Parameters,
+    "ros1": Ros1Parameters,
+    "beluga": BelugaParameters,
+    "mrpt": {"LF_Thrun": MrptFieldParameters, "rayTracing": MrptRayParameters},
+    "f1tenth": F1tenthParameters,
+}
 
 
-def parameter_class(stack: str) -> type[Any]:
-    """Return the dataclass of a stack's parameters: its fields have the names of the stack's files."""
-    return PARAMETERS[check_stack(stack)]
+def parameter_class(stack: str, model: str | None = None) -> type[Any]:
+    """Return the dataclass of a model's parameters: its fields have the names of the stack's files.
+
+    Parameters
+    ----------
+    stack
+        For example "mrpt".
+    model
+        For example "rayTracing"; None takes the stack's default, which matters for MRPT only.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such stack, or it has no such model.
+    """
+    kinds = _PARAMETERS[check_stack(stack)]
+    chosen = check_model(stack, MODELS[check_stack(stack)][0] if model is None else model)
+    return kinds[chosen] if isinstance(kinds, Mapping) else kinds
+
+
+def parameter_names(stack: str) -> frozenset[str]:
+    """Return the names of all parameters that a stack's models have."""
+    return frozenset(
+        item.name for model in MODELS[check_stack(stack)] for item in fields(parameter_class(stack, model))
+    )
 
 
 def emulator(stack: str, model: str) -> type[StackModel[Any, Any]]:

@@ -14,6 +14,8 @@ from beamfield.stacks.registry import parameter_class
 
 # These declare each parameter's type, and stop if a file has another.
 STRICT_STACKS = ("nav2", "beluga")
+# A number or a name in the file; `file.model` says what it stands for.
+MRPT_MODEL = "likelihoodMethod"
 
 
 class Unusable(NamedTuple):
@@ -33,12 +35,12 @@ class TypedValues(NamedTuple):
 
 def typed_values(file: StackFile) -> TypedValues:
     """Return the stack's parameters that a file asks for, and the values that cannot be used."""
-    kind = parameter_class(file.stack)
+    kind = parameter_class(file.stack, file.model)
     usable: dict[str, Value] = {}
     unusable: list[Unusable] = []
     for item in fields(kind):
         entry = file.section.entries.get(item.name)
-        if entry is None:
+        if entry is None or item.name == MRPT_MODEL:
             continue
         value, message = _convert(entry, item, strict=file.stack in STRICT_STACKS)
         if not message:

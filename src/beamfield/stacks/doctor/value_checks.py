@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator
-from dataclasses import fields
+from collections.abc import Iterator, Set
 
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
-from beamfield.stacks.registry import PARAMETERS, parameter_class
+from beamfield.stacks.parameter_file import STACKS
+from beamfield.stacks.registry import parameter_names
 
 # Names that differ by so little are a slip of the pen (difflib's ratio).
 SIMILAR = 0.88
@@ -60,12 +60,12 @@ def unusable_values(patient: Patient) -> Iterator[Diagnosis]:
 
 def foreign_names(patient: Patient) -> Iterator[Diagnosis]:
     """Find parameters of another stack, and names one letter off."""
-    own = {item.name for item in fields(parameter_class(patient.file.stack))}
+    own = parameter_names(patient.file.stack)
     for name, entry in patient.file.section.entries.items():
         if name in own or entry.value is None:
             continue
-        for stack, kind in PARAMETERS.items():
-            if stack != patient.file.stack and name in {item.name for item in fields(kind)}:
+        for stack in STACKS:
+            if stack != patient.file.stack and name in parameter_names(stack):
                 yield patient.finds(
                     "foreign-name", "warning", f"{name} is a parameter of {stack}, not of {patient.file.stack}",
                     f"{patient.file.stack} ignores it without a word and uses its own default",
@@ -92,7 +92,7 @@ def stack_guess(patient: Patient) -> Iterator[Diagnosis]:
         )  # fmt: skip
 
 
-def _own_name(name: str, own: set[str]) -> str:
+def _own_name(name: str, own: Set[str]) -> str:
     other = name.removeprefix("laser_") if name.startswith("laser_") else f"laser_{name}"
     if other in own:
         return f"call it {other} (values keep their meaning between ROS 1 and nav2)"

@@ -17,7 +17,7 @@ from beamfield.maps.markers import MarkerId, MarkerMap, as_ids
 from beamfield.models.ceiling_camera import CeilingCamera
 from beamfield.models.heading_density import HeadingDensity
 
-__all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel"]
+__all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel", "image_of_corners"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +61,51 @@ class MarkerDetections:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+
+def image_of_corners(corners: ArrayLike) -> FloatArray:
+    """Return the image coordinates (..., 3) of square markers from their corners.
+
+    Parameters
+    ----------
+    corners
+        (..., 4, 2) u, v in pixels without lens distortion, clockwise as seen in the image and starting with the
+        marker's own upper left corner, as detectors of ArUco and AprilTag give them.
+
+    Returns
+    -------
+    u, v of the marker's centre, where the diagonals cross (also if the camera tilts), and the direction of its upper
+    and lower edge, radians in (-pi, pi] from +u to +v.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are not finite (..., 4, 2), or a marker's diagonals do not cross between its corners.
+
+    Examples
+    --------
+    >>> image_of_corners([[10.0, 10.0], [30.0, 10.0], [30.0, 30.0], [10.0, 30.0]]).tolist()
+    [20.0, 20.0, 0.0]
+    """
+    given = np.asarray(corners, dtype=np.float64)
+    if given.shape[-2:] != (4, 2) or not np.isfinite(given).all():
+        raise InvalidInputError(f"corners: expected finite numbers of shape (..., 4, 2), got shape {given.shape}")
+    a, b, c, d = np.moveaxis(given, -2, 0)
+    down, up, across = c - a, d - b, b - a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share_down = _cross(across, up) / _cross(down, up)
+        share_up = _cross(across, down) / _cross(down, up)
+    crossing = (share_down > 0.0) & (share_down < 1.0) & (share_up > 0.0) & (share_up < 1.0)
+    if not crossing.all():
+        raise InvalidInputError(f"corners: expected a convex four-sided marker, got {given[~crossing][0].tolist()}")
+    right = (b + c) - (a + d)
+    place = a + share_down[..., None] * down
+    angle = wrap_angle(np.arctan2(right[..., 1], right[..., 0]))
+    return np.concatenate([place, angle[..., None]], axis=-1)
+
+
+def _cross(one: FloatArray, two: FloatArray) -> FloatArray:
+    return np.asarray(one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0])
 
 
 @dataclass(frozen=True, eq=False)

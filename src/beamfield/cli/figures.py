@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         page = gallery_page(figures, world.name, suffix=arguments.format)
         (folder / "gallery.md").write_text(page, encoding="utf-8")
     for figure in figures:
-        print(f"Figure {figure.number}: {figure.title}. {figure.caption}")
+        print(f"{figure.name}: {figure.title}. {figure.caption}")
     print(f"\nwrote {len(figures)} figures and gallery.md into {arguments.out}, drawn from: {world.name}")
     return 0
 

@@ -10,7 +10,14 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from beamfield.errors import InvalidInputError
-from beamfield.figures import beam_model_figures, field_figures, landmark_figures, scan_figures, sonar_figures
+from beamfield.figures import (
+    beam_model_figures,
+    feature_figures,
+    field_figures,
+    landmark_figures,
+    scan_figures,
+    sonar_figures,
+)
 from beamfield.figures.world import FigureWorld
 
 # Dots per inch of the parts of an SVG or PDF that are pictures, and of PNG.
@@ -46,6 +53,11 @@ class ChapterFigure:
     def stem(self) -> str:
         """File name without its suffix."""
         return f"figure_{self.number.replace('.', '_')}"
+
+    @property
+    def name(self) -> str:
+        """How it is called: Figure 6.7; or Section 6.6.5, for what that section says without a figure."""
+        return f"{'Section' if self.number.count('.') > 1 else 'Figure'} {self.number}"
 
 
 _ALL = (
@@ -152,6 +164,16 @@ _ALL = (
         "6.6.4",
         landmark_figures.poses_of_detection_figure,
     ),
+    ChapterFigure(
+        "6.6.5",
+        "What features keep of a scan",
+        "The posterior over positions, all on one scale, given (a) a whole scan, (b) only its walls, (c) only its "
+        "corners, and its entropy beside the prior's, over x, y and theta. Features leave places possible that the "
+        "scan excludes: they are not sufficient statistics (6.42). Scan and features take the same readings for as "
+        "independent.",
+        "6.6.5",
+        feature_figures.kept_information_figure,
+    ),
 )
 
 FIGURES: Mapping[str, ChapterFigure] = {figure.number: figure for figure in _ALL}
@@ -218,9 +240,9 @@ def gallery_page(figures: Sequence[ChapterFigure], world_name: str, folder: str 
         # Two of z* would make what is between them italic.
         caption = figure.caption.replace("*", r"\*")
         lines += [
-            f"## Figure {figure.number}: {figure.title}",
+            f"## {figure.name}: {figure.title}",
             "",
-            f"![Figure {figure.number}: {figure.title}]({folder}/{figure.stem}.{suffix})",
+            f"![{figure.name}: {figure.title}]({folder}/{figure.stem}.{suffix})",
             "",
             f"{caption} (section {figure.section})",
             "",

@@ -153,7 +153,7 @@ def bootstrap_intervals(
         everything = np.ones((1, n_blocks), dtype=np.int64)
         own = _learn_replicates(z, expected, blocks, theta, problem, everything, threads, None)[0]
         replicates = np.maximum(replicates - own + centre, np.where(np.array(_NAMES) == "range_offset", -np.inf, 0.0))
-    tail = _expanded_tail(level, n_blocks)
+    tail = expanded_tail(level, n_blocks)
     low, high = np.quantile(replicates, [tail, 1.0 - tail], axis=0)
     learned = [i for i, name in enumerate(_NAMES) if _is_free(name, problem)]
     return IntervalResult(
@@ -267,8 +267,8 @@ def _is_free(name: str, problem: LearningProblem) -> bool:
     return bool(problem.free[problem.position(name)])
 
 
-def _expanded_tail(level: float, n_blocks: int) -> float:
-    """Share of the replicates beyond each end of the interval."""
+def expanded_tail(level: float, n_blocks: int) -> float:
+    """Return the share of the replicates beyond each end of an interval from so many blocks (Hesterberg)."""
     quantile = stdtrit(n_blocks - 1, 0.5 * (1.0 - level))
     return float(ndtr(np.sqrt(n_blocks / (n_blocks - 1.0)) * quantile))
 

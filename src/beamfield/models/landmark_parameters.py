@@ -33,7 +33,8 @@ class LandmarkParameters:
     spurious_rate
         Probability that a feature belongs to no landmark of the map (c = N + 1), in [0, 1).
     max_range
-        Features of no landmark have ranges uniform on [0, max_range], metres; needed where there are any.
+        Features of no landmark have ranges uniform on [0, max_range], metres; needed where there are any
+        and the sensor measures ranges.
     range_bias, bearing_bias
         Mean of what is measured minus what is true. Beyond the chapter, where they are 0.
     range_scale
@@ -69,7 +70,7 @@ class LandmarkParameters:
                 raise InvalidInputError(f"{name}: expected a finite number, got {getattr(self, name)}")
         if not 0.0 <= self.spurious_rate < 1.0:
             raise InvalidInputError(f"spurious_rate: expected a probability in [0, 1), got {self.spurious_rate}")
-        if self.spurious_rate > 0.0 and self.max_range is None:
+        if self.spurious_rate > 0.0 and self.max_range is None and self.sigma_range is not None:
             raise InvalidInputError("max_range: expected a limit where spurious_rate > 0, got None")
         if self.signature_covariance is not None:
             object.__setattr__(self, "signature_covariance", _checked_covariance(self.signature_covariance))

@@ -9,7 +9,8 @@ without any ray but the two edges:
   are a run of columns. The half below is the same, mirrored.
 - In that run, cells farther left and right of the apex are farther away. Only the first occupied one on either side
   counts; a word of 32 bits skips 32 free cells.
-- Rows farther away than the nearest cell so far are never looked at.
+- Rows farther away than the nearest cell so far are never looked at, and eight rows together are passed over if nothing
+  in them is in the cone.
 
 The two edges are cast as rays beforehand, so that a cone is never longer than they are, and a cone without width is a
 ray. A cell that reaches into the cone by less than `TIE` beside an edge is not seen by the rows.
@@ -35,6 +36,8 @@ PARALLEL = 1e-12
 FAR = 1e12
 # Stands for 1 / 0; its product with the length of a cell is still farther than anything.
 HUGE = 1e300
+# Rows that are looked at together first; a power of 2.
+BAND = 8
 
 
 class Cones(NamedTuple):
@@ -68,15 +71,27 @@ class Nearest(NamedTuple):
 
 
 @kernel
-def pack_rows(stops: NDArray[np.bool_], bits: Bits) -> None:
-    """Fill bits (rows, (cols + 31) // 32) uint32: bit c % 32 of word c // 32 is set where stops (rows, cols) is."""
+def pack_rows(stops: NDArray[np.bool_], bits: Bits, bands: Bits) -> None:
+    """Pack a map into bits.
+
+    Parameters
+    ----------
+    stops
+        (rows, cols) bool: occupied cells.
+    bits
+        (rows, (cols + 31) // 32) uint32, overwritten: bit c % 32 of word c // 32 is set where the cell is occupied.
+    bands
+        ((rows + BAND - 1) // BAND, (cols + 31) // 32) uint32, overwritten: BAND rows of `bits` in one.
+    """
     rows, cols = stops.shape
+    bands[:] = 0
     for row in range(rows):
         for word in range(bits.shape[1]):
             value = np.int64(0)
             for c in range(32 * word, min(32 * word + 32, cols)):
                 value |= np.int64(stops[row, c]) << np.int64(c - 32 * word)
             bits[row, word] = np.uint32(value)
+            bands[row // BAND, word] |= np.uint32(value)
 
 
 @kernel
@@ -86,6 +101,7 @@ def shorten_to_cells(
     resolution: float,
     cones: Cones,
     bits: Bits,
+    bands: Bits,
     cols: int,
     ranges: Floats,
 ) -> None:
@@ -101,7 +117,7 @@ def shorten_to_cells(
         Side of a cell, metres.
     cones
         The sensor.
-    bits
+    bits, bands
         Occupied cells, as from `pack_rows`.
     cols
         Columns of the map.
@@ -111,7 +127,7 @@ def shorten_to_cells(
     for i in range(poses.shape[0]):
         x, y, c, s = _place(poses[i, 0], poses[i, 1], poses[i, 2], frame, resolution)
         for b in range(ranges.shape[1]):
-            nearest = _nearest(x, y, c, s, cones, b, bits, cols, ranges[i, b] / resolution)
+            nearest = _nearest(x, y, c, s, cones, b, bits, bands, cols, ranges[i, b] / resolution)
             if nearest.col >= 0:
                 ranges[i, b] = min(ranges[i, b], math.sqrt(nearest.square) * resolution)
 
@@ -123,6 +139,7 @@ def find_points(
     resolution: float,
     cones: Cones,
     bits: Bits,
+    bands: Bits,
     cols: int,
     ranges: Floats,
     points: Floats,
@@ -135,7 +152,7 @@ def find_points(
     for i in range(poses.shape[0]):
         x, y, c, s = _place(poses[i, 0], poses[i, 1], poses[i, 2], frame, resolution)
         for b in range(ranges.shape[1]):
-            nearest = _nearest(x, y, c, s, cones, b, bits, cols, ranges[i, b] / resolution)
+            nearest = _nearest(x, y, c, s, cones, b, bits, bands, cols, ranges[i, b] / resolution)
             metres = math.sqrt(nearest.square) * resolution
             if nearest.col >= 0 and metres < ranges[i, b]:
                 ranges[i, b] = metres
@@ -163,7 +180,7 @@ def _place(
 
 @kernel
 def _nearest(
-    x: float, y: float, c: float, s: float, cones: Cones, b: int, bits: Bits, cols: int, limit: float
+    x: float, y: float, c: float, s: float, cones: Cones, b: int, bits: Bits, bands: Bits, cols: int, limit: float
 ) -> Nearest:
     """Return the nearest point of an occupied cell in one cone of a placed robot, if nearer than `limit`."""
     cell_x, offset_x = _split(x + (c * cones.x[b] - s * cones.y[b]))
@@ -177,14 +194,14 @@ def _nearest(
     rs = rs if abs(rs) >= PARALLEL else 0.0
     ls = ls if abs(ls) >= PARALLEL else 0.0
     if rs > 0.0 or ls > 0.0:
-        nearest = _search(nearest, _half(rc, rs, lc, ls), col, offset_x, row, 1, 1.0 - offset_y, bits, cols)
+        nearest = _search(nearest, _half(rc, rs, lc, ls), col, offset_x, row, 1, 1.0 - offset_y, bits, bands, cols)
     if rs < 0.0 or ls < 0.0:
         half = _half(lc, -ls, rc, -rs)
         if offset_y > 0.0:
-            nearest = _search(nearest, half, col, offset_x, row, -1, offset_y, bits, cols)
+            nearest = _search(nearest, half, col, offset_x, row, -1, offset_y, bits, bands, cols)
         else:
             # On the lower border of its row: what lies below begins with a whole row.
-            nearest = _search(nearest, half, col, offset_x, row - 1, -1, 1.0, bits, cols)
+            nearest = _search(nearest, half, col, offset_x, row - 1, -1, 1.0, bits, bands, cols)
     return nearest
 
 
@@ -213,7 +230,16 @@ def _half(rc: float, rs: float, lc: float, ls: float) -> Half:
 
 @kernel
 def _search(
-    nearest: Nearest, half: Half, col: int, offset: float, row: int, step: int, first_top: float, bits: Bits, cols: int
+    nearest: Nearest,
+    half: Half,
+    col: int,
+    offset: float,
+    row: int,
+    step: int,
+    first_top: float,
+    bits: Bits,
+    bands: Bits,
+    cols: int,
 ) -> Nearest:
     """Return the nearest point on one side of the apex, if it is nearer than the one known.
 
@@ -231,14 +257,18 @@ def _search(
         bottom, top = first_top + (skip - 1), first_top + skip
     lowest, highest = -col, cols - 1 - col
     while 0 <= row < rows and bottom < reach:
-        # The polygon's extent along the row.
-        right = half.right * (top if half.right > 0.0 else bottom)
-        left = half.left * (top if half.left < 0.0 else bottom)
-        begin = max(left, -reach) + offset + TIE
-        end = min(right, reach) + offset - TIE
-        if begin < highest + 1.0 and end > lowest:
-            first = max(int(np.floor(begin)), lowest)
-            last = min(int(np.ceil(end)) - 1, highest)
+        if row & (BAND - 1) == (0 if step > 0 else BAND - 1):
+            # A band of rows begins here. Mostly, nothing in it is in the cone.
+            band_top = top + (BAND - 1)
+            left, right = _extent(half, bottom, band_top)
+            first, last = _columns(left, right, reach, offset, lowest, highest)
+            if _first_set(bands, row // BAND, col + first, col + last) < 0:
+                row += step * BAND
+                bottom, top = band_top, band_top + 1.0
+                continue
+        left, right = _extent(half, bottom, top)
+        first, last = _columns(left, right, reach, offset, lowest, highest)
+        if first <= last:
             right_cell = _first_set(bits, row, col + max(first, 0), col + last)
             left_cell = _last_set(bits, row, col + first, col + min(last, -1))
             for side in range(2):
@@ -254,6 +284,22 @@ def _search(
         row += step
         bottom, top = top, top + 1.0
     return Nearest(square, found_x, found_y, found_col, found_row)
+
+
+@inlined_kernel
+def _extent(half: Half, bottom: float, top: float) -> tuple[float, float]:
+    """Return where the sector begins and ends along the rows, between two distances across them."""
+    return half.left * (top if half.left < 0.0 else bottom), half.right * (top if half.right > 0.0 else bottom)
+
+
+@inlined_kernel
+def _columns(left: float, right: float, reach: float, offset: float, lowest: int, highest: int) -> tuple[int, int]:
+    """Return the first and last column, from the apex's, of that extent within reach and on the map; (0, -1): none."""
+    begin = max(left, -reach) + offset + TIE
+    end = min(right, reach) + offset - TIE
+    if begin < highest + 1.0 and end > lowest:
+        return max(int(np.floor(begin)), lowest), min(int(np.ceil(end)) - 1, highest)
+    return 0, -1
 
 
 @inlined_kernel

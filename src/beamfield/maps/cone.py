@@ -50,8 +50,8 @@ class ConeCaster:
     Notes
     -----
     Ranges are those of plane geometry within float64's rounding; nothing is sampled. The edges are rays; the inside is
-    searched row by row of a map of bits (see `kernels/cone.py`). Beside the tables of the ray caster it takes a bit per
-    cell. A caster never changes; any number of threads may use one.
+    searched row by row of a map of bits (see `kernels/cone.py`). Beside the tables of the ray caster it takes 9
+    bits for 8 cells. A caster never changes; any number of threads may use one.
 
     References
     ----------
@@ -73,19 +73,22 @@ class ConeCaster:
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     _rays: RayCaster = field(init=False, repr=False)
     _bits: kernels.Bits = field(init=False, repr=False)
+    _bands: kernels.Bits = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_rays", RayCaster(self.grid, unknown=self.unknown))
         rows, cols = self.grid.shape
         bits = np.empty((rows, (cols + 31) // 32), np.uint32)
-        kernels.pack_rows(self.grid.occupied if self.unknown == "free" else ~self.grid.free, bits)
-        bits.flags.writeable = False
+        bands = np.empty((-(-rows // kernels.BAND), bits.shape[1]), np.uint32)
+        kernels.pack_rows(self.grid.occupied if self.unknown == "free" else ~self.grid.free, bits, bands)
+        bits.flags.writeable = bands.flags.writeable = False
         object.__setattr__(self, "_bits", bits)
+        object.__setattr__(self, "_bands", bands)
 
     @property
     def table_bytes(self) -> int:
-        """Memory of the tables: those of the ray caster and a bit per cell."""
-        return self._rays.table_bytes + self._bits.nbytes
+        """Memory of the tables: those of the ray caster and 9 bits for 8 cells."""
+        return self._rays.table_bytes + self._bits.nbytes + self._bands.nbytes
 
     def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
         """Return the expected range z* of every cone of a sensor at every pose.
@@ -121,7 +124,7 @@ class ConeCaster:
 
         def work(start: int, stop: int) -> None:
             kernels.shorten_to_cells(
-                rows[start:stop], frame, resolution, cones, self._bits, cols, results[start:stop]
+                rows[start:stop], frame, resolution, cones, self._bits, self._bands, cols, results[start:stop]
             )  # fmt: skip
 
         run_in_slices(work, len(rows), threads=threads, work_per_row=k * RAYS_PER_CONE)
@@ -157,7 +160,16 @@ class ConeCaster:
 
             def work(a: int, b: int) -> None:
                 kernels.find_points(
-                    rows[a:b], frame, resolution, cones, self._bits, cols, ranges[a:b], points[a:b], cells[a:b]
+                    rows[a:b],
+                    frame,
+                    resolution,
+                    cones,
+                    self._bits,
+                    self._bands,
+                    cols,
+                    ranges[a:b],
+                    points[a:b],
+                    cells[a:b],
                 )
 
             run_in_slices(work, len(rows), threads=threads, work_per_row=k * RAYS_PER_CONE)
@@ -197,7 +209,7 @@ class ConeCaster:
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Arrays come back writeable, which would also be another type to the compiler.
         self.__dict__.update(state)
-        self._bits.flags.writeable = False
+        self._bits.flags.writeable = self._bands.flags.writeable = False
 
     def _frame(self) -> tuple[float, float, float]:
         x, y, yaw = self.grid.origin.tolist()

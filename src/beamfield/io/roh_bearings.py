@@ -74,12 +74,12 @@ def _rows(path: Path, n: int, what: str) -> FloatArray:
     for line, text in read_lines(path):
         if not text.strip():
             continue
-        words = text.split(",")
+        words = [word.strip() for word in text.split(",")]
         if len(words) != n:
             raise FormatError(path, f"expected {n} values, got {len(words)}", line=line)
         numbers = parse_numbers(path, line, words, what)
         if not np.isfinite(numbers).all():
-            bad = words[int((~np.isfinite(numbers)).argmax())].strip()
+            bad = words[int((~np.isfinite(numbers)).argmax())]
             raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
         rows.append(numbers)
     if not rows:

@@ -52,9 +52,9 @@ def test_a_wall_seen_in_pieces_is_one_and_two_beside_a_door_are_two():
     assert merged_segments(np.empty((0, 4)), 0.05).shape == (0, 4)
 
 
-def test_a_corner_seen_once_is_left_out_and_the_surest_sighting_kept():
-    sightings = np.array([[1.0, 1.0, 1.5, 0.1], [1.1, 1.0, 1.6, 0.01], [5.0, 5.0, 1.6, 0.01]])
-    assert merged_corners(sightings).tolist() == [[1.1, 1.0, 1.6]]
+def test_of_corners_that_are_one_the_surest_sighting_is_kept():
+    sightings = np.array([[1.0, 1.0, 1.5, 0.1], [1.1, 1.0, 1.6, 0.01], [5.0, 5.0, 1.7, 0.02]])
+    assert merged_corners(sightings).tolist() == [[1.1, 1.0, 1.6], [5.0, 5.0, 1.7]]
 
 
 def test_a_map_without_features_has_none():

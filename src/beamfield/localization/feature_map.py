@@ -27,8 +27,8 @@ STAIRS = 0.4
 MIN_LENGTH = 0.5
 # Two pieces are one wall if they differ by less than this: direction, distance of end points, hole between them.
 SAME_DIRECTION, SAME_PLACE_CELLS, SAME_PLACE, WIDEST_HOLE = np.radians(4.0), 1.5, 0.06, 0.4
-# Corners this close are one. What a single scan shows may be an accident of its rays.
-SAME_CORNER, FEWEST_SIGHTINGS = 0.25, 2
+# A wall that a single scan shows may be an accident of its rays. Corners this close, in metres, are one.
+FEWEST_SIGHTINGS, SAME_CORNER = 2, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class MapFeatures:
     corners: LandmarkMap | None
 
 
-def map_features(grid: OccupancyGrid, *, spacing: float = 2.0, max_range: float = 10.0) -> MapFeatures:
+def map_features(grid: OccupancyGrid, *, spacing: float = 1.5, max_range: float = 10.0) -> MapFeatures:
     """Return the walls and corners that scans taken all over a grid map show.
 
     A scan without noise is cast at every free place of a lattice; its lines and corners are brought into the map frame,
@@ -126,7 +126,7 @@ def merged_segments(segments: FloatArray, resolution: float) -> FloatArray:
 
 
 def merged_corners(corners: FloatArray) -> FloatArray:
-    """Return the corners (m, 3) x, y, opening that at least two scans show, from sightings (n, 4) with a variance.
+    """Return the corners (m, 3) x, y, opening of sightings (n, 4) with a variance.
 
     Parameters
     ----------
@@ -137,8 +137,7 @@ def merged_corners(corners: FloatArray) -> FloatArray:
     kept = []
     while len(left):
         same = np.hypot(*(left[:, :2] - left[0, :2]).T) < SAME_CORNER
-        if same.sum() >= FEWEST_SIGHTINGS:
-            kept.append(left[0, :3])
+        kept.append(left[0, :3])
         left = left[~same]
     return np.reshape(kept, (-1, 3))
 

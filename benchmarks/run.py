@@ -23,6 +23,7 @@ BENCHMARKS = (
     "line",
     "features",
     "stacks",
+    "sonar",
 )
 
 

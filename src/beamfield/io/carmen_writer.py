@@ -89,7 +89,8 @@ def _ring(mounts: FloatArray) -> tuple[float, float]:
     cos, sin = np.cos(mounts[:, 2]), np.sin(mounts[:, 2])
     along = np.concatenate([np.column_stack([np.ones_like(cos), cos]), np.column_stack([np.zeros_like(sin), sin])])
     (offset, radius), *_ = np.linalg.lstsq(along, np.concatenate([mounts[:, 0], mounts[:, 1]]))
-    return float(offset), float(radius)
+    # Without rounding noise, which would be read as a mount.
+    return round(float(offset), 12), round(float(radius), 12)
 
 
 def _poses(scans: SensorLog) -> tuple[FloatArray, FloatArray | None]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, log_ndtr
+from scipy.special import chdtri, ndtr, ndtri
 
 from beamfield.errors import InvalidInputError
 from beamfield.features.feature import Feature, polar_jacobian
@@ -19,8 +19,11 @@ from beamfield.sensors import Scan
 SIDE_PLACES = 40
 # The second pass leaves out places this much chi-square worse than the best.
 FAR_WORSE = 30.0
-# With noisy bearings, beams this many deviations beyond a side may hit it still.
-SIDE_DEVIATIONS = 2.5
+# With noisy bearings, a side may be this many deviations inside the last beam that hit, or beyond the next one. What a
+# beam that hits measures is averaged over so many directions.
+SIDE_DEVIATIONS = 3.0
+BEARING_PLACES = 6
+SMALLEST_SHARE = 1e-12
 # The least cosine of incidence that is told from touching.
 LEAST_COSINE = 1e-3
 # A fit this bad happens to a round thing once in a thousand times.
@@ -172,11 +175,30 @@ class Sides:
         """
         slack = SIDE_DEVIATIONS * self.sigma_bearing
         beyond = (self.gaps[side] + 2.0 * slack) * shares**2 - slack
-        log_prior = np.log(shares)
-        if self.sigma_bearing > 0.0:
-            log_prior += log_ndtr(beyond / self.sigma_bearing)
-            log_prior += log_ndtr((self.gaps[side] - beyond) / self.sigma_bearing)
-        return self.angles[-side] + (1.0 if side else -1.0) * beyond, log_prior
+        return self.angles[-side] + (1.0 if side else -1.0) * beyond, np.log(shares)
+
+    def true_angles(self, first: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the beams that hit may point, (right, left, n, q), and the log of the chance to hit and miss so.
+
+        The q directions of a beam have equal probability given that it hits between the sides `first` and `last`.
+        """
+        if self.sigma_bearing == 0.0:
+            shape = (len(first), len(last))
+            return np.broadcast_to(self.angles[:, None], (*shape, len(self.angles), 1)), np.zeros(shape)
+        right, left = (self._normal_share(side[:, None]) for side in (first, last))
+        hit = np.maximum(left[None] - right[:, None], SMALLEST_SHARE)
+        quantiles = (np.arange(BEARING_PLACES) + 0.5) / BEARING_PLACES
+        turned = ndtri(np.clip(right[:, None, :, None] + hit[..., None] * quantiles, SMALLEST_SHARE, 1.0 - 1e-12))
+        beside = np.array([self.angles[0] - self.gaps[0], self.angles[-1] + self.gaps[1]])
+        missed = 1.0 - (
+            ndtr((last[None, :, None] - beside) / self.sigma_bearing)
+            - ndtr((first[:, None, None] - beside) / self.sigma_bearing)
+        )
+        log_seen = np.log(hit).sum(axis=-1) + np.log(np.maximum(missed, SMALLEST_SHARE)).sum(axis=-1)
+        return self.angles[:, None] + self.sigma_bearing * turned, log_seen
+
+    def _normal_share(self, side: FloatArray) -> FloatArray:
+        return np.asarray(ndtr((side - self.angles) / self.sigma_bearing))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,18 +232,19 @@ def given_sides(sides: Sides, right: FloatArray, left: FloatArray, ranges: Float
     """
     (first, log_first), (last, log_last) = sides.place(right, 0), sides.place(left, 1)
     bearing, half_angle = (last[None, :] + first[:, None]) / 2.0, (last[None, :] - first[:, None]) / 2.0
-    off = sides.angles - bearing[..., None]
-    sine = np.sin(half_angle)[..., None]
+    angles, log_seen = sides.true_angles(first, last)
+    off = angles - bearing[..., None, None]
+    sine = np.sin(half_angle)[..., None, None]
     depth = np.sqrt(np.maximum(sine**2 - np.sin(off) ** 2, (LEAST_COSINE * sine) ** 2))
-    per_metre = np.cos(off) - depth
-    by_bearing = noise.sigma_bearing * ranges * np.sin(off) * (np.cos(off) / depth - 1.0)
-    variance = noise.along(ranges) ** 2 + by_bearing**2
+    each = np.cos(off) - depth
+    per_metre = each.mean(axis=-1)
+    variance = noise.along(ranges) ** 2 + (ranges / per_metre) ** 2 * each.var(axis=-1)
     information = np.sum(per_metre**2 / variance, axis=-1)
     distance = np.sum(per_metre * ranges / variance, axis=-1) / information
     chi_square = np.sum((ranges - distance[..., None] * per_metre) ** 2 / variance, axis=-1)
     # d^2 cos(half angle) is the volume of (x, y, radius) per distance and sides.
     log_weight = (
-        log_first[:, None] + log_last[None, :] + 2.0 * np.log(distance) + np.log(np.cos(half_angle))
+        log_first[:, None] + log_last[None, :] + log_seen + 2.0 * np.log(distance) + np.log(np.cos(half_angle))
         - 0.5 * (chi_square + np.log(information) + np.sum(np.log(variance), axis=-1))
     )  # fmt: skip
     return Circles(bearing, half_angle, distance, 1.0 / information, chi_square, log_weight)

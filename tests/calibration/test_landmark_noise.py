@@ -300,7 +300,7 @@ def test_errors_longer_than_a_block_are_found(rng):
     log = simulate(LandmarkParameters(0.05, None), rng, n=480)
     drift = np.sin(np.arange(480) / 480 * 4.0 * np.pi)
     log = edited(log, lambda i, z: replace(z, ranges=z.ranges + 0.3 * drift[i]))
-    assert finding(learn(log), "blocks-depend").values["correlation"] > 0.5
+    assert finding(learn(log), "range-blocks-depend").values["correlation"] > 0.5
 
 
 def test_places_are_the_blocks_where_a_log_has_them(rng):

@@ -50,11 +50,11 @@ def noise_findings(
 ) -> tuple[Finding, ...]:
     """Name what the parameters alone do not say.
 
-    The names: ``not-converged``, ``no-intervals``, ``few-blocks``, ``blocks-depend``, ``features-left-out``,
-    ``range-bias``, ``bearing-bias``, ``range-scale``, ``no-spurious``, ``spurious-of-kept``, ``range-exact``,
-    ``bearing-exact``, ``range-heavy-tails``, ``bearing-heavy-tails``, ``range-sigma-by-distance``,
-    ``bearing-sigma-by-distance``, ``range-bias-by-landmark``, ``bearing-bias-by-landmark``, ``range-looks-cut``,
-    ``bearing-looks-cut``.
+    The names: ``not-converged``, ``no-intervals``, ``few-blocks``, ``features-left-out``, ``range-blocks-depend``,
+    ``bearing-blocks-depend``, ``range-bias``, ``bearing-bias``, ``range-scale``, ``no-spurious``,
+    ``spurious-of-kept``, ``range-exact``, ``bearing-exact``, ``range-heavy-tails``, ``bearing-heavy-tails``,
+    ``range-sigma-by-distance``, ``bearing-sigma-by-distance``, ``range-bias-by-landmark``,
+    ``bearing-bias-by-landmark``, ``range-looks-cut``, ``bearing-looks-cut``.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def _dependence(what: str, e: FloatArray, w: FloatArray, blocks: NDArray[np.int6
         f"Mean {what} residuals of neighbouring blocks go together (correlation {correlation:.2f}): the errors last "
         "longer than a block, and the intervals are too narrow. Give a longer block_s, or record more places."
     )
-    return [Finding("blocks-depend", "warning", text, {"correlation": correlation})]
+    return [Finding(f"{what}-blocks-depend", "warning", text, {"correlation": correlation})]
 
 
 def _tails(what: str, e: FloatArray, w: FloatArray) -> list[Finding]:

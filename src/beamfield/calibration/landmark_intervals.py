@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -117,7 +118,11 @@ def _replicates(
 ) -> FloatArray:
     out: FloatArray = np.empty((len(draws), len(theta)))
 
+    lock = threading.Lock()
+    n_done = 0
+
     def work(first: int, last: int) -> None:
+        nonlocal n_done
         for row in range(first, last):
             weights = draws[row].astype(np.float64)[number]
             # A sample of blocks without a single sighting tells nothing; it keeps the estimate.
@@ -129,8 +134,10 @@ def _replicates(
                 )
                 end = climbed.theta
             out[row] = end
-            if progress is not None:
-                progress(row + 1, len(draws))
+            with lock:
+                n_done += 1
+                if progress is not None:
+                    progress(n_done, len(draws))
 
     run_in_slices(work, len(draws), threads=threads, work_per_row=20 * len(likelihood))
     bearing = NoiseTheta._fields.index("bearing_bias")

@@ -9,11 +9,32 @@ import warnings
 from collections.abc import Sequence
 
 from beamfield import __version__
-from beamfield.cli import calibrate, demo, doctor, figures, inspect, likelihood, simulate, translate
+from beamfield.cli import (
+    calibrate,
+    calibrate_landmarks,
+    demo,
+    doctor,
+    figures,
+    inspect,
+    likelihood,
+    simulate,
+    translate,
+)
 from beamfield.cli import map as map_command
 from beamfield.errors import BeamfieldError, BeamfieldWarning
 
-COMMANDS = (calibrate, doctor, translate, inspect, map_command, simulate, likelihood, figures, demo)
+COMMANDS = (
+    calibrate,
+    calibrate_landmarks,
+    doctor,
+    translate,
+    inspect,
+    map_command,
+    simulate,
+    likelihood,
+    figures,
+    demo,
+)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -20,7 +20,7 @@ def parameter_table(calibration: Calibration) -> str:
     rows = [
         (row.name, row.value, row.interval_text, row.unit or "-", row.meaning) for row in parameter_rows(calibration)
     ]
-    return _aligned(("parameter", "value", "95 % interval", "unit", "meaning"), rows, right=(1,))
+    return aligned(("parameter", "value", "95 % interval", "unit", "meaning"), rows, right=(1,))
 
 
 def score_table(calibration: Calibration) -> str:
@@ -39,7 +39,7 @@ def score_table(calibration: Calibration) -> str:
         )
         for i, score in enumerate(calibration.scores)
     ]
-    table = _aligned(("held-out beams", "nats per beam ± s.e.", "the fit is ahead by"), rows, right=(1, 2))
+    table = aligned(("held-out beams", "nats per beam ± s.e.", "the fit is ahead by"), rows, right=(1, 2))
     return f"{table}\n{form_line(calibration)}"
 
 
@@ -69,8 +69,16 @@ def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> st
     return f"{text} ± {standard_error:.4f}" if math.isfinite(standard_error) else text
 
 
-def _aligned(header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: tuple[int, ...]) -> str:
-    """Columns padded to their widest cell; the given columns are aligned to the right."""
+def aligned(header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: tuple[int, ...]) -> str:
+    """Return rows under a header, columns padded to their widest cell.
+
+    Parameters
+    ----------
+    header, rows
+        Cells of text, as many in each row.
+    right
+        Indices of the columns that are aligned to the right.
+    """
     lines = [header, *rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     lines.insert(1, tuple("-" * width for width in widths))

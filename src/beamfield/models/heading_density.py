@@ -72,7 +72,7 @@ class HeadingDensity:
         """Return starts (c,) and width of cells, and logarithms (c,) that the density does not exceed in them."""
         bend = abs(self.moment) + len(self.turns) / self.sigma**2
         width = 2.0 * np.pi / FIRST_CELLS
-        starts = -np.pi + width * np.arange(FIRST_CELLS)
+        starts: FloatArray = np.asarray(-np.pi + width * np.arange(FIRST_CELLS), dtype=np.float64)
         while True:
             above = bend * width**2 / 8.0
             log_height = np.maximum(self.log(starts), self.log(starts + width)) + above

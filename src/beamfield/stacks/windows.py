@@ -1,0 +1,237 @@
+"""Short drives through a log, with wrong poses beside the reference: what a stack's weights are judged on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.calibration.selection import SelectionOptions, select_scans
+from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S, time_blocks
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.geometry import FloatArray, between, compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+
+# Fewer windows than this on either side of the split are too little to fit or to judge.
+FEWEST_WINDOWS = 5
+HELD_OUT = 2
+WINDOWS_PER_BLOCK = 2.5
+
+
+@dataclass(frozen=True)
+class WindowOptions:
+    """How a log is cut into windows, and which poses compete in one.
+
+    Parameters
+    ----------
+    scans
+        Scans in a window. A filter's weights multiply over as many before its motion noise has blurred them, and errors
+        of neighbouring scans go together: one scan alone would hide how over-confident a model is.
+    travel, turn
+        A filter's update: the next scan comes after so many metres or radians.
+    windows
+        At most so many windows in all.
+    near, far
+        Number of poses around the reference and elsewhere on the map that compete.
+    spread, turn_spread
+        The prior around the reference: standard deviations in metres (each axis) and radians.
+    far_share
+        Prior probability that the robot is elsewhere.
+    reference_error, reference_turn_error
+        How wrong the reference poses themselves may be: standard deviations in metres (each axis) and radians.
+    seed
+        Of the poses.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number makes no sense.
+    """
+
+    scans: int = 4
+    travel: float = 0.25
+    turn: float = 0.2
+    windows: int = 60
+    near: int = 400
+    far: int = 100
+    spread: float = 0.25
+    turn_spread: float = 0.1
+    far_share: float = 0.5
+    reference_error: float = 0.04
+    reference_turn_error: float = 0.01
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("scans", 1), ("windows", 2), ("near", 20), ("far", 0)):
+            if getattr(self, name) < least:
+                raise InvalidInputError(f"{name}: expected at least {least}, got {getattr(self, name)}")
+        for name in ("spread", "turn_spread", "reference_error", "reference_turn_error"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InvalidInputError(f"{name}: expected a positive number, got {getattr(self, name)}")
+        for name in ("travel", "turn"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise InvalidInputError(f"{name}: expected a number >= 0, got {getattr(self, name)}")
+        if not 0.0 <= self.far_share < 1.0:
+            raise InvalidInputError(f"far_share: expected a number in [0, 1), got {self.far_share}")
+
+
+@dataclass(frozen=True, eq=False)
+class Rivals:
+    """Poses around the reference, the same for all windows, with what makes sums over them integrals.
+
+    Parameters
+    ----------
+    offsets
+        (n, 3) in the frame of the reference pose, metres and radians; the first is 0.
+    prior
+        (n,) weight of each in an integral over the prior around the reference; sums to about 1.
+    reference
+        (n,) weight of each in an integral over where the truth may be, given the reference; sums to about 1.
+    prior_density
+        (n,) the prior's density, 1 at the reference.
+    """
+
+    offsets: FloatArray
+    prior: FloatArray
+    reference: FloatArray
+    prior_density: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A few scans with competing trajectories.
+
+    Parameters
+    ----------
+    scans
+        (s,) indices into the log.
+    near, far
+        (s, n, 3) and (s, m, 3) robot poses in the map: each trajectory moves as the reference does.
+    fold
+        0 or 1: fitted to, in one of two parts that take turns in choosing settings; `HELD_OUT`: only judges the result.
+    """
+
+    scans: NDArray[np.int64]
+    near: FloatArray
+    far: FloatArray
+    fold: int
+
+
+def draw_rivals(options: WindowOptions) -> Rivals:
+    """Draw poses around a reference at all scales, from a centimetre to beyond the prior.
+
+    A posterior may be centimetres wide: poses drawn from the prior alone would miss it, and its integral with them,
+    which would reward sharpness without end. Here scales are log-uniform, and weights make up for it.
+    """
+    rng = np.random.default_rng(options.seed)
+    scales = np.geomspace(0.005 / options.spread, 2.0, 24)
+    widths = np.array([options.spread, options.spread, options.turn_spread])
+    chosen = rng.permutation(np.arange(options.near) % len(scales))
+    offsets = rng.standard_normal((options.near, 3)) * scales[chosen, None] * widths
+    offsets[0] = 0.0
+    proposal = np.mean([_density(offsets, scale * widths) for scale in scales], axis=0)
+    certain = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
+    prior = _density(offsets, widths)
+    return Rivals(
+        offsets,
+        np.asarray(prior / proposal / len(offsets)),
+        np.asarray(_density(offsets, certain) / proposal / len(offsets)),
+        np.asarray(prior / prior[0]),
+    )
+
+
+def cut_windows(
+    log: SensorLog, grid: OccupancyGrid, rivals: Rivals, options: WindowOptions,
+    selection: SelectionOptions | None = None, block_s: float | None = None,
+) -> list[Window]:  # fmt: skip
+    """Cut a log into windows, spread over all of it; where the log is short they overlap.
+
+    Parameters
+    ----------
+    log
+        Scans with reference poses.
+    grid
+        The map; poses elsewhere are drawn from its free cells.
+    rivals
+        From `draw_rivals`.
+    options
+        How to cut.
+    selection
+        Which scans may be used, see `select_scans`.
+    block_s
+        Length of the blocks of time that are fitted or held out whole, see `time_blocks`; None takes its default, or
+        more if windows need it.
+
+    Raises
+    ------
+    InvalidInputError
+        If the log has no reference poses on the map.
+    TooLittleDataError
+        If there are fewer than five windows in a part.
+    """
+    used = np.flatnonzero(select_scans(log, grid, selection).used)
+    steps = _updates(log, used, options)
+    groups = [steps[i : i + options.scans] for i in range(len(steps) - options.scans + 1)]
+    length = _block_length(log, groups) if block_s is None else block_s
+    blocks = time_blocks(log.stamps, length)
+    # A window across the border of two blocks would be fitted and held out at once.
+    groups = [group for group in groups if blocks[group[0]] == blocks[group[-1]]]
+    if len(groups) > options.windows:
+        groups = [groups[i] for i in np.linspace(0, len(groups) - 1, options.windows).astype(np.int64)]
+    rng = np.random.default_rng(options.seed + 1)
+    windows = []
+    for group in groups:
+        motion = between(log.poses[group[0]], log.poses[group])[:, None]
+        near = compose(compose(log.poses[group[0]], rivals.offsets)[None], motion)
+        far = compose(_anywhere(grid, options.far, rng)[None], motion)
+        # Every third block of time is held out, from the second on, as in `held_out_mask`.
+        windows.append(Window(group, near, far, (0, HELD_OUT, 1)[int(blocks[group[0]]) % 3]))
+    counts = [sum(window.fold == fold for window in windows) for fold in range(3)]
+    if min(counts) < FEWEST_WINDOWS:
+        raise TooLittleDataError(
+            f"{log.finder.name or 'log'}: {counts[0]} and {counts[1]} windows of {options.scans} scans, "
+            f"{options.travel:g} m or {options.turn:g} rad apart, to fit to and {counts[HELD_OUT]} to judge by; "
+            f"need {FEWEST_WINDOWS} of each"
+        )
+    return windows
+
+
+def _updates(log: SensorLog, used: NDArray[np.int64], options: WindowOptions) -> NDArray[np.int64]:
+    """Return the used scans at which a filter would update: so far from the last one."""
+    chosen: list[int] = []
+    for i in used.tolist():
+        if chosen:
+            step = between(log.poses[chosen[-1]], log.poses[i])
+            if np.hypot(step[0], step[1]) < options.travel and abs(step[2]) < options.turn:
+                continue
+        chosen.append(i)
+    return np.array(chosen, np.int64)
+
+
+def _block_length(log: SensorLog, groups: list[NDArray[np.int64]]) -> float | None:
+    """Return a length of blocks that holds a few windows, if the default does not and the log is long enough."""
+    if not groups:
+        return None
+    window = float(np.median([log.stamps[group[-1]] - log.stamps[group[0]] for group in groups]))
+    duration = float(log.stamps[-1] - log.stamps[0])
+    default = min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS)
+    return max(default, min(WINDOWS_PER_BLOCK * window, duration / 6.0)) or None
+
+
+def _anywhere(grid: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatArray:
+    """Draw poses with their position in a free cell."""
+    rows, cols = np.nonzero(grid.free)
+    if n == 0 or len(rows) == 0:
+        return np.zeros((0, 3))
+    chosen = rng.integers(0, len(rows), n)
+    within = (np.column_stack([cols[chosen], rows[chosen]]) + rng.random((n, 2))) * grid.resolution
+    local = np.column_stack([within, rng.uniform(-np.pi, np.pi, n)])
+    return compose(grid.origin, local)
+
+
+def _density(offsets: FloatArray, widths: FloatArray) -> FloatArray:
+    """Return the normal density of offsets (n, 3) with standard deviations (3,)."""
+    squares = np.square(offsets / widths).sum(axis=1)
+    return np.asarray(np.exp(-0.5 * squares) / np.prod(np.sqrt(2.0 * np.pi) * widths))

@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Wedge
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.evaluation import likely_causes
@@ -17,9 +18,11 @@ from beamfield.figures.world import simulated_world
 from beamfield.geometry import compose, transform_points
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
+from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam import beam_log_density
-from beamfield.sensors import SensorLog
+from beamfield.sensors import RangeFinder, SensorLog
 
 HERE = Path(__file__).parent
 CAUSES = (("hit", "#0072b2"), ("short", "#d55e00"), ("max", "#009e73"), ("rand", "#cc79a7"))
@@ -37,6 +40,9 @@ def main() -> None:
     (HERE / "images").mkdir(exist_ok=True)
     figure = readme_picture(result, grid, log)
     figure.savefig(HERE / "images" / "demo.svg", metadata={"Date": None}, bbox_inches="tight")
+    cones_picture(simulated_world().grid).savefig(
+        HERE / "images" / "cones.svg", metadata={"Date": None}, bbox_inches="tight"
+    )
     draw_gallery()
 
 
@@ -111,6 +117,55 @@ def draw_readings(axes, result: Calibration) -> None:
     )
     axes.set_ylim(2e-3, 30)
     axes.legend(fontsize=8)
+
+
+def cones_picture(grid: OccupancyGrid) -> Figure:
+    """Draw what a ring of sonars is expected to measure in a map, and how the range changes as one sonar turns."""
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.1, 1))
+    ring = RangeFinder.from_bearings(np.radians(np.arange(0, 360, 30)), 4.0, opening_angle=np.radians(30.0))
+    pose = np.array([2.6, 7.4, 0.2])
+    draw_ring_in_map(left, grid, ring, pose)
+    draw_turning_sonar(right, grid, pose)
+    return figure
+
+
+def draw_ring_in_map(axes, grid: OccupancyGrid, ring: RangeFinder, pose) -> None:
+    rows, cols = grid.shape
+    (x0, y0), (x1, y1) = grid.to_map([[0, 0], [cols, rows]])
+    shade = np.full((rows, cols), 0.86)
+    shade[grid.free], shade[grid.occupied] = 1.0, 0.25
+    axes.imshow(shade, origin="lower", extent=(x0, x1, y0, y1), cmap="gray", vmin=0, vmax=1, interpolation="none")
+    cones, rays = ConeCaster(grid), RayCaster(grid)
+    ranges, beams = cones.expected_ranges(pose, ring), rays.expected_ranges(pose, ring)
+    points, _ = cones.expected_points(pose, ring)
+    half = np.degrees(ring.opening_angle) / 2.0
+    for direction, z in zip(np.degrees(pose[2] + ring.bearings), ranges, strict=True):
+        axes.add_patch(Wedge(pose[:2], z, direction - half, direction + half, fc="#0072b2", ec="#0072b2", alpha=0.25))
+    ends = transform_points(compose(pose, ring.mounts), np.column_stack([beams, np.zeros(len(beams))]))
+    for end in ends:
+        axes.plot([pose[0], end[0]], [pose[1], end[1]], color="#d55e00", lw=0.8, ls="--")
+    axes.plot(*ends.T, "x", color="#d55e00", ms=5, label="end of the axis, as a beam")
+    axes.plot(*points.T, "o", color="#0072b2", ms=5, label="nearest point in the cone")
+    axes.plot(*pose[:2], "k^", ms=6)
+    axes.set(xlabel="x [m]", ylabel="y [m]", title="expected ranges of a ring of twelve cones of 30 degrees")
+    axes.set_xlim(pose[0] - 4.3, pose[0] + 4.3)
+    axes.set_ylim(pose[1] - 4.0, pose[1] + 4.0)
+    axes.legend(loc="upper right", fontsize=8, framealpha=0.95)
+
+
+def draw_turning_sonar(axes, grid: OccupancyGrid, pose) -> None:
+    turn = np.radians(np.linspace(0, 360, 1441))
+    origins = np.column_stack([np.full((len(turn), 2), pose[:2]), turn])
+    cones, rays = ConeCaster(grid), RayCaster(grid)
+    axes.plot(np.degrees(turn), rays.cast(origins, 4.0), color="#d55e00", lw=0.8, label="beam")
+    for width, color in ((10.0, "#56b4e9"), (30.0, "#0072b2")):
+        found = cones.cast(origins, np.radians(width), 4.0)
+        axes.plot(np.degrees(turn), found, color=color, lw=1.5, label=f"cone of {width:g} degrees")
+    axes.set(xlabel="direction [degrees]", ylabel="expected range [m]", title="one sonar turning at the same place")
+    axes.set_xlim(0, 360)
+    axes.set_ylim(0, 4.15)
+    axes.legend(loc="lower right", fontsize=8, framealpha=0.95)
 
 
 if __name__ == "__main__":

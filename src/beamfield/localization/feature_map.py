@@ -21,8 +21,9 @@ from beamfield.sensors import RangeFinder, Scan
 
 # Beams of a scan all around, and how near a wall a scan may be taken, metres.
 N_BEAMS, CLEARANCE = 360, 0.3
-# Slanted walls of a grid are stairs: their readings scatter by about this share of a cell.
-STAIRS = 0.4
+# Slanted walls of a grid are stairs: with noise of a cell they stay whole. With 0.4 cells the walls of Wean Hall told
+# 209 nats of where 17 scans were taken, with one cell 267.
+STAIRS = 1.0
 # Shorter walls are more often furniture and noise of the map, metres.
 MIN_LENGTH = 0.5
 # Two pieces are one wall if they differ by less than this: direction, distance of end points, hole between them.

@@ -83,6 +83,7 @@ class BeamModel(RangeMixtureModel):
 
     Examples
     --------
+    >>> import numpy as np
     >>> room = np.zeros((40, 40))
     >>> room[[0, -1]] = 100
     >>> room[:, [0, -1]] = 100

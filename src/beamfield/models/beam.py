@@ -84,6 +84,7 @@ class BeamModel(RangeMixtureModel):
     Examples
     --------
     >>> import numpy as np
+    >>> from beamfield.sensors import Scan
     >>> room = np.zeros((40, 40))
     >>> room[[0, -1]] = 100
     >>> room[:, [0, -1]] = 100

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from beamfield.cli.calibrate_stack import StackResult, add_stack_options, fit_for_stack, read_stack_request, write_patch
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from beamfield.calibration.calibrate import CalibrationOptions
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import ScanLog, SensorLog
+    from beamfield.stacks.parameter_file import StackFile
 
 DESCRIPTION = """
 Learn the parameters of the beam model (z_hit, z_short, z_max, z_rand, sigma_hit, lambda_short) from a log with
@@ -57,6 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     choice.add_argument("--min-travel", type=float, metavar="M", help="least motion since the last scan used")
     choice.add_argument("--min-turn-deg", type=float, metavar="DEG", help="or least turn")
     choice.add_argument("--max-turn-rate-deg", type=float, metavar="DEG/S", help="drop scans in faster turns")
+    add_stack_options(parser)
     parser.add_argument("--threads", type=int, help="processors to use (default: all)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.set_defaults(run=run)
@@ -116,6 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
     from beamfield.io.trajectory import attach_poses, read_trajectory
 
     options = _options(arguments)
+    patched = read_stack_request(arguments)
     outputs: dict[str, dict[str, str]] = {}
     text: list[str] = []
     converged = True
@@ -134,8 +138,14 @@ def run(arguments: argparse.Namespace) -> int:
             log = attach_poses(log, read_trajectory(arguments.poses))
         origin = _provenance(arguments)
         chosen = _chosen_sensors(log, arguments)
+        if patched is not None and len(chosen) > 1:
+            raise InvalidInputError(
+                "--patch: one file cannot hold the parameters of several sensors; choose one with --sensor"
+            )
         for name, sensor in chosen.items():
-            files, table, good = _calibrate_sensor(arguments, sensor, grid, options, origin, log.notes, progress)
+            files, table, good, stack = _calibrate_sensor(
+                arguments, sensor, grid, options, origin, log.notes, progress, patched
+            )
             # Several sensors: a folder each.
             outputs[_folder_name(name) if len(chosen) > 1 else "."] = files
             text.append((f"== {name}\n" if len(chosen) > 1 else "") + table)
@@ -148,14 +158,13 @@ def run(arguments: argparse.Namespace) -> int:
     for note in log.notes:
         print(f"note: {note}")
     print("\n\n".join(text))
-    print(f"\nwrote {', '.join(FILES)} into {arguments.out}")
+    print(f"\nwrote {', '.join(next(iter(outputs.values())))} into {arguments.out}")
+    if patched is not None and stack is not None:
+        print(write_patch(patched, stack.values))
     if not converged:
         print("beamfield: warning: the fit did not converge", file=sys.stderr)
         return 3
     return 0
-
-
-FILES = ("beam_model.yaml", "calibration.json", "report.html")
 
 
 def _options(arguments: argparse.Namespace) -> CalibrationOptions:
@@ -233,8 +242,9 @@ def _calibrate_sensor(
     origin: dict[str, Any],
     notes: tuple[str, ...],
     progress: StageProgress,
-) -> tuple[dict[str, str], str, bool]:
-    """Calibrate one sensor and return the files to write, the table to print, and whether the fit converged."""
+    patched: StackFile | None,
+) -> tuple[dict[str, str], str, bool, StackResult | None]:
+    """Calibrate one sensor; return files to write, the table to print, whether the fit converged, and the stack's."""
     from beamfield.calibration.calibrate import calibrate
     from beamfield.calibration.cross_fit import build_cross_fit_maps
     from beamfield.io.parameters import beam_model_text
@@ -248,17 +258,26 @@ def _calibrate_sensor(
             grid, result = maps.whole, calibrate(sensor, maps, options, progress=progress)
         else:
             result = calibrate(sensor, grid, options, progress=progress)
+        stack = None
+        if arguments.stack is not None:
+            stack = fit_for_stack(arguments, sensor, grid, result, patched, progress)
     except (InvalidInputError, TooLittleDataError) as error:
         raise type(error)(f"{arguments.log}: {error}") from error
     progress("writing the report", 0, 1)
     document = {"provenance": origin, "notes": list(notes), **calibration_as_dict(result)}
+    if stack is not None:
+        document["stack"] = stack.document
     files = {
         "beam_model.yaml": beam_model_text(
             result.parameters, sensor.finder, intervals=result.intervals.intervals, provenance=origin
         ),
         "calibration.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
-        "report.html": render_report(result, grid, sensor, origin),
+        "report.html": render_report(result, grid, sensor, origin, sections=[] if stack is None else [stack.section]),
     }
+    if stack is not None:
+        files[stack.file_name] = stack.file_text
     warnings = [f"warning ({f.name}): {f.text}" for f in result.findings if f.severity == "warning"]
     table = "\n\n".join([result.selection.describe(), parameter_table(result), score_table(result), *warnings])
-    return files, table, result.converged
+    if stack is not None:
+        table += f"\n\n{stack.table}"
+    return files, table, result.converged, stack

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.as_json import plain
 from beamfield.report.drawing import ReportFigure
 from beamfield.report.figures import report_figures
+from beamfield.report.page_section import PageSection
 from beamfield.report.page_style import STYLE
 from beamfield.report.parameter_rows import EXTENSIONS, parameter_rows
 from beamfield.report.score_figures import score_plot
@@ -40,7 +41,12 @@ SECTIONS = {
 
 
 def render_report(
-    calibration: Calibration, grid: OccupancyGrid, log: SensorLog, provenance: Mapping[str, Any] | None = None
+    calibration: Calibration,
+    grid: OccupancyGrid,
+    log: SensorLog,
+    provenance: Mapping[str, Any] | None = None,
+    *,
+    sections: Sequence[PageSection] = (),
 ) -> str:
     """Return the report as one HTML document.
 
@@ -54,16 +60,19 @@ def render_report(
         Where the inputs come from. Used by name: "inputs" (role -> name, or mapping with "name" and "sha256"; the roles
         "log", "map" and "poses" go into the head of the page), "date", "program" (name and version), "notes" (sentences
         on how the log was read). Everything is listed at the end of the page.
+    sections
+        More sections, behind the score.
     """
     origin = dict(provenance or {})
     figures = report_figures(calibration, grid, log)
     title = f"Beam model of {log.finder.name or 'the range finder'}"
     body = "\n".join(
         [
-            _head(title, calibration, log, origin),
+            _head(title, calibration, log, origin, sections),
             _findings(calibration.findings),
             _parameters(calibration, log),
             _score(calibration),
+            *(f'<h2 id="{part.anchor}">{_text(part.title)}</h2>\n{part.markup}' for part in sections),
             _data(calibration, log),
             _figures(figures),
             _origin(calibration, origin),
@@ -87,7 +96,9 @@ def _program(origin: Mapping[str, Any]) -> str:
     return str(origin.get("program", f"beamfield {__version__}"))
 
 
-def _head(title: str, calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -> str:
+def _head(
+    title: str, calibration: Calibration, log: SensorLog, origin: Mapping[str, Any], sections: Sequence[PageSection]
+) -> str:
     inputs = origin.get("inputs")
     named = {str(role): _input_name(entry) for role, entry in inputs.items()} if isinstance(inputs, Mapping) else {}
     facts = [f"{role} <b>{_text(named[role])}</b>" for role in ("log", "map", "poses") if role in named]
@@ -97,7 +108,9 @@ def _head(title: str, calibration: Calibration, log: SensorLog, origin: Mapping[
     if "date" in origin:
         facts.append(f"calibrated {_text(origin['date'])}")
     facts.append(_text(_program(origin)))
-    links = " ".join(f'<a href="#{anchor}">{name}</a>' for anchor, name in SECTIONS.items())
+    names = list(SECTIONS.items())
+    names[2:2] = [(part.anchor, part.title) for part in sections]
+    links = " ".join(f'<a href="#{anchor}">{_text(name)}</a>' for anchor, name in names)
     css = "verdict" if is_good(calibration) else "verdict bad"
     return (
         f'<h1>{_text(title)}</h1>\n<p class="facts">{" · ".join(facts)}</p>\n'

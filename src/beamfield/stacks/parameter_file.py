@@ -141,9 +141,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path
         As the file system says; the file is then as it was.
     """
     path = section.path
-    if not path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
-        # Renaming a new file over it would work, but whoever made it read-only meant it.
-        raise PermissionError(13, "the file is read-only", str(path))
+    check_writable(path)
     before = path.read_bytes()
     mark = b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") and not section.text.startswith("\ufeff") else b""
     if before != mark + section.text.encode():
@@ -153,6 +151,15 @@ def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path
         part.write_bytes(before)
     write_file(path, mark + section.with_values(values).encode())
     return backup
+
+
+def check_writable(path: Path) -> None:
+    """Raise PermissionError if a file is read-only.
+
+    Renaming a new file over it would work, but whoever made it read-only meant it.
+    """
+    if not path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
+        raise PermissionError(13, "the file is read-only", str(path))
 
 
 def _sections(path: Path) -> list[ParameterSection]:

@@ -1,0 +1,148 @@
+"""The part of ``beamfield calibrate`` that fits another program's model and writes its file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beamfield import __version__
+from beamfield.cli.progress import StageProgress
+from beamfield.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from beamfield.calibration.calibrate import Calibration
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.report.page_section import PageSection
+    from beamfield.sensors import SensorLog
+    from beamfield.stacks.parameter_file import StackFile
+
+
+@dataclass(frozen=True)
+class StackResult:
+    """What fitting a stack adds to the outputs.
+
+    Parameters
+    ----------
+    table
+        For the terminal.
+    document
+        For calibration.json.
+    section
+        For the report.
+    file_name, file_text
+        The stack's own parameter file.
+    values
+        The parameters that changed, for a file that is patched.
+    """
+
+    table: str
+    document: Mapping[str, Any]
+    section: PageSection
+    file_name: str
+    file_text: str
+    values: Mapping[str, Any]
+
+
+def add_stack_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name a stack."""
+    group = parser.add_argument_group("for another program")
+    group.add_argument("--stack", metavar="NAME",
+                       help="fit a model of nav2, ros1, beluga, mrpt or f1tenth in its own formula")  # fmt: skip
+    group.add_argument(
+        "--model", metavar="NAME", help="the stack's model (default: the best one, or the patched file's)"
+    )
+    group.add_argument("--patch", type=Path, metavar="FILE",
+                       help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
+    group.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
+    group.add_argument("--reference-error", type=float, default=0.04, metavar="M",
+                       help="how wrong the reference poses may be, standard deviation per axis (0.04)")  # fmt: skip
+
+
+def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
+    """Check the options before any long work, and return the file to patch, if any."""
+    from beamfield.stacks.parameter_file import check_model, check_stack, check_writable, read_stack_file
+    from beamfield.stacks.typed_values import checked_values
+    from beamfield.stacks.windows import WindowOptions
+
+    if arguments.stack is None:
+        for name in ("model", "patch", "section"):
+            if getattr(arguments, name) is not None:
+                raise InvalidInputError(f"--{name}: is for another program's model, name it with --stack")
+        return None
+    check_stack(arguments.stack)
+    if arguments.model is not None:
+        check_model(arguments.stack, arguments.model)
+    if arguments.map is None:
+        raise InvalidInputError("--stack: needs --map: other programs' models see the map in their own way")
+    if not 0.0 < arguments.reference_error < WindowOptions().spread:
+        raise InvalidInputError(
+            f"--reference-error: expected 0 to {WindowOptions().spread:g} m, without 0, got {arguments.reference_error}"
+        )
+    if arguments.patch is None:
+        return None
+    file = read_stack_file(arguments.patch, stack=arguments.stack, model=arguments.model, section=arguments.section)
+    checked_values(file)
+    check_writable(arguments.patch)
+    return file
+
+
+def fit_for_stack(
+    arguments: argparse.Namespace, sensor: SensorLog, grid: OccupancyGrid, result: Calibration, file: StackFile | None,
+    progress: StageProgress,
+) -> StackResult:  # fmt: skip
+    """Fit one model of the stack, or all of them, and return what comes of it."""
+    from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
+    from beamfield.stacks.fit import fit_stack, net_score
+    from beamfield.stacks.parameter_file import MODELS
+    from beamfield.stacks.registry import parameter_class
+    from beamfield.stacks.typed_values import checked_values
+    from beamfield.stacks.windows import WindowOptions
+
+    stack = arguments.stack
+    models = MODELS[stack] if file is None and arguments.model is None else (arguments.model or file.model,)  # type: ignore[union-attr]
+    plain = next((form.result.parameters for form in result.candidates if form.name == "chapter"), None)
+    fits = []
+    for model in models:
+        kind = parameter_class(stack, model)
+        start = kind(**_chosen_model(kind, model)) if file is None else checked_values(file)
+        fits.append(
+            fit_stack(
+                stack, model, sensor, grid, start=start, beam_parameters=plain,
+                options=WindowOptions(reference_error=arguments.reference_error, seed=arguments.seed),
+                selection=result.options.selection, progress=progress, threads=arguments.threads,
+            )
+        )  # fmt: skip
+    best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
+    text = _file_text(arguments, best.model.model, asdict(best.parameters))
+    start_values = asdict(best.start)
+    changed = {name: value for name, value in asdict(best.parameters).items() if value != start_values[name]}
+    return StackResult(
+        stack_tables(fits, best), stack_as_dict(fits, best), stack_section(fits, best, text),
+        f"{stack}.ini" if stack == "mrpt" else f"{stack}.yaml", text, changed,
+    )  # fmt: skip
+
+
+def write_patch(file: StackFile, values: Mapping[str, Any]) -> str:
+    """Change the user's file and return a line that says so."""
+    from beamfield.stacks.parameter_file import write_values
+
+    backup = write_values(file.section, values)
+    return f"changed {', '.join(values) or 'nothing'} in {file.section.path}; the old file is {backup.name}"
+
+
+def _chosen_model(kind: type[Any], model: str) -> dict[str, Any]:
+    return {"laser_model_type": model} if "laser_model_type" in kind.__dataclass_fields__ else {}
+
+
+def _file_text(arguments: argparse.Namespace, model: str, values: dict[str, Any]) -> str:
+    from beamfield.stacks.new_file import new_file_text
+
+    comments = [
+        f"{arguments.stack}, {model}: calibrated by beamfield {__version__}",
+        f"log {json.dumps(arguments.log.name)}, map {json.dumps(arguments.map.name)}",
+    ]
+    return new_file_text(arguments.stack, values, comments=comments)

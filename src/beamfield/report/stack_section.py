@@ -1,0 +1,213 @@
+"""What calibrating for another program's model found: tables for the terminal, a section of the page, JSON."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from beamfield.geometry import FloatArray
+from beamfield.report.drawing import DATA, FIT, HELD_OUT, NARROW, QUIET, legend, new_figure, style, svg_panel
+from beamfield.report.page_section import PageSection
+from beamfield.report.text_table import aligned
+from beamfield.stacks.fit import StackFit, Trial, net_score
+from beamfield.stacks.particle_update import ParticleUpdate
+
+HOW = {
+    "maximum likelihood": "Weights, sigma and rates are those of the chapter's beam model by maximum likelihood, "
+    "translated; the number of beams is chosen on windows of the log.",
+    "posterior": "All values are chosen by the posterior they make on windows of the log.",
+}
+
+
+def stack_tables(fits: Sequence[StackFit], chosen: StackFit) -> str:
+    """Return the tables for the terminal: parameters, then start against calibrated for every model fitted."""
+    parts = [
+        f"{chosen.model.stack}, {chosen.model.model}: {HOW[chosen.how]}",
+        aligned(("parameter", "before", "calibrated"), _parameter_rows(chosen), right=(1, 2)),
+        aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, fit is chosen)], right=(2, 3, 4, 5)),
+    ]
+    if not chosen.covers:
+        parts.append(f"warning (stack-coverage): {_coverage_text(chosen)}")
+    return "\n\n".join(parts)
+
+
+def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) -> PageSection:
+    """Return the section of the report.
+
+    Parameters
+    ----------
+    fits
+        One per model of the stack that was fitted.
+    chosen
+        The one that the file holds.
+    file_text
+        The parameter file.
+    """
+    stack, model = chosen.model.stack, chosen.model.model
+    scores = "".join(
+        _row(cells, "fit" if cells[0] == "*" else "rival") for fit in fits for cells in _score_rows(fit, fit is chosen)
+    )
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in _SCORE_HEADER)
+    values = "".join(_row(cells, "") for cells in _parameter_rows(chosen))
+    warning = "" if chosen.covers else f'<ul class="findings"><li>{html.escape(_coverage_text(chosen))}</li></ul>'
+    panels = "".join(
+        f'<div class="narrow">{panel.markup}</div>' for panel in (_beams_panel(chosen), _error_panel(chosen))
+    )
+    options = chosen.options
+    markup = (
+        f"<p>{html.escape(HOW[chosen.how])} {html.escape(model)} computes: {html.escape(_summary(chosen))}</p>{warning}"
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{scores}</tbody></table></div>'
+        "<p>Score: on held-out windows of "
+        f"{options.scans} scans, the mean logarithm of the posterior's density at the reference trajectory over the "
+        "prior's, in nats: 0 for weights that say nothing, without bound below for weights that are certain and wrong. "
+        "Coverage: share of the windows whose 95 % region holds the truth, which may be "
+        f"{options.reference_error * 100:g} cm from the reference. Update: {chosen.update.n_particles} particles, "
+        f"{chosen.update.error_before[0] * 100:.0f} cm from the reference in the mean, weighed by one scan.</p>"
+        f'<figure id="stack-choice"><h3>What was chosen, and what it does to particles</h3><div class="panels">{panels}'
+        "</div><figcaption>Left: the score of each setting on windows that it was not fitted to, less a price for "
+        "missing coverage; the setting with the best is taken. Right: the mean distance of particles from the "
+        "reference after one update, over held-out scans.</figcaption></figure>"
+        '<div class="scroll"><table><thead><tr><th>parameter</th><th class="n">before</th><th class="n">calibrated</th>'
+        f"</tr></thead><tbody>{values}</tbody></table></div>"
+        f"<p>The file:</p><pre>{html.escape(file_text)}</pre>"
+    )  # fmt: skip
+    return PageSection("stack", f"For {stack}: {model}", markup)
+
+
+def stack_as_dict(fits: Sequence[StackFit], chosen: StackFit) -> dict[str, Any]:
+    """Return the fits as plain values for JSON."""
+    return {
+        "stack": chosen.model.stack,
+        "model": chosen.model.model,
+        "parameters": asdict(chosen.parameters),
+        "how": chosen.how,
+        "covers": chosen.covers,
+        "options": asdict(chosen.options),
+        "models": [
+            {
+                "model": fit.model.model,
+                "chosen": fit is chosen,
+                "start": asdict(fit.start),
+                "parameters": asdict(fit.parameters),
+                "before": _scores_as_dict(fit.before, fit.update_before),
+                "calibrated": _scores_as_dict(fit.chosen, fit.update),
+                "trials": [
+                    {
+                        "setting": dict(trial.setting),
+                        "parameters": asdict(trial.parameters),
+                        "net_score": net_score(trial.crossed),
+                        "score": trial.crossed.mean,
+                        "coverage": trial.crossed.coverage,
+                    }
+                    for trial in fit.trials
+                ],
+            }
+            for fit in fits
+        ],
+    }
+
+
+_SCORE_HEADER = ("", "model", "score [nats]", "coverage", "effective particles", "error after update [m]")
+
+
+def _score_rows(fit: StackFit, is_chosen: bool) -> list[tuple[str, ...]]:
+    rows = (
+        ("", "before", fit.before, fit.update_before),
+        ("*" if is_chosen else "", "calibrated", fit.chosen, fit.update),
+    )
+    return [
+        (
+            mark, f"{fit.model.model}, {name}", f"{trial.held_out.mean:.2f}", f"{trial.held_out.coverage:.0%}",
+            f"{np.median(update.effective):.0f}", f"{update.error_after.mean():.3f}",
+        )
+        for mark, name, trial, update in rows
+    ]  # fmt: skip
+
+
+def _parameter_rows(fit: StackFit) -> list[tuple[str, ...]]:
+    before, after = asdict(fit.start), asdict(fit.parameters)
+    return [(name, _value(before[name]), _value(value)) for name, value in after.items() if value != before[name]]
+
+
+def _value(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _row(cells: tuple[str, ...], css: str) -> str:
+    return f'<tr class="{css}">' + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"
+
+
+def _coverage_text(fit: StackFit) -> str:
+    return (
+        f"only {fit.chosen.held_out.coverage:.0%} of the held-out windows have the truth in their 95 % region: the "
+        "weights are still too sure here; map, reference poses or too few data may be the reason"
+    )
+
+
+def _summary(fit: StackFit) -> str:
+    line = (type(fit.model).__doc__ or "").strip().splitlines()[0]
+    return line.replace("``", "") if "``" in line else line
+
+
+def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:
+    return {
+        "score": trial.held_out.mean,
+        "coverage": trial.held_out.coverage,
+        "windows": len(trial.held_out.log_score),
+        "effective_sample_size": float(np.median(update.effective)),
+        "particles": update.n_particles,
+        "error_before": float(update.error_before.mean()),
+        "error_after": float(update.error_after.mean()),
+    }
+
+
+def _beams_panel(fit: StackFit) -> Any:
+    figure = new_figure(NARROW, 2.9)
+    axes = figure.add_subplot()
+    labels = [", ".join(str(value) for value in trial.setting.values()) for trial in fit.trials]
+    name = ", ".join(fit.trials[0].setting) or "setting"
+    places = np.arange(len(fit.trials))
+    axes.plot(places, [trial.crossed.mean for trial in fit.trials], "o-", color=DATA, label="score")
+    axes.plot(
+        places, [net_score(trial.crossed) for trial in fit.trials], "o-", color=FIT, label="less missing coverage"
+    )
+    chosen = next(i for i, trial in enumerate(fit.trials) if dict(trial.setting) == dict(fit.chosen.setting))
+    axes.plot(
+        places[chosen], net_score(fit.trials[chosen].crossed), "o", ms=11, mfc="none", mec=HELD_OUT, label="taken"
+    )
+    axes.axhline(0.0, color=QUIET, linewidth=0.8)
+    axes.set_xticks(places, labels)
+    style(axes, title="Settings", x=name, y="nats per window")
+    legend(axes, loc="best")
+    alt = f"Score by {name}: " + "; ".join(
+        f"{label} {net_score(trial.crossed):.2f}" for label, trial in zip(labels, fit.trials, strict=True)
+    )
+    return svg_panel(figure, "stack-settings", alt)
+
+
+def _error_panel(fit: StackFit) -> Any:
+    figure = new_figure(NARROW, 2.9)
+    axes = figure.add_subplot()
+    for update, colour, label in ((fit.update_before, DATA, "before"), (fit.update, FIT, "calibrated")):
+        errors, share = _steps(update.error_after)
+        axes.step(errors * 100.0, share, where="post", color=colour, linewidth=1.8, label=label)
+    start = float(fit.update.error_before.mean()) * 100.0
+    axes.axvline(start, color=QUIET, linewidth=0.9, linestyle="--", label="before the update")
+    axes.set_xlim(left=0.0)
+    style(axes, title="One update", x="mean distance from the reference [cm]", y="share of held-out scans")
+    legend(axes, loc="best")
+    alt = (
+        f"Share of scans by error after one update: before in the mean {fit.update_before.error_after.mean():.3f} m, "
+        f"calibrated {fit.update.error_after.mean():.3f} m"
+    )
+    return svg_panel(figure, "stack-update", alt)
+
+
+def _steps(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a cumulative distribution as steps."""
+    ordered = np.sort(values)
+    return np.append(ordered[:1], ordered), np.arange(len(ordered) + 1) / len(ordered)

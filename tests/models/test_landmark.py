@@ -64,6 +64,12 @@ def test_line_4_as_printed_is_right_only_for_robots_that_look_along_x():
         assert (math.exp(model().log_likelihood(z, pose)) == pytest.approx(printed, rel=1e-9)) is same
 
 
+def test_no_features_with_signatures_are_no_features():
+    coloured = LandmarkMap(POSITIONS, signatures=COLOURS)
+    m = model("sum", LandmarkParameters(*SIGMAS, spurious_rate=0.1, max_range=6.0), coloured)
+    assert m.log_likelihood(Detections([], [], []), POSES).tolist() == [0.0] * len(POSES)
+
+
 def test_a_bearing_just_across_pi_is_close_by():
     landmarks = LandmarkMap([[-2.0, 0.0]])
     z = Detections([2.0, 2.0], [np.pi - 0.01, -np.pi + 0.01], ids=[1, 1])

@@ -50,7 +50,8 @@ def signature_log_density(
         If features have signatures that the map has not, or of another shape, or a type that `confusion` has not.
     """
     result: FloatArray = np.zeros((n, len(landmarks) + 1))
-    if signatures is None:
+    # Without features their signatures have no shape to speak of.
+    if signatures is None or n == 0:
         return result
     if landmarks.signatures is None:
         raise InvalidInputError("signatures: the map's landmarks have none, the features do")

@@ -9,6 +9,7 @@ import pytest
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose, invert, transform_points
+from beamfield.kernels import surfaces as kernels
 from beamfield.maps.scan_field import Category, ScanField, end_points
 from beamfield.sensors import RangeFinder, Scan
 
@@ -66,6 +67,20 @@ def test_an_edge_before_a_far_wall_casts_a_shadow_without_a_wall() -> None:
     assert field.category(middle) != Category.HIT
     assert field.category([4.0, 0.0]) == Category.UNSEEN
     assert field.category([4.0, 4.0 * np.tan(np.radians(10.0))]) == Category.FREE
+
+
+def test_lone_readings_do_not_part_a_wall_and_pull_nothing(scan: Scan) -> None:
+    ranges = scan.ranges.copy()
+    ranges[[100, 101, 120, 140]] = [1.1, np.inf, 0.7, 1.2]
+    field = ScanField.from_scan(Scan(ranges, scan.finder))
+    elements = field.view.elements
+    for lone in (100, 120, 140):
+        there = ranges[lone] * np.array([np.cos(BEARINGS[lone]), np.sin(BEARINGS[lone])])
+        nearest = np.argmin(np.hypot(*(elements[:, :2] - there).T))
+        assert elements[nearest, kernels.PULL] == kernels.NONE
+    for missing in (100, 101, 120, 140):
+        there = scan.ranges[missing] * np.array([np.cos(BEARINGS[missing]), np.sin(BEARINGS[missing])])
+        assert field.distance(there) < 1e-6
 
 
 def test_the_order_of_the_beams_changes_nothing(scan: Scan, rng: np.random.Generator) -> None:

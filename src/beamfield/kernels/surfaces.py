@@ -26,8 +26,8 @@ LINE, POINT, NONE = 1.0, 0.0, -1.0
 LONGEST_GAP = 1.0
 # ... and not seen more grazingly than this (sine of 8 degrees), which is how edges of what stands in front look ...
 SMALLEST_SINE = 0.139
-# ... or if they are this close anyway: range noise turns short gaps into any direction.
-NOISY_GAP = 0.1
+# ... or if they are this close anyway, or this many deviations of the noise: it turns short gaps into any direction.
+NOISY_GAP, NOISY_GAP_DEVIATIONS = 0.1, 6.0
 # A line is fitted to the end points of one surface within this distance, or to the neighbours if they are further.
 FIT_RADIUS = 0.15
 # The distance is doubled, up to this one, while the end points lie off the line by no more than their noise does.
@@ -46,13 +46,14 @@ WIDEST_BEAM = 0.0524
 
 @kernel
 def find_surfaces(
-    mounts: Floats, ranges: Floats, opening: float, joined: NDArray[np.bool_], half_width: Floats
+    mounts: Floats, ranges: Floats, opening: float, noise: float, joined: NDArray[np.bool_], half_width: Floats
 ) -> None:
     """Fill joined (k,): beam i and the next lie on one surface; and half_width (k,): how far aside beam i sees.
 
     `mounts` (k, 3) of one origin in the order of their directions, the last next to the first; `ranges` (k,), NaN
-    without end point.
+    without end point; their `noise`, 0 if unknown.
     """
+    noisy_gap = max(NOISY_GAP, NOISY_GAP_DEVIATIONS * noise)
     k = ranges.size
     for i in range(k):
         j = (i + 1) % k
@@ -68,7 +69,7 @@ def find_surfaces(
             gap = math.hypot(dx, dy)
             # The gap's angle with the beam halfway between the two.
             sine = abs(dy * math.cos(0.5 * ahead) - dx * math.sin(0.5 * ahead))
-            joined[i] = gap <= NOISY_GAP or (gap <= LONGEST_GAP and sine >= SMALLEST_SINE * gap)
+            joined[i] = gap <= noisy_gap or (gap <= LONGEST_GAP and sine >= SMALLEST_SINE * gap)
 
 
 @kernel

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, wrap_angle
 from beamfield.kernels import scan_field as kernels
-from beamfield.localization.weak_direction import weigh_optima
+from beamfield.localization.weak_direction import weigh_slides
 from beamfield.maps.scan_field import ScanField, end_points
 from beamfield.sensors import Scan
 
@@ -37,14 +37,14 @@ MAX_STARTS = 20_000
 BETTER = 0.02
 # Fewer end points on surfaces than this say nothing.
 FEWEST_MATCHES = 3.0
-# A scan is worth one independent beam per this angle: see `align`. Chosen on FR079, checked on Intel.
+# A scan is worth one independent beam per this angle: see `align`.
 INDEPENDENT_ANGLE = math.radians(45.0)
 # What no number of beams averages away: the scan was taken on the move, its plane tilts, surfaces are not lines.
 FLOOR_DISTANCE, FLOOR_ANGLE = 0.015, 0.005
 SMALLEST_SPREAD = 0.01
-# Other optima are looked for along the weakest direction if its eigenvalue lies below this, and reported if their joint
-# probability exceeds `DOUBT`.
-WEAK, DOUBT = 0.25, 0.05
+# A slide along the surfaces is looked for if it meets less than this share of the end points' resistance, and reported
+# if it has this standard deviation in metres.
+WEAK, AMBIGUOUS_DEVIATION = 0.35, 0.1
 # Standard deviation along an undetermined direction, metres of end points.
 UNDETERMINED_DEVIATION = 100.0
 
@@ -80,8 +80,9 @@ class AlignmentResult:
     lever
         Metres that end points move per radian.
     problem
-        "" or what is wrong: "no end points" (in the scan), "no overlap" (with the field's surfaces), "undetermined" or
-        "not converged".
+        "" or what is wrong: "no end points" (in the scan), "no overlap" (with the field's surfaces), "undetermined",
+        "ambiguous" (places along a slide of more than 0.1 m fit about as well; the covariance holds them) or "not
+        converged".
     """
 
     pose: FloatArray
@@ -149,14 +150,20 @@ def align(
 
     Notes
     -----
+    **Slides.** Along a corridor few end points tell one place from the next, and the score has many small peaks. Where
+    a move in the weakest direction meets less than 35 % of the end points' resistance, the line along it is looked at
+    every sigma, up to 0.5 m from the initial pose. The best peaks are climbed, and all places are weighed by their
+    scores (one independent beam per 11 degrees) and by their distance from the initial pose (deviation 0.2 m).
+
     **Covariance.** If all n matched end points erred independently, it would be s^2 H^-1 with the spread s and the
     information H = sum of w J J^T. They do not: neighbouring beams hit the same surface, whose shape, height and
     fit err alike. A scan counts as one independent beam per 45 degrees of view that it matches, whatever its
-    resolution: the covariance is (45 degrees / beam spacing) s^2 H^-1, plus (1 cm)^2 and (0.003 rad)^2. The angle was
-    chosen on one building's log and checked on another's; docs/alignment.md has the figures.
+    resolution: the covariance is (45 degrees / beam spacing) s^2 H^-1, or along a slide the mean square distance of all
+    places by their weights if that is more, plus (1.5 cm)^2 and (0.005 rad)^2. The relations by which this was chosen
+    err by about as much themselves: docs/alignment.md.
 
-    The covariance is that of the optimum found. An ascent that ended in the wrong optimum has an error that no
-    covariance covers: look at `overlap` and `score`, and use `search`.
+    An ascent that ended in a wrong optimum elsewhere has an error that no covariance covers: look at `overlap` and
+    `score`, and use `search`.
 
     References
     ----------
@@ -187,24 +194,27 @@ def align(
     if fit.n_matched < FEWEST_MATCHES:
         return _failure(start, fit.score, fit.overlap, lever, "no overlap")
     dependence = max(INDEPENDENT_ANGLE / _beam_spacing(scan), 1.0)
-    spread, doubt = np.zeros((3, 3)), 0.0
-    if threshold <= fit.eigenvalues[0] < max(WEAK, threshold):
-        optima = weigh_optima(
-            points, field, pose, fit.directions[0], start,
+    sliding = 0.0
+    if fit.eigenvalues[0] >= threshold and fit.slide_information < WEAK:
+        slide = weigh_slides(
+            points, field, pose, fit.slide, start,
             lever=lever, threshold=threshold, dependence=dependence, window=search[0],
         )  # fmt: skip
-        fit = _inspect(points, optima.pose, field, lever)
-        spread, doubt = optima.spread, optima.share
+        fit, sliding = _inspect(points, slide.pose, field, lever), slide.variance
     free = fit.eigenvalues < threshold
-    determined = fit.n_matched * np.maximum(fit.eigenvalues, threshold)
+    determined = max(fit.n_matched, FEWEST_MATCHES) * np.maximum(fit.eigenvalues, threshold)
     variances = dependence * max(fit.spread, SMALLEST_SPREAD) ** 2 / determined
     variances[free] = UNDETERMINED_DEVIATION**2
-    covariance = (fit.directions.T * variances) @ fit.directions + spread
+    covariance = (fit.directions.T * variances) @ fit.directions
+    known = float(fit.slide[:2] @ covariance[:2, :2] @ fit.slide[:2])
+    covariance += max(sliding - known, 0.0) * np.outer(fit.slide, fit.slide)
     covariance += np.diag([FLOOR_DISTANCE**2, FLOOR_DISTANCE**2, FLOOR_ANGLE**2])
     found = np.array([*fit.pose[:2], wrap_angle(fit.pose[2])])
-    problem: Problem = (
-        "undetermined" if free.any() else "ambiguous" if doubt > DOUBT else "" if converged else "not converged"
-    )
+    problem: Problem = "" if converged else "not converged"
+    if free.any():
+        problem = "undetermined"
+    elif sliding > AMBIGUOUS_DEVIATION**2:
+        problem = "ambiguous"
     return AlignmentResult(
         found, 0.5 * (covariance + covariance.T), fit.score, fit.overlap, fit.n_matched, fit.spread, converged,
         np.maximum(fit.eigenvalues, 0.0), fit.directions[free], lever, problem,
@@ -213,7 +223,11 @@ def align(
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """How end points lie at a pose; fields as in `AlignmentResult`, directions (3, 3) one per eigenvalue."""
+    """How end points lie at a pose; fields as in `AlignmentResult`, directions (3, 3) one per eigenvalue.
+
+    `slide` is the move (3,) of one metre, with the turn that suits it, which the end points resist least;
+    `slide_information` is how much they do, per matched end point.
+    """
 
     pose: FloatArray
     score: float
@@ -222,6 +236,8 @@ class _Fit:
     spread: float
     eigenvalues: FloatArray
     directions: FloatArray
+    slide: FloatArray
+    slide_information: float
 
 
 def _inspect(points: FloatArray, pose: FloatArray, field: ScanField, lever: float) -> _Fit:
@@ -235,7 +251,14 @@ def _inspect(points: FloatArray, pose: FloatArray, field: ScanField, lever: floa
     scale = np.array([1.0, 1.0, 1.0 / lever])
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / some)
     overlap = min(seen / len(points), 1.0)
-    return _Fit(pose, score, overlap, matched, math.sqrt(squares / some), values, vectors.T * scale)
+    # The information about x and y if theta follows.
+    turn = -information[2, :2] / max(information[2, 2], 1e-9)
+    resistance, slides = np.linalg.eigh(information[:2, :2] + np.outer(information[:2, 2], turn))
+    slide = np.array([*slides[:, 0], turn @ slides[:, 0]])
+    return _Fit(
+        pose, score, overlap, matched, math.sqrt(squares / some), values, vectors.T * scale, slide,
+        float(resistance[0]) / some,
+    )  # fmt: skip
 
 
 def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: float, max_steps: int) -> FloatArray:

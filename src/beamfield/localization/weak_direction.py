@@ -10,41 +10,38 @@ from beamfield.geometry import FloatArray
 from beamfield.kernels import scan_field as kernels
 from beamfield.maps.scan_field import MARGIN_SIGMAS, ScanField
 
-# Optima are looked for this far to both sides of the initial pose, metres of end points.
-REACH = 0.5
-# The scores along the line are those of a field this many times as wide, one per that sigma, with at most so many
+# The line is searched this far to both sides of the initial pose, metres, in steps of one sigma, with at most so many
 # end points. The best few peaks are climbed.
-WIDENING, PROFILE_POINTS, CLIMBED_PEAKS = 2.0, 180, 3
+REACH, PROFILE_POINTS, CLIMBED_PEAKS = 0.5, 120, 2
 # Surfaces count up to this many sigma away; an ascent ends with steps shorter than this, in sigma.
 REACH_SIGMAS, TOLERANCE, STEPS = 4.0, 0.01, 10
-# Poses this close, in sigma, are one optimum.
-SAME_OPTIMUM = 2.0
-# How far off the initial pose is taken to be (standard deviation, metres) when optima are weighed against each other.
+# How far off the initial pose is taken to be (standard deviation, metres) when poses are weighed against each other.
 START_DEVIATION = 0.2
+# Which of two places fits better is told by this many times as many independent beams as how well a place fits: errors
+# of surfaces that neighbouring beams share move an optimum, but seldom make another one.
+MORE_INDEPENDENT = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Optima:
+class Slide:
     """What was found along a line.
 
     Parameters
     ----------
     pose
         (3,) the best optimum.
-    spread
-        (3, 3) mean square distance of all optima from it, weighted by their posterior probabilities.
-    share
-        Probability of the optima other than the best, in [0, 1).
+    variance
+        Mean square distance from it along the line, of all places on the line by their posterior probabilities, square
+        metres.
     """
 
     pose: FloatArray
-    spread: FloatArray
-    share: float
+    variance: float
 
 
-def weigh_optima(points: FloatArray, field: ScanField, pose: FloatArray, direction: FloatArray, start: FloatArray, *,
-                 lever: float, threshold: float, dependence: float, window: float) -> Optima:  # fmt: skip
-    """Look for optima along a line through an optimum, and weigh all by their scores.
+def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, direction: FloatArray, start: FloatArray, *,
+                 lever: float, threshold: float, dependence: float, window: float) -> Slide:  # fmt: skip
+    """Look for better poses along a line through an optimum, and weigh the whole line by its scores.
 
     Along a corridor, the score has many peaks: a door frame that fits another, random readings that meet. The climb
     ends on one of them; the curvature there knows nothing of the rest.
@@ -58,59 +55,66 @@ def weigh_optima(points: FloatArray, field: ScanField, pose: FloatArray, directi
     pose
         (3,) the optimum that the climb has found.
     direction
-        (3,) which way to look; one unit moves end points by one metre.
+        (3,) which way to look, a move of one metre in x and y with the turn that goes with it.
     start
         (3,) initial pose of the alignment.
     lever, threshold
         As in `kernels.scan_field.ascend`.
     dependence
-        Number of beams that are worth one independent beam: scores are divided by it.
+        Number of beams that are worth one independent beam: scores are divided by a quarter of it.
     window
         Half-width of the window that the caller searches, metres: how far off `start` may be.
-
-    Returns
-    -------
-    Optima
-        `pose` itself, no spread and no share if there is no other.
     """
-    scale = np.array([1.0, 1.0, 1.0 / lever])
-    centre = float(direction / scale @ ((start - pose) / scale))
-    poses, scores = [pose], [_score(points, pose, field)]
-    for peak in _peaks(points, field, pose, direction, centre):
+    deviation, dependence = max(START_DEVIATION, window), max(dependence / MORE_INDEPENDENT, 1.0)
+    offsets = float(direction[:2] @ (start - pose)[:2]) + _steps(field.sigma_hit)
+    line = pose + offsets[:, None] * direction
+    scores = _profile(points, line, field)
+    best, highest = pose, _log_posterior(_score(points, pose, field), pose, start, dependence, deviation)
+    for peak in _peaks(scores):
+        climbed = line[peak].copy()
         kernels.ascend(
-            points, peak, 1, field.sigma_hit, lever, threshold, TOLERANCE * field.sigma_hit, STEPS, field.view
+            points, climbed, 1, field.sigma_hit, lever, threshold, TOLERANCE * field.sigma_hit, STEPS, field.view
         )
-        apart = np.abs((np.array(poses) - peak) / scale).max(axis=1)
-        if apart.min() > SAME_OPTIMUM * field.sigma_hit:
-            poses.append(peak)
-            scores.append(_score(points, peak, field))
-    offsets = np.array(poses)[:, :2] - start[:2]
-    deviation = max(START_DEVIATION, window)
-    log_weight = np.array(scores) / dependence - 0.5 * np.sum(offsets**2, axis=1) / deviation**2
+        height = _log_posterior(_score(points, climbed, field), climbed, start, dependence, deviation)
+        if height > highest:
+            best, highest = climbed, height
+    log_weight = _log_posterior(scores, line, start, dependence, deviation)
     weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    best = int(np.argmax(weight))
-    difference = np.array(poses) - poses[best]
-    return Optima(poses[best], np.einsum("n,ni,nj->ij", weight, difference, difference), 1.0 - float(weight[best]))
+    along = offsets - float(direction[:2] @ (best - pose)[:2])
+    return Slide(best, float(weight @ along**2 / weight.sum()))
+
+
+def _steps(sigma: float) -> FloatArray:
+    """Return where to look, metres from the middle of the line."""
+    n = max(1, round(REACH / sigma))
+    return np.asarray(sigma * np.arange(-n, n + 1), dtype=np.float64)
+
+
+def _profile(points: FloatArray, line: FloatArray, field: ScanField) -> FloatArray:
+    """Return the scores of poses, as if all end points had been looked at."""
+    sigma = field.sigma_hit
+    some = np.ascontiguousarray(points[:: max(1, len(points) // PROFILE_POINTS)])
+    scores = np.empty(len(line))
+    kernels.fill_scores(some, line, REACH_SIGMAS * sigma, MARGIN_SIGMAS * sigma, sigma, field.view, scores)
+    some_score = scores - len(some) * np.log(field.view.unseen_density)
+    return np.asarray(some_score * (len(points) / len(some)))
+
+
+def _peaks(scores: FloatArray) -> list[int]:
+    """Return the highest peaks, best first."""
+    padded = np.concatenate([[-np.inf], scores, [-np.inf]])
+    peaks = np.flatnonzero((scores >= padded[:-2]) & (scores >= padded[2:]))
+    return [int(i) for i in peaks[np.argsort(-scores[peaks], kind="stable")][:CLIMBED_PEAKS]]
 
 
 def _score(points: FloatArray, pose: FloatArray, field: ScanField) -> float:
     """Return the score of a pose as in the climb."""
-    sigma = field.sigma_hit
-    return kernels.linearise(
-        points, pose, 1, sigma, REACH_SIGMAS * sigma, field.view, np.empty(3), np.empty((3, 3))
-    )[0]  # fmt: skip
+    reach = REACH_SIGMAS * field.sigma_hit
+    return kernels.linearise(points, pose, 1, field.sigma_hit, reach, field.view, np.empty(3), np.empty((3, 3)))[0]
 
 
-def _peaks(points: FloatArray, field: ScanField, pose: FloatArray, direction: FloatArray,
-           centre: float) -> list[FloatArray]:  # fmt: skip
-    """Return the highest peaks of the score along the line, best first."""
-    sigma = WIDENING * field.sigma_hit
-    steps = max(1, round(REACH / sigma))
-    poses = pose + (centre + sigma * np.arange(-steps, steps + 1))[:, None] * direction
-    some = np.ascontiguousarray(points[:: max(1, len(points) // PROFILE_POINTS)])
-    scores = np.empty(len(poses))
-    kernels.fill_scores(some, poses, REACH_SIGMAS * sigma, MARGIN_SIGMAS * sigma, sigma, field.view, scores)
-    padded = np.concatenate([[-np.inf], scores, [-np.inf]])
-    peaks = np.flatnonzero((scores >= padded[:-2]) & (scores >= padded[2:]))
-    return [poses[i].copy() for i in peaks[np.argsort(-scores[peaks], kind="stable")][:CLIMBED_PEAKS]]
+def _log_posterior(score: FloatArray | float, pose: FloatArray, start: FloatArray, dependence: float,
+                   deviation: float) -> FloatArray:  # fmt: skip
+    """Return log posteriors up to a constant: end points depend on each other, and the start is a guess."""
+    offset = pose[..., :2] - start[:2]
+    return np.asarray(score / dependence - 0.5 * np.sum(offset**2, axis=-1) / deviation**2)

@@ -70,7 +70,7 @@ def _fan(mounts: FloatArray, ranges: FloatArray, max_range: float, opening: floa
     passed = np.where(returned | (free_without_return & (ranges == max_range)), ranges, 0.0)
     ranges = np.where(returned, ranges, np.nan)
     joined, half_width = np.empty(len(ranges), np.bool_), np.empty(len(ranges))
-    kernels.find_surfaces(mounts, ranges, opening, joined, half_width)
+    kernels.find_surfaces(mounts, ranges, opening, 0.0, joined, half_width)
     return Fan(mounts[0, :2], mounts[:, 2], passed, half_width, joined, _elements(mounts, ranges, joined, opening))
 
 
@@ -84,11 +84,11 @@ def _elements(mounts: FloatArray, ranges: FloatArray, joined: NDArray[np.bool_],
     elements = np.zeros((4 * len(kept) + len(lone), kernels.COLUMNS))
     n = 0
     if len(kept):
+        noise = kernels.range_noise(mounts[:, 2], ranges, joined)
         mounts, ranges, points = mounts[kept], ranges[kept], points[kept]
         linked, _ = np.empty(len(kept), np.bool_), np.empty(len(kept))
-        kernels.find_surfaces(mounts, ranges, opening, linked, _)
+        kernels.find_surfaces(mounts, ranges, opening, noise, linked, _)
         linked &= (np.roll(kept, -1) - kept) % len(joined) <= BRIDGED_BEAMS + 1
-        noise = kernels.range_noise(mounts[:, 2], ranges, linked)
         n = kernels.fit_elements(points, ranges, linked, noise, elements)
     last = elements[n : n + len(lone)]
     last[:, : kernels.NX] = lone

@@ -1,0 +1,154 @@
+"""What one statistic says about "lost": a monotone likelihood ratio, and how long its values depend on each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+
+N_BINS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class LostEvidence:
+    """log p(statistic | lost) - log p(statistic | ok), never falling as the statistic grows.
+
+    Parameters
+    ----------
+    knots
+        (b,) values of the statistic, increasing.
+    log_ratio
+        (b,) nats, not decreasing; between knots it is interpolated, beyond them it stays.
+    correlation_s
+        Seconds over which values depend on each other.
+
+    Raises
+    ------
+    InvalidInputError
+        If the knots do not increase, the ratios decrease or a number is not finite.
+    """
+
+    knots: FloatArray
+    log_ratio: FloatArray
+    correlation_s: float
+
+    def __post_init__(self) -> None:
+        knots, ratio = (np.array(v, dtype=np.float64) for v in (self.knots, self.log_ratio))
+        if knots.ndim != 1 or knots.shape != ratio.shape or len(knots) == 0:
+            raise InvalidInputError(f"evidence: expected knots and ratios (b,), got {knots.shape} and {ratio.shape}")
+        if not (np.isfinite(knots).all() and np.isfinite(ratio).all() and np.isfinite(self.correlation_s)):
+            raise InvalidInputError("evidence: expected finite numbers")
+        if (np.diff(knots) <= 0.0).any() or (np.diff(ratio) < 0.0).any() or self.correlation_s < 0.0:
+            raise InvalidInputError("evidence: expected increasing knots, ratios that do not fall, correlation_s >= 0")
+        object.__setattr__(self, "knots", knots)
+        object.__setattr__(self, "log_ratio", ratio)
+
+    def __call__(self, values: ArrayLike) -> FloatArray:
+        """Return nats in favour of "lost", 0 for NaN."""
+        x = np.asarray(values, dtype=np.float64)
+        return np.asarray(np.where(np.isnan(x), 0.0, np.interp(np.nan_to_num(x), self.knots, self.log_ratio)))
+
+
+def learn_evidence(
+    good: ArrayLike, lost: ArrayLike, *, n_good: float, n_lost: float, correlation_s: float
+) -> LostEvidence:
+    """Learn the likelihood ratio of "lost" from values of good scans and of scans at wrong poses.
+
+    Shares of both in bins of the statistic, made monotone by pooling neighbours that disagree (isotonic regression).
+    Half a count is added on both sides, so that no value is evidence stronger than that many scans can give.
+
+    Parameters
+    ----------
+    good, lost
+        Values of the statistic; NaN are left out.
+    n_good, n_lost
+        How many independent scans they are worth.
+    correlation_s
+        Seconds over which values depend on each other.
+    """
+    ok, bad = (np.asarray(v, dtype=np.float64) for v in (good, lost))
+    ok, bad = ok[~np.isnan(ok)], bad[~np.isnan(bad)]
+    levels = np.linspace(0.0, 1.0, N_BINS + 1)
+    edges = np.unique(np.concatenate([np.quantile(ok, levels), np.quantile(bad, levels)]))
+    if len(edges) < 2:
+        return LostEvidence(edges, np.zeros(1), correlation_s)
+    ok_count = np.histogram(ok, edges)[0] / len(ok) * n_good
+    bad_count = np.histogram(bad, edges)[0] / len(bad) * n_lost
+    groups = _pool(ok_count / n_good, bad_count / n_lost)
+    sums = np.array([(ok_count[a:b].sum(), bad_count[a:b].sum()) for a, b in groups])
+    ratio = np.log((sums[:, 1] + 0.5) / (n_lost + 1.0)) - np.log((sums[:, 0] + 0.5) / (n_good + 1.0))
+    centres = np.array([0.5 * (edges[a] + edges[b]) for a, b in groups])
+    return LostEvidence(centres, np.maximum.accumulate(ratio), correlation_s)
+
+
+def _pool(ok: FloatArray, bad: FloatArray) -> list[tuple[int, int]]:
+    """Return bins (first, one past the last) joined until the share of `bad` does not fall."""
+    groups: list[tuple[int, int, float, float]] = []
+    for i, (g, b) in enumerate(zip(ok, bad, strict=True)):
+        groups.append((i, i + 1, float(g), float(b)))
+        while len(groups) > 1 and groups[-2][3] * groups[-1][2] >= groups[-1][3] * groups[-2][2]:
+            (first, _, g0, b0), (_, behind, g1, b1) = groups[-2], groups[-1]
+            groups[-2:] = [(first, behind, g0 + g1, b0 + b1)]
+    return [(first, behind) for first, behind, _, _ in groups]
+
+
+def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:
+    """Return the integrated correlation time of a series, seconds: 0 if neighbours are independent.
+
+    The lag-one correlation over all neighbouring pairs within ten median steps gives rho = exp(-step / time).
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds.
+    values
+        (t,) NaN are left out.
+    """
+    when, x = np.asarray(stamps, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    order = np.argsort(when, kind="stable")
+    order = order[~np.isnan(x[order])]
+    # Ranks: a few wild values would hide the correlation of the others.
+    ranks = np.empty(len(order))
+    ranks[np.argsort(x[order], kind="stable")] = np.arange(len(order))
+    when = when[order]
+    if len(when) < 3:
+        return 0.0
+    centred = ranks - ranks.mean()
+    step = float(np.median(np.diff(when)))
+    if step <= 0.0:
+        return 0.0
+    times = []
+    for lag in (1, 2, 4, 8, 16, 32):
+        if lag >= len(when) - 2:
+            break
+        rho = float(np.mean(centred[lag:] * centred[:-lag]) / np.mean(centred**2))
+        apart = float(np.median(when[lag:] - when[:-lag]))
+        if rho <= 2.0 / np.sqrt(len(when)):
+            break
+        times.append(-apart / np.log(min(rho, 1.0 - 1e-6)))
+    return max(times, default=0.0)
+
+
+def effective_number(stamps: ArrayLike, correlation_s: float) -> float:
+    """Return how many independent values a series is worth, if correlation falls as exp(-dt / correlation_s)."""
+    when = np.sort(np.asarray(stamps, dtype=np.float64))
+    if len(when) == 0:
+        return 0.0
+    return float(1.0 + evidence_weights(when, correlation_s)[1:].sum())
+
+
+def evidence_weights(stamps: ArrayLike, correlation_s: float) -> FloatArray:
+    """Return the share of each scan that is new, in (0, 1]: tanh(dt / (2 correlation_s)), 1 for the first.
+
+    The mean of n values with correlation exp(-dt / correlation_s) is worth n tanh(dt / (2 correlation_s)) independent
+    ones; so each counts for that much.
+    """
+    when = np.asarray(stamps, dtype=np.float64)
+    weights = np.ones(len(when))
+    if correlation_s > 0.0 and len(when) > 1:
+        weights[1:] = np.tanh(np.maximum(np.diff(when), 0.0) / (2.0 * correlation_s))
+    return weights

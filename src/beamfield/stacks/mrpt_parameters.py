@@ -27,13 +27,13 @@ class MrptFieldParameters:
     LF_zHit, LF_zRandom
         Factors of hits and of random readings.
     LF_maxRange
-        LF_zRandom is divided by this, metres. Whether readings beyond it count is not decided here.
+        LF_zRandom is divided by this, metres. It drops no reading.
     LF_decimation
-        Every so many-th beam is looked at.
+        Every so many-th point of the scan is looked at.
     LF_maxCorrsDistance
-        Obstacles are looked for in a square around the end point that reaches so far from it, metres, in whole cells.
+        Distances to obstacles are cut off here, metres.
     LF_useSquareDist
-        The exponent takes the distance where it should take its square.
+        The exponent takes the fourth power of the distance instead of its square.
     LF_alternateAverageMethod
         The weight is the mean over beams instead of their product.
     enableLikelihoodCache

@@ -11,7 +11,10 @@ from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
 from beamfield.stacks.beluga_parameters import BelugaParameters
 from beamfield.stacks.emulator import StackModel
 from beamfield.stacks.f1tenth_parameters import F1tenthParameters
+from beamfield.stacks.f1tenth_table import F1tenthTable
+from beamfield.stacks.mrpt_field import MrptField
 from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt_rays import MrptRays
 from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.parameter_file import MODELS, Stack, check_model, check_stack
@@ -22,6 +25,8 @@ _MODELS: Mapping[Stack, Mapping[str, type[StackModel[Any, Any]]]] = {
     "nav2": {"likelihood_field": Nav2Field, "likelihood_field_prob": Nav2FieldProb, "beam": Nav2Beam},
     "ros1": {"likelihood_field": Ros1Field, "likelihood_field_prob": Ros1FieldProb, "beam": Ros1Beam},
     "beluga": {"likelihood_field": BelugaField, "likelihood_field_prob": BelugaFieldProb, "beam": BelugaBeam},
+    "mrpt": {"LF_Thrun": MrptField, "rayTracing": MrptRays},
+    "f1tenth": {"table": F1tenthTable},
 }
 # Of each model, or one for all models of a stack; MRPT's models share no name.
 _PARAMETERS: Mapping[Stack, Mapping[str, type[Any]] | type[Any]] = {

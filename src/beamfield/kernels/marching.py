@@ -1,0 +1,85 @@
+"""Rays that march in equal steps and fixed-point numbers, and what they find at each."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+Floats = NDArray[np.float64]
+# Coordinates are held within this many cells, so that they fit an integer; no map is so large.
+FAR = 1e9
+
+
+@kernel
+def march(
+    poses: Floats,
+    frame: tuple[float, float, float],
+    resolution: float,
+    starts: Floats,
+    bearings: Floats,
+    step: float,
+    one: float,
+    n_steps: int,
+    occupied: NDArray[np.bool_],
+    free: NDArray[np.bool_],
+    ranges: Floats,
+) -> None:
+    """Look at every `step` of a ray until it meets an obstacle.
+
+    Parameters
+    ----------
+    poses
+        (n, 3) robot poses.
+    frame
+        The grid's origin.
+    resolution
+        Metres per cell.
+    starts
+        (2, k) start of each beam in the robot frame, metres.
+    bearings
+        (k,) direction of each beam in the robot frame, radians.
+    step
+        Length of a step, cells.
+    one
+        Positions and steps along the axes are cut off (towards 0) to whole parts of one cell, of which there are so
+        many.
+    n_steps
+        How many positions are looked at, the start among them.
+    occupied, free
+        (rows, cols).
+    ranges
+        (n, k) cells, overwritten: number of steps to the obstacle times their length, or that of all steps if none of
+        them meets one; -1 for rays that leave the map or meet a cell that is neither occupied nor free.
+    """
+    rows, cols = occupied.shape
+    cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
+    for i in range(len(poses)):
+        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
+        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
+        heading = poses[i, 2] - frame[2]
+        c, s = math.cos(heading), math.sin(heading)
+        for b in range(len(bearings)):
+            u = (x + (c * starts[0, b] - s * starts[1, b])) / resolution
+            v = (y + (s * starts[0, b] + c * starts[1, b])) / resolution
+            at_u = math.trunc(min(max(u, -FAR), FAR) * one)
+            at_v = math.trunc(min(max(v, -FAR), FAR) * one)
+            along = heading + bearings[b]
+            step_u, step_v = math.trunc(step * math.cos(along) * one), math.trunc(step * math.sin(along) * one)
+            ranges[i, b] = n_steps * step
+            for taken in range(n_steps):
+                col, row = math.floor(at_u / one), math.floor(at_v / one)
+                if row < 0 or col < 0 or row >= rows or col >= cols:
+                    ranges[i, b] = -1.0
+                    break
+                if occupied[row, col]:
+                    ranges[i, b] = taken * step
+                    break
+                if not free[row, col]:
+                    ranges[i, b] = -1.0
+                    break
+                at_u += step_u
+                at_v += step_v

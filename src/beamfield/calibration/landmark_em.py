@@ -15,8 +15,7 @@ from beamfield.geometry import FloatArray, wrap_angle
 
 # Residuals that all agree have no noise to learn; a density there would grow without limit.
 LEAST_SIGMA_RANGE, LEAST_SIGMA_BEARING = 1e-6, 1e-7
-# With a scale each sighting has a mean of its own, and a step costs a pass over all of them.
-_STEPS_WITHIN_EM = 2
+DISTANCE_BINS = 1024
 _LOG_2PI = math.log(2.0 * math.pi)
 
 
@@ -86,11 +85,17 @@ class NoiseLikelihood:
     def __init__(self, table: SightingTable, problem: NoiseProblem) -> None:
         self.problem = problem
         self.real = table.landmarks >= 0
-        self.distances = np.where(self.real, table.expected_ranges, 0.0)
+        self.distances: FloatArray = np.where(self.real, table.expected_ranges, 0.0)
+        self.log_spurious = self._log_spurious(table)
+        self.bin, self.bins = np.zeros(len(table), dtype=np.int64), np.zeros(1)
+        if problem.fit_scale and problem.truncated_at[0] is not None:
+            # The mass within the cut depends on the distance; distances rounded to a thousandth of their span share it,
+            # and move a mean by no more than |range_scale - 1| of that.
+            self.bin, self.bins = _rounded(self.distances)
+            self.distances = self.bins[self.bin]
         self.ranges, self.bearings = table.range_residuals, table.bearing_residuals
         self.has_range = ~np.isnan(self.ranges)
         self.has_bearing = ~np.isnan(self.bearings)
-        self.log_spurious = self._log_spurious(table)
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -104,9 +109,8 @@ class NoiseLikelihood:
             a = (self.ranges - mean) / theta.sigma_range
             value = -0.5 * (a * a + _LOG_2PI) - math.log(theta.sigma_range)
             if cut_range is not None:
-                value -= log_window_mass(
-                    mean if self.problem.fit_scale else theta.range_bias, theta.sigma_range, cut_range
-                )
+                means = theta.range_bias + (theta.range_scale - 1.0) * self.bins
+                value -= log_window_mass(means, theta.sigma_range, cut_range)[self.bin]
             total += np.where(self.has_range, value, 0.0)
         if self.has_bearing.any():
             if cut_bearing is None:
@@ -171,16 +175,20 @@ class NoiseLikelihood:
             beta, sigma = fit_window_normal(*_one_row(mean, square, free), cut, start)
             return float(beta[0]) if free else 0.0, 1.0, max(sigma, LEAST_SIGMA_RANGE)
         centre = _mean(d, w)
-        design = np.column_stack([np.ones_like(d), d - centre])
         if cut is None:
             spread = _mean(np.square(d - centre), w)
             slope = _mean((d - centre) * e, w) / spread if spread > 0.0 else 0.0
             beta = np.array([_mean(e, w), slope])
-            sigma = _at_least(_mean(np.square(e - design @ beta), w), LEAST_SIGMA_RANGE)
+            sigma = _at_least(_mean(np.square(e - beta[0] - slope * (d - centre)), w), LEAST_SIGMA_RANGE)
         else:
             slope = theta.range_scale - 1.0
             start = (np.array([theta.range_bias + slope * centre, slope]), theta.sigma_range)
-            beta, sigma = fit_window_normal(e, e * e, design, w, cut, start, max_steps=_STEPS_WITHIN_EM)
+            number = self.bin[used]
+            counts: FloatArray = np.bincount(number, w, len(self.bins)).astype(np.float64)
+            there = counts > 0.0
+            means, squares = (np.bincount(number, w * y, len(self.bins))[there] / counts[there] for y in (e, e * e))
+            design = np.column_stack([np.ones(len(means)), self.bins[there] - centre])
+            beta, sigma = fit_window_normal(means, squares, design, counts[there], cut, start)
         return float(beta[0] - beta[1] * centre), float(1.0 + beta[1]), max(float(sigma), LEAST_SIGMA_RANGE)
 
     def _bearing_step(self, theta: NoiseTheta, w: FloatArray) -> tuple[float, float]:
@@ -292,6 +300,14 @@ def noise_starts(likelihood: NoiseLikelihood) -> list[NoiseTheta]:
             )
         )
     return starts
+
+
+def _rounded(distances: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the number of each distance's bin, and the bins' centres."""
+    low, span = float(distances.min()), float(np.ptp(distances))
+    width = max(span / DISTANCE_BINS, 1e-12)
+    number = np.minimum(((distances - low) / width).astype(np.int64), DISTANCE_BINS - 1)
+    return np.asarray(number), np.asarray(low + (np.arange(DISTANCE_BINS) + 0.5) * width)
 
 
 def _location(values: FloatArray, *, robust: bool) -> tuple[float, float]:

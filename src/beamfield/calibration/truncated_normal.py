@@ -9,6 +9,7 @@ from beamfield.geometry import FloatArray
 
 # Beyond this many half windows the cut normal is flat, and its deviation means nothing.
 WIDEST = 20.0
+_MOST_STEPS = 100
 # From so many deviations beyond the window on, its share is computed by logarithms, which take longer.
 _FAR = 5.0
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -40,8 +41,6 @@ def fit_window_normal(
     weights: FloatArray,
     half_window: float,
     start: tuple[FloatArray, float],
-    *,
-    max_steps: int = 100,
 ) -> tuple[FloatArray, float]:
     """Return the coefficients b and sigma that maximise sum_i w_i log N_cut(y_i; x_i' b, sigma).
 
@@ -63,9 +62,6 @@ def fit_window_normal(
     start
         Coefficients (p,) and sigma to begin with; what is returned is never less likely.
 
-    max_steps
-        Most Newton steps; within EM a few are enough, because the next iteration goes on from there.
-
     Notes
     -----
     Where the data fill the window evenly sigma would be infinite; it stops at 20 half windows.
@@ -81,7 +77,7 @@ def fit_window_normal(
         # Means far outside the window leave moments that are nothing but rounding.
         theta = np.append(np.zeros(design.shape[1]), 1.0)
     value = _objective(theta, y, y2, x, w)
-    for _ in range(max_steps):
+    for _ in range(_MOST_STEPS):
         gradient, curvature = _derivatives(theta, y, y2, x, w)
         at_bound = theta[-1] <= least and gradient[-1] < 0.0
         step = _newton_step(gradient, curvature, hold_last=at_bound)

@@ -141,21 +141,23 @@ def test_ellipses_hold_the_truth_in_corridors_with_random_and_short_readings() -
     assert np.mean(worst < 0.05) > 0.4
 
 
-def test_places_that_fit_as_well_are_said_to_be_ambiguous(rng: np.random.Generator) -> None:
+def test_places_that_fit_about_as_well_are_said_to_be_ambiguous(rng: np.random.Generator) -> None:
     # Pillars 5 cm deep every 0.4 m: a slide by 0.4 m fits again, and the start lies halfway.
     teeth = np.vstack([[(x, 1.2, x, 1.15), (x, 1.15, x + 0.13, 1.15), (x + 0.13, 1.15, x + 0.13, 1.2)]
                        for x in np.arange(-20.0, 20.0, 0.4)])  # fmt: skip
     walls = np.vstack([CORRIDOR, teeth])
     sensor = finder(HALF_CIRCLE)
-    flagged = 0
-    for _ in range(8):
+    flagged, held, n = 0, 0, 40
+    for _ in range(n):
         onto, scan = (see(walls, pose, sensor, 0.01 * rng.normal(size=181)) for pose in (np.zeros(3), MOTION))
         result = align(scan, onto, MOTION + np.array((0.2, 0.0, 0.0)))
-        flagged += result.problem == "ambiguous" and result.covariance[0, 0] > 0.1**2
-        assert result.covariance[1, 1] < 0.1**2
+        if result.problem == "ambiguous":
+            flagged += 1
+            assert result.covariance[0, 0] > 0.1**2 > result.covariance[1, 1]
         error = result.pose - MOTION
-        assert error @ np.linalg.solve(result.covariance, error) < 7.815
-    assert flagged >= 5
+        held += error @ np.linalg.solve(result.covariance, error) < 7.815
+    assert flagged >= n // 4
+    assert held >= 0.9 * n
 
 
 def test_a_round_room_leaves_the_heading_undetermined() -> None:

@@ -56,7 +56,7 @@ class MrptField(StackModel[MrptFieldParameters, FieldEvidence]):
     >>> model = MrptField(wall, MrptFieldParameters())
     >>> scan = Scan([1.0], RangeFinder.from_bearings([0.0], max_range=5.0))
     >>> np.exp(model.log_likelihood(scan, [[1.2, 0.2, 0.0], [0.2, 0.2, 0.0]])).round(4).tolist()
-    [0.9506, 0.6585]
+    [0.9506, 0.6586]
     """
 
     stack: ClassVar[str] = "mrpt"

@@ -30,6 +30,10 @@ _FAMILIES: Mapping[str, frozenset[tuple[str, str]]] = {
     "the product of p^(1 / squash_factor) over ray casts": frozenset((("f1tenth", "table"),)),
 }  # fmt: skip
 
+_MRPT_SWITCHES = {
+    "LF_useSquareDist": "the exponent takes the fourth power of the distance",
+    "LF_alternateAverageMethod": "the weight is the mean over beams",
+}
 _PREFIXED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
 
 
@@ -153,6 +157,9 @@ def _name(stack: str, nav2: str) -> str:
 
 def _field(file: StackFile, parameters: Any, max_range: float | None, n_beams: int | None, notes: list[str]) -> _Field:
     if file.stack == "mrpt":
+        for name, what in _MRPT_SWITCHES.items():
+            if getattr(parameters, name):
+                raise InvalidInputError(f"{name}: {what}, which no other stack does")
         beams = None if n_beams is None else math.ceil(n_beams / parameters.LF_decimation)
         if beams is None:
             notes.append(
@@ -214,7 +221,7 @@ def _field_values(
             values["LF_decimation"] = max(1, round(n_beams / source.max_beams))
         else:
             notes.append("LF_decimation is left out: a number of beams needs the beams of a scan (n_beams) to convert")
-        notes.append("MRPT looks for obstacles in a square of LF_maxCorrsDistance, the others in a circle")
+        notes.append("MRPT leaves out the first reading after one that is not valid, and points 2 cm apart or nearer")
         return values, True
     values = {
         _name(stack, "laser_model_type"): model, _name(stack, "z_hit"): hit, _name(stack, "z_rand"): rand,

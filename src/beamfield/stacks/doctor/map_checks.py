@@ -20,7 +20,9 @@ OPEN_EDGE_SHARE = 0.002
 
 def ignored_yaw(patient: Patient) -> Iterator[Diagnosis]:
     """Find a map origin with a yaw that the stack does not honour."""
-    if patient.map_file is None or abs(patient.map_file.yaw) <= YAW_TOLERANCE or patient.file.stack == "beluga":
+    if patient.map_file is None or abs(patient.map_file.yaw) <= YAW_TOLERANCE:
+        return
+    if patient.file.stack in ("beluga", "f1tenth"):
         return
     yield patient.finds(
         "map-yaw-ignored", "error",
@@ -54,7 +56,7 @@ def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
         return
     seen = f"{share:.1%} of the free cells have an unknown neighbour"
     model, stack = patient.file.model, patient.file.stack
-    if model == "beam" or stack == "f1tenth":
+    if model == "beam":
         yield patient.finds(
             "unknown-stops-rays", "warning", seen,
             "rays stop at unknown cells as at walls: readings through open doors into unmapped rooms count against the "
@@ -68,6 +70,19 @@ def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
             "z_rand / laser_max_range of free space: poses gain by pointing beams there",
             "switch it off unless the robot really leaves the map",
             parameter="model_unknown_space", values={"share": share},
+        )  # fmt: skip
+    elif stack == "f1tenth":
+        yield patient.finds(
+            "unknown-is-free", "info", seen,
+            "rays pass unknown cells as free ones: readings that end in unmapped rooms count as short ones",
+            "nothing, if the map covers where the robot goes", values={"share": share},
+        )  # fmt: skip
+    elif model == "rayTracing":
+        yield patient.finds(
+            "unknown-ends-rays", "warning", seen,
+            "a ray that meets an unknown cell expects the sensor's longest range: readings through open doors into "
+            "unmapped rooms, and from walls behind unknown cells, count against the true pose",
+            "paint unknown cells that beams pass as free, or use LF_Thrun", values={"share": share},
         )  # fmt: skip
     else:
         yield patient.finds(

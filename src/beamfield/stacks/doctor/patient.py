@@ -18,10 +18,10 @@ _ROS_1 = {
 }
 _MRPT = {
     "z_hit": "LF_zHit", "z_rand": "LF_zRandom", "sigma_hit": "LF_stdHit", "laser_max_range": "LF_maxRange",
-    "laser_likelihood_max_dist": "LF_maxCorrsDistance",
+    "laser_likelihood_max_dist": "LF_maxCorrsDistance", "beam_step": "LF_decimation",
 }  # fmt: skip
-_MRPT_RAYS = {"sigma_hit": "rayTracing_stdHit"}
-_F1TENTH = {"laser_max_range": "max_range"}
+_MRPT_RAYS = {"sigma_hit": "rayTracing_stdHit", "beam_step": "rayTracing_decimation"}
+_F1TENTH = {"laser_max_range": "max_range", "beam_step": "angle_step"}
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
     sensor = patient.log.finder.max_range
     name = patient.name_of("laser_max_range")
     if limit > sensor * 1.01:
-        divides_by_own = patient.file.stack in ("beluga", "mrpt")
+        divides_by_own = patient.file.stack in ("beluga", "mrpt", "f1tenth")
         yield patient.finds(
             "range-limit-above-sensor", "warning" if divides_by_own else "info",
             f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
@@ -49,7 +49,7 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
             if divides_by_own else "the sensor's limit holds; the parameter does nothing",
             f"set it to {sensor:g}", parameter="laser_max_range", values={"limit": limit, "sensor": sensor},
         )  # fmt: skip
-    elif 0.0 < limit < sensor:
+    elif 0.0 < limit < sensor and patient.file.stack != "mrpt":  # MRPT only divides by it
         finite = patient.log.ranges[np.isfinite(patient.log.ranges)]
         hidden = float((finite >= limit).mean()) if finite.size else 0.0
         if hidden > HIDDEN_SHARE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -118,8 +119,11 @@ def _range_limit(patient: Patient) -> float:
 
 def _n_beams(patient: Patient) -> int:
     asked = patient.value("max_beams")
-    n = int(asked) if asked is not None else DEFAULT_BEAMS
-    return n if patient.log is None else min(n, patient.log.finder.n_beams)
+    if asked is not None:
+        return int(asked) if patient.log is None else min(int(asked), patient.log.finder.n_beams)
+    if patient.log is None:
+        return DEFAULT_BEAMS
+    return math.ceil(patient.log.finder.n_beams / int(patient.value("beam_step")))
 
 
 def _room(rng: np.random.Generator, n_beams: int) -> tuple[FloatArray, FloatArray]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields
 
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.registry import parameter_names
 
 SUM_TOLERANCE = 1e-3
 # A hit that is cut off nearer than this many sigma still weighs something there.
@@ -22,12 +24,13 @@ def weights_sum(patient: Patient) -> Iterator[Diagnosis]:
     if abs(total - 1.0) <= SUM_TOLERANCE:
         return
     terms = " + ".join(f"{patient.name_of(name)} {value:g}" for name, value in zip(names, values, strict=True))
-    # In a product a common factor cancels; in 1 + a sum of cubes it changes how much the scan counts.
-    product = patient.file.model in ("likelihood_field_prob", "LF_Thrun")
+    # A common factor cancels in a product, and in a table with columns divided by their sums; in 1 + a sum of cubes
+    # it changes how much the scan counts.
+    product = patient.file.model in ("likelihood_field_prob", "LF_Thrun", "table")
     yield patient.finds(
         "weights-sum", "info" if product else "warning",
         f"the weights that {patient.file.model} uses sum to {total:.4g}: {terms}",
-        "a common factor cancels in a product of beams, so nothing is lost but their meaning as shares"
+        "a common factor cancels in this model, so nothing is lost but their meaning as shares"
         if product else
         "they are no shares then; and as this model adds 1 or a power of the values, a common factor changes how much "
         "a scan counts",
@@ -37,14 +40,13 @@ def weights_sum(patient: Patient) -> Iterator[Diagnosis]:
 
 def unused_weights(patient: Patient) -> Iterator[Diagnosis]:
     """Find values in the file that its model never reads."""
-    if not (patient.is_amcl and patient.is_field):
-        return
-    names = [patient.name_of(name) for name in ("z_short", "z_max", "lambda_short")]
+    names, why = _unused(patient)
     given = [name for name in names if name in patient.file.section.entries]
     if given:
         yield patient.finds(
-            "unused-parameters", "info", f"{', '.join(given)} do nothing in {patient.file.model}",
-            "only the beam model has short and max readings; changing them changes nothing",
+            "unused-parameters", "info",
+            f"{', '.join(given)} {'does' if len(given) == 1 else 'do'} nothing in {patient.file.model}",
+            f"{why}; changing them changes nothing",
             "leave them out when comparing files", own=given[0],
         )  # fmt: skip
 
@@ -94,6 +96,20 @@ def distance_limit(patient: Patient) -> Iterator[Diagnosis]:
             f"take at least {CUT_SIGMAS:g} sigma_hit, {CUT_SIGMAS * sigma:.2g} m, or a smaller sigma_hit",
             parameter="laser_likelihood_max_dist", values={"limit": limit, "sigma": sigma},
         )  # fmt: skip
+
+
+def _unused(patient: Patient) -> tuple[list[str], str]:
+    """Return names that the model never reads, and why."""
+    stack = patient.file.stack
+    if patient.is_amcl and patient.is_field:
+        names = [patient.name_of(name) for name in ("z_short", "z_max", "lambda_short")]
+        return names, "only the beam model has short and max readings"
+    if stack == "mrpt":
+        read = {item.name for item in fields(patient.parameters)}
+        return sorted(parameter_names("mrpt") - read), "likelihoodMethod chooses another model"
+    if stack == "f1tenth" and patient.parameters.range_method in ("bl", "rm", "rmgpu"):
+        return ["theta_discretization"], f"range_method {patient.parameters.range_method} has no table of directions"
+    return [], ""
 
 
 def _sigma_metres(patient: Patient) -> float | None:

@@ -27,6 +27,8 @@ class OracleCase:
     values: dict
     nav2: dict
     beluga: dict
+    mrpt: dict
+    rangelibc: dict
 
     @property
     def nav2_parameters(self) -> Nav2Parameters:
@@ -58,15 +60,16 @@ class OracleCase:
 @pytest.fixture(scope="session", params=["tiny", "building"])
 def case(request, oracle) -> OracleCase:
     read = _read_json if request.param == "tiny" else _read_arrays
-    inputs, nav2, beluga = (read(oracle / request.param, name) for name in ("inputs", "nav2", "beluga"))
+    inputs, *answers = (
+        read(oracle / request.param, name) for name in ("inputs", "nav2", "beluga", "mrpt", "rangelibc")
+    )
     cells = np.reshape(inputs["map.data"], (int(inputs["map.height"]), int(inputs["map.width"])))
     origin = [*inputs["map.origin"], 0.0]
     return OracleCase(
         OccupancyGrid.from_ros(cells, float(inputs["map.resolution"]), origin),
         *(np.array(inputs[name], dtype=np.float64) for name in ("poses", "bearings", "ranges", "ranges_special")),
         {name.removeprefix("params."): float(v) for name, v in inputs.items() if name.startswith("params.")},
-        nav2,
-        beluga,
+        *answers,
     )
 
 

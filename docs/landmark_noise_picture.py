@@ -1,0 +1,94 @@
+"""Residuals of two real landmark sensors with what was fitted to them; drawn where the logs are at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import stats
+
+from beamfield.calibration.landmark_noise import LandmarkLearningResult, learn_landmark_parameters
+from beamfield.io.mrclam_instant import read_mrclam_instant
+from beamfield.io.plaza import read_plaza
+
+FIT, OTHER, DATA = "#0072b2", "#d55e00", "0.8"
+CUT = (0.5, 0.25)
+
+
+def landmark_noise_picture(data: Path) -> Figure:
+    """Draw range and bearing residuals of a camera, and ranges of radios whose bias is a scale.
+
+    Parameters
+    ----------
+    data
+        Folder with mrclam_instant and plaza_range_only.
+    """
+    camera = read_mrclam_instant(data / "mrclam_instant" / "mrclam1.mat")
+    radio = read_plaza(data / "plaza_range_only" / "Plaza1_.mat")
+    mixed = learn_landmark_parameters(*camera, truncated_at=CUT, max_range=10.0, n_replicates=2)
+    plain = learn_landmark_parameters(*camera, fit_spurious=False, n_replicates=2)
+    scaled, biased = (learn_landmark_parameters(*radio, fit_scale=scale, n_replicates=2) for scale in (True, False))
+    figure = Figure(figsize=(10, 6.4), layout="constrained")
+    axes = figure.subplots(2, 2)
+    draw_camera(axes[0, 0], mixed, plain, "range")
+    draw_camera(axes[0, 1], mixed, plain, "bearing")
+    draw_radio_over_distance(axes[1, 0], scaled, biased)
+    draw_radio_residuals(axes[1, 1], scaled, biased)
+    return figure
+
+
+def draw_camera(axes: Axes, mixed: LandmarkLearningResult, plain: LandmarkLearningResult, what: str) -> None:
+    residuals, cut = getattr(mixed.table, f"{what}_residuals"), CUT[what == "bearing"]
+    span = cut if what == "range" else 0.11
+    axes.hist(residuals, np.linspace(-span, span, 101), density=True, color=DATA, label=f"{len(residuals):,} sightings")
+    x = np.linspace(-span, span, 800)
+    axes.plot(x, mixture(mixed, what, x, cut), color=FIT, label="normal + spurious, cut where outliers were taken out")
+    axes.plot(x, mixture(plain, what, x, None), color=OTHER, ls="--", label="one normal")
+    unit = {"range": "m", "bearing": "rad"}[what]
+    axes.set(
+        xlabel=f"measured minus true {what} [{unit}]", ylabel=f"density [1/{unit}]", title=f"MRCLAM 1, camera: {what}s"
+    )
+    # Where the bearings' tail lies, nothing is seen on a linear axis.
+    if what == "bearing":
+        axes.set_yscale("log")
+        axes.set_ylim(2e-3, 2e4)
+    else:
+        axes.set_ylim(0, 11.5)
+    axes.legend(fontsize=8, loc="upper left")
+
+
+def mixture(result: LandmarkLearningResult, what: str, x: np.ndarray, cut: float | None) -> np.ndarray:
+    p = result.parameters
+    bias, sigma = getattr(p, f"{what}_bias"), getattr(p, f"sigma_{what}")
+    density = stats.norm.pdf(x, bias, sigma)
+    if cut is None:
+        return density
+    density /= stats.norm.cdf(cut, bias, sigma) - stats.norm.cdf(-cut, bias, sigma)
+    return (1.0 - p.spurious_rate) * density + p.spurious_rate / (2.0 * cut)
+
+
+def draw_radio_over_distance(axes: Axes, scaled: LandmarkLearningResult, biased: LandmarkLearningResult) -> None:
+    table = scaled.table
+    axes.plot(table.expected_ranges, table.range_residuals, ".", ms=1.5, color="0.6", rasterized=True)
+    d = np.array([0.0, table.expected_ranges.max()])
+    p = scaled.parameters
+    axes.plot(d, (p.range_scale - 1.0) * d + p.range_bias, color=FIT, label=f"range_scale {p.range_scale:.4f}")
+    label = f"range_bias {biased.parameters.range_bias:+.2f} m alone"
+    axes.plot(d, np.full(2, biased.parameters.range_bias), color=OTHER, ls="--", label=label)
+    axes.set(xlabel="true range [m]", ylabel="measured minus true range [m]", title="Plaza 1, ranging radios")
+    axes.legend(fontsize=8, loc="upper left")
+
+
+def draw_radio_residuals(axes: Axes, scaled: LandmarkLearningResult, biased: LandmarkLearningResult) -> None:
+    x = np.linspace(-4.0, 4.0, 400)
+    for result, color, style, name in ((biased, OTHER, "--", "bias alone"), (scaled, FIT, "-", "bias and scale")):
+        p, table = result.parameters, result.table
+        left = table.ranges - p.range_scale * table.expected_ranges - p.range_bias
+        axes.hist(left, np.linspace(-4.0, 4.0, 81), density=True, histtype="stepfilled", color=color, alpha=0.25)
+        axes.plot(x, stats.norm.pdf(x, 0.0, p.sigma_range), color=color, ls=style,
+                  label=f"{name}: sigma_range {p.sigma_range:.2f} m")  # fmt: skip
+    axes.set(xlabel="what remains of a range [m]", ylabel="density [1/m]", title="Plaza 1: what sigma is left with")
+    axes.set_ylim(0, 1.05)
+    axes.legend(fontsize=8, loc="upper right")

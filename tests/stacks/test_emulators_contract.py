@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -14,8 +15,15 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
 from beamfield.stacks.beluga_parameters import BelugaParameters
+from beamfield.stacks.f1tenth_parameters import F1tenthParameters
+from beamfield.stacks.f1tenth_table import F1tenthTable
+from beamfield.stacks.mrpt_field import MrptField
+from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt_rays import MrptRays
 from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.registry import emulator as emulator_class
+from beamfield.stacks.registry import parameter_class
 from beamfield.stacks.ros1 import Ros1Beam, Ros1Field, Ros1FieldProb
 from beamfield.stacks.ros1_parameters import Ros1Parameters
 from tests.stacks.small_room import COMMON, small_room, small_scan
@@ -23,13 +31,23 @@ from tests.stacks.small_room import COMMON, small_room, small_scan
 NAV2 = Nav2Parameters(**COMMON)
 ROS1 = Ros1Parameters.from_nav2(NAV2)
 BELUGA = BelugaParameters(**COMMON, laser_max_range=2.0)
+MRPT_FIELD = MrptFieldParameters(LF_stdHit=0.08, LF_zHit=0.6, LF_zRandom=0.2, LF_maxRange=2.0, LF_decimation=1)
+MRPT_RAYS = MrptRayParameters(rayTracing_stdHit=0.3, rayTracing_decimation=1)
+F1TENTH = F1tenthParameters(sigma_hit=0.8, max_range=2.0, angle_step=1)
 KINDS = {
     **{f"nav2 {kind.model}": (kind, NAV2) for kind in (Nav2Field, Nav2FieldProb, Nav2Beam)},
     **{f"ros1 {kind.model}": (kind, ROS1) for kind in (Ros1Field, Ros1FieldProb, Ros1Beam)},
     **{f"beluga {kind.model}": (kind, BELUGA) for kind in (BelugaField, BelugaFieldProb, BelugaBeam)},
+    "mrpt LF_Thrun": (MrptField, MRPT_FIELD),
+    "mrpt rayTracing": (MrptRays, MRPT_RAYS),
+    "f1tenth table": (F1tenthTable, F1TENTH),
 }
 OTHER_WAY = {"likelihood_field": {"distance": "brushfire"}, "likelihood_field_prob": {"distance": "brushfire"},
-             "beam": {"rays": "exact"}}  # fmt: skip
+             "beam": {"rays": "exact"}, "LF_Thrun": {"precision": "single"}, "rayTracing": {"rays": "exact"},
+             "table": {"map_mode": "raw"}}  # fmt: skip
+
+# Widths and powers; all other numbers may be 0.
+POSITIVE = re.compile("sigma|std|squash")
 
 
 @pytest.fixture(params=KINDS)
@@ -52,7 +70,8 @@ def poses(rng):
 def test_says_who_it_is(emulator):
     kind, parameters = emulator
     assert not kind.is_normalized
-    assert kind.stack in ("nav2", "ros1", "beluga")
+    assert emulator_class(kind.stack, kind.model) is kind
+    assert parameter_class(kind.stack, kind.model) is type(parameters)
     for name in (*kind.evidence_settings, *kind.fitted_parameters):
         assert hasattr(parameters, name)
     assert not set(kind.evidence_settings) & set(kind.fitted_parameters)
@@ -83,9 +102,10 @@ def test_evidence_serves_all_fitted_parameters(model, poses):
 
 def test_evidence_of_other_settings_is_refused(model, poses):
     evidence = model.evidence(small_scan(), poses)
-    name = next(name for name in model.evidence_settings if name.endswith("max_beams"))
-    fewer = dataclasses.replace(model.parameters, **{name: 8})
-    with pytest.raises(InvalidInputError, match=f"{name}: expected 16 as in the evidence, got 8"):
+    name = next(name for name in model.evidence_settings if name.endswith(("max_beams", "decimation", "_step")))
+    was, other = (16, 8) if name.endswith("max_beams") else (1, 2)
+    fewer = dataclasses.replace(model.parameters, **{name: other})
+    with pytest.raises(InvalidInputError, match=f"{name}: expected {was} as in the evidence, got {other}"):
         model.log_weights(evidence, fewer)
     assert len(model.with_parameters(fewer).evidence(small_scan(), poses).beams) < len(evidence.beams)
 
@@ -95,7 +115,7 @@ def test_never_nan_whatever_the_readings_and_parameters(model, poses):
     far = np.array([[1e8, -1e8, 0.3], [1e15, 1e15, 1.0]])
     for readings in (np.nan, np.inf, -np.inf, 0.0, 2.0, 1e9, 1e300):
         scan = Scan(np.full(16, readings), finder)
-        for changes in ({}, {name: 0.0 for name in model.fitted_parameters if not name.endswith("sigma_hit")}):
+        for changes in ({}, {name: 0.0 for name in model.fitted_parameters if not POSITIVE.search(name)}):
             with_zeros = model.with_parameters(dataclasses.replace(model.parameters, **changes))
             weights = with_zeros.log_likelihood(scan, np.concatenate([poses, far]))
             assert not np.isnan(weights).any()
@@ -144,9 +164,9 @@ def test_read_only_poses_and_maps_are_taken(model, poses):
 
 
 def test_moving_map_and_poses_together_changes_nothing(model, poses):
-    """Beluga honours the yaw of the map's origin; AMCL ignores it, so that only a shift leaves its weights alone."""
+    """Some honour the yaw of the map's origin; AMCL and MRPT ignore it, so that only a shift leaves weights alone."""
     grid, scan = model.grid, small_scan()
-    move = np.array([3.0, -7.0, 1.1 if model.stack == "beluga" else 0.0])
+    move = np.array([3.0, -7.0, 1.1 if model.stack in ("beluga", "f1tenth") else 0.0])
     moved = OccupancyGrid(grid.probability, grid.resolution, compose(move, grid.origin))
     again = dataclasses.replace(model, grid=moved)
     got = again.log_likelihood(scan, compose(move, poses))

@@ -43,6 +43,14 @@ def weights(stack, model, parameters, max_range):
     return made.log_weights(evidence)
 
 
+PRODUCTS = [
+    ("nav2", "mrpt"),
+    ("ros1", "mrpt"),
+    ("beluga", "mrpt"),
+    ("mrpt", "nav2"),
+    ("mrpt", "ros1"),
+    ("mrpt", "beluga"),
+]
 FIELDS = [("nav2", "beluga"), ("ros1", "beluga"), ("beluga", "nav2"), ("beluga", "ros1"), ("nav2", "ros1")]
 
 
@@ -60,6 +68,41 @@ def test_relative_weights_stay_the_same(params, source, to, model):
     if model == "likelihood_field_prob":  # a product: up to a common factor
         before, after = before - before.mean(), after - after.mean()
     np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("source", "to"), PRODUCTS)
+def test_products_of_fields_translate_to_and_from_mrpt(params, source, to):
+    if source == "mrpt":
+        file = params("mrpt", LF_zHit=0.7, LF_zRandom=0.4, LF_stdHit=0.13, LF_maxRange=20.0, LF_maxCorrsDistance=0.8)
+    else:
+        prefix = "laser_" if source == "ros1" else ""
+        file = params(source, laser_model_type="likelihood_field_prob", laser_likelihood_max_dist=0.8,
+                      laser_max_range=20.0, **{f"{prefix}z_hit": 0.7, f"{prefix}z_rand": 0.4,
+                                               f"{prefix}sigma_hit": 0.13})  # fmt: skip
+    result = translate(file, to, max_range=SENSOR_LIMIT, n_beams=181)
+    assert result.exact
+    assert result.model == ("LF_Thrun" if to == "mrpt" else "likelihood_field_prob")
+    before = weights(source, file.model, checked_values(file), SENSOR_LIMIT)
+    after = weights(to, result.model, parameter_class(to, result.model)(**result.values), SENSOR_LIMIT)
+    np.testing.assert_allclose(after - after.mean(), before - before.mean(), rtol=1e-9, atol=1e-9)
+    assert before.std() > 1.0
+
+
+def test_numbers_of_beams_become_a_decimation_and_back(params):
+    to_mrpt = translate(params("nav2", laser_model_type="likelihood_field_prob", max_beams=60), "mrpt", n_beams=361)
+    assert to_mrpt.values["LF_decimation"] == 6
+    back = translate(params("mrpt", LF_decimation=6), "nav2", n_beams=361)
+    assert back.values["max_beams"] == 61
+    without = translate(params("mrpt", LF_decimation=6), "nav2")
+    assert "max_beams" not in without.values
+    assert any("number of beams is left out" in note for note in without.notes)
+
+
+@pytest.mark.parametrize("name", ["LF_useSquareDist", "LF_alternateAverageMethod"])
+def test_what_only_mrpt_can_do_is_not_translated(params, name):
+    with pytest.raises(InvalidInputError, match=f"{name}: .*which no other stack does"):
+        translate(params("mrpt", **{name: "true"}), "nav2")
+    assert translate(params("mrpt", **{name: "false"}), "beluga").exact
 
 
 def test_the_gaussian_constant_of_the_chapter(params):

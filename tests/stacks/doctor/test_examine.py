@@ -24,6 +24,22 @@ def amcl(tmp_path, stack="nav2", **values):
     return read_stack_file(path, stack=stack)
 
 
+def mrpt(tmp_path, method=4, **values):
+    """Return an ini file of MRPT."""
+    path = tmp_path / "params.ini"
+    lines = [f"{name} = {value}\n" for name, value in values.items()]
+    path.write_text(f"[map_likelihoodOpts]\nlikelihoodMethod = {method}\n" + "".join(lines))
+    return read_stack_file(path)
+
+
+def f1tenth(tmp_path, **values):
+    """Return a flat YAML file of F1TENTH."""
+    path = tmp_path / "params.yaml"
+    lines = [f"{name}: {value}\n" for name, value in {"squash_factor": 2.2, **values}.items()]
+    path.write_text("".join(lines))
+    return read_stack_file(path)
+
+
 def room(resolution=0.05, unknown=False):
     """Return 8 x 6 m with walls all round; on request with an unmapped part that nothing separates."""
     rows, cols = round(6.0 / resolution), round(8.0 / resolution)
@@ -108,6 +124,66 @@ FINDINGS = {
         {}, {"grid": OccupancyGrid(np.full((9, 9), 0.7, np.float32), 0.1), "map_file": MapFile("m.yaml")}),
     "nav2-or-beluga": ({"stack": None, "z_hit": 0.5}, {}, {"stack": "nav2", "z_hit": 0.5}, {}),
 }  # fmt: skip
+
+
+# The same for other files: who writes them, their values and what else there is.
+OTHERS = {
+    "foreign-name in MRPT": (mrpt, {"z_hit": 0.5}, {}, {"LF_zHit": 0.5, "rayTracing_stdHit": 0.5}, {}),
+    "foreign-name in F1TENTH": (f1tenth, {"max_beams": 60}, {}, {"angle_step": 18}, {}),
+    "weights-sum in MRPT": (mrpt, {"LF_zHit": 0.9, "LF_zRandom": 0.2}, {}, {"LF_zHit": 0.9, "LF_zRandom": 0.1}, {}),
+    "weights-sum in F1TENTH": (f1tenth, {}, {}, {"z_hit": 0.8}, {}),
+    "unused-parameters of another MRPT model": (mrpt, {"rayTracing_stdHit": 0.3}, {}, {"LF_stdHit": 0.3}, {}),
+    "unused-parameters of rayTracing": (mrpt, {"method": 1, "LF_stdHit": 0.3}, {},
+                                        {"method": "lmRayTracing", "rayTracing_stdHit": 0.3}, {}),
+    "unused-parameters of F1TENTH": (f1tenth, {"range_method": "rm", "theta_discretization": 112}, {},
+                                     {"range_method": "glt", "theta_discretization": 112}, {}),
+    "out-of-range in MRPT": (mrpt, {"LF_stdHit": 0.0}, {}, {"LF_stdHit": 0.1}, {}),
+    "wrong-type in F1TENTH": (f1tenth, {"range_method": "sphere"}, {}, {"range_method": "cddt"}, {}),
+    "misspelt-name in MRPT": (mrpt, {"LF_maxCorrDistance": 0.3}, {}, {"LF_maxCorrsDistance": 0.3}, {}),
+    "distance-limit in MRPT": (mrpt, {}, {}, {"LF_maxCorrsDistance": 1.0}, {}),
+    "no-random-readings in MRPT": (mrpt, {"LF_zRandom": 0.0}, {}, {"LF_zRandom": 0.05}, {}),
+    "sigma-below-resolution in F1TENTH": (f1tenth, {"sigma_hit": 0.4}, {"grid": room()}, {"sigma_hit": 0.6},
+                                          {"grid": room()}),
+    "sigma-huge in F1TENTH": (f1tenth, {"sigma_hit": 8.0}, {"grid": room(0.1)}, {"sigma_hit": 8.0},
+                              {"grid": room(0.05)}),
+    "nearly-flat in MRPT": (mrpt, {"method": 1}, {}, {"method": 1, "rayTracing_stdHit": 0.3}, {}),
+    "nearly-flat in F1TENTH": (f1tenth, {"squash_factor": 900.0}, {}, {}, {}),
+    "absurdly-sharp in F1TENTH": (f1tenth, {"squash_factor": 1.0, "sigma_hit": 1.0}, {"log": scans()},
+                                  {"angle_step": 18}, {"log": scans()}),
+    "range-limit-above-sensor in MRPT": (mrpt, {}, {"log": scans()}, {"LF_maxRange": 10.0}, {"log": scans()}),
+    "range-limit-hides-readings in F1TENTH": (f1tenth, {"max_range": 5.0}, {"log": scans(some(6.0, 0.1))},
+                                              {"max_range": 7.0}, {"log": scans(some(6.0, 0.1))}),
+    "unknown-is-free in F1TENTH": (f1tenth, {}, {"grid": room(unknown=True)}, {}, {"grid": room()}),
+    "unknown-ends-rays in MRPT": (mrpt, {"method": 1}, {"grid": room(unknown=True)}, {}, {"grid": room(unknown=True)}),
+    "map-yaw-ignored in MRPT": (mrpt, {}, {"grid": room(), "map_file": MapFile("m.yaml", yaw=0.1)},
+                                {}, {"grid": room(), "map_file": MapFile("m.yaml")}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_a_finding_in_files_of_mrpt_and_f1tenth(tmp_path, case):
+    name = case.split()[0]
+    write, sick, with_sick, well, with_well = OTHERS[case]
+    found = [item for item in examine(write(tmp_path, **sick), **with_sick) if item.name == name]
+    assert len(found) == 1
+    assert all((found[0].seen, found[0].why, found[0].remedy))
+    assert name not in [item.name for item in examine(write(tmp_path, **well), **with_well)]
+
+
+def test_what_is_only_for_other_stacks_is_not_said_of_mrpt_and_f1tenth(tmp_path):
+    """MRPT's LF_maxRange drops no reading; F1TENTH's common factor changes nothing."""
+    far = examine(mrpt(tmp_path, LF_maxRange=5.0), log=scans(some(6.0, 0.5)))
+    assert "range-limit-hides-readings" not in [item.name for item in far]
+    sums = next(item for item in examine(f1tenth(tmp_path)) if item.name == "weights-sum")
+    assert (sums.severity, sums.values["total"]) == ("info", pytest.approx(0.95))
+
+
+def test_sharpness_counts_the_beams_that_a_step_leaves(tmp_path):
+    def effective(step):
+        found = {item.name: item for item in examine(f1tenth(tmp_path, angle_step=step, sigma_hit=1.0), log=scans())}
+        return found["absurdly-sharp"].values["effective_sample_size"] if "absurdly-sharp" in found else np.inf
+
+    assert effective(1) < effective(30)
 
 
 @pytest.mark.parametrize("case", FINDINGS)

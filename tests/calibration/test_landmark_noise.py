@@ -274,6 +274,13 @@ def test_features_of_no_use_are_counted_and_known_spurious_ones_count_as_such(rn
     assert (without.parameters.spurious_rate, without.n_sightings) == (0.0, 98 * 3)
 
 
+def test_spurious_features_beyond_the_sensors_limit_are_refused(rng):
+    log = simulate(RANGE_ONLY, rng, n=30)
+    log = edited(log, lambda i, z: replace(z, ids=np.full(len(z), SPURIOUS), ranges=z.ranges + 20.0) if i == 3 else z)
+    with pytest.raises(InvalidInputError, match=r"max_range: expected ranges of .* in \[0, 14\], got .* at stamp 0\.3"):
+        learn(log, max_range=14.0)
+
+
 def test_heavy_tails_are_found(rng):
     log = simulate(replace(RANGE_ONLY, spurious_rate=0.0), rng)
     log = edited(log, lambda _, z: replace(z, ranges=z.ranges + 0.1 * rng.standard_t(2.0, len(z))))

@@ -144,7 +144,8 @@ def learn_landmark_parameters(
     Raises
     ------
     InvalidInputError
-        If an id is not in the map, an option is impossible, or a residual lies beyond `truncated_at`.
+        If an id is not in the map, an option is impossible, a residual lies beyond `truncated_at`, or a feature known
+        to be spurious has a range outside [0, max_range].
     TooLittleDataError
         If fewer than 20 features remain, or ranges do not grow with the distance although a scale was asked for.
 
@@ -187,6 +188,7 @@ def learn_landmark_parameters(
     limit = None
     if has_range and fit_spurious:
         limit = max_range if max_range is not None else max(float(np.nanmax(table.ranges)), 1e-9)
+        _check_spurious(table, limit)
     problem = NoiseProblem(limit, cuts, fit_bias and has_range, fit_bias and has_bearing, False, fit_spurious)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     may_scale = fit_scale is not False and has_range and fit_bias and _distances_vary(table)
@@ -282,6 +284,16 @@ def _check_within(table: SightingTable, cuts: Truncation) -> None:
                 f"truncated_at: expected all {name} residuals within {cut:g}, got {residuals[i]:.6g} at stamp "
                 f"{table.stamps[i]:.10g} ({int(beyond.sum())} lie beyond)"
             )
+
+
+def _check_spurious(table: SightingTable, limit: float) -> None:
+    impossible = (table.landmarks < 0) & ((table.ranges < 0.0) | (table.ranges > limit))
+    if impossible.any():
+        i = int(impossible.argmax())
+        raise InvalidInputError(
+            f"max_range: expected ranges of features of no landmark in [0, {limit:g}], got {table.ranges[i]:g} at stamp "
+            f"{table.stamps[i]:.10g}"
+        )
 
 
 def _distances_vary(table: SightingTable) -> bool:

@@ -291,8 +291,8 @@ def _check_spurious(table: SightingTable, limit: float) -> None:
     if impossible.any():
         i = int(impossible.argmax())
         raise InvalidInputError(
-            f"max_range: expected ranges of features of no landmark in [0, {limit:g}], got {table.ranges[i]:g} at stamp "
-            f"{table.stamps[i]:.10g}"
+            f"max_range: expected ranges of features of no landmark in [0, {limit:g}], got {table.ranges[i]:g} at "
+            f"stamp {table.stamps[i]:.10g}"
         )
 
 

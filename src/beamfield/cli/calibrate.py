@@ -215,7 +215,9 @@ def _provenance(arguments: argparse.Namespace) -> dict[str, Any]:
             inputs.append(("map image", image_path(arguments.map)))
     if arguments.poses is not None:
         inputs.append(("poses", arguments.poses))
-    files = {"log", "map", "poses", "out", "run", "quiet", "threads", "seed"}
+    if arguments.patch is not None:
+        inputs.append(("parameters", arguments.patch))
+    files = {"log", "map", "poses", "patch", "out", "run", "quiet", "threads", "seed"}
     given = {name: value for name, value in sorted(vars(arguments).items()) if name not in files}
     return provenance(inputs, given, arguments.seed)
 

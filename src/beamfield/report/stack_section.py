@@ -149,8 +149,9 @@ def _coverage_text(fit: StackFit) -> str:
 
 
 def _summary(fit: StackFit) -> str:
-    line = (type(fit.model).__doc__ or "").strip().splitlines()[0]
-    return line.replace("``", "") if "``" in line else line
+    """Return the model's formula in one line: the first line of the class that states it."""
+    lines = [(kind.__doc__ or "").strip().splitlines()[0] for kind in type(fit.model).__mro__ if kind.__doc__]
+    return next((line for line in lines if "``" in line), lines[0]).replace("``", "")
 
 
 def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:

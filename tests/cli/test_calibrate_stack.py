@@ -1,0 +1,112 @@
+"""``beamfield calibrate --stack`` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from beamfield.cli.main import main
+from beamfield.stacks.parameter_file import read_stack_file
+from beamfield.stacks.typed_values import checked_values
+
+MINE = """\
+amcl:
+  ros__parameters:
+    # tuned on a Friday
+    z_hit: 0.5
+    z_rand: 0.5
+    sigma_hit: 0.6   # wide
+    laser_model_type: "likelihood_field_prob"
+    max_beams: 60
+    alpha1: 0.2
+"""
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("world")
+    code = main([
+        "simulate", str(folder), "--overwrite", "--seed", "4", "--duration", "110", "--scan-rate", "4", "--beams", "31",
+        "--quiet",
+    ])  # fmt: skip
+    assert code == 0
+    return folder
+
+
+def calibrate(world: Path, out: Path, *more: str) -> int:
+    return main([
+        "calibrate", str(next(world.glob("log.*"))), "--map", str(world / "map.yaml"), "--out", str(out), "--quiet",
+        "--bootstrap", "20", "--no-refine", *more,
+    ])  # fmt: skip
+
+
+def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(world, tmp_path, capsys):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE)
+    assert calibrate(world, tmp_path / "out", "--stack", "nav2", "--patch", str(mine)) == 0
+    printed = capsys.readouterr().out
+    assert "likelihood_field_prob, before" in printed
+    assert "the old file is mine.yaml.bak" in printed
+    assert (tmp_path / "mine.yaml.bak").read_text() == MINE
+    after = mine.read_text()
+    assert "    # tuned on a Friday\n" in after
+    assert "    alpha1: 0.2\n" in after
+    new, own = checked_values(read_stack_file(mine)), checked_values(read_stack_file(tmp_path / "out" / "nav2.yaml"))
+    assert new == own
+    assert new.sigma_hit != 0.6
+    document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
+    assert (document["stack"], document["model"]) == ("nav2", "likelihood_field_prob")
+    (only,) = document["models"]
+    assert only["calibrated"]["score"] > only["before"]["score"]
+    assert only["parameters"]["sigma_hit"] == pytest.approx(new.sigma_hit, rel=1e-5)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "For nav2: likelihood_field_prob" in page
+    assert 'id="stack-choice"' in page
+
+
+def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path, capsys):
+    assert calibrate(world, tmp_path / "out", "--stack", "beluga") == 0
+    document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
+    assert [fit["model"] for fit in document["models"]] == ["likelihood_field", "likelihood_field_prob", "beam"]
+    best = max(document["models"], key=lambda fit: max(trial["net_score"] for trial in fit["trials"]))
+    assert best["chosen"]
+    file = read_stack_file(tmp_path / "out" / "beluga.yaml", stack="beluga")
+    assert file.model == best["model"]
+    assert "beluga.yaml" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--stack", "ros9"), "stack: expected one of nav2, ros1, beluga, mrpt, f1tenth, got 'ros9'"),
+        (("--stack", "nav2", "--model", "table"), "model: nav2 has likelihood_field, likelihood_field_prob, beam, got"),
+        (("--model", "beam"), "--model: is for another program's model, name it with --stack"),
+        (("--stack", "nav2", "--patch", "missing.yaml"), "missing.yaml: No such file or directory"),
+        (("--stack", "nav2", "--reference-error", "0"), "--reference-error: expected 0 to 0.25 m, without 0, got 0.0"),
+    ],
+    ids=["stack", "model", "no stack", "no file", "reference error"],
+)
+def test_wrong_requests_fail_before_any_work(world, tmp_path, capsys, options, message):
+    assert calibrate(world, tmp_path / "out", *options) == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stack_needs_a_map(world, tmp_path, capsys):
+    log = str(next(world.glob("log.*")))
+    assert main(["calibrate", log, "--stack", "nav2", "--out", str(tmp_path / "out"), "--quiet"]) == 1
+    assert "--stack: needs --map" in capsys.readouterr().err
+
+
+def test_a_read_only_file_is_refused_and_left_alone(world, tmp_path, capsys):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE)
+    mine.chmod(0o444)
+    assert calibrate(world, tmp_path / "out", "--stack", "nav2", "--patch", str(mine)) == 1
+    assert "mine.yaml: the file is read-only" in capsys.readouterr().err
+    assert mine.read_text() == MINE
+    assert not (tmp_path / "out").exists()

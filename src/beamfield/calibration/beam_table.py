@@ -42,6 +42,8 @@ class BeamTable:
     n_no_measurement, n_unknown
         Beams left out because they carry no measurement (NaN, too close), and because their ray enters unknown space
         before an obstacle.
+    min_range
+        Nearer readings are not in the table, metres; densities of what is in it start here.
     """
 
     ranges: FloatArray
@@ -52,6 +54,7 @@ class BeamTable:
     max_range: float
     n_no_measurement: int = 0
     n_unknown: int = 0
+    min_range: float = 0.0
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -68,6 +71,7 @@ class BeamTable:
             self.max_range,
             self.n_no_measurement,
             self.n_unknown,
+            self.min_range,
         )
 
     @property
@@ -133,4 +137,14 @@ def build_beam_table(
     expected = np.concatenate([part[1] for part in parts])
     scan = np.concatenate([part[2] for part in parts])
     beam = np.concatenate([part[3] for part in parts])
-    return BeamTable(ranges, expected, scan, beam, log.stamps[scan], log.finder.max_range, n_no_measurement, n_unknown)
+    return BeamTable(
+        ranges,
+        expected,
+        scan,
+        beam,
+        log.stamps[scan],
+        log.finder.max_range,
+        n_no_measurement,
+        n_unknown,
+        log.finder.min_range,
+    )

@@ -68,6 +68,7 @@ def bootstrap_intervals(
     max_range: float,
     parameters: BeamParameters,
     *,
+    min_range: float = 0.0,
     fit_offset: bool = False,
     fit_sigma_slope: bool = False,
     hold: Mapping[str, float] | None = None,
@@ -92,7 +93,7 @@ def bootstrap_intervals(
         Time of each beam, seconds, shape (n,).
     parameters
         What was learned from all beams with the same options; each replicate starts there.
-    fit_offset, fit_sigma_slope, hold, priors
+    min_range, fit_offset, fit_sigma_slope, hold, priors
         As `learn_intrinsic_parameters`.
     block_s
         Length of a block, seconds; None: 20 s, or less for a short log.
@@ -126,13 +127,14 @@ def bootstrap_intervals(
     Kuensch, "The jackknife and the bootstrap for general stationary observations", Annals of Statistics 17, 1989.
     Hesterberg, "What teachers should know about the bootstrap", American Statistician 69, 2015.
     """
-    z, expected, blocks = _checked(ranges, expected_ranges, stamps, max_range, block_s)
+    z, expected, blocks = _checked(ranges, expected_ranges, stamps, max_range, min_range, block_s)
     if n_replicates < 2:
         raise InvalidInputError(f"n_replicates: expected at least 2, got {n_replicates}")
     if not 0.0 < level < 1.0:
         raise InvalidInputError(f"level: expected a share between 0 and 1, got {level}")
     problem = learning_problem(
         float(max_range),
+        min_range=float(min_range),
         hold=hold,
         priors=priors,
         fit_offset=fit_offset,
@@ -167,7 +169,12 @@ def bootstrap_intervals(
 
 
 def _checked(
-    ranges: ArrayLike, expected_ranges: ArrayLike, stamps: ArrayLike, max_range: float, block_s: float | None
+    ranges: ArrayLike,
+    expected_ranges: ArrayLike,
+    stamps: ArrayLike,
+    max_range: float,
+    min_range: float,
+    block_s: float | None,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
     z = np.asarray(ranges, dtype=np.float64)
     expected = np.asarray(expected_ranges, dtype=np.float64)
@@ -175,10 +182,10 @@ def _checked(
     for name, column in (("ranges", z), ("expected_ranges", expected), ("stamps", times)):
         if column.shape != z.shape or column.ndim != 1:
             raise InvalidInputError(f"{name}: expected one dimension as long as ranges, got shape {column.shape}")
-    for name, column in (("ranges", z), ("expected_ranges", expected)):
-        if not (column >= 0.0).all():
-            index = int(np.flatnonzero(~(column >= 0.0))[0])
-            raise InvalidInputError(f"{name}[{index}]: expected a number >= 0, got {column[index]}")
+    for name, column, least in (("ranges", z, min_range), ("expected_ranges", expected, 0.0)):
+        if not (column >= least).all():
+            index = int(np.flatnonzero(~(column >= least))[0])
+            raise InvalidInputError(f"{name}[{index}]: expected a number >= {least:g}, got {column[index]}")
     if not np.isfinite(times).all():
         index = int(np.flatnonzero(~np.isfinite(times))[0])
         raise InvalidInputError(f"stamps[{index}]: expected a finite number of seconds, got {times[index]}")
@@ -209,7 +216,7 @@ def _learn_replicates(
     progress: Callable[[int, int], None] | None,
 ) -> FloatArray:
     """Learn once per row of `draws`, which says how often each block counts; returns parameters, shape (rows, 8)."""
-    whole = IntrinsicLikelihood(z, expected, problem.max_range, threads=1)
+    whole = _likelihood(z, expected, problem)
     values, gradients, hessians = _derivatives_per_block(z, expected, blocks, theta, problem)
     out = np.empty((len(draws), len(_NAMES)))
     lock = threading.Lock()
@@ -248,14 +255,16 @@ def _derivatives_per_block(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     order = np.argsort(blocks, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(blocks))[:-1])
-    derivatives = [
-        IntrinsicLikelihood(z[part], expected[part], problem.max_range, threads=1).derivatives(theta) for part in parts
-    ]
+    derivatives = [_likelihood(z[part], expected[part], problem).derivatives(theta) for part in parts]
     return (
         np.array([item[0] for item in derivatives]),
         np.stack([item[1] for item in derivatives]),
         np.stack([item[2] for item in derivatives]),
     )
+
+
+def _likelihood(z: FloatArray, expected: FloatArray, problem: LearningProblem) -> IntrinsicLikelihood:
+    return IntrinsicLikelihood(z, expected, problem.max_range, min_range=problem.min_range, threads=1)
 
 
 def _parameter_row(theta: FloatArray) -> FloatArray:

@@ -255,6 +255,7 @@ def calibrate(
         table.stamps[fit_rows],
         table.max_range,
         fit,
+        min_range=table.min_range,
         fit_offset="range offset" in chosen.name,
         fit_sigma_slope="sigma slope" in chosen.name,
         hold=options.hold,
@@ -368,6 +369,7 @@ def _fit_candidates(
             table.ranges[rows],
             table.expected_ranges[rows],
             table.max_range,
+            min_range=table.min_range,
             fit_offset=offset,
             fit_sigma_slope=slope,
             hold=options.hold,
@@ -375,7 +377,13 @@ def _fit_candidates(
         )
         results.append(result)
         densities.append(
-            beam_log_density(table.ranges[test], table.expected_ranges[test], table.max_range, result.parameters)
+            beam_log_density(
+                table.ranges[test],
+                table.expected_ranges[test],
+                table.max_range,
+                result.parameters,
+                min_range=table.min_range,
+            )
         )
     report("learning", len(forms), len(forms))
     best = _choose(densities, blocks[test])

@@ -20,6 +20,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import CAUSES
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.blind_zone import check_limits, counted_from, expected_from
 
 
 def learn_from_known_causes(
@@ -28,6 +29,7 @@ def learn_from_known_causes(
     causes: ArrayLike,
     max_range: float,
     *,
+    min_range: float = 0.0,
     closed_form: bool = False,
     fit_offset: bool = False,
     fit_sigma_slope: bool = False,
@@ -35,7 +37,7 @@ def learn_from_known_causes(
     """Return the maximum-likelihood parameters of beams whose causes are known.
 
     The weights are the shares of the causes (6.14). By default sigma_hit and lambda_short maximise the likelihood of
-    the densities as they are, cut to [0, z_max] and [0, z*]; with `closed_form` they are the chapter's (6.19) and
+    the densities as they are, cut to [min_range, max_range] and [min_range, z*]; with `closed_form` they are the chapter's (6.19) and
     (6.23), which do so only for densities that are not cut.
 
     Parameters
@@ -46,8 +48,10 @@ def learn_from_known_causes(
         Shape (n,): names or positions in `beamfield.models.beam_density.CAUSES` (hit, short, max, rand).
     max_range
         Limit of the sensor, metres.
+    min_range
+        Nearer readings were dropped, metres; what is learned describes the others.
     closed_form
-        Whether to use (6.19) and (6.23).
+        Whether to use (6.19) and (6.23), with ranges counted from min_range in (6.23).
     fit_offset, fit_sigma_slope
         Learn the hits' offset and the growth of their noise too; not with `closed_form`.
 
@@ -55,7 +59,7 @@ def learn_from_known_causes(
     ------
     InvalidInputError
         If shapes differ, a value is out of range, or a cause cannot have led to its range: max and only max for no
-        return, a short not beyond z*.
+        return, a short not beyond z* (or min_range, if z* is less).
     TooLittleDataError
         If there is no hit.
 
@@ -68,8 +72,7 @@ def learn_from_known_causes(
     >>> learn_from_known_causes([0.9, 1.1, 0.5, 8.0], [1.0] * 4, ["hit", "hit", "short", "max"], 8.0, closed_form=True)
     BeamParameters(z_hit=0.5, z_short=0.25, z_max=0.25, z_rand=0.0, sigma_hit=0.1..., lambda_short=2.0, ...)
     """
-    if not (np.isfinite(max_range) and max_range > 0.0):
-        raise InvalidInputError(f"max_range: expected a positive number of metres, got {max_range}")
+    check_limits(max_range, min_range)
     if closed_form and (fit_offset or fit_sigma_slope):
         raise InvalidInputError("closed_form: (6.19) knows no offset and no slope, expected neither to be learned")
     z = np.asarray(ranges, dtype=np.float64)
@@ -78,12 +81,15 @@ def learn_from_known_causes(
     for name, column in (("ranges", z), ("expected_ranges", expected), ("causes", numbers)):
         if column.ndim != 1 or column.shape != z.shape:
             raise InvalidInputError(f"{name}: expected one dimension as long as ranges, got shape {column.shape}")
-    _check_consistency(z, expected, numbers, max_range)
+    _check_consistency(z, expected, numbers, max_range, min_range)
     counts = np.bincount(numbers, minlength=4).astype(np.float64)
     if counts[W_HIT] == 0.0:
         raise TooLittleDataError(f"0 hits among {z.size} beams: sigma_hit is not defined")
 
-    problem = learning_problem(float(max_range), fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope)
+    problem = learning_problem(
+        float(max_range), min_range=float(min_range), fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
+    )
+    z, expected = counted_from(min_range, z), expected_from(min_range, expected)
     theta = _closed_form(z, expected, numbers, counts, problem)
     if not closed_form:
         theta = m_step(_known_statistics(z, expected, numbers, counts), theta, problem)
@@ -102,10 +108,12 @@ def _numbers(causes: ArrayLike) -> NDArray[np.int64]:
     return column.astype(np.int64)
 
 
-def _check_consistency(z: FloatArray, expected: FloatArray, causes: NDArray[np.int64], max_range: float) -> None:
-    wrong = ~((z >= 0.0) & (expected >= 0.0) & (expected <= max_range))
+def _check_consistency(
+    z: FloatArray, expected: FloatArray, causes: NDArray[np.int64], max_range: float, min_range: float
+) -> None:
+    wrong = ~((z >= min_range) & (expected >= 0.0) & (expected <= max_range))
     wrong |= (z >= max_range) != (causes == W_MAX)
-    wrong |= (causes == W_SHORT) & (z > expected)
+    wrong |= (causes == W_SHORT) & (z > np.maximum(expected, min_range))
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
         raise InvalidInputError(

@@ -130,6 +130,7 @@ def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:
         parts[0].max_range,
         sum(part.n_no_measurement for part in parts),
         sum(part.n_unknown for part in parts),
+        parts[0].min_range,
     )
 
 

@@ -22,6 +22,7 @@ from beamfield.calibration.starts import MOST_STARTS, data_driven_starts
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.blind_zone import check_limits
 
 Progress = Callable[[str, int], None]
 
@@ -80,6 +81,7 @@ def learn_intrinsic_parameters(
     expected_ranges: ArrayLike,
     max_range: float,
     *,
+    min_range: float = 0.0,
     initial: BeamParameters | None = None,
     hold: Mapping[str, float] | None = None,
     priors: IntrinsicPriors | None = None,
@@ -106,6 +108,8 @@ def learn_intrinsic_parameters(
         Ranges z* that the map lets expect, metres, shape (n,); `max_range` or more means that the ray hits nothing.
     max_range
         Limit of the sensor, metres.
+    min_range
+        Nearer readings were dropped, metres: what is learned describes the others (`RangeFinder.min_range`).
     initial
         One more start, tried first; usually not needed.
     hold
@@ -134,7 +138,8 @@ def learn_intrinsic_parameters(
     Raises
     ------
     InvalidInputError
-        If shapes differ, a range is NaN or negative (the message names its index), or an option is impossible.
+        If shapes differ, a range is NaN, negative or below min_range (the message names its index), or an option is
+        impossible.
     TooLittleDataError
         If fewer than 20 beams remain.
 
@@ -164,7 +169,7 @@ def learn_intrinsic_parameters(
     >>> round(result.parameters.z_max, 3), round(result.parameters.sigma_hit, 2), result.converged
     (0.1, 0.05, True)
     """
-    z, expected, counts = _checked_beams(ranges, expected_ranges, max_range, weights)
+    z, expected, counts = _checked_beams(ranges, expected_ranges, max_range, min_range, weights)
     used = expected < max_range
     n_excluded = int(used.size - np.count_nonzero(used))
     if n_excluded:
@@ -178,9 +183,11 @@ def learn_intrinsic_parameters(
         )
     _check_options(n_starts, tolerance, max_iterations)
     problem = learning_problem(
-        max_range, hold=hold, priors=priors, fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
+        max_range, min_range=min_range, hold=hold, priors=priors, fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
     )
-    likelihood = IntrinsicLikelihood(z, expected, float(max_range), weights=counts, threads=threads)
+    likelihood = IntrinsicLikelihood(
+        z, expected, float(max_range), min_range=min_range, weights=counts, threads=threads
+    )
     if likelihood.n_max > 0.0 and not problem.free[2] and problem.held[2] == 0.0:
         raise InvalidInputError(
             f"hold z_max: expected more than 0 because {likelihood.n_max:g} readings are at max_range, got 0"
@@ -212,11 +219,10 @@ def _silent(stage: str, count: int) -> None:
 
 
 def _checked_beams(
-    ranges: ArrayLike, expected_ranges: ArrayLike, max_range: float, weights: ArrayLike | None
+    ranges: ArrayLike, expected_ranges: ArrayLike, max_range: float, min_range: float, weights: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    if not (np.isfinite(max_range) and max_range > 0.0):
-        raise InvalidInputError(f"max_range: expected a positive number of metres, got {max_range}")
-    z = _column("ranges", ranges)
+    check_limits(max_range, min_range)
+    z = _column("ranges", ranges, min_range)
     expected = _column("expected_ranges", expected_ranges)
     counts = None if weights is None else _column("weights", weights)
     for name, column in (("expected_ranges", expected), ("weights", counts)):
@@ -227,14 +233,14 @@ def _checked_beams(
     return z, expected, counts
 
 
-def _column(name: str, values: ArrayLike) -> FloatArray:
+def _column(name: str, values: ArrayLike, least: float = 0.0) -> FloatArray:
     column = np.asarray(values, dtype=np.float64)
     if column.ndim != 1:
         raise InvalidInputError(f"{name}: expected one dimension, got shape {column.shape}")
     # NaN fails the comparison too. One pass without a mask for the usual case: 10^7 beams are not rare.
-    if column.size and not column.min() >= 0.0:
-        index = int(np.flatnonzero(~(column >= 0.0))[0])
-        raise InvalidInputError(f"{name}[{index}]: expected a number >= 0, got {column[index]}")
+    if column.size and not column.min() >= least:
+        index = int(np.flatnonzero(~(column >= least))[0])
+        raise InvalidInputError(f"{name}[{index}]: expected a number >= {least:g}, got {column[index]}")
     return column
 
 

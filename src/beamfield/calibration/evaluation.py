@@ -27,7 +27,7 @@ DEFAULTS: Mapping[str, BeamParameters] = {
 
 
 def uniform_parameters(max_share: float) -> BeamParameters:
-    """Return the model that knows only how often nothing returns: uniform below max_range.
+    """Return the model that knows only how often nothing returns: uniform from min_range to max_range.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def score_models(
     scores: list[ModelScore] = []
     reference: FloatArray | None = None
     for name, parameters in models.items():
-        density = beam_log_density(z, expected, table.max_range, parameters)
+        density = beam_log_density(z, expected, table.max_range, parameters, min_range=table.min_range)
         if reference is None:
             reference = density
         behind = reference - density
@@ -134,7 +134,9 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
         For the randomisation.
     """
     rows = ~table.hits_nothing
-    return beam_pit(table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters, rng)
+    return beam_pit(
+        table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters, rng, min_range=table.min_range
+    )
 
 
 def pit_deviation(pit: FloatArray) -> float:
@@ -149,7 +151,9 @@ def pit_deviation(pit: FloatArray) -> float:
 
 def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.int8]:
     """Return the most likely cause of each beam: 0 hit, 1 short, 2 max, 3 rand."""
-    share = beam_responsibilities(table.ranges, table.expected_ranges, table.max_range, parameters)
+    share = beam_responsibilities(
+        table.ranges, table.expected_ranges, table.max_range, parameters, min_range=table.min_range
+    )
     return np.asarray(share.argmax(axis=-1), dtype=np.int8)
 
 
@@ -188,7 +192,9 @@ def timeline(table: BeamTable, parameters: BeamParameters, held_out: NDArray[np.
         (n,) whether each beam was held out.
     """
     rows = ~table.hits_nothing
-    density = beam_log_density(table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters)
+    density = beam_log_density(
+        table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters, min_range=table.min_range
+    )
     scans, first, index = np.unique(table.scan[rows], return_index=True, return_inverse=True)
     total = np.bincount(index, weights=density)
     return Timeline(

@@ -11,6 +11,7 @@ from beamfield.geometry import FloatArray
 from beamfield.kernels import intrinsics as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.blind_zone import counted_from, expected_from
 
 # Order of the working vector theta: the four weights, the variance sigma_hit^2, its slope sigma_slope^2, offset, rate.
 W_HIT, W_SHORT, W_MAX, W_RAND, VARIANCE, SLOPE, OFFSET, RATE = range(8)
@@ -32,13 +33,13 @@ class ExpectedStatistics:
     counts
         Expected number of beams per cause: hit, short, max, rand; shape (4,).
     node_ranges
-        Expected ranges of the nodes that stand for all beams, shape (m,).
+        Expected ranges of the nodes that stand for all beams, counted from the sensor's min_range, shape (m,).
     node_hit
         Node weights of e_hit, e_hit r and e_hit r^2 with r = z - z*, shape (3, m).
     node_short
         Node weights of e_short, shape (m,).
     sum_short_range
-        Sum of e_short z, metres.
+        Sum of e_short z, metres, counted likewise.
     cut_matters
         Whether some hit is cut off noticeably at 0 or at the maximum range.
     """
@@ -58,9 +59,12 @@ class IntrinsicLikelihood:
     Parameters
     ----------
     ranges, expected_ranges
-        Metres, shape (n,), valid: 0 <= expected range < `max_range`; a range of `max_range` or more is no return.
+        Metres, shape (n,), valid: ranges not below `min_range`, 0 <= expected range < `max_range`; a range of
+        `max_range` or more is no return.
     max_range
         Limit of the sensor, metres.
+    min_range
+        Ranges below were not measured, metres. The beams are kept with their ranges counted from here, `max_range` too.
     weights
         How often each beam counts, shape (n,); None for once.
     threads
@@ -78,6 +82,7 @@ class IntrinsicLikelihood:
         expected_ranges: FloatArray,
         max_range: float,
         *,
+        min_range: float = 0.0,
         weights: FloatArray | None = None,
         threads: int | None = None,
     ) -> None:
@@ -88,9 +93,10 @@ class IntrinsicLikelihood:
         by_range = np.argsort(expected, kind="stable")
         self.order = by_range if order is None else order[by_range]
         self.returned = returned
-        self.expected = np.ascontiguousarray(expected[by_range])
-        self.ranges = np.ascontiguousarray(ranges[self.order])
-        self.max_range = float(max_range)
+        self.expected = expected_from(min_range, np.ascontiguousarray(expected[by_range]))
+        self.ranges = counted_from(min_range, np.ascontiguousarray(ranges[self.order]))
+        self.max_range = float(max_range) - float(min_range)
+        self.min_range = float(min_range)
         self.threads = threads
         self._set_weights(weights, n_max=float(ranges.size - n_returned))
 
@@ -213,7 +219,7 @@ class IntrinsicLikelihood:
 
     def _mixture(self, theta: FloatArray) -> kernels.Mixture:
         w_hit, w_short, _, w_rand, v, q, b, rate = (float(value) for value in theta)
-        return kernels.Mixture(self.max_range, w_hit, w_short, w_rand, v, q, b, rate)
+        return kernels.Mixture(self.max_range, w_hit, w_short, w_rand, v, q, b, rate, self.min_range)
 
     def _cut(self, theta: FloatArray) -> kernels.Bins:
         capacity = 4096 + 2 * self.expected.size // kernels.BIN_BEAMS

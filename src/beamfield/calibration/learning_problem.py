@@ -13,6 +13,7 @@ from beamfield.calibration.priors import IntrinsicPriors
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.blind_zone import check_limits
 
 # The likelihood grows without bound where all hits are exact; sigma_hit stops at this share of the maximum range, far
 # below what a range finder resolves (0.8 mm at 80 m).
@@ -43,8 +44,8 @@ class LearningProblem:
 
     Parameters
     ----------
-    max_range
-        Limit of the sensor, metres.
+    max_range, min_range
+        Limits of the sensor, metres.
     free
         Which entries are learned, bool (8,).
     held
@@ -56,11 +57,17 @@ class LearningProblem:
     """
 
     max_range: float
+    min_range: float
     free: NDArray[np.bool_]
     held: FloatArray
     lower: FloatArray
     upper: FloatArray
     priors: IntrinsicPriors
+
+    @property
+    def span(self) -> float:
+        """From the nearest range that is measured to the farthest, metres."""
+        return self.max_range - self.min_range
 
     @staticmethod
     def position(name: str) -> int:
@@ -82,6 +89,7 @@ class LearningProblem:
 def learning_problem(
     max_range: float,
     *,
+    min_range: float = 0.0,
     hold: Mapping[str, float] | None = None,
     priors: IntrinsicPriors | None = None,
     fit_offset: bool = False,
@@ -92,8 +100,10 @@ def learning_problem(
     Raises
     ------
     InvalidInputError
-        If a held name is unknown, a held value is impossible or held weights leave nothing to share.
+        If the limits are not 0 <= min_range < max_range, a held name is unknown, a held value is impossible or held
+        weights leave nothing to share.
     """
+    check_limits(max_range, min_range)
     hold = dict(hold or {})
     for name, value in hold.items():
         if name not in _POSITIONS:
@@ -125,7 +135,7 @@ def learning_problem(
     # Held values are the caller's business, also outside these bounds.
     lower = np.where(free_theta, lower, held_theta)
     upper = np.where(free_theta, upper, held_theta)
-    return LearningProblem(max_range, free_theta, held_theta, lower, upper, priors or IntrinsicPriors())
+    return LearningProblem(max_range, min_range, free_theta, held_theta, lower, upper, priors or IntrinsicPriors())
 
 
 def _check_held_values(hold: Mapping[str, float]) -> None:

@@ -52,7 +52,9 @@ def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: Learn
     out = np.empty(10)
 
     def evaluate(x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        kernels.hit_objective(statistics.node_ranges, statistics.node_hit, problem.max_range, x[0], x[1], x[2], out)
+        kernels.hit_objective(
+            statistics.node_ranges, statistics.node_hit, problem.span, problem.min_range, x[0], x[1], x[2], out
+        )
         value, gradient, hessian = out[0], out[1:4].copy(), np.zeros((3, 3))
         hessian[np.tril_indices(3)] = out[4:]
         hessian += np.tril(hessian, -1).T

@@ -108,6 +108,7 @@ def refine_poses(
                 z[good],
                 expected[good],
                 log.finder.max_range,
+                min_range=log.finder.min_range,
                 hold={"range_offset": parameters.range_offset},
             )
         except TooLittleDataError:
@@ -139,10 +140,10 @@ def _climb(
         steps = np.column_stack([dx * WINDOW[0] * scale, dy * WINDOW[0] * scale, dt * WINDOW[1] * scale])
         candidates = compose(centre, steps)
         expected = caster.expected_ranges(candidates, finder)
-        score = beam_log_density(np.broadcast_to(z, expected.shape), expected, log.finder.max_range, parameters).sum(
-            axis=1
+        density = beam_log_density(
+            np.broadcast_to(z, expected.shape), expected, finder.max_range, parameters, min_range=finder.min_range
         )
-        centre = candidates[int(np.argmax(score))]
+        centre = candidates[int(np.argmax(density.sum(axis=1)))]
     return centre
 
 

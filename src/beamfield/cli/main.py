@@ -15,6 +15,7 @@ from beamfield.cli import (
     demo,
     doctor,
     figures,
+    fit,
     inspect,
     likelihood,
     simulate,
@@ -26,6 +27,7 @@ from beamfield.errors import BeamfieldError, BeamfieldWarning
 COMMANDS = (
     calibrate,
     calibrate_landmarks,
+    fit,
     doctor,
     translate,
     inspect,

@@ -9,6 +9,7 @@ from beamfield.report.density_figures import range_histograms, reading_series
 from beamfield.report.drawing import ReportFigure
 from beamfield.report.map_figures import cause_map, fit_map
 from beamfield.report.mixture_figure import mixture
+from beamfield.report.scan_fit_figures import calibration_fit
 from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace, pit_histogram
 from beamfield.sensors import SensorLog
 
@@ -31,6 +32,7 @@ def report_figures(calibration: Calibration, grid: OccupancyGrid, log: SensorLog
         cause_map(calibration, grid, log),
         fit_map(calibration, grid, log),
         likelihood_over_time(calibration),
+        calibration_fit(calibration, grid, log),
         noise_by_range(calibration),
         candidate_plot(calibration),
         likelihood_trace(calibration),

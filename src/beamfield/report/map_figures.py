@@ -42,7 +42,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     limits = _limits(points[causes != 3], path)
     figure = new_figure(WIDE, _height(limits))
     axes = figure.add_subplot()
-    _draw_map(axes, grid, limits)
+    draw_map(axes, grid, limits)
     shares = np.bincount(calibration.causes[~table.hits_nothing], minlength=4) / max(
         int((~table.hits_nothing).sum()), 1
     )
@@ -89,7 +89,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
     limits = _limits(poses[:, :2], poses[:, :2], margin=3 * MARGIN)
     figure = new_figure(WIDE, _height(limits) + 0.6)
     axes = figure.add_subplot()
-    _draw_map(axes, grid, limits)
+    draw_map(axes, grid, limits)
     low, high = np.quantile(line.log_likelihood, [0.02, 0.98])
     order = np.argsort(-line.log_likelihood)
     dots = axes.scatter(
@@ -152,8 +152,8 @@ def _height(limits: tuple[float, float, float, float]) -> float:
     return float(np.clip((WIDE - 0.7) * aspect + 0.85, 2.0, 10.5))
 
 
-def _draw_map(axes: Axes, grid: OccupancyGrid, limits: tuple[float, float, float, float]) -> None:
-    """Draw the part of the map that is shown, turned by the origin's yaw."""
+def draw_map(axes: Axes, grid: OccupancyGrid, limits: tuple[float, float, float, float]) -> None:
+    """Draw the part of the map within the limits (x low, x high, y low, y high), turned by the origin's yaw."""
     corners = grid.to_cells(np.array([[limits[i], limits[j]] for i in (0, 1) for j in (2, 3)]))
     rows, cols = grid.shape
     col, row = np.floor(corners.min(axis=0)).astype(np.int64)

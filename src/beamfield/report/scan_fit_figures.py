@@ -1,0 +1,204 @@
+"""Figures of how well scans fit: p-value and lost probability over time, and where the worst scans disagree."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from numpy.typing import NDArray
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.scan_fit import PROBLEMS, ScanFits, judge_log
+from beamfield.calibration.scan_fit_reference import ScanFitReference, calibrate_scan_fit
+from beamfield.calibration.scan_fit_statistics import fit_statistics, known_expected_ranges, stopping_rays
+from beamfield.calibration.scan_fit_surprise import beam_side
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.geometry import FloatArray, compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.models.range_mixture import RangeMixtureModel
+from beamfield.models.sonar import SonarModel
+from beamfield.report.drawing import (
+    FIT,
+    HELD_OUT,
+    MODEL,
+    NARROW,
+    WIDE,
+    Panel,
+    ReportFigure,
+    legend,
+    new_figure,
+    png_panel,
+    style,
+    svg_panel,
+)
+from beamfield.report.map_figures import MARGIN, draw_map
+from beamfield.sensors import SensorLog, usable_ranges
+
+LEVEL = 0.05
+# How a beam disagrees, in the order of `beam_side`: hit, short, through the wall, no return.
+SIDE_NAMES = ("as mapped", "short", "through the wall", "no return")
+SIDE_COLOURS = ("#0072B2", "#E69F00", "#D55E00", "#009E73")
+
+
+def fit_over_time(
+    fits: ScanFits, reference: ScanFitReference, *, own: bool, source: str = "Section 6.3.1, (6.2)"
+) -> ReportFigure | None:
+    """Draw p-value and lost probability over the log; None if no scan could be judged.
+
+    Parameters
+    ----------
+    fits, reference
+        Result of `judge_log`, and what it compared with.
+    own
+        Whether the reference is learned from the same log.
+    source
+        What the caption refers to.
+    """
+    judged = ~np.isnan(fits.p_value)
+    if not judged.any():
+        return None
+    seconds = fits.stamps - fits.stamps[0]
+    figure = new_figure(WIDE, 4.6)
+    above, below = figure.subplots(2, 1, sharex=True)
+    low = fits.p_value <= LEVEL
+    above.scatter(seconds[judged & ~low], fits.p_value[judged & ~low], s=8, color=FIT, linewidths=0, label="fits")
+    above.scatter(
+        seconds[judged & low], fits.p_value[judged & low], s=12, color=HELD_OUT, marker="v", linewidths=0,
+        label=f"does not fit at {LEVEL:.0%}",
+    )  # fmt: skip
+    above.axhline(LEVEL, color=HELD_OUT, linewidth=1.0, linestyle="--")
+    above.set_yscale("log")
+    ticks = [t for t in (0.001, 0.01, 0.05, 0.1, 0.5, 1.0) if t >= 0.5 * reference.smallest_p_value]
+    above.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    above.minorticks_off()
+    above.set_ylim(0.7 * min(LEVEL / 2, float(np.nanmin(fits.p_value))), 1.4)
+    style(above, y="p-value [1]")
+    legend(above, loc="lower left", ncols=2)
+    below.fill_between(seconds, fits.lost, step="post", color=HELD_OUT, alpha=0.25, linewidth=0)
+    below.plot(seconds, fits.lost, color=HELD_OUT, linewidth=1.2, drawstyle="steps-post")
+    below.axhline(0.5, color=MODEL, linewidth=0.8, linestyle="--")
+    below.set_ylim(-0.03, 1.03)
+    below.set_xlim(-0.01 * float(seconds[-1]), max(1.01 * float(seconds[-1]), 1e-3))
+    style(below, x="time since the first scan [s]", y="lost probability [1]")
+    share = fits.share_that_fits(LEVEL)
+    compared = "the other scans of this log, none closer in time than a block" if own else "the scans of the good log"
+    silent = int((~judged).sum())
+    alt = (
+        f"P-value and lost probability of {len(fits)} scans: {share:.0%} fit at {LEVEL:.0%}, "
+        f"lost probability at most {fits.lost.max():.2f}."
+    )
+    return ReportFigure(
+        "scan-fit",
+        "Does each scan fit the map, and is the robot lost?",
+        (svg_panel(figure, "scan-fit", alt, wide=True) if len(fits) < 1500 else png_panel(figure, alt, wide=True),),
+        f"Above: how many of {len(reference)} good scans ({compared}) fit as badly as this one; one good scan in "
+        f"twenty has less than {LEVEL:g}. {share:.1%} of the scans fit at {LEVEL:.0%}. The good scans are worth about "
+        f"{reference.n_effective:.0f} independent ones, so that a p-value of {LEVEL:g} is uncertain by "
+        f"{np.sqrt(LEVEL * (1 - LEVEL) / max(reference.n_effective, 1.0)):.2g}. Below: running probability that the "
+        "robot is elsewhere than its pose says, from successive scans; a crowd or a moved cupboard lowers p-values, "
+        "but should leave this line low." + (f" {silent} scans could not be judged." if silent else ""),
+        source,
+    )
+
+
+def calibration_fit(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> ReportFigure | None:
+    """Draw p-value and lost probability over the log of a calibration; None without a map of its own, or too few scans.
+
+    Parameters
+    ----------
+    calibration
+        The result of `calibrate`.
+    grid, log
+        The map and the log it was made from.
+    """
+    # A map that the scans drew themselves fits them whatever happens.
+    if any(finding.name == "cross-fitted-map" for finding in calibration.findings):
+        return None
+    kind = SonarModel if log.finder.opening_angle > 0.0 else BeamModel
+    model = kind(grid, calibration.parameters, threads=calibration.options.threads)
+    statistics = fit_statistics(model, log.ranges, log.finder, log.poses)
+    selection = calibration.options.selection
+    try:
+        reference = calibrate_scan_fit(
+            model, log, selection=selection, block_s=calibration.options.block_s, statistics=statistics
+        )
+    except (TooLittleDataError, InvalidInputError):
+        # The calibration itself is sound with ten scans, and a map without free cells is no error there.
+        return None
+    return fit_over_time(judge_log(model, log, reference, is_own=True, statistics=statistics), reference, own=True)
+
+
+def worst_scans(
+    fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scans: NDArray[np.int64]
+) -> ReportFigure | None:
+    """Draw scans on the map, each beam coloured by how it disagrees; None if there are none.
+
+    Parameters
+    ----------
+    fits, model, log
+        What was judged.
+    grid
+        The map.
+    scans
+        Indices of the scans to draw.
+    """
+    panels = [_scan_panel(fits, model, log, grid, int(i)) for i in scans]
+    if not panels:
+        return None
+    return ReportFigure(
+        "worst-scans",
+        "Where and why beams disagree",
+        tuple(panels),
+        "The scans that fit worst, apart from each other in time, on the map at their poses. Blue beams end where the "
+        "map says; yellow ones end before (people, new things); red ones go through a mapped wall (a wrong pose, or "
+        "something that is no longer there); green ones have no return although the map has an obstacle (glass, black "
+        "surfaces; drawn up to it). Red and yellow in whole groups on both sides of the walls mean a wrong pose.",
+        "Section 6.3.1; (6.32) projects the end points",
+    )
+
+
+def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scan: int) -> Panel:
+    pose, finder = log.poses[scan], log.finder
+    expected = known_expected_ranges(model, stopping_rays(model), pose[None, :], finder)[0]
+    ranges = usable_ranges(log.ranges[scan], finder)
+    side = beam_side(ranges, expected, finder.max_range, model.parameters)
+    drawn = side >= 0
+    reach = np.where(ranges >= finder.max_range, np.nan_to_num(expected), np.nan_to_num(ranges))
+    rays = compose(pose, finder.mounts)
+    ends = rays[:, :2] + reach[:, None] * np.column_stack([np.cos(rays[:, 2]), np.sin(rays[:, 2])])
+    # Where the ray hits nothing and nothing returned, there is nothing to show.
+    drawn &= ~((ranges >= finder.max_range) & (np.nan_to_num(expected) >= finder.max_range))
+    limits = _limits(np.vstack([pose[None, :2], ends[drawn]]))
+    figure = new_figure(NARROW, 4.6)
+    axes = figure.add_subplot()
+    draw_map(axes, grid, limits)
+    for number, (name, colour) in enumerate(zip(SIDE_NAMES, SIDE_COLOURS, strict=True)):
+        mine = drawn & (side == number)
+        lines = np.stack([rays[mine, :2], ends[mine]], axis=1)
+        axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.5, alpha=0.35))
+        axes.scatter(ends[mine, 0], ends[mine, 1], s=7, color=colour, linewidths=0, label=f"{name} {mine.sum()}")
+    tip = pose[:2] + 0.4 * np.array([np.cos(pose[2]), np.sin(pose[2])])
+    axes.annotate("", tip, pose[:2], arrowprops={"arrowstyle": "-|>", "color": MODEL, "linewidth": 1.4})
+    axes.plot(*pose[:2], "o", color=MODEL, markersize=4)
+    axes.set_xlim(limits[0], limits[1])
+    axes.set_ylim(limits[2], limits[3])
+    axes.set_aspect("equal")
+    style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")
+    where = PROBLEMS[int(fits.problem[scan])]
+    text = (
+        f"scan {scan}, stamp {log.stamps[scan]:.2f} s: p-value {fits.p_value[scan]:.2g}, "
+        f"lost probability {fits.lost[scan]:.2f}" + (f" ({where})" if where else "")
+    )
+    axes.set_title(text.replace(": ", "\n"), fontsize=8.5, loc="left", pad=30)
+    axes.legend(
+        fontsize=8, frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0), handletextpad=0.1,
+        columnspacing=0.9, borderaxespad=0.2,
+    )  # fmt: skip
+    return png_panel(figure, text, dpi=120)
+
+
+def _limits(points: FloatArray) -> tuple[float, float, float, float]:
+    """A square around the points, so that panels side by side are alike."""
+    low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
+    centre, half = 0.5 * (low + high), 0.5 * float((high - low).max())
+    return float(centre[0] - half), float(centre[0] + half), float(centre[1] - half), float(centre[1] + half)

@@ -124,8 +124,9 @@ def _table(seen: OccupancyGrid) -> FieldTable:
     """Return distances with the first row and column twice; marks cells that do not count as "unknown"."""
     obstacles = OccupancyGrid(seen.occupied.astype(np.float32), seen.resolution)
     distance = np.pad(distance_to_obstacles(obstacles), ((1, 0), (1, 0)), "edge")
-    last = np.zeros(distance.shape, np.bool_)
+    last = np.zeros(seen.shape, np.bool_)
     last[-1] = last[:, -1] = True
+    last = np.pad(last, ((1, 0), (1, 0)), "edge")
     corner = compose(seen.origin, [-seen.resolution, -seen.resolution, 0.0])
     return FieldTable(OccupancyGrid(np.zeros(distance.shape, np.float32), seen.resolution, corner), distance, last)
 

@@ -148,7 +148,7 @@ OTHERS = {
                               {"grid": room(0.05)}),
     "nearly-flat in MRPT": (mrpt, {"method": 1}, {}, {"method": 1, "rayTracing_stdHit": 0.3}, {}),
     "nearly-flat in F1TENTH": (f1tenth, {"squash_factor": 900.0}, {}, {}, {}),
-    "absurdly-sharp in F1TENTH": (f1tenth, {"squash_factor": 1.0, "sigma_hit": 1.0}, {"log": scans()},
+    "absurdly-sharp in F1TENTH": (f1tenth, {"squash_factor": 1.0, "sigma_hit": 1.0, "angle_step": 1}, {"log": scans()},
                                   {"angle_step": 18}, {"log": scans()}),
     "range-limit-above-sensor in MRPT": (mrpt, {}, {"log": scans()}, {"LF_maxRange": 10.0}, {"log": scans()}),
     "range-limit-hides-readings in F1TENTH": (f1tenth, {"max_range": 5.0}, {"log": scans(some(6.0, 0.1))},

@@ -52,13 +52,14 @@ SIMULATED_SEEDS, SIMULATED_PAIRS = range(201, 205), 100
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Scans to align onto others, the true relative poses, where to start and, if known, a log's corrected poses."""
+    """Scans to align onto others, the true relative poses and where to start; of a log, its poses and scan numbers."""
 
     onto: list[Scan]
     scans: list[Scan]
     truth: np.ndarray
     starts: np.ndarray
     corrected: np.ndarray | None = None
+    numbers: np.ndarray | None = None
 
     def agreeing(self) -> np.ndarray:
         """Return where truth and corrected poses agree; everywhere for exact truth."""
@@ -84,7 +85,8 @@ def run(data: Path = DATA) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         results, per_pair = timed(pairs)
         rows.append(result_row(name, pairs, results) | {"ms per pair": f"{per_pair:.2f}"})
         if pairs.corrected is not None:
-            shares.append(three_way_row(name, pairs, np.array([result.pose for result in results])))
+            poses = np.array([result.pose for result in results])
+            shares.append(three_way_row(name, pairs, poses) | closure_row(pairs, poses))
     return rows, shares
 
 
@@ -142,7 +144,8 @@ def pairs_of_log(log: SensorLog, first: np.ndarray, second: np.ndarray, truth: n
                  starts: np.ndarray) -> Pairs:  # fmt: skip
     """Return pairs of a log's scans."""
     corrected = between(log.poses[first], log.poses[second])
-    return Pairs([log.scan(i) for i in first], [log.scan(i) for i in second], truth, starts, corrected)
+    numbers = np.column_stack([first, second])
+    return Pairs([log.scan(i) for i in first], [log.scan(i) for i in second], truth, starts, corrected, numbers)
 
 
 def simulated_pairs() -> dict[str, Pairs]:
@@ -265,6 +268,25 @@ def three_way_row(name: str, pairs: Pairs, poses: np.ndarray) -> dict[str, Any]:
             own = 0.5 * (own - variance[frozenset((other, third))])
             row[f"{one}, {unit}"] = f"{factor * np.sqrt(own):.4f}" if own > 0.0 else "0"
     return row
+
+
+def closure_row(pairs: Pairs, poses: np.ndarray) -> dict[str, Any]:
+    """Return the deviation of one alignment, from how well two in a row agree with the one across both.
+
+    No truth is needed; errors that all three share do not show.
+    """
+    follows = np.flatnonzero(pairs.numbers[:-1, 1] == pairs.numbers[1:, 0])
+    gaps = []
+    for i in follows:
+        both = compose(poses[i], poses[i + 1])
+        gaps.append(between(align(pairs.scans[i + 1], ScanField.from_scan(pairs.onto[i]), both).pose, both))
+    gap = np.array(gaps)
+    share = np.sqrt(3.0)
+    return {
+        "triples": len(gap),
+        "align by closure, m": f"{np.sqrt(0.5 * (_variance(gap[:, 0]) + _variance(gap[:, 1]))) / share:.4f}",
+        "align by closure, deg": f"{np.degrees(np.sqrt(_variance(gap[:, 2]))) / share:.4f}",
+    }
 
 
 def _variance(difference: np.ndarray) -> float:

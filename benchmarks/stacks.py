@@ -23,17 +23,26 @@ from beamfield.models.beam import BeamModel
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
 from beamfield.stacks.beluga_parameters import BelugaParameters
+from beamfield.stacks.f1tenth_parameters import F1tenthParameters
+from beamfield.stacks.f1tenth_table import F1tenthTable
+from beamfield.stacks.mrpt_field import MrptField
+from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt_rays import MrptRays
 from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.registry import parameter_class
 
 ORACLE = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared")) / "oracle"
 KINDS = (Nav2Field, Nav2FieldProb, Nav2Beam, BelugaField, BelugaFieldProb, BelugaBeam)
+MRPT_KINDS = (MrptField, MrptRays)
+# range_libc's ray methods whose ranges the oracle has.
+METHODS = ("bl", "rm", "cddt112")
 COMMON = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
 
 
 def main() -> None:
-    """Print three Markdown tables: agreement, what the approximations change, and times."""
-    for rows in (agreement(), approximations(), times()):
+    """Print Markdown tables: agreement, range_libc's rays, what the approximations change, and times."""
+    for rows in (agreement(), range_methods(), approximations(), times()):
         if rows:
             print(f"| {' | '.join(rows[0])} |")
             print(f"|{'---|' * len(rows[0])}")
@@ -48,16 +57,54 @@ def agreement() -> list[dict[str, Any]]:
         return []
     rows = []
     cases = [_oracle_case(name) for name in ("tiny", "building")]
-    for kind in KINDS:
+    for kind in (*KINDS, *MRPT_KINDS):
         row: dict[str, Any] = {"emulator": kind.__name__}
         for title, options in (("as the program", _program(kind)), ("exact", _exact(kind))):
             worst = 0.0
             for grid, scan, poses, values, answers in cases:
                 parameters = _oracle_parameters(kind, values)
-                got = kind(grid, parameters, map_mode="raw", **options).log_likelihood(scan, poses)
-                worst = max(worst, np.abs(np.expm1(got - np.log(answers[kind.stack][kind.model]))).max())
+                mode = "trinary" if kind in MRPT_KINDS else "raw"
+                got = kind(grid, parameters, map_mode=mode, **options).log_likelihood(scan, poses)
+                worst = max(worst, np.abs(np.expm1(got - _log_answer(kind, answers))).max())
             row[f"{title}: largest relative difference of a weight"] = f"{worst:.1e}"
         rows.append(row)
+    return rows
+
+
+def range_methods() -> list[dict[str, Any]]:
+    """Return F1TENTH's weights on range_libc's own ranges against its answers, and what exact rays change."""
+    if not ORACLE.is_dir():
+        return []
+    rows = []
+    for name in ("tiny", "building"):
+        grid, scan, poses, values, answers = _oracle_case(name)
+        parameters = F1tenthParameters(
+            **{factor: values[factor] for factor in ("z_hit", "z_short", "z_max", "z_rand")},
+            sigma_hit=values["sigma_hit"] / grid.resolution,
+            max_range=values["max_range"],
+            angle_step=1,
+            squash_factor=1.0,
+        )
+        model = F1tenthTable(grid, parameters, map_mode="raw")
+        evidence = model.evidence(scan, poses)
+        for method in METHODS:
+            ranges = np.reshape(answers["f1tenth"][f"{method}_ranges_PxK"], evidence.expected_ranges.shape)
+            log_weights = np.log(answers["f1tenth"][f"{method}_weights_oneshot"])
+            on_its_own = model.log_weights(replace(evidence, expected_ranges=ranges))
+            worst = np.abs(np.expm1(on_its_own - log_weights)).max()
+            change = (model.log_weights(evidence) - log_weights) / F1tenthParameters().squash_factor
+            cells = np.abs(np.minimum(ranges, parameters.max_range) - evidence.expected_ranges) / grid.resolution
+            rows.append(
+                {
+                    "map": name,
+                    "rays": method,
+                    "largest relative difference on its ranges": f"{worst:.1e}",
+                    "ranges off by > 1 cell": f"{(cells > 1.0).mean():.0%}",
+                    "spread of log w [nats]": f"{log_weights.std() / F1tenthParameters().squash_factor:.2g}",
+                    "exact rays: median change [nats]": f"{np.median(np.abs(change - change.mean())):.2g}",
+                    "largest [nats]": f"{np.abs(change - change.mean()).max():.2g}",
+                }
+            )
     return rows
 
 
@@ -65,7 +112,7 @@ def approximations() -> list[dict[str, Any]]:
     """Return how much exact distances and ranges change log-weights, at the stacks' defaults, on a synthetic office."""
     grid, scan, sets = _scene()
     rows = []
-    for kind in KINDS:
+    for kind in (*KINDS, *MRPT_KINDS):
         parameters = _defaults(kind)
         program, exact = (kind(grid, parameters, **options) for options in (_program(kind), _exact(kind)))
         for name, poses in sets.items():
@@ -89,7 +136,7 @@ def times() -> list[dict[str, Any]]:
     grid, scan, sets = _scene()
     poses = sets["track"]
     rows = []
-    for kind in KINDS:
+    for kind in (*KINDS, *MRPT_KINDS, F1tenthTable):
         parameters = _defaults(kind)
         model = kind(grid, parameters, threads=1)
         evidence = model.evidence(scan, poses)
@@ -98,7 +145,7 @@ def times() -> list[dict[str, Any]]:
             "evidence [ms]": _least_ms(lambda model=model: model.evidence(scan, poses)),
             "log_weights [ms]": _least_ms(lambda model=model, evidence=evidence: model.log_weights(evidence)),
         }
-        if kind.model == "beam":
+        if kind.model in ("beam", "rayTracing"):
             exact = kind(grid, parameters, threads=1, rays="exact")
             row["evidence, exact rays [ms]"] = _least_ms(lambda exact=exact: exact.evidence(scan, poses))
         else:
@@ -108,15 +155,21 @@ def times() -> list[dict[str, Any]]:
 
 
 def _program(kind: Any) -> dict[str, str]:
-    return {} if kind.model == "beam" else {"distance": "brushfire"}
+    if kind is MrptField:
+        return {"precision": "single"}
+    return {} if kind.model in ("beam", "rayTracing") else {"distance": "brushfire"}
 
 
 def _exact(kind: Any) -> dict[str, str]:
-    return {"rays": "exact"} if kind.model == "beam" else {"distance": "exact"}
+    if kind is MrptField:
+        return {"precision": "double"}
+    return {"rays": "exact"} if kind.model in ("beam", "rayTracing") else {"distance": "exact"}
 
 
 def _defaults(kind: Any) -> Any:
-    return Nav2Parameters() if kind.stack == "nav2" else BelugaParameters()
+    """Return the stack's defaults; those that thin out beams are for longer scans than this one."""
+    every = {"LF_Thrun": {"LF_decimation": 1}, "rayTracing": {"rayTracing_decimation": 1}, "table": {"angle_step": 1}}
+    return parameter_class(kind.stack, kind.model)(**every.get(kind.model, {}))
 
 
 def _scene() -> tuple[OccupancyGrid, Scan, dict[str, np.ndarray]]:
@@ -129,6 +182,13 @@ def _scene() -> tuple[OccupancyGrid, Scan, dict[str, np.ndarray]]:
 
 
 def _oracle_parameters(kind: Any, values: Mapping[str, float]) -> Any:
+    if kind is MrptField:
+        return MrptFieldParameters(
+            LF_stdHit=values["sigma_hit"], LF_zHit=values["z_hit"], LF_zRandom=values["z_rand"], LF_decimation=1,
+            LF_maxRange=values["max_range"], LF_maxCorrsDistance=values["max_occ_dist"],
+        )  # fmt: skip
+    if kind is MrptRays:
+        return MrptRayParameters(rayTracing_stdHit=values["sigma_hit"], rayTracing_decimation=1)
     shared = {name: values[name] for name in COMMON}
     shared |= {"laser_likelihood_max_dist": values["max_occ_dist"], "max_beams": int(values["n_beams"])}
     if kind.stack == "nav2":
@@ -138,13 +198,25 @@ def _oracle_parameters(kind: Any, values: Mapping[str, float]) -> Any:
 
 
 def _oracle_case(name: str) -> tuple[OccupancyGrid, Scan, np.ndarray, dict[str, float], dict[str, Any]]:
-    inputs, *answers = (_flat(ORACLE / name, part) for part in ("inputs", "nav2", "beluga"))
+    inputs, *answers = (_flat(ORACLE / name, part) for part in ("inputs", "nav2", "beluga", "mrpt", "rangelibc"))
     cells = np.reshape(inputs["map.data"], (int(inputs["map.height"]), int(inputs["map.width"])))
     grid = OccupancyGrid.from_ros(cells, float(inputs["map.resolution"]), [*inputs["map.origin"], 0.0])
     values = {k.removeprefix("params."): float(v) for k, v in inputs.items() if k.startswith("params.")}
     values["n_beams"] = len(inputs["bearings"])
     scan = Scan(inputs["ranges"], RangeFinder.from_bearings(inputs["bearings"], values["max_range"]))
-    return grid, scan, np.asarray(inputs["poses"]), values, dict(zip(("nav2", "beluga"), answers, strict=True))
+    return (
+        grid,
+        scan,
+        np.asarray(inputs["poses"]),
+        values,
+        dict(zip(("nav2", "beluga", "mrpt", "f1tenth"), answers, strict=True)),
+    )
+
+
+def _log_answer(kind: Any, answers: Mapping[str, Any]) -> np.ndarray:
+    if kind in MRPT_KINDS:
+        return np.asarray(answers["mrpt"]["log_lmLikelihoodField_Thrun" if kind is MrptField else "log_lmRayTracing"])
+    return np.log(answers[kind.stack][kind.model])
 
 
 def _flat(folder: Path, name: str) -> dict[str, Any]:

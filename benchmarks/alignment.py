@@ -47,7 +47,7 @@ CHI_SQUARE = {95: 7.815, 80: 4.642, 50: 2.366}
 # Relations and corrected poses agree to this many metres and radians.
 AGREEING = (0.06, np.radians(1.5))
 REAL_START_NOISE = np.array([0.15, 0.15, np.radians(8.0)])
-SIMULATED_SEEDS, SIMULATED_PAIRS = range(201, 205), 100
+SIMULATED_SEEDS, SIMULATED_PAIRS = range(301, 305), 100
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,12 +178,18 @@ def held_out_score(log: SensorLog, opening_angle: float, resolution: float = RES
     held_out = held_out_mask(table.stamps, None)
     learned = ~held_out & ~table.hits_nothing
     parameters = learn_intrinsic_parameters(
-        table.ranges[learned], table.expected_ranges[learned], table.max_range, fit_offset=True, fit_sigma_slope=True
+        table.ranges[learned],
+        table.expected_ranges[learned],
+        table.max_range,
+        min_range=table.min_range,
+        fit_offset=True,
+        fit_sigma_slope=True,
     ).parameters
     test = table.select(held_out)
     uniform = uniform_parameters(float((table.ranges[~held_out] >= table.max_range).mean()))
     fit, nothing_known = (
-        beam_log_density(test.ranges, test.expected_ranges, table.max_range, model) for model in (parameters, uniform)
+        beam_log_density(test.ranges, test.expected_ranges, table.max_range, model, min_range=table.min_range)
+        for model in (parameters, uniform)
     )
     return {
         "parameters": parameters,

@@ -105,7 +105,10 @@ def draw_readings(axes, result: Calibration) -> None:
     axes.stairs(counts / len(z) / np.diff(edges), edges, fill=True, color="0.8", label=f"{len(z)} readings")
     grid_z = np.concatenate([np.linspace(0.01, 2.5, 120), np.linspace(2.5, 3.5, 250), np.linspace(3.5, limit, 90)[:-1]])
     sample = expected[:: max(1, len(expected) // 400)]
-    density = np.exp(beam_log_density(grid_z[None, :], sample[:, None], limit, result.parameters)).mean(axis=0)
+    log_density = beam_log_density(
+        grid_z[None, :], sample[:, None], limit, result.parameters, min_range=table.min_range
+    )
+    density = np.where(grid_z < table.min_range, np.nan, np.exp(log_density).mean(axis=0))
     axes.plot(grid_z, density, color="#0072b2", lw=1.5, label="fitted density")
     share = (z >= limit).mean()
     axes.plot(

@@ -67,7 +67,7 @@ class TestResult:
         assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
 
     def test_the_yaml_holds_the_same_parameters_as_the_json(self, out: Path):
-        parameters, max_range = read_beam_model(out / "beam_model.yaml")
+        parameters, max_range, _ = read_beam_model(out / "beam_model.yaml")
         document = json.loads((out / "calibration.json").read_text())
         for name, entry in document["parameters"].items():
             assert getattr(parameters, name) == entry["value"]
@@ -121,7 +121,7 @@ def test_a_held_parameter_and_a_fixed_form_are_respected(world: Path, tmp_path: 
         world, tmp_path / "out", "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off", "--no-refine"
     )
     assert code == 0
-    parameters, _ = read_beam_model(tmp_path / "out" / "beam_model.yaml")
+    parameters = read_beam_model(tmp_path / "out" / "beam_model.yaml").parameters
     assert parameters.z_max == pytest.approx(0.1, abs=1e-12)
     assert parameters.range_offset != 0.0
     assert parameters.sigma_slope == 0.0
@@ -263,16 +263,17 @@ def test_an_output_that_cannot_be_written_is_one_line(world, tmp_path, capsys):
     assert (tmp_path / "file").read_text() == "in the way"
 
 
-def test_a_beam_model_file_reads_back_to_the_same_bits(tmp_path):
+@pytest.mark.parametrize("min_range", [0.0, 0.1 / 3])
+def test_a_beam_model_file_reads_back_to_the_same_bits(tmp_path, min_range):
     from beamfield.io.parameters import beam_model_text
     from beamfield.sensors import RangeFinder
 
     values = np.random.default_rng(1).dirichlet(np.ones(4))
     parameters = BeamParameters(*values, 0.1 / 3, 2.0 / 3, -0.01 / 7, 1e-3 / 3)
-    finder = RangeFinder.from_bearings([0.0], 29.999999, name="/sc: an")
+    finder = RangeFinder.from_bearings([0.0], 29.999999, min_range=min_range, name="/sc: an")
     path = tmp_path / "beam_model.yaml"
     path.write_text(beam_model_text(parameters, finder, intervals={"z_hit": (0.1, 0.2)}))
-    assert read_beam_model(path) == (parameters, 29.999999)
+    assert read_beam_model(path) == (parameters, 29.999999, min_range)
 
 
 @pytest.mark.parametrize(
@@ -283,6 +284,7 @@ def test_a_beam_model_file_reads_back_to_the_same_bits(tmp_path):
         ("sigma_hit: 0.5", "sigma_hit: wide", "sigma_hit"),
         ("z_rand: 0.25", "z_rand: 0.5", "expected 1"),
         ("beam_model:", "model:", "beam_model"),
+        ("min_range: 0.0", "min_range: 10.0", "sensor.min_range"),
     ],
 )
 def test_a_damaged_beam_model_file_names_file_and_field(tmp_path, old, new, words):

@@ -138,7 +138,7 @@ def test_thinning_to_more_beams_than_there_are_uses_all(grid):
 def test_readings_that_are_no_measurement_change_nothing(grid):
     pose, model = [5.0, 2.5, 0.1], BeamModel(grid, PARAMETERS)
     with_gaps = Scan([np.nan, 1.4, 0.05, 1.0, -np.inf], finder(10, 90, 30, -90, 40, min_range=0.1))
-    without = Scan([1.4, 1.0], finder(90, -90))
+    without = Scan([1.4, 1.0], finder(90, -90, min_range=0.1))
     assert model.log_likelihood(with_gaps, pose) == model.log_likelihood(without, pose)
     assert (model.responsibilities(with_gaps, pose)[[0, 2, 4]] == 0.0).all()
 

@@ -142,8 +142,15 @@ class _Judge:
         if isinstance(self.model, LikelihoodFieldModel):
             return self._summarise(_field_surprise(self.model, z, robots, self.finder), sided=False)
         expected = known_expected_ranges(self.model, self.stopping, robots, self.finder)
-        limit, parameters = self.finder.max_range, self.model.parameters
-        return self._summarise(beam_surprise(z, expected, limit, parameters, threads=self.model.threads), sided=True)
+        surprise = beam_surprise(
+            z,
+            expected,
+            self.finder.max_range,
+            self.model.parameters,
+            min_range=self.finder.min_range,
+            threads=self.model.threads,
+        )
+        return self._summarise(surprise, sided=True)
 
     def _summarise(self, beams: BeamSurprise, *, sided: bool) -> tuple[Any, ...]:
         n = beams.used.sum(axis=1)

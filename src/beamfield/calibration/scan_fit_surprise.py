@@ -52,6 +52,7 @@ def beam_surprise(
     max_range: float,
     parameters: BeamParameters,
     *,
+    min_range: float = 0.0,
     threads: int | None = None,
 ) -> BeamSurprise:
     """Compare readings with what the beam model expects of them.
@@ -67,6 +68,8 @@ def beam_surprise(
         The sensor's limit, metres.
     parameters
         The model.
+    min_range
+        Nearer readings are dropped, metres: expectations are those of the others.
     threads
         None uses all processors.
 
@@ -80,10 +83,10 @@ def beam_surprise(
     Section 6.3.1, (6.12).
     """
     used = np.isfinite(ranges) & np.isfinite(expected_ranges)
-    z, z_star = np.where(used, ranges, 0.0), np.minimum(np.where(used, expected_ranges, 0.0), max_range)
-    table = _expectations(parameters, float(max_range))
+    z, z_star = np.where(used, ranges, 0.0), np.clip(np.where(used, expected_ranges, 0.0), min_range, max_range)
+    table = _expectations(parameters, float(max_range), float(min_range))
     # With -inf (an impossible reading) the cut takes over.
-    surprise = -_log_density(z, z_star, max_range, parameters, threads)
+    surprise = -_log_density(z, z_star, max_range, parameters, min_range, threads)
     excess = np.clip(surprise - table.at("surprise", z_star), -MOST_SURPRISE, MOST_SURPRISE)
     through, short = _sides(z, z_star, max_range, parameters)
     return BeamSurprise(
@@ -112,14 +115,21 @@ def beam_side(
 
 
 def _log_density(
-    z: FloatArray, z_star: FloatArray, max_range: float, parameters: BeamParameters, threads: int | None = None
+    z: FloatArray,
+    z_star: FloatArray,
+    max_range: float,
+    parameters: BeamParameters,
+    min_range: float,
+    threads: int | None = None,
 ) -> FloatArray:
     """Return log p(z | z*), with the mass of hits at "no return" where there is nothing to hit."""
-    result = beam_log_density(z, z_star, max_range, parameters, threads=threads)
+    result = beam_log_density(z, z_star, max_range, parameters, min_range=min_range, threads=threads)
     nothing = z_star >= max_range
     if nothing.any():
         without_hits = replace(parameters, z_hit=0.0, z_max=parameters.z_max + parameters.z_hit)
-        result[nothing] = beam_log_density(z[nothing], z_star[nothing], max_range, without_hits, threads=threads)
+        result[nothing] = beam_log_density(
+            z[nothing], z_star[nothing], max_range, without_hits, min_range=min_range, threads=threads
+        )
     return result
 
 
@@ -149,12 +159,12 @@ class _Expectations:
 
 
 @lru_cache(maxsize=16)
-def _expectations(parameters: BeamParameters, max_range: float) -> _Expectations:
+def _expectations(parameters: BeamParameters, max_range: float, min_range: float) -> _Expectations:
     """Tabulate E[surprise], E[cut excess], P(through) and P(short) by quadrature, once per model."""
-    nodes = _nodes(parameters, max_range)
-    z, weight = _quadrature(nodes, parameters, max_range)
+    nodes = _nodes(parameters, max_range, min_range)
+    z, weight = _quadrature(nodes, parameters, max_range, min_range)
     z_star = np.broadcast_to(nodes[:, None], z.shape)
-    log_p = _log_density(z, np.ascontiguousarray(z_star), max_range, parameters)
+    log_p = _log_density(z, np.ascontiguousarray(z_star), max_range, parameters, min_range)
     # The last column is the point mass at max_range, whose weight is 1.
     share = weight * np.exp(log_p)
     share /= share.sum(axis=1, keepdims=True)
@@ -171,24 +181,27 @@ def _expectations(parameters: BeamParameters, max_range: float) -> _Expectations
     return _Expectations(nodes, values)
 
 
-def _nodes(parameters: BeamParameters, max_range: float) -> FloatArray:
+def _nodes(parameters: BeamParameters, max_range: float, min_range: float) -> FloatArray:
     """Return expected ranges, denser within some sigma of both limits, where the densities are cut off."""
     near = np.hypot(parameters.sigma_hit, parameters.sigma_slope * max_range) * np.linspace(0.0, 8.0, 65)
     offset = abs(parameters.range_offset)
     last = np.nextafter(max_range, 0.0)
-    inner = np.concatenate([near, near + offset, last - near, last - near - offset, np.linspace(0.0, last, N_NODES)])
-    return np.concatenate([np.unique(np.clip(inner, 0.0, last)), [max_range]])
+    low = min_range + near
+    inner = np.concatenate([low, low + offset, last - near, last - near - offset, np.linspace(0.0, last, N_NODES)])
+    return np.concatenate([np.unique(np.clip(inner, min_range, last)), [max_range]])
 
 
-def _quadrature(nodes: FloatArray, parameters: BeamParameters, max_range: float) -> tuple[FloatArray, FloatArray]:
+def _quadrature(
+    nodes: FloatArray, parameters: BeamParameters, max_range: float, min_range: float
+) -> tuple[FloatArray, FloatArray]:
     """Return readings and weights (n, q) of a composite Gauss rule whose pieces follow the hit's peak."""
     sigma = np.hypot(parameters.sigma_hit, parameters.sigma_slope * nodes)[:, None]
     mean = nodes[:, None] + parameters.range_offset
     around = mean + sigma * np.array([-8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2, -1.5, -1, -0.5, 0, 0.5, 1, 1.5, 2, 2.5,
                                       3.0, 4.0, 5.0, 6.0, 8.0])  # fmt: skip
-    even = np.broadcast_to(np.linspace(0.0, max_range, 17), (len(nodes), 17))
-    wall = np.maximum(nodes[:, None], SHORTEST_SUPPORT)
-    edges = np.sort(np.clip(np.hstack([even, around, wall]), 0.0, max_range), axis=1)
+    even = np.broadcast_to(np.linspace(min_range, max_range, 17), (len(nodes), 17))
+    wall = np.maximum(nodes[:, None], min_range + SHORTEST_SUPPORT)
+    edges = np.sort(np.clip(np.hstack([even, around, wall]), min_range, max_range), axis=1)
     half = 0.5 * np.diff(edges, axis=1)[..., None]
     z = (0.5 * (edges[:, 1:] + edges[:, :-1])[..., None] + half * GAUSS[0]).reshape(len(nodes), -1)
     weight = (half * GAUSS[1]).reshape(len(nodes), -1)

@@ -170,8 +170,7 @@ def _parameters(arguments: argparse.Namespace) -> BeamParameters:
 
     if arguments.parameters is None:
         return BeamParameters(**DEFAULTS)
-    parameters, _ = read_beam_model(arguments.parameters)
-    return parameters
+    return read_beam_model(arguments.parameters).parameters
 
 
 def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> OccupancyGrid:

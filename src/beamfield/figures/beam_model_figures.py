@@ -18,7 +18,10 @@ def components_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.3: the four densities of the first sensor, at a typical expected range."""
     calibration = _first(world)
     figure = new_figure(7.2, 5.0)
-    draw_components(figure, _group(calibration).centre, calibration.parameters, calibration.table.max_range)
+    table = calibration.table
+    draw_components(
+        figure, _group(calibration).centre, calibration.parameters, table.max_range, min_range=table.min_range
+    )
     return figure
 
 
@@ -26,7 +29,8 @@ def mixture_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.4: their mixture."""
     calibration = _first(world)
     figure = new_figure(7.2, 4.2)
-    draw_mixture(figure, _group(calibration).centre, calibration.parameters, calibration.table.max_range)
+    table = calibration.table
+    draw_mixture(figure, _group(calibration).centre, calibration.parameters, table.max_range, min_range=table.min_range)
     return figure
 
 

@@ -6,7 +6,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML
 
@@ -20,7 +20,25 @@ HEADER = """\
 # z_hit + z_short + z_max + z_rand = 1; sigma_hit and range_offset in metres, lambda_short in 1/metre.
 # A hit is a Gaussian around expected range + range_offset with variance sigma_hit^2 + (sigma_slope * expected range)^2.
 # max_range is the range in metres from which a reading means "no return"; opening_angle is the cone's in radians.
+# Readings below min_range (metres) are dropped: each density is cut to [min_range, max_range], and the weights are
+# shares of the readings that are left.
 """
+
+
+class SavedBeamModel(NamedTuple):
+    """What a beam_model.yaml says.
+
+    Parameters
+    ----------
+    parameters
+        The parameters.
+    max_range, min_range
+        The limits of the sensor that they belong to, metres; min_range is 0 if the file does not say.
+    """
+
+    parameters: BeamParameters
+    max_range: float
+    min_range: float
 
 
 def beam_model_text(
@@ -62,7 +80,7 @@ def beam_model_text(
     return HEADER + stream.getvalue()
 
 
-def read_beam_model(path: str | Path) -> tuple[BeamParameters, float]:
+def read_beam_model(path: str | Path) -> SavedBeamModel:
     """Read a beam_model.yaml.
 
     Parameters
@@ -72,13 +90,12 @@ def read_beam_model(path: str | Path) -> tuple[BeamParameters, float]:
 
     Returns
     -------
-    parameters, max_range
-        The parameters, and the sensor's limit in metres.
+    (parameters, max_range, min_range): the parameters, and the sensor's limits in metres.
 
     Raises
     ------
     FormatError
-        If a parameter is missing, no number, or outside its range; names the line.
+        If a parameter is missing, no number, or outside its range, or a limit of the sensor is; names the line.
     """
     file = read_yaml(path)
     known = {item.name: item for item in fields(BeamParameters)}
@@ -90,7 +107,12 @@ def read_beam_model(path: str | Path) -> tuple[BeamParameters, float]:
             raise file.error(f"unknown parameter {name!r}; known are {', '.join(known)}", "beam_model", name)
     optional = {"range_offset", "sigma_slope"} - set(section)
     values = {name: file.number("beam_model", name) for name in known if name not in optional}
+    max_range = file.number("sensor", "max_range")
+    sensor = file.value("sensor")
+    min_range = file.number("sensor", "min_range") if isinstance(sensor, dict) and "min_range" in sensor else 0.0
+    if not 0.0 <= min_range < max_range:
+        raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
     try:
-        return BeamParameters(**values), file.number("sensor", "max_range")
+        return SavedBeamModel(BeamParameters(**values), max_range, min_range)
     except InvalidInputError as error:
         raise FormatError(path, str(error), line=file.lines.get(("beam_model",)), field="beam_model") from error

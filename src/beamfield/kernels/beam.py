@@ -5,7 +5,8 @@ plain Python and gives the same numbers.
 
 Notation: ``z`` is the measured range, ``z_star`` the expected one, both in metres. A range in [0, max_range) has a
 density; max_range itself ("no return") has the point mass of (6.10) and nothing else. Other ranges (NaN, negative) are
-no measurements; so is any range whose expected range is NaN.
+no measurements; so is any range whose expected range is NaN. Of a sensor that measures nothing below some min_range,
+both ranges and max_range are counted from there; only the noise of a hit grows with the whole expected range.
 """
 
 from __future__ import annotations
@@ -52,7 +53,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
 class BeamView(NamedTuple):
-    """What the kernels need to know: the intrinsic parameters (6.3.2) and the sensor's limit."""
+    """What the kernels need to know: the intrinsic parameters (6.3.2) and the sensor's limits.
+
+    All ranges, `max_range` too, are counted from `min_range`.
+    """
 
     z_hit: float
     z_short: float
@@ -63,6 +67,7 @@ class BeamView(NamedTuple):
     range_offset: float
     sigma_slope: float
     max_range: float
+    min_range: float = 0.0
 
 
 # --- one beam ---------------------------------------------------------------------------------------------------------
@@ -98,7 +103,7 @@ def hit_sigma(z_star: float, view: BeamView) -> float:
     """Return the standard deviation of a hit; it may grow with the expected range."""
     if view.sigma_slope == 0.0:
         return view.sigma_hit
-    return math.hypot(view.sigma_hit, view.sigma_slope * z_star)
+    return math.hypot(view.sigma_hit, view.sigma_slope * (view.min_range + z_star))
 
 
 @kernel
@@ -345,7 +350,7 @@ def limit_factor(view: BeamView) -> float:
 @inlined_kernel
 def quick_hit(z: float, z_star: float, at_limit: float, view: BeamView) -> float:
     """Return p_hit for 0 <= z < max_range; negative or NaN where it needs `hit_density`."""
-    slope = view.sigma_slope * z_star
+    slope = view.sigma_slope * (view.min_range + z_star)
     scale = 1.0 / math.sqrt(view.sigma_hit * view.sigma_hit + slope * slope)
     mean = z_star + view.range_offset
     rest = view.max_range - mean

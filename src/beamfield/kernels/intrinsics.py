@@ -6,7 +6,8 @@ whatever the truncation; and the M-steps see the responsibilities through their 
 sum_i e_i F(z*_i) to rounding for every such F: exact one-dimensional M-steps without a second pass over beams.
 
 Symbols: z measured range, zs expected range z*, r = z - z*, b range offset, v = sigma^2 + q z*^2 variance of a hit with
-q = sigma_slope^2, C the mass of a hit inside [0, z_max], x = lambda z*.
+q = sigma_slope^2, C the mass of a hit inside [0, z_max], x = lambda z*. Of a sensor that measures nothing below some
+min_range, z, z* and z_max are counted from there, the `origin`; the variance is then v + q (origin + z*)^2.
 """
 
 from __future__ import annotations
@@ -62,7 +63,10 @@ class Beams(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """The model's parameters; variance of a hit v + q z*^2, range offset b, rate lambda of shorts."""
+    """The model's parameters; variance of a hit v + q (origin + z*)^2, range offset b, rate lambda of shorts.
+
+    Ranges, `max_range` too, are counted from `origin`.
+    """
 
     max_range: float
     w_hit: float
@@ -72,6 +76,7 @@ class Mixture(NamedTuple):
     q: float
     b: float
     rate: float
+    origin: float = 0.0
 
 
 class Bins(NamedTuple):
@@ -108,18 +113,20 @@ def cut_into_bins(expected: FloatArray, mixture: Mixture, bins: Bins) -> int:
     narrow enough. If `bins` is too short for all of them, the number tells how long it must be.
     """
     max_range, v, q, b, rate = mixture.max_range, mixture.v, mixture.q, mixture.b, mixture.rate
+    farthest = mixture.origin + max_range
     n = expected.size
     n_bins = 0
     i = 0
     while i < n:
         low = expected[i]
-        s = math.sqrt(v + q * low * low)
+        distance = mixture.origin + low
+        s = math.sqrt(v + q * distance * distance)
         width = 0.05 * max_range
         if rate > 0.0 and rate * low < 40.0:
             width = min(width, 0.5 / rate)
         if q > 0.0:
-            width = min(width, 0.08 * math.sqrt(low * low + v / q))
-        upper = max_range - b - EDGE_SIGMAS * math.sqrt(v + q * max_range * max_range)
+            width = min(width, 0.08 * math.sqrt(distance * distance + v / q))
+        upper = max_range - b - EDGE_SIGMAS * math.sqrt(v + q * farthest * farthest)
         is_edge = low + b < EDGE_SIGMAS * s or low >= upper
         if is_edge:
             width = min(width, s / 6.0)
@@ -215,8 +222,9 @@ def score_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: int
 
 @kernel
 def hit_objective(
-    nodes: FloatArray, weights: FloatArray, max_range: float, v: float, q: float, b: float, out: FloatArray
-) -> None:
+    nodes: FloatArray, weights: FloatArray, max_range: float, origin: float, v: float, q: float, b: float,
+    out: FloatArray,
+) -> None:  # fmt: skip
     """Expected log-likelihood of the hits, from the nodes' weights of e_hit, e_hit r and e_hit r^2, shape (3, m).
 
     ``out`` = value, d/d(v, q, b), and the second derivatives vv qv qq bv bq bb.
@@ -224,7 +232,7 @@ def hit_objective(
     out[:] = 0.0
     for k in range(nodes.size):
         w = weights[0, k]
-        z2 = nodes[k] * nodes[k]
+        z2 = (origin + nodes[k]) * (origin + nodes[k])
         var = v + q * z2
         s = math.sqrt(var)
         mean = nodes[k] + b
@@ -360,7 +368,8 @@ def _normalisers(bins: Bins, j: int, mixture: Mixture, out: FloatArray) -> None:
     out[:] = 0.0
     for k in range(TERMS):
         expected = bins.centres[j] + bins.half_widths[j] * NODES[k]
-        s = math.sqrt(mixture.v + mixture.q * expected * expected)
+        distance = mixture.origin + expected
+        s = math.sqrt(mixture.v + mixture.q * distance * distance)
         log_peak = -math.log(s) - _HALF_LOG_2PI
         if bins.edge[j]:
             log_peak -= _log_mass(-(expected + mixture.b) / s, (mixture.max_range - expected - mixture.b) / s)
@@ -388,7 +397,8 @@ def _slopes(bins: Bins, j: int, mixture: Mixture, out: FloatArray) -> None:
             out[5, m] += mean_share * _POWERS[k, m]
             out[6, m] += mean_share_slope * _POWERS[k, m]
         if bins.edge[j]:
-            s = math.sqrt(mixture.v + mixture.q * expected * expected)
+            distance = mixture.origin + expected
+            s = math.sqrt(mixture.v + mixture.q * distance * distance)
             _, l_m, l_v, l_mm, l_vm, l_vv = _log_cut_mass(expected + mixture.b, s, mixture.max_range)
             for m in range(TERMS):
                 out[0, m] += l_m * _POWERS[k, m]
@@ -638,9 +648,9 @@ def _first_moments_of_hit(n: int, r: FloatArray, e: FloatArray, out: FloatArray)
 
 @fast_kernel
 def _derivative_sums(
-    n: int, w_hit: float, w_short: float, w_rand: float, z: FloatArray, zs: FloatArray, b: float, count: FloatArray,
-    t: FloatArray, r: FloatArray, hit: FloatArray, short: FloatArray, rand: FloatArray, inverse_variance: FloatArray,
-    slopes: FloatArray, scores: FloatArray, out: FloatArray,
+    n: int, w_hit: float, w_short: float, w_rand: float, z: FloatArray, zs: FloatArray, origin: float, b: float,
+    count: FloatArray, t: FloatArray, r: FloatArray, hit: FloatArray, short: FloatArray, rand: FloatArray,
+    inverse_variance: FloatArray, slopes: FloatArray, scores: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     # Scores per beam, and the part of the Hessian that is not their outer product; see (6.24) with c summed out.
     g_hit, g_short, g_rand, g_v, g_q, g_b, g_lam = (
@@ -659,7 +669,7 @@ def _derivative_sums(
         u_rand = rand[i] / p
         x = t[i]
         d = r[i] - b
-        z2 = zs[i] * zs[i]
+        z2 = (origin + zs[i]) * (origin + zs[i])
         inverse = _polynomial(inverse_variance, x)
         scaled = d * d * inverse
         a_v = 0.5 * inverse * (scaled - 1.0) - _polynomial(slopes[1], x)
@@ -668,7 +678,7 @@ def _derivative_sums(
         a_vb = -d * inverse * inverse - _polynomial(slopes[3], x)
         a_bb = -inverse - _polynomial(slopes[2], x)
         a_l = zs[i] * _polynomial(slopes[5], x) - z[i]
-        a_ll = z2 * _polynomial(slopes[6], x)
+        a_ll = zs[i] * zs[i] * _polynomial(slopes[6], x)
         e_hit = w_hit * u_hit
         e_short = w_short * u_short
         g_hit[i] = u_hit
@@ -716,8 +726,8 @@ def _derivatives(
 ) -> None:  # fmt: skip
     z, expected = beams.ranges[start : start + n], beams.expected[start : start + n]
     _derivative_sums(
-        n, mixture.w_hit, mixture.w_short, mixture.w_rand, z, expected, mixture.b, scratch.repeats, scratch.t,
-        scratch.r, scratch.hit, scratch.short, scratch.rand, polynomials[1], slopes, scores, out,
+        n, mixture.w_hit, mixture.w_short, mixture.w_rand, z, expected, mixture.origin, mixture.b, scratch.repeats,
+        scratch.t, scratch.r, scratch.hit, scratch.short, scratch.rand, polynomials[1], slopes, scores, out,
     )  # fmt: skip
     out[0] += _shift_sum(n, scratch.repeats, scratch.shift)
 

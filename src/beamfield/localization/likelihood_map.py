@@ -361,7 +361,9 @@ def _beam_tables(model: BeamModel, scan: Scan) -> tuple[NDArray[np.float32], flo
     n = int(np.clip(limit / (model.parameters.sigma_hit / NODES_PER_SIGMA), 2, MAX_NODES))
     nodes = np.linspace(0.0, limit, n + 1)
     ranges = usable_ranges(scan.ranges, scan.finder)
-    values = beam_log_density(ranges[:, None], nodes, limit, model.parameters, threads=model.threads)
+    values = beam_log_density(
+        ranges[:, None], nodes, limit, model.parameters, min_range=scan.finder.min_range, threads=model.threads
+    )
     # Differences of infinities would be NaN.
     return np.maximum(values, LEAST).astype(np.float32), limit / n
 

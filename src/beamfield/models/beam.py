@@ -72,8 +72,9 @@ class BeamModel(RangeMixtureModel):
     Notes
     -----
     Readings follow `Scan`: NaN, and ranges below the sensor's min_range, contribute 0; ranges from max_range on are "no
-    return" and have the probability z_max. A pose inside an obstacle has z* = 0 for all beams, a ray that meets none
-    has z* = max_range; both have finite values. See `beam_log_density` for what the chapter leaves open.
+    return" and have the probability z_max. The density is that of readings from min_range on, and the weights are
+    shares of these. A pose inside an obstacle has z* = 0 for all beams, a ray that meets none has z* = max_range; both
+    have finite values. See `beam_log_density` for what the chapter leaves open.
 
     Instances are immutable, can be pickled and may be used from several threads.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -22,6 +22,7 @@ from beamfield.kernels.beam import (
 )
 from beamfield.kernels.threads import run_in_slices
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.blind_zone import check_limits, counted_from, expected_from
 
 CAUSES = ("hit", "short", "max", "rand")
 """The four causes of a reading (6.3.1), in the order of every axis of length 4."""
@@ -35,25 +36,29 @@ def beam_log_density(
     max_range: float,
     parameters: BeamParameters,
     *,
+    min_range: float = 0.0,
     threads: int | None = None,
 ) -> FloatArray:
     """Return the logarithm of the mixture (6.12) for each beam.
 
-    For a range z in [0, max_range) it is the logarithm of a density,
-    z_hit p_hit(z) + z_short p_short(z) + z_rand / max_range; for z >= max_range ("no return") that of the probability
-    z_max. The density integrates to 1 - z_max over [0, max_range).
+    For a range z in [min_range, max_range) it is the logarithm of a density,
+    z_hit p_hit(z) + z_short p_short(z) + z_rand / (max_range - min_range); for z >= max_range ("no return") that of the
+    probability z_max. The density integrates to 1 - z_max over [min_range, max_range).
 
     Parameters
     ----------
     ranges
-        Measured ranges in metres; NaN and negative values are no measurements.
+        Measured ranges in metres; NaN and values below `min_range` are no measurements.
     expected_ranges
         Expected ranges z* in metres, broadcast against `ranges`; values above `max_range` count as `max_range` (the ray
-        hits nothing), NaN as not known.
+        hits nothing), values below `min_range` as `min_range`, NaN as not known.
     max_range
         The sensor's limit in metres.
     parameters
         Weights and shapes of the four densities.
+    min_range
+        Nearer readings are dropped, metres: each density is cut to [min_range, max_range], and the weights are shares
+        of the readings that are left. 0: all readings are seen.
     threads
         Number of threads; None uses every processor. It changes no bit of the result.
 
@@ -65,7 +70,7 @@ def beam_log_density(
     Raises
     ------
     InvalidInputError
-        If the shapes do not broadcast, an expected range is negative or max_range is not positive and finite.
+        If the shapes do not broadcast, an expected range is negative, or the limits are not 0 <= min_range < max_range.
 
     Notes
     -----
@@ -77,6 +82,8 @@ def beam_log_density(
       than a micrometre, so that the model is a finite density for every z*, a pose inside a wall (z* = 0) included.
     - If the ray hits nothing, z* = max_range: p_hit is then the lower half of a normal distribution.
     - With `range_offset` b and `sigma_slope` s, p_hit is N(z; z* + b, sigma_hit^2 + (s z*)^2) cut to [0, max_range].
+    - The chapter's sensor has no `min_range`. With one, densities are cut there as well: p_short has the support
+      [min_range, z*], with the same shape there, as exponentials have no memory.
 
     References
     ----------
@@ -89,7 +96,7 @@ def beam_log_density(
     >>> beam_log_density([3.0, 1.0, 8.0, float("nan")], 3.0, 8.0, parameters).round(3).tolist()
     [1.037, -2.965, -2.303, 0.0]
     """
-    return _fill(fill_log_density, ranges, expected_ranges, max_range, parameters, threads, ())
+    return _fill(fill_log_density, ranges, expected_ranges, max_range, parameters, min_range, threads, ())
 
 
 def beam_responsibilities(
@@ -98,6 +105,7 @@ def beam_responsibilities(
     max_range: float,
     parameters: BeamParameters,
     *,
+    min_range: float = 0.0,
     threads: int | None = None,
 ) -> FloatArray:
     """Return the posterior probability of each cause of each reading.
@@ -106,7 +114,7 @@ def beam_responsibilities(
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, threads
+    ranges, expected_ranges, max_range, parameters, min_range, threads
         As for `beam_log_density`.
 
     Returns
@@ -114,7 +122,7 @@ def beam_responsibilities(
     (..., 4) hit, short, max, rand; they sum to 1, or are all 0 where there is no measurement or the range is
     impossible.
     """
-    return _fill(fill_responsibilities, ranges, expected_ranges, max_range, parameters, threads, (4,))
+    return _fill(fill_responsibilities, ranges, expected_ranges, max_range, parameters, min_range, threads, (4,))
 
 
 def beam_components(
@@ -123,6 +131,7 @@ def beam_components(
     max_range: float,
     parameters: BeamParameters,
     *,
+    min_range: float = 0.0,
     threads: int | None = None,
 ) -> FloatArray:
     """Return p_hit, p_short, p_max and p_rand one by one, without their weights: Figure 6.3.
@@ -131,7 +140,7 @@ def beam_components(
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, threads
+    ranges, expected_ranges, max_range, parameters, min_range, threads
         As for `beam_log_density`.
 
     Returns
@@ -139,7 +148,7 @@ def beam_components(
     (..., 4): densities in 1/metre, but p_max, which is a probability: 1 for z >= max_range, where the densities are 0.
     All 0 where there is no measurement.
     """
-    return _fill(fill_components, ranges, expected_ranges, max_range, parameters, threads, (4,))
+    return _fill(fill_components, ranges, expected_ranges, max_range, parameters, min_range, threads, (4,))
 
 
 def beam_cdf(
@@ -148,20 +157,21 @@ def beam_cdf(
     max_range: float,
     parameters: BeamParameters,
     *,
+    min_range: float = 0.0,
     threads: int | None = None,
 ) -> FloatArray:
-    """Return P(reading <= z | z*): continuous below max_range, with a step of height z_max to 1 there.
+    """Return P(reading <= z | z*): 0 at min_range, continuous below max_range, with a step of height z_max to 1 there.
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, threads
+    ranges, expected_ranges, max_range, parameters, min_range, threads
         As for `beam_log_density`.
 
     Returns
     -------
     Probabilities of the broadcast shape; NaN where there is no measurement.
     """
-    return _fill(fill_cdf, ranges, expected_ranges, max_range, parameters, threads, ())
+    return _fill(fill_cdf, ranges, expected_ranges, max_range, parameters, min_range, threads, ())
 
 
 def beam_pit(
@@ -171,6 +181,7 @@ def beam_pit(
     parameters: BeamParameters,
     rng: np.random.Generator,
     *,
+    min_range: float = 0.0,
     threads: int | None = None,
 ) -> FloatArray:
     """Return the randomised probability integral transform: uniform on [0, 1] if the model is right.
@@ -179,7 +190,7 @@ def beam_pit(
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, threads
+    ranges, expected_ranges, max_range, parameters, min_range, threads
         As for `beam_log_density`.
     rng
         Spreads the readings at max_range.
@@ -188,18 +199,16 @@ def beam_pit(
     -------
     Values in [0, 1] of the broadcast shape; NaN where there is no measurement.
     """
-    pit = beam_cdf(ranges, expected_ranges, max_range, parameters, threads=threads)
+    pit = beam_cdf(ranges, expected_ranges, max_range, parameters, min_range=min_range, threads=threads)
     no_return = np.broadcast_to(np.asarray(ranges, dtype=np.float64) >= max_range, pit.shape) & ~np.isnan(pit)
     # np.asarray: a single beam comes as a 0-d array, which a mask indexes as well.
     pit[no_return] = 1.0 - parameters.z_max * rng.random(int(no_return.sum()))
     return pit
 
 
-def as_view(parameters: BeamParameters, max_range: float) -> BeamView:
-    """Return the form in which kernels take the parameters and the sensor's limit."""
-    limit = float(max_range)
-    if not 0.0 < limit < np.inf:
-        raise InvalidInputError(f"max_range: expected a positive, finite number of metres, got {max_range}")
+def as_view(parameters: BeamParameters, max_range: float, min_range: float = 0.0) -> BeamView:
+    """Return the form in which kernels take the parameters and the sensor's limits: ranges counted from min_range."""
+    check_limits(max_range, min_range)
     return BeamView(
         parameters.z_hit,
         parameters.z_short,
@@ -209,7 +218,8 @@ def as_view(parameters: BeamParameters, max_range: float) -> BeamView:
         parameters.lambda_short,
         parameters.range_offset,
         parameters.sigma_slope,
-        limit,
+        float(max_range) - float(min_range),
+        float(min_range),
     )
 
 
@@ -242,14 +252,15 @@ def _fill(
     expected_ranges: ArrayLike,
     max_range: float,
     parameters: BeamParameters,
+    min_range: float,
     threads: int | None,
     per_beam: tuple[int, ...],
 ) -> FloatArray:
     """Run a kernel over all beams; `per_beam` is the shape of its result for one."""
-    view = as_view(parameters, max_range)
+    view = as_view(parameters, max_range, min_range)
     measured, expected = broadcast_beams(ranges, expected_ranges)
-    flat_measured: NDArray[np.float64] = np.ascontiguousarray(measured).reshape(-1)
-    flat_expected: NDArray[np.float64] = np.ascontiguousarray(expected).reshape(-1)
+    flat_measured = counted_from(min_range, np.ascontiguousarray(measured).reshape(-1))
+    flat_expected = expected_from(min_range, np.ascontiguousarray(expected).reshape(-1))
     out: FloatArray = np.empty((flat_measured.size, *per_beam))
     run_in_slices(
         lambda a, b: fill(flat_measured[a:b], flat_expected[a:b], view, out[a:b]), flat_measured.size, threads=threads

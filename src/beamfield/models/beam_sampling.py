@@ -8,16 +8,22 @@ from scipy.special import log_ndtr, ndtri_exp
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.kernels.beam import SHORTEST_SUPPORT
+from beamfield.kernels.beam import SHORTEST_SUPPORT, BeamView
 from beamfield.models.beam_density import as_expected_ranges, as_view
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.blind_zone import expected_from
 
 # Draws of one go: keeps the temporary arrays in the cache and memory small.
 CHUNK = 1 << 16
 
 
 def sample_beams(
-    expected_ranges: ArrayLike, max_range: float, parameters: BeamParameters, rng: np.random.Generator
+    expected_ranges: ArrayLike,
+    max_range: float,
+    parameters: BeamParameters,
+    rng: np.random.Generator,
+    *,
+    min_range: float = 0.0,
 ) -> FloatArray:
     """Draw one reading per beam from the mixture (6.12).
 
@@ -34,29 +40,31 @@ def sample_beams(
         Weights and shapes of the four densities.
     rng
         Source of randomness; the same state gives the same readings.
+    min_range
+        Nearer readings are not seen, metres; see `beam_log_density`.
 
     Returns
     -------
-    Metres, of the same shape: in [0, max_range), or exactly max_range for "no return".
+    Metres, of the same shape: in [min_range, max_range), or exactly max_range for "no return".
 
     Raises
     ------
     InvalidInputError
-        If an expected range is negative or max_range is not positive and finite.
+        If an expected range is negative or the limits are not 0 <= min_range < max_range.
 
     References
     ----------
     Probabilistic Robotics, section 6.3.1: the generative reading of (6.12).
     """
-    limit = as_view(parameters, max_range).max_range
-    expected = np.minimum(as_expected_ranges(expected_ranges), limit)
+    view = as_view(parameters, max_range, min_range)
+    expected = np.minimum(expected_from(min_range, as_expected_ranges(expected_ranges)), view.max_range)
     flat = expected.reshape(-1)
     out: FloatArray = np.empty(flat.size)
     for start in range(0, flat.size, CHUNK):
         part = slice(start, min(start + CHUNK, flat.size))
         n = part.stop - part.start
-        out[part] = _invert(rng.random(n), rng.random(n), flat[part], limit, parameters)
-    return out.reshape(expected.shape)
+        out[part] = _invert(rng.random(n), rng.random(n), flat[part], view)
+    return _counted_from_zero(out, view, max_range).reshape(expected.shape)
 
 
 def beams_from_uniforms(
@@ -65,6 +73,8 @@ def beams_from_uniforms(
     expected_ranges: ArrayLike,
     max_range: float,
     parameters: BeamParameters,
+    *,
+    min_range: float = 0.0,
 ) -> FloatArray:
     """Return the reading that two numbers in [0, 1) stand for, per beam: what `sample_beams` does with its draws.
 
@@ -75,37 +85,44 @@ def beams_from_uniforms(
     ----------
     cause_uniforms, range_uniforms
         Numbers in [0, 1) that choose the cause, and the range given the cause; of one shape with the expected ranges.
-    expected_ranges, max_range, parameters
+    expected_ranges, max_range, parameters, min_range
         As for `sample_beams`.
     """
-    limit = as_view(parameters, max_range).max_range
-    expected = np.minimum(as_expected_ranges(expected_ranges), limit)
+    view = as_view(parameters, max_range, min_range)
+    expected = np.minimum(expected_from(min_range, as_expected_ranges(expected_ranges)), view.max_range)
     u, v = np.asarray(cause_uniforms, dtype=np.float64), np.asarray(range_uniforms, dtype=np.float64)
     if not u.shape == v.shape == expected.shape:
         raise InvalidInputError(f"uniforms: expected shape {expected.shape}, got {u.shape} and {v.shape}")
-    return _invert(u.ravel(), v.ravel(), expected.ravel(), limit, parameters).reshape(expected.shape)
+    drawn = _invert(u.ravel(), v.ravel(), expected.ravel(), view)
+    return _counted_from_zero(drawn, view, max_range).reshape(expected.shape)
 
 
-def _invert(
-    u: FloatArray, v: FloatArray, z_star: FloatArray, max_range: float, parameters: BeamParameters
-) -> FloatArray:
-    cause = np.searchsorted(np.cumsum(parameters.weights)[:3], u, side="right")
+def _counted_from_zero(ranges: FloatArray, view: BeamView, max_range: float) -> FloatArray:
+    """Return drawn ranges, which are counted from min_range, as the sensor would say them."""
+    if view.min_range == 0.0:
+        return ranges
+    farthest = np.nextafter(float(max_range), 0.0)
+    return np.where(ranges >= view.max_range, float(max_range), np.minimum(view.min_range + ranges, farthest))
+
+
+def _invert(u: FloatArray, v: FloatArray, z_star: FloatArray, view: BeamView) -> FloatArray:
+    cause = np.searchsorted(np.cumsum([view.z_hit, view.z_short, view.z_max]), u, side="right")
     hit, short = cause == 0, cause == 1
-    z = v * max_range
-    z[hit] = _hit_quantile(v[hit], z_star[hit], max_range, parameters)
-    z[short] = _short_quantile(v[short], z_star[short], parameters.lambda_short)
+    z = v * view.max_range
+    z[hit] = _hit_quantile(v[hit], z_star[hit], view)
+    z[short] = _short_quantile(v[short], z_star[short], view.lambda_short)
     # A rounding must not turn a range into "no return", which has its own probability.
-    z = np.clip(z, 0.0, np.nextafter(max_range, 0.0))
-    z[cause == 2] = max_range
+    z = np.clip(z, 0.0, np.nextafter(view.max_range, 0.0))
+    z[cause == 2] = view.max_range
     z[np.isnan(z_star)] = np.nan
     return z
 
 
-def _hit_quantile(v: FloatArray, z_star: FloatArray, max_range: float, parameters: BeamParameters) -> FloatArray:
+def _hit_quantile(v: FloatArray, z_star: FloatArray, view: BeamView) -> FloatArray:
     """Invert the distribution function of (6.4), in log space so that any tail works."""
-    mean = z_star + parameters.range_offset
-    sigma = np.hypot(parameters.sigma_hit, parameters.sigma_slope * z_star)
-    low, high = -mean / sigma, (max_range - mean) / sigma
+    mean = z_star + view.range_offset
+    sigma = np.hypot(view.sigma_hit, view.sigma_slope * (view.min_range + z_star))
+    low, high = -mean / sigma, (view.max_range - mean) / sigma
     # Mirror where needed so that most of the interval lies above the mean, where log P(t > x) is exact.
     mirror = low + high < 0.0
     near, far = np.where(mirror, -high, low), np.where(mirror, -low, high)

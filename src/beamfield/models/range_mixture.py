@@ -15,6 +15,7 @@ from beamfield.kernels.threads import run_in_slices
 from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
+from beamfield.models.blind_zone import counted_from, expected_from
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
 
 # Rays in memory at a time: 8 MB of expected ranges, whatever the number of poses.
@@ -110,7 +111,12 @@ class RangeMixtureModel(ABC):
         ranges = usable_ranges(chosen.ranges, z.finder)
         expected = self.expected(robot, chosen.finder)
         result[..., beams] = self.exponent * beam_log_density(
-            ranges, expected, z.finder.max_range, self.parameters, threads=self.threads
+            ranges,
+            expected,
+            z.finder.max_range,
+            self.parameters,
+            min_range=z.finder.min_range,
+            threads=self.threads,
         )
         return result
 
@@ -135,7 +141,14 @@ class RangeMixtureModel(ABC):
         """
         expected = self.expected(poses, z.finder)
         ranges = usable_ranges(z.ranges, z.finder)
-        return beam_responsibilities(ranges, expected, z.finder.max_range, self.parameters, threads=self.threads)
+        return beam_responsibilities(
+            ranges,
+            expected,
+            z.finder.max_range,
+            self.parameters,
+            min_range=z.finder.min_range,
+            threads=self.threads,
+        )
 
     def expected(self, poses: ArrayLike, finder: RangeFinder | None = None) -> FloatArray:
         """Return the expected ranges z* in metres, (..., k), of a sensor at robot poses (..., 3).
@@ -163,9 +176,8 @@ class RangeMixtureModel(ABC):
 
         Returns
         -------
-        n scans; readings without return are exactly max_range. Exponent and n_beams do not matter here: the scans are
-        drawn from the density itself, with all beams. Draws below the sensor's min_range stay as they are; by the
-        conventions of `Scan` they are too close to count.
+        n scans; readings without return are exactly max_range, none is below the sensor's min_range. Exponent and
+        n_beams do not matter here: the scans are drawn from the density itself, with all beams.
 
         Raises
         ------
@@ -174,7 +186,7 @@ class RangeMixtureModel(ABC):
         """
         sensor = self._finder(finder)
         expected = self.expected(as_poses(poses).reshape(-1, 3), sensor)
-        ranges = sample_beams(expected, sensor.max_range, self.parameters, rng)
+        ranges = sample_beams(expected, sensor.max_range, self.parameters, rng, min_range=sensor.min_range)
         return [Scan(row, sensor) for row in ranges]
 
     def _finder(self, finder: RangeFinder | None) -> RangeFinder:
@@ -192,8 +204,10 @@ class RangeMixtureModel(ABC):
 
     def _fill(self, scan: Scan, expected: FloatArray, out: FloatArray) -> None:
         """Fill out (n,) with the sum over beams, given the expected ranges (n, k)."""
-        ranges = usable_ranges(scan.ranges, scan.finder)
-        view = as_view(self.parameters, scan.finder.max_range)
+        finder = scan.finder
+        view = as_view(self.parameters, finder.max_range, finder.min_range)
+        ranges = counted_from(finder.min_range, usable_ranges(scan.ranges, finder))
+        expected = expected_from(finder.min_range, expected)
         run_in_slices(
             lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]),
             len(out),

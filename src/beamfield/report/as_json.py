@@ -39,6 +39,7 @@ def calibration_as_dict(calibration: Calibration) -> dict[str, Any]:
         "converged": bool(calibration.converged),
         "parameters": _parameters(calibration),
         "max_range": float(calibration.table.max_range),
+        "min_range": float(calibration.table.min_range),
         "intervals": plain(_without(calibration.intervals, "samples", "replicates")),
         "learning": plain(calibration.learning),
         "candidates": [_candidate(candidate) for candidate in calibration.candidates],

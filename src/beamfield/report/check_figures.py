@@ -86,7 +86,8 @@ def noise_points(calibration: Calibration) -> FloatArray:
     table, parameters = calibration.table, calibration.parameters
     rows = thinned(np.flatnonzero(~table.hits_nothing & (table.ranges < table.max_range)), MOST_BEAMS)
     expected = table.expected_ranges[rows]
-    hit = beam_responsibilities(table.ranges[rows], expected, table.max_range, parameters)[:, 0]
+    causes = beam_responsibilities(table.ranges[rows], expected, table.max_range, parameters, min_range=table.min_range)
+    hit = causes[:, 0]
     residual = table.ranges[rows] - expected
     blocks = time_blocks(table.stamps, calibration.options.block_s)[rows]
     return _by_expected_range(expected, residual, hit, blocks, parameters.range_offset)

@@ -135,8 +135,9 @@ def draw_histogram(figure: Figure | SubFigure, calibration: Calibration, group: 
     chosen = thinned(group.rows, MOST_AVERAGED)
     expected = table.expected_ranges[chosen]
     step = range_step(ranges[ranges < table.max_range])
+    limits = table.min_range, table.max_range
     near, far = figure.subplots(2, 1)
-    _draw_near(near, ranges, expected, parameters, table.max_range, step)
+    _draw_near(near, ranges, expected, parameters, limits, step)
     style(
         near,
         title=f"z* = {group.centre - group.half_width:.4g} to {group.centre + group.half_width:.4g} m: "
@@ -145,20 +146,26 @@ def draw_histogram(figure: Figure | SubFigure, calibration: Calibration, group: 
         y="density [1/m]",
         grid="y",
     )
-    _draw_far(far, ranges, expected, parameters, table.max_range, step)
+    _draw_far(far, ranges, expected, parameters, limits, step)
     style(far, x="measured range z, all up to the limit [m]", y="density, log scale [1/m]", grid="y")
 
 
 def _draw_near(
-    axes: Axes, ranges: FloatArray, expected: FloatArray, parameters: BeamParameters, max_range: float, step: float
+    axes: Axes,
+    ranges: FloatArray,
+    expected: FloatArray,
+    parameters: BeamParameters,
+    limits: tuple[float, float],
+    step: float,
 ) -> None:
-    low, high = _near_limits(ranges, expected, parameters, max_range)
+    max_range = limits[1]
+    low, high = _near_limits(ranges, expected, parameters, limits)
     edges = _bin_edges(low, high, (high - low) / 60, step)
     counts, _ = np.histogram(ranges[ranges < max_range], edges)
     width = edges[1] - edges[0]
     axes.stairs(counts / (len(ranges) * width), edges, fill=True, color=DATA, label="measured")
     z = np.linspace(edges[0], edges[-1], 241)
-    slope = averaged_cdf(z, expected, parameters, max_range)
+    slope = averaged_cdf(z, expected, parameters, limits[1], min_range=limits[0])
     axes.plot((z[1:] + z[:-1]) / 2, np.diff(slope) / np.diff(z), color=MODEL, linewidth=1.4, label="fitted model")
     span = float(expected.min()), float(expected.max())
     axes.axvspan(*span, ymax=0.035, color="#E69F00", linewidth=0, label="z* of these beams", zorder=3)
@@ -168,8 +175,14 @@ def _draw_near(
 
 
 def _draw_far(
-    axes: Axes, ranges: FloatArray, expected: FloatArray, parameters: BeamParameters, max_range: float, step: float
+    axes: Axes,
+    ranges: FloatArray,
+    expected: FloatArray,
+    parameters: BeamParameters,
+    limits: tuple[float, float],
+    step: float,
 ) -> None:
+    max_range = limits[1]
     below = ranges[ranges < max_range]
     end = _shown_end(below, float(expected.max()), max_range)
     edges = _bin_edges(0.0, end, end / 110, step)
@@ -179,7 +192,7 @@ def _draw_far(
     # Nothing below the density of a third of a reading can be seen in the data.
     floor = 0.3 / (len(ranges) * widths[0])
     measured = counts / (len(ranges) * widths)
-    model = np.diff(averaged_cdf(edges, expected, parameters, max_range)) / widths
+    model = np.diff(averaged_cdf(edges, expected, parameters, limits[1], min_range=limits[0])) / widths
     axes.stairs(np.maximum(measured, floor), edges, baseline=floor, fill=True, color=DATA)
     axes.stairs(np.maximum(model, floor), edges, baseline=None, color=MODEL, linewidth=1.2)
     share = float((ranges >= max_range).mean())
@@ -233,15 +246,17 @@ def _mark_limit(axes: Axes, end: float, max_range: float, place: float, *, verti
         )
 
 
-def averaged_cdf(z: FloatArray, expected: FloatArray, parameters: BeamParameters, max_range: float) -> FloatArray:
+def averaged_cdf(
+    z: FloatArray, expected: FloatArray, parameters: BeamParameters, max_range: float, *, min_range: float = 0.0
+) -> FloatArray:
     """P(reading < z) averaged over the expected ranges, (n,); at max_range the mass there is left out."""
-    below = np.minimum(z, np.nextafter(max_range, 0.0))
-    cdf = beam_cdf(np.maximum(below, 0.0)[:, None], expected[None, :], max_range, parameters).mean(axis=1)
-    return np.asarray(np.where(z > 0.0, cdf, 0.0))
+    inside = np.clip(z, min_range, np.nextafter(max_range, 0.0))
+    cdf = beam_cdf(inside[:, None], expected[None, :], max_range, parameters, min_range=min_range).mean(axis=1)
+    return np.asarray(np.where(z > min_range, cdf, 0.0))
 
 
 def _near_limits(
-    ranges: FloatArray, expected: FloatArray, parameters: BeamParameters, max_range: float
+    ranges: FloatArray, expected: FloatArray, parameters: BeamParameters, limits: tuple[float, float]
 ) -> tuple[float, float]:
     """Range of z that shows the hits: the model's, or the data's where they lie elsewhere."""
     centre = float(np.median(expected)) + parameters.range_offset
@@ -250,7 +265,7 @@ def _near_limits(
     low, high = centre - 4.5 * spread, centre + 4.5 * spread
     if len(close):
         low, high = min(low, float(np.quantile(close, 0.02))), max(high, float(np.quantile(close, 0.98)))
-    return max(low, 0.0), min(high, max_range)
+    return max(low, limits[0]), min(high, limits[1])
 
 
 def _bin_edges(low: float, high: float, width: float, step: float) -> FloatArray:

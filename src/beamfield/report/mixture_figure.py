@@ -28,13 +28,14 @@ from beamfield.report.range_bins import telling_bin, typical_bins
 def mixture(calibration: Calibration) -> ReportFigure:
     """The four components and their mixture at one expected range: Figures 6.3 and 6.4."""
     group = telling_bin(typical_bins(calibration.table))
-    max_range, parameters = calibration.table.max_range, calibration.parameters
+    parameters = calibration.parameters
+    limits = calibration.table.min_range, calibration.table.max_range
     return ReportFigure(
         "mixture",
         f"The four causes and their mixture, for an expected range of {group.centre:g} m",
         (
-            _components_panel(group.centre, parameters, max_range),
-            _mixture_panel(group.centre, parameters, max_range),
+            _components_panel(group.centre, parameters, *limits),
+            _mixture_panel(group.centre, parameters, *limits),
         ),
         "First, each cause alone, over the ranges where it matters (dashed: z*); the densities integrate to 1. Then "
         "the same multiplied by their fitted weights, on a logarithmic scale, and in grey their sum, the model's "
@@ -43,9 +44,9 @@ def mixture(calibration: Calibration) -> ReportFigure:
     )
 
 
-def _components_panel(group_range: float, parameters: BeamParameters, max_range: float) -> Panel:
+def _components_panel(group_range: float, parameters: BeamParameters, min_range: float, max_range: float) -> Panel:
     figure = new_figure(NARROW, 4.2)
-    draw_components(figure, group_range, parameters, max_range)
+    draw_components(figure, group_range, parameters, max_range, min_range=min_range)
     alt = (
         f"Four small plots for an expected range of {group_range:g} m: the peak of a hit, the decay of unexpected "
         f"objects up to the expected range, the point mass at {max_range:g} m, the flat density of random readings."
@@ -54,7 +55,12 @@ def _components_panel(group_range: float, parameters: BeamParameters, max_range:
 
 
 def draw_components(
-    figure: Figure | SubFigure, group_range: float, parameters: BeamParameters, max_range: float
+    figure: Figure | SubFigure,
+    group_range: float,
+    parameters: BeamParameters,
+    max_range: float,
+    *,
+    min_range: float = 0.0,
 ) -> None:
     """Draw Figure 6.3: each density alone, over the ranges where it is not 0.
 
@@ -64,13 +70,13 @@ def draw_components(
         An empty figure.
     group_range
         Expected range z*, metres.
-    parameters, max_range
-        The model, and the sensor's limit in metres.
+    parameters, max_range, min_range
+        The model, and the sensor's limits in metres.
     """
     spread = 6 * float(np.hypot(parameters.sigma_hit, parameters.sigma_slope * group_range))
     centre = group_range + parameters.range_offset
     views = (
-        ("(a) hit", max(centre - spread, 0.0), min(centre + spread, max_range)),
+        ("(a) hit", max(centre - spread, min_range), min(centre + spread, max_range)),
         ("(b) short", 0.0, min(1.3 * group_range, max_range)),
         ("(c) max", 0.8 * max_range, 1.04 * max_range),
         ("(d) rand", 0.0, 1.04 * max_range),
@@ -84,7 +90,7 @@ def draw_components(
             z = np.unique(
                 np.concatenate([np.linspace(low, high, 301), [group_range, np.nextafter(group_range, np.inf)]])
             )
-            density = beam_components(z, group_range, max_range, parameters)[:, cause]
+            density = beam_components(z, group_range, max_range, parameters, min_range=min_range)[:, cause]
             axes.fill_between(z, density, color=colour, alpha=0.25, linewidth=0)
             axes.plot(z, density, color=colour, linewidth=1.4)
             axes.set_ylim(0, float(density.max()) * 1.12)
@@ -96,15 +102,22 @@ def draw_components(
         axes.locator_params(axis="x", nbins=4)
 
 
-def _mixture_panel(expected: float, parameters: BeamParameters, max_range: float) -> Panel:
+def _mixture_panel(expected: float, parameters: BeamParameters, min_range: float, max_range: float) -> Panel:
     figure = new_figure(NARROW, 4.2)
-    draw_mixture(figure, expected, parameters, max_range)
+    draw_mixture(figure, expected, parameters, max_range, min_range=min_range)
     weights = ", ".join(f"{name} {weight:.3f}" for name, weight in zip(CAUSE_NAMES, parameters.weights, strict=True))
     alt = f"The mixture density for an expected range of {expected:g} m on a logarithmic scale; weights: {weights}."
     return svg_panel(figure, "mixture", alt)
 
 
-def draw_mixture(figure: Figure | SubFigure, expected: float, parameters: BeamParameters, max_range: float) -> None:
+def draw_mixture(
+    figure: Figure | SubFigure,
+    expected: float,
+    parameters: BeamParameters,
+    max_range: float,
+    *,
+    min_range: float = 0.0,
+) -> None:
     """Draw Figure 6.4: the densities times their weights and their sum; the point mass on an axis of its own.
 
     Parameters
@@ -113,12 +126,12 @@ def draw_mixture(figure: Figure | SubFigure, expected: float, parameters: BeamPa
         An empty figure.
     expected
         Expected range z*, metres.
-    parameters, max_range
-        The model, and the sensor's limit in metres.
+    parameters, max_range, min_range
+        The model, and the sensor's limits in metres.
     """
     left, right = figure.subplots(1, 2, width_ratios=(7, 1))
-    z = _fine_ranges(expected, parameters, max_range)
-    weighted = beam_components(z, expected, max_range, parameters) * np.array(parameters.weights)
+    z = _fine_ranges(expected, parameters, min_range, max_range)
+    weighted = beam_components(z, expected, max_range, parameters, min_range=min_range) * np.array(parameters.weights)
     total = weighted.sum(axis=1)
     # Far below the smallest density of the sum there is nothing to see.
     floor = float(total.min()) / 3 if total.min() > 0 else max(float(total.max()), 1e-9) * 1e-6
@@ -147,11 +160,11 @@ def _weight_label(parameters: BeamParameters, cause: int) -> str:
     return f"{CAUSE_NAMES[cause]}: {parameters.weights[cause]:.1%}"
 
 
-def _fine_ranges(expected: float, parameters: BeamParameters, max_range: float) -> FloatArray:
+def _fine_ranges(expected: float, parameters: BeamParameters, min_range: float, max_range: float) -> FloatArray:
     """Ranges up to where nothing new is to be seen, fine around the hits and with the step at the end of p_short."""
     spread = float(np.hypot(parameters.sigma_hit, parameters.sigma_slope * expected))
     near = expected + parameters.range_offset + spread * np.linspace(-7, 7, 281)
     end = min(max_range, max(2.0 * expected, float(near[-1])))
     step = [expected, np.nextafter(expected, np.inf)]
     z = np.unique(np.concatenate([near, np.linspace(0.0, end, 241), step]))
-    return z[(z >= 0.0) & (z <= end) & (z < max_range)]
+    return z[(z >= min_range) & (z <= end) & (z < max_range)]

@@ -167,14 +167,21 @@ def _draw(
     weights = (0.0, parameters.z_short, parameters.z_max + parameters.z_hit, parameters.z_rand)
     without_hits = replace(parameters, **dict(zip(("z_hit", "z_short", "z_max", "z_rand"), weights, strict=True)))
     if dependence is None or dependence.is_none:
-        ranges = sample_beams(expected, finder.max_range, parameters, rng)
-        ranges[nothing] = sample_beams(expected[nothing], finder.max_range, without_hits, rng)
+        ranges = sample_beams(expected, finder.max_range, parameters, rng, min_range=finder.min_range)
+        ranges[nothing] = sample_beams(
+            expected[nothing], finder.max_range, without_hits, rng, min_range=finder.min_range
+        )
     else:
         causes = dependent_uniforms(stamps, finder.bearings, dependence, rng)
         places = dependent_uniforms(stamps, finder.bearings, dependence, rng)
-        ranges = beams_from_uniforms(causes, places, expected, finder.max_range, parameters)
+        ranges = beams_from_uniforms(causes, places, expected, finder.max_range, parameters, min_range=finder.min_range)
         ranges[nothing] = beams_from_uniforms(
-            causes[nothing], places[nothing], expected[nothing], finder.max_range, without_hits
+            causes[nothing],
+            places[nothing],
+            expected[nothing],
+            finder.max_range,
+            without_hits,
+            min_range=finder.min_range,
         )
     ranges[ranges >= finder.max_range] = np.inf
     return ranges

@@ -1,0 +1,44 @@
+"""The blind zone before a range finder: readings below its min_range are dropped, so the model is that of the rest.
+
+Each cause is conditioned on a reading of min_range or more. The exponential has no memory, the uniform stays uniform
+and the Gaussian is cut anyway: so this is the mixture (6.12) with all ranges counted from min_range, and the functions
+here are all there is to it. The weights are then shares of the readings that can be observed. Only the growth of a
+hit's noise keeps the whole expected range (`sigma_slope`); an obstacle in the blind zone counts as one at its end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+
+
+def check_limits(max_range: float, min_range: float) -> None:
+    """Say which of a sensor's limits is impossible: 0 <= min_range < max_range < inf, metres.
+
+    Raises
+    ------
+    InvalidInputError
+        If one is.
+    """
+    if not 0.0 < max_range < np.inf:
+        raise InvalidInputError(f"max_range: expected a positive, finite number of metres, got {max_range}")
+    if not 0.0 <= min_range < max_range:
+        raise InvalidInputError(f"min_range: expected metres in [0, max_range = {max_range}), got {min_range}")
+
+
+def counted_from(min_range: float, ranges: FloatArray) -> FloatArray:
+    """Return measured ranges counted from min_range, metres; negative where nothing can be measured.
+
+    The array itself, if there is no blind zone.
+    """
+    return ranges if min_range == 0.0 else np.asarray(ranges - min_range)
+
+
+def expected_from(min_range: float, expected_ranges: FloatArray) -> FloatArray:
+    """Return expected ranges z* counted from min_range, metres; 0 where the obstacle is in the blind zone.
+
+    NaN stays NaN. The array itself, if there is no blind zone.
+    """
+    return expected_ranges if min_range == 0.0 else np.asarray(np.maximum(expected_ranges - min_range, 0.0))

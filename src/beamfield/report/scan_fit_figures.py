@@ -18,6 +18,7 @@ from beamfield.models.beam import BeamModel
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.models.sonar import SonarModel
 from beamfield.report.drawing import (
+    CAUSE_COLOURS,
     FIT,
     HELD_OUT,
     MODEL,
@@ -37,7 +38,7 @@ from beamfield.sensors import SensorLog, usable_ranges
 LEVEL = 0.05
 # How a beam disagrees, in the order of `beam_side`: hit, short, through the wall, no return.
 SIDE_NAMES = ("as mapped", "short", "through the wall", "no return")
-SIDE_COLOURS = ("#0072B2", "#E69F00", "#D55E00", "#009E73")
+SIDE_COLOURS = (CAUSE_COLOURS[0], CAUSE_COLOURS[1], "#7A0177", CAUSE_COLOURS[2])
 
 
 def fit_over_time(
@@ -150,9 +151,9 @@ def worst_scans(
         "Where and why beams disagree",
         tuple(panels),
         "The scans that fit worst, apart from each other in time, on the map at their poses. Blue beams end where the "
-        "map says; yellow ones end before (people, new things); red ones go through a mapped wall (a wrong pose, or "
+        "map says; orange ones end before (people, new things); purple ones go through a mapped wall (a wrong pose, or "
         "something that is no longer there); green ones have no return although the map has an obstacle (glass, black "
-        "surfaces; drawn up to it). Red and yellow in whole groups on both sides of the walls mean a wrong pose.",
+        "surfaces; drawn up to it). Orange and purple in whole groups mean a wrong pose.",
         "Section 6.3.1; (6.32) projects the end points",
     )
 

@@ -1,0 +1,158 @@
+"""``beamfield fit``: what it prints, draws, writes and refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamfield.cli.main import main
+
+FILES = ["beam_model.yaml", "fit.csv", "fit.html", "fit.json", "scan_fit_reference.json"]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drives through one building, one of them also with poses that jump away in the middle."""
+    folder = tmp_path_factory.mktemp("fit")
+    drive = ("--duration", "60", "--scan-rate", "4", "--beams", "61", "--quiet")
+    assert main(["simulate", str(folder / "good"), "--seed", "4", *drive]) == 0
+    in_its_map = ("--map", str(folder / "good" / "map.yaml"))
+    assert main(["simulate", str(folder / "fresh"), "--seed", "5", *in_its_map, *drive]) == 0
+    lines = (folder / "fresh" / "truth.tum").read_text().splitlines()
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    for row in rows[120:180]:
+        row[1], row[2] = str(float(row[1]) + 1.1), str(float(row[2]) - 1.3)
+    (folder / "kidnapped.tum").write_text("\n".join(" ".join(row) for row in rows) + "\n")
+    return folder
+
+
+def fit(world: Path, out: Path, *words: str, log: str = "fresh") -> int:
+    return main([
+        "fit", str(world / log / "log.carmen"), "--map", str(world / "good" / "map.yaml"), "--out", str(out), "--quiet",
+        *words,
+    ])  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The kidnapped drive, judged by the good one."""
+    out = tmp_path_factory.mktemp("result") / "out"
+    good = ("--good", str(world / "good" / "log.carmen"))
+    assert fit(world, out, *good, "--poses", str(world / "kidnapped.tum")) == 0
+    return out
+
+
+class TestResult:
+    def test_the_files_are_written(self, result: Path):
+        assert sorted(p.name for p in result.iterdir()) == FILES
+
+    def test_the_csv_has_one_line_per_scan_and_finds_the_kidnapping(self, result: Path):
+        with (result / "fit.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == 240
+        # Stamps are rounded in the text log: the very last scan may lie after the last pose.
+        p, lost = (np.array([float(row[name] or "nan") for row in rows]) for name in ("p_value", "lost_probability"))
+        away = np.zeros(240, bool)
+        away[120:180] = True
+        assert (p[away] <= 0.05).mean() > 0.9
+        assert np.nanmean(p[~away] <= 0.05) < 0.15
+        assert lost[130:180].min() > 0.9
+        assert lost[:118].max() < 0.3
+        assert lost[200:].max() < 0.3
+
+    def test_the_json_says_the_same(self, result: Path, world: Path):
+        document = json.loads((result / "fit.json").read_text())
+        assert document["n_judged"] in (239, 240)
+        assert 0.6 < document["share_that_fits"] < 0.8
+        assert 10.0 < document["longest_lost"]["seconds"] < 20.0
+        assert 120 <= document["worst"][0]["scan"] < 180
+        assert set(document["provenance"]["inputs"]) == {"log", "map", "map image", "poses", "good"}
+        assert document["reference"]["own_log"] is False
+        reference = json.loads((result / "scan_fit_reference.json").read_text())
+        assert set(reference["inputs"]) == {"good", "map", "map image"}
+        for name in FILES:
+            assert str(world) not in (result / name).read_text()
+
+    def test_the_page_shows_both_figures(self, result: Path):
+        page = (result / "fit.html").read_text()
+        assert page.count("<html") == 1
+        for words in (
+            'id="scan-fit"',
+            'id="worst-scans"',
+            "go through a mapped wall",
+            "Can the lost probability be trusted",
+        ):
+            assert words in page
+
+
+def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, capsys):
+    assert fit(world, tmp_path / "out", "--worst", "3") == 0
+    text = capsys.readouterr().out
+    share = float(re.search(r"([0-9.]+)% of 2[34][09] scans fit at 5%", text)[1])
+    assert 90.0 < share <= 100.0
+    assert "of this log" in text
+    assert "lost probability never above 0.5" in text
+    assert len(re.findall(r"^ +[0-9]+ +1[0-9]{2}\.[0-9]{3} ", text, re.M)) == 3
+
+
+def test_what_was_learned_can_be_used_again(world, result, tmp_path):
+    words = ("--params", str(result / "beam_model.yaml"), "--reference", str(result / "scan_fit_reference.json"))
+    assert fit(world, tmp_path / "out", *words, "--poses", str(world / "kidnapped.tum")) == 0
+    assert (tmp_path / "out" / "fit.csv").read_text() == (result / "fit.csv").read_text()
+
+
+def test_a_sensor_of_another_reach_is_refused(world, result, tmp_path, capsys):
+    assert fit(world, tmp_path / "out", "--params", str(result / "beam_model.yaml"), "--max-range", "8") == 1
+    assert "the sensor's max_range is 8 m" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message", "code"),
+    [
+        (("--poses", "missing.tum"), "missing.tum: No such file", 1),
+        (("--good", "missing.log"), "missing.log: No such file", 1),
+        (("--worst", "-1"), "--worst: expected 0 or more", 1),
+        (("--good-poses", "a.tum"), "--good-poses: needs --good", 1),
+        (("--reference", "a.json"), "--reference: needs the parameters", 1),
+        (("--good", "a.log", "--reference", "a.json", "--params", "b"), "--reference: is in place of --good", 1),
+        (("--lose-rate", "0"), "lose: expected a positive rate", 1),
+        (("--sensor", "RLASER"), "no sensor 'RLASER'", 1),
+        (("--min-range", "11.9"), "need", 3),
+    ],
+    ids=["poses", "good", "worst", "good-poses", "reference", "both", "rate", "sensor", "too-little"],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(world, tmp_path, capsys, words, message, code):
+    assert fit(world, tmp_path / "out", *words) == code
+    error = capsys.readouterr().err
+    assert re.search(message, error), error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_broken_reference_names_the_file(world, result, tmp_path, capsys):
+    (tmp_path / "broken.json").write_text("{")
+    words = ("--params", str(result / "beam_model.yaml"), "--reference", str(tmp_path / "broken.json"))
+    assert fit(world, tmp_path / "out", *words) == 1
+    assert "broken.json: reference: Expecting" in capsys.readouterr().err
+
+
+def test_a_log_without_poses_is_refused(world, tmp_path, capsys):
+    lone = tmp_path / "lone.log"
+    log = (world / "good" / "log.carmen").read_text().splitlines()
+    kept = []
+    for line in log:
+        word = line.split()
+        if word and word[0] == "FLASER":
+            k = 2 + int(word[1])
+            word[k : k + 3] = word[k + 3 : k + 6]
+        kept.append(" ".join(word))
+    lone.write_text("\n".join(kept) + "\n")
+    map_path = str(world / "good" / "map.yaml")
+    code = main(["fit", str(lone), "--map", map_path, "--lone-poses", "odometry", "--out", str(tmp_path / "out")])
+    assert code == 1
+    assert "no scan has a pose to judge" in capsys.readouterr().err

@@ -1,0 +1,79 @@
+"""Scan fit on real logs: one log's reference judges another, wrong poses are found, expectations carry over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamfield.calibration.calibrate import CalibrationOptions, calibrate
+from beamfield.calibration.scan_fit import judge_log
+from beamfield.calibration.scan_fit_reference import ScanFitReference, calibrate_scan_fit
+from beamfield.calibration.scan_fit_wrong_poses import wrong_poses
+from beamfield.calibration.time_split import time_blocks
+from beamfield.io.read_log import read_log
+from beamfield.io.read_map import read_map
+from beamfield.io.trajectory import attach_poses, read_trajectory
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.sensors import SensorLog
+
+pytestmark = pytest.mark.real
+OPTIONS = CalibrationOptions(n_bootstrap=20, refine=False)
+MAX_RANGE = 81.83
+
+
+def wean_log(data: Path, number: int) -> SensorLog:
+    log = read_log(data / f"wean_hall/robotdata{number}.log.gz", max_range=MAX_RANGE)
+    return attach_poses(log, read_trajectory(data / f"wean_hall/reference_robotdata{number}.csv.gz")).only_sensor()
+
+
+@pytest.fixture(scope="module")
+def wean(data: Path) -> tuple[OccupancyGrid, BeamModel, ScanFitReference]:
+    grid = read_map(data / "wean_hall/derived_wean.yaml")
+    log = wean_log(data, 1)
+    model = BeamModel(grid, calibrate(log, grid, OPTIONS).parameters)
+    return grid, model, calibrate_scan_fit(model, log)
+
+
+def test_another_run_fits_as_well_as_the_first(data: Path, wean):
+    _, model, reference = wean
+    fits = judge_log(model, wean_log(data, 3), reference)
+    assert fits.share_that_fits() > 0.93
+    assert fits.longest_lost() is None
+
+
+def test_wrong_poses_at_wean_hall_are_found(data: Path, wean):
+    grid, model, reference = wean
+    log = wean_log(data, 3)
+    poses = wrong_poses(log.poses, time_blocks(log.stamps, 10.0), grid, np.random.default_rng(1))
+    fits = judge_log(model, log.with_poses(poses), reference)
+    judged = ~np.isnan(fits.p_value)
+    assert (fits.p_value[judged] <= 0.05).mean() > 0.75
+    assert np.median(fits.lost[judged]) > 0.95
+
+
+def test_the_lost_probability_is_reliable_at_wean_hall(wean):
+    _, _, reference = wean
+    assert sum(row.n for row in reference.reliability) > 3000
+    for row in reference.reliability:
+        if row.n >= 200:
+            assert row.observed == pytest.approx(row.predicted, abs=0.2), row
+
+
+def test_the_turtlebot_is_found_lost_only_when_it_is(data: Path):
+    log = attach_poses(
+        read_log(data / "olin_mac_tb4/macfirst_floor_take_2"),
+        read_trajectory(data / "olin_mac_tb4/derived_ref_take_2.csv.gz"),
+    ).only_sensor()
+    grid = read_map(data / "olin_mac_tb4/map/mac_1st_floor_final.yaml")
+    first, second = log.select(np.arange(170)), log.select(np.arange(170, len(log)))
+    model = BeamModel(grid, calibrate(first, grid, replace(OPTIONS, block_s=2.0)).parameters)
+    reference = calibrate_scan_fit(model, first)
+    assert judge_log(model, second, reference).longest_lost() is None
+    poses = wrong_poses(second.poses, np.zeros(len(second), int), grid, np.random.default_rng(4))
+    fits = judge_log(model, second.with_poses(poses), reference)
+    assert (fits.p_value <= 0.05).all()
+    assert fits.lost[-1] > 0.9

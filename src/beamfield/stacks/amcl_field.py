@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.amcl_scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.beam_selection import Indices, floor_step_beams
-from beamfield.stacks.emulator import FieldEvidence, StackModel
+from beamfield.stacks.emulator import FieldEvidence, FieldModel
 from beamfield.stacks.field_table import AMCL_FIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.stack_map import MapMode
@@ -23,7 +23,7 @@ P = TypeVar("P")
 
 
 @dataclass(frozen=True, eq=False)
-class AmclField(StackModel[P, FieldEvidence], Generic[P]):
+class AmclField(FieldModel[P], Generic[P]):
     """``w = 1 + sum p^3`` with ``p = z_hit exp(-d^2 / 2 sigma_hit^2) + z_rand / range_max`` for each beam.
 
     d is the distance from the beam's end point to the nearest obstacle, cut off at laser_likelihood_max_dist, and that
@@ -91,10 +91,14 @@ class AmclField(StackModel[P, FieldEvidence], Generic[P]):
         """Return p of each beam that counts, (n, k)."""
         return field_values(evidence, self.as_nav2(self._parameters_for(evidence, parameters)))
 
-    def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
-        """Return log(1 + sum p^3), (n,); see `StackModel.log_weights`."""
+    def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return p^3 of each beam that counts, (n, k)."""
         p = self.beam_values(evidence, parameters)
-        return np.asarray(np.log1p((p * p * p).sum(axis=1)))
+        return np.asarray(p * p * p)
+
+    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
+        """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
+        return np.asarray(np.log1p(sums))
 
     def _settings(self) -> dict[str, Any]:
         settings = super()._settings()

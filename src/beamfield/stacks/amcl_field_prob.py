@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
-from beamfield.stacks.amcl_field import AmclField, field_values
+from beamfield.stacks.amcl_field import AmclField
 from beamfield.stacks.beam_selection import Indices, ceil_step_beams
 from beamfield.stacks.emulator import OFF_MAP, FieldEvidence
 from beamfield.stacks.nav2_parameters import Nav2Parameters
@@ -44,15 +45,23 @@ class AmclFieldProb(AmclField[P]):
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
         return ceil_step_beams(n_beams, self.as_nav2(self.parameters).max_beams)
 
+    def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return log p of each beam that counts without beam skipping, (n, k)."""
+        p = self.beam_values(evidence, parameters)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(p, out=p))
+
+    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
+        """Return the sums; see `FieldModel.log_of_sums`."""
+        return sums
+
     def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the sum of log p over the beams that count, (n,); see `StackModel.log_weights`."""
-        values = self.as_nav2(self._parameters_for(evidence, parameters))
-        p = field_values(evidence, values)
+        terms = self.beam_terms(evidence, parameters)
+        values = self.as_nav2(self.parameters if parameters is None else parameters)
         if values.do_beamskip:
-            p = p[:, counted_beams(evidence, values)]
-        with np.errstate(divide="ignore"):
-            np.log(p, out=p)
-        return np.asarray(p.sum(axis=1))
+            terms = terms[:, counted_beams(evidence, values)]
+        return np.asarray(terms.sum(axis=1))
 
     def weighs_alone(self, parameters: P | None = None) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for: not with beam skipping."""

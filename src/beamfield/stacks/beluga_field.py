@@ -7,20 +7,20 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga_parameters import BelugaParameters
 from beamfield.stacks.beluga_scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries, check_no_return
-from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, StackModel
+from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
 from beamfield.stacks.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.stack_map import MapMode
 
 
 @dataclass(frozen=True, eq=False)
-class BelugaField(StackModel[BelugaParameters, FieldEvidence]):
+class BelugaField(FieldModel[BelugaParameters]):
     """``w = 1 + sum p^3`` with ``p = z_hit N(d; 0, sigma_hit^2) + z_rand / laser_max_range`` for each beam.
 
     d is the distance from the end point to the nearest obstacle, cut off at laser_likelihood_max_dist. Off the map, and
@@ -107,10 +107,19 @@ class BelugaField(StackModel[BelugaParameters, FieldEvidence]):
         p[uniform] = 1.0 / evidence.max_range
         return p.astype(np.float32).astype(np.float64) if self.distance == "brushfire" else p
 
-    def log_weights(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
-        """Return log(1 + sum p^3), (n,); see `StackModel.log_weights`."""
+    def beam_terms(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return p^3 of each beam that counts, (n, k)."""
         p = self.beam_values(evidence, parameters)
-        return np.asarray(np.log1p((p * p * p).sum(axis=1)))
+        return np.asarray(p * p * p)
+
+    def log_of_sums(
+        self,
+        sums: FloatArray,
+        n_beams: int | NDArray[np.int64],
+        parameters: BelugaParameters,  # noqa: ARG002
+    ) -> FloatArray:
+        """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
+        return np.asarray(np.log1p(sums))
 
     def _table_settings(self) -> tuple[str, ...]:
         """Return the names of the parameters that the distances depend on."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
 from beamfield.stacks.beluga_field import BelugaField
@@ -35,9 +36,17 @@ class BelugaFieldProb(BelugaField):
     evidence_settings: ClassVar[tuple[str, ...]] = SCAN_SETTINGS
     has_map_options: ClassVar[bool] = False
 
-    def log_weights(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
-        """Return the sum of log p, (n,); see `StackModel.log_weights`."""
+    def beam_terms(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return log p of each beam that counts, (n, k)."""
         p = self.beam_values(evidence, parameters)
         with np.errstate(divide="ignore"):
-            np.log(p, out=p)
-        return np.asarray(p.sum(axis=1))
+            return np.asarray(np.log(p, out=p))
+
+    def log_of_sums(
+        self,
+        sums: FloatArray,
+        n_beams: int | NDArray[np.int64],
+        parameters: BelugaParameters,  # noqa: ARG002
+    ) -> FloatArray:
+        """Return the sums; see `FieldModel.log_of_sums`."""
+        return sums

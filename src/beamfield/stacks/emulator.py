@@ -179,3 +179,25 @@ class StackModel(ABC, Generic[P, E]):
                     "make new evidence with model.with_parameters(parameters)"
                 )
         return chosen
+
+
+class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
+    """A likelihood field: each beam's value depends on its end point alone, the weight on the sum over beams."""
+
+    @abstractmethod
+    def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return the stack's value p of each beam that counts, (n, k)."""
+
+    @abstractmethod
+    def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return what is summed over beams, (n, k): cubes of p or logarithms."""
+
+    @abstractmethod
+    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:
+        """Return log-weights of sums over n_beams beams, of the same shape."""
+
+    def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
+        """Return the logarithm of the stack's weight of each pose; see `StackModel.log_weights`."""
+        values = self._parameters_for(evidence, parameters)
+        terms = self.beam_terms(evidence, values)
+        return self.log_of_sums(terms.sum(axis=1), terms.shape[1], values)

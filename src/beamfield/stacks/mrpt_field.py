@@ -13,7 +13,7 @@ from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
-from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, StackModel
+from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
 from beamfield.stacks.field_table import FieldTable, end_points
 from beamfield.stacks.mrpt_parameters import MrptFieldParameters
 from beamfield.stacks.mrpt_scan import LEAST_SPACING, mrpt_grid, scan_points
@@ -23,7 +23,7 @@ Precision = Literal["double", "single"]
 
 
 @dataclass(frozen=True, eq=False)
-class MrptField(StackModel[MrptFieldParameters, FieldEvidence]):
+class MrptField(FieldModel[MrptFieldParameters]):
     """``w = prod p`` with ``p = LF_zHit exp(-d^2 / 2 LF_stdHit^2) + LF_zRandom / LF_maxRange`` for each point.
 
     d is the distance from the cell of the end point to the nearest occupied cell, cut off at LF_maxCorrsDistance, and
@@ -110,14 +110,23 @@ class MrptField(StackModel[MrptFieldParameters, FieldEvidence]):
         p += values.LF_zRandom / values.LF_maxRange
         return np.asarray(p)
 
-    def log_weights(self, evidence: FieldEvidence, parameters: MrptFieldParameters | None = None) -> FloatArray:
-        """Return the sum of log p, or the logarithm of their mean, (n,); 0 without points. See `StackModel`."""
+    def beam_terms(self, evidence: FieldEvidence, parameters: MrptFieldParameters | None = None) -> FloatArray:
+        """Return log p of each point that counts, (n, k), or p if the weight is their mean."""
         values = self._parameters_for(evidence, parameters)
         p = self.beam_values(evidence, values)
+        if values.LF_alternateAverageMethod:
+            return p
         with np.errstate(divide="ignore"):
-            if values.LF_alternateAverageMethod and p.shape[1] > 0:
-                return np.asarray(np.log(p.mean(axis=1)))
-            return np.asarray(np.log(p).sum(axis=1))
+            return np.asarray(np.log(p))
+
+    def log_of_sums(
+        self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: MrptFieldParameters
+    ) -> FloatArray:
+        """Return the sums of log p, or the logarithm of the mean of p; 0 without points. See `FieldModel`."""
+        if not parameters.LF_alternateAverageMethod:
+            return sums
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.where(np.asarray(n_beams) > 0, np.log(sums / np.maximum(n_beams, 1)), 0.0))
 
 
 def _table(seen: OccupancyGrid) -> FieldTable:

@@ -60,18 +60,19 @@ POSES_PER_ROOM = 20
 RESOLUTION, HEADINGS, SCANS, INDEPENDENT_BEAMS = 0.25, 60, 10, 12
 # Mass nearer to the reference than this counts as right, metres.
 NEAR = 1.0
+# Parameters as calibrated in docs/results.md.
 LOGS = {
     "Wean Hall log 1": (
         "wean_hall/robotdata1.log.gz",
         "wean_hall/derived_wean.yaml",
         "wean_hall/reference_robotdata1.csv.gz",
-        BeamParameters(0.7, 0.15, 0.05, 0.1, 0.12, 0.3),
+        BeamParameters(0.881, 0.067, 0.004, 0.048, 0.081, 0.392, range_offset=0.259, sigma_slope=0.135),
     ),
     "TurtleBot 4": (
         "olin_mac_tb4/macfirst_floor_take_2",
         "olin_mac_tb4/map/mac_1st_floor_final.yaml",
         "olin_mac_tb4/derived_ref_take_2.csv.gz",
-        BeamParameters(0.7, 0.1, 0.1, 0.1, 0.06, 0.3),
+        BeamParameters(0.599, 0.006, 0.185, 0.21, 0.0139, 0.0, range_offset=0.0408, sigma_slope=0.0129),
     ),
 }
 

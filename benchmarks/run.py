@@ -22,6 +22,7 @@ BENCHMARKS = (
     "landmark",
     "line",
     "features",
+    "feature_information",
     "stacks",
     "sonar",
 )

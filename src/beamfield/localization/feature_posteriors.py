@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
-from beamfield.sensors import Scan
+from beamfield.sensors import Scan, usable_ranges
 
 # Beams of a scan that are scored, evenly spaced, each for those beside it as well: casting all of them over a map takes
 # minutes and, with an exponent, tells hardly more.
@@ -34,6 +34,8 @@ SPURIOUS_LINES, SPURIOUS_CORNERS = 0.2, 0.5
 # Share of a wall in a scan that must lie beside a mapped wall.
 MIN_OVERLAP = 0.5
 SIGMA_OPENING = 0.15
+# Walls are rougher than the noise of a good sensor, metres.
+LEAST_NOISE = 0.02
 # Where features of the scan and of the map are at least apart, metres and radians: walls are not straight.
 MAP_SIGMA, MAP_SIGMA_ANGLE = 0.03, 0.01
 
@@ -88,7 +90,8 @@ def posteriors_of_scan(
     grid
         The map.
     parameters
-        Of the sensor; its noise is also that of the features.
+        Of the sensor; its noise is also that of the features, and its range offset is taken off before they are looked
+        for.
     features
         The map's, from `map_features`.
     lattice
@@ -110,14 +113,13 @@ def posteriors_of_scan(
     scored = min(n, SCORED_BEAMS)
     beam_model = BeamModel(grid, wide, exponent=min(1.0, exponent * n / scored), n_beams=scored)
     whole = pose_posterior(beam_model, scan, lattice)
-    lines = find_lines(scan, RangeNoise(parameters.sigma_hit))
+    corrected, misfit = _on_map_surfaces(scan, parameters)
+    lines = find_lines(corrected, RangeNoise(max(parameters.sigma_hit, LEAST_NOISE)))
     measured, covariances = stack_features(find_corners(lines))
     limit = scan.finder.max_range
-    # Positions err by half a cell, headings by half a step.
-    beside, turned = (
-        np.hypot(MAP_SIGMA, lattice.resolution / np.sqrt(12.0)),
-        np.hypot(MAP_SIGMA_ANGLE, turn / np.sqrt(12.0)),
-    )
+    # Positions err by half a cell, headings by half a step; noise that grows with the range moves whole walls.
+    beside = np.sqrt(MAP_SIGMA**2 + misfit**2 + lattice.resolution**2 / 12.0)
+    turned = np.hypot(MAP_SIGMA_ANGLE, turn / np.sqrt(12.0))
     by_lines = by_corners = _prior(lattice)
     if features.lines is not None and lines:
         noise = LineParameters(float(beside), float(turned), SPURIOUS_LINES, limit)
@@ -138,6 +140,16 @@ def posteriors_of_scan(
         corner_model = LandmarkModel(features.corners, corner_noise, correspondence="sum")
         by_corners = pose_posterior(corner_model, Detections(*measured.T), lattice)
     return ScanAndFeatures(whole, by_lines, by_corners, len(lines), len(measured))
+
+
+def _on_map_surfaces(scan: Scan, parameters: BeamParameters) -> tuple[Scan, float]:
+    """Return the scan as the map's surfaces would show it, and how far they are off at a typical range, metres."""
+    z = usable_ranges(scan.ranges, scan.finder)
+    measured = z < scan.finder.max_range
+    typical = float(np.median(z[measured])) if measured.any() else 0.0
+    # What is without return, or too close, stays what it is.
+    corrected = np.where(measured, np.maximum(scan.ranges - parameters.range_offset, 0.0), scan.ranges)
+    return replace(scan, ranges=corrected), parameters.sigma_slope * typical
 
 
 def _prior(lattice: PoseLattice) -> PosePosterior:

@@ -203,7 +203,7 @@ class PosePosterior:
         It is also the divergence of the posterior from the prior. Finer lattices leave it as it is once their steps are
         smaller than the posterior's peaks.
         """
-        return self.prior_entropy - self.entropy
+        return max(0.0, self.prior_entropy - self.entropy)
 
     @property
     def differential_entropy(self) -> float:

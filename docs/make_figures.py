@@ -13,6 +13,9 @@ from matplotlib.patches import Wedge
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.evaluation import likely_causes
+from beamfield.calibration.scan_fit import judge_log
+from beamfield.calibration.scan_fit_reference import calibrate_scan_fit
+from beamfield.calibration.scan_fit_surprise import beam_side
 from beamfield.cli.main import main as beamfield
 from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
 from beamfield.figures.world import simulated_world
@@ -22,8 +25,10 @@ from beamfield.io.read_map import read_map
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.models.beam import beam_log_density
-from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.models.beam import BeamModel, beam_log_density
+from beamfield.sensors import RangeFinder, SensorLog, usable_ranges
+from beamfield.simulation.dependence import Dependence
+from beamfield.simulation.log import simulate_log
 
 HERE = Path(__file__).parent
 CAUSES = (("hit", "#0072b2"), ("short", "#d55e00"), ("max", "#009e73"), ("rand", "#cc79a7"))
@@ -50,7 +55,62 @@ def main() -> None:
         landmark_noise_picture(logs).savefig(
             HERE / "images" / "landmark_noise.svg", metadata={"Date": None}, bbox_inches="tight"
         )
+    draw_scan_fit(result, grid, log)
     draw_gallery()
+
+
+def draw_scan_fit(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> None:
+    """Draw what `beamfield fit` says of a drive whose pose is 2.3 m off between 40 and 65 s."""
+    model = BeamModel(grid, result.parameters)
+    reference = calibrate_scan_fit(model, log)
+    # Errors in bursts, as in the demo's own log.
+    like_the_demo = {"scan_rate": 5.0, "dependence": Dependence(angle=np.radians(4.0), time=1.0)}
+    drive = simulate_log(grid, log.finder, result.parameters, duration=100.0, seed=12, **like_the_demo).only_sensor()
+    seconds = drive.stamps - drive.stamps[0]
+    away = (seconds >= 40.0) & (seconds < 65.0)
+    believed = np.where(away[:, None], drive.poses + np.array([1.9, -1.3, 0.0]), drive.poses)
+    fits = judge_log(model, drive.with_poses(believed), reference)
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    axes = figure.subplot_mosaic([["p", "map"], ["lost", "map"]], width_ratios=(1.5, 1))
+    low = fits.p_value <= 0.05
+    for mask, color, name in ((~low, "#0072b2", "fits at 5 %"), (low, "#d55e00", "does not")):
+        axes["p"].plot(seconds[mask], fits.p_value[mask], ".", ms=3, color=color, label=name)
+    axes["p"].axhline(0.05, color="0.4", lw=0.8, ls="--")
+    axes["p"].set(yscale="log", ylabel="p-value", title="does each scan fit the map?")
+    axes["p"].legend(loc="lower left", fontsize=8)
+    axes["lost"].fill_between(seconds, fits.lost, step="post", color="#d55e00", alpha=0.4)
+    axes["lost"].set(xlabel="time [s]", ylabel="lost probability", ylim=(-0.03, 1.03))
+    for name in ("p", "lost"):
+        axes[name].axvspan(40.0, 65.0, color="0.9", zorder=0)
+        axes[name].set_xlim(0.0, seconds[-1])
+    draw_disagreement(axes["map"], model, drive, believed, int(np.flatnonzero(away)[60]))
+    figure.savefig(HERE / "images" / "scan_fit.svg", metadata={"Date": None}, bbox_inches="tight")
+
+
+def draw_disagreement(axes, model: BeamModel, log: SensorLog, poses: np.ndarray, scan: int) -> None:
+    grid, pose = model.grid, poses[scan]
+    (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
+    shade = np.full(grid.shape, 0.86)
+    shade[grid.free], shade[grid.occupied] = 1.0, 0.25
+    axes.imshow(shade, origin="lower", extent=(x0, x1, y0, y1), cmap="gray", vmin=0, vmax=1, interpolation="none")
+    limit = log.finder.max_range
+    ranges, expected = usable_ranges(log.ranges[scan], log.finder), model.expected(pose, log.finder)
+    side = beam_side(ranges, expected, limit, model.parameters)
+    rays = compose(pose, log.finder.mounts)
+    drawn = np.where(ranges >= limit, expected, ranges)
+    ends = transform_points(rays, np.column_stack([drawn, np.zeros(len(drawn))]))
+    colors = ("#0072b2", "#d55e00", "#7a0177", "#009e73")
+    for number, name in enumerate(("as mapped", "short", "through a wall", "no return")):
+        chosen = side == number
+        for start, end in zip(rays[chosen, :2], ends[chosen], strict=True):
+            axes.plot([start[0], end[0]], [start[1], end[1]], color=colors[number], lw=0.4, alpha=0.35)
+        axes.plot(ends[chosen, 0], ends[chosen, 1], "o", ms=2, color=colors[number], label=f"{name} ({chosen.sum()})")
+    axes.plot(*pose[:2], "k^", ms=5)
+    middle, half = 0.5 * (ends.min(axis=0) + ends.max(axis=0)), 0.5 * np.ptp(ends, axis=0).max() + 1.0
+    axes.set(xlabel="x [m]", ylabel="y [m]", title="a scan at the wrong pose")
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.legend(loc="upper right", fontsize=7, framealpha=0.95)
 
 
 def draw_gallery() -> None:

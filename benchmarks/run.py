@@ -24,6 +24,7 @@ BENCHMARKS = (
     "features",
     "feature_information",
     "stacks",
+    "scan_fit",
     "sonar",
 )
 

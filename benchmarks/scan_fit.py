@@ -77,7 +77,7 @@ def area(good: np.ndarray, bad: np.ndarray) -> float:
 
 
 def compare(own: Trial, good: Trial, bad: Trial, scans: np.ndarray | None = None) -> dict[str, tuple[float, ...]]:
-    """Return per statistic: area, TPR at 5 % FPR, and FPR and TPR at the threshold that the own drive gives."""
+    """Return per statistic: area, TPR at 5 % false alarms, and false alarms and TPR at the own drive's threshold."""
     rows = {}
     chosen = slice(None) if scans is None else scans
     for name in STATISTICS:
@@ -213,7 +213,9 @@ def posed(folder: Path, log: str, poses: str, **options: float) -> SensorLog:
 
 
 def print_tables(results: dict[str, dict[str, tuple[float, ...]]]) -> None:
-    print("| trouble | statistic | area | TPR at 5 % FPR | FPR at its own 5 % | TPR there |\n|---|---|---|---|---|---|")
+    print(
+        "| trouble | statistic | area | TPR at 5 % false alarms | false alarms at its own 5 % | TPR there |\n|---|---|---|---|---|---|"
+    )
     for trouble, rows in results.items():
         for name, values in rows.items():
             print(f"| {trouble} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")

@@ -23,7 +23,7 @@ Progress = Callable[[int, int], None]
 FitModel = RangeMixtureModel | LikelihoodFieldModel
 
 # Neighbouring beams within this angle are looked at together, radians: a moved cupboard or a wrong pose misleads
-# whole groups of beams, noise does not. From 5 to 30 degrees the choice hardly matters (benchmarks/scan_fit.py).
+# whole groups of beams, noise does not. From 5 to 30 degrees the choice hardly mattered on simulated changes of maps.
 WINDOW = math.radians(20.0)
 # Weight of the share of beams on one side against excess surprise, nats.
 SIDE_WEIGHT = 2.0

@@ -213,9 +213,8 @@ def posed(folder: Path, log: str, poses: str, **options: float) -> SensorLog:
 
 
 def print_tables(results: dict[str, dict[str, tuple[float, ...]]]) -> None:
-    print(
-        "| trouble | statistic | area | TPR at 5 % false alarms | false alarms at its own 5 % | TPR there |\n|---|---|---|---|---|---|"
-    )
+    print("| trouble | statistic | area | TPR at 5 % false alarms | false alarms at its own 5 % | TPR there |")
+    print("|---|---|---|---|---|---|")
     for trouble, rows in results.items():
         for name, values in rows.items():
             print(f"| {trouble} | {name} | " + " | ".join(f"{v:.3f}" for v in values) + " |")

@@ -87,9 +87,11 @@ FLOOR = """
 RESOLUTION = 0.5
 FINDER = RangeFinder.from_bearings(np.linspace(-2.0, 2.0, 9), 5.0, mount=(0.11, -0.07, 0.3), name="lidar")
 SONAR_FINDER = replace(FINDER, opening_angle=0.6, name="sonar")
-# The same with a blind zone; samples of the density itself need one without.
+# The same with a blind zone: for odd readings, and one that is wide beside the noise.
 BLIND_FINDER = replace(FINDER, min_range=0.05)
 BLIND_SONAR = replace(SONAR_FINDER, min_range=0.05)
+SHORT_SIGHTED = replace(FINDER, min_range=0.3)
+SHORT_SIGHTED_SONAR = replace(SONAR_FINDER, min_range=0.3)
 POSES = np.array(
     [
         [1.63, 1.21, 0.4],
@@ -144,7 +146,8 @@ def integrate_one_beam(model: BeamModel | SonarModel, pose: np.ndarray) -> float
     finder = model.finder.subset([4])
     total = np.exp(model.log_likelihood(Scan([FINDER.max_range], finder), pose))
     # In a wall, p_short fills the first micrometre.
-    for low, high, n in [(0.0, 2e-6, 100), (2e-6, FINDER.max_range, 200_000)]:
+    first = finder.min_range + 2e-6
+    for low, high, n in [(finder.min_range, first, 100), (first, FINDER.max_range, 200_000)]:
         ranges = low + (np.arange(n) + 0.5) * (high - low) / n
         same_ray = finder.subset(np.zeros(n, np.int64))
         density = np.exp(model.beam_log_likelihood(Scan(ranges, same_ray), pose))
@@ -157,7 +160,8 @@ def beam_transform(
 ) -> np.ndarray:
     """Return the randomised probability integral transform of all beams of all scans."""
     ranges = np.array([scan.ranges for scan in scans])
-    return beam_pit(ranges, model.expected(pose), FINDER.max_range, model.parameters, rng).ravel()
+    low = model.finder.min_range
+    return beam_pit(ranges, model.expected(pose), FINDER.max_range, model.parameters, rng, min_range=low).ravel()
 
 
 def build_likelihood_field(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> LikelihoodFieldModel:
@@ -302,6 +306,7 @@ CASES = [
             {"unknown": "occupied"},
             {"range_offset": 0.1, "sigma_slope": 0.05, "lambda_short": 0.0},
             {"z_hit": 0.9, "z_short": 0.1, "z_max": 0.0, "z_rand": 0.0, "sigma_hit": 0.01},
+            {"finder": SHORT_SIGHTED, "range_offset": -0.05, "sigma_slope": 0.05},
         ),
         measurements=tuple(Scan(ranges, BLIND_FINDER) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)),
         poses=POSES,
@@ -318,6 +323,7 @@ CASES = [
             {"unknown": "occupied", "range_offset": 0.1, "sigma_slope": 0.05},
             {"landmarks": True},
             {"landmarks": True, "landmark_radius": 0.1, "lambda_short": 0.0},
+            {"finder": SHORT_SIGHTED_SONAR, "range_offset": -0.05, "sigma_slope": 0.05},
         ),
         measurements=tuple(Scan(ranges, BLIND_SONAR) for ranges in (USUAL, NO_RETURN, MIXED, NOTHING)),
         poses=POSES,

@@ -65,6 +65,14 @@ def test_the_averaged_model_matches_the_shares_of_drawn_readings(case):
     assert all_but_max[0] == pytest.approx(1 - truth.z_max, abs=1e-9)
 
 
+def test_the_averaged_model_starts_at_min_range(case):
+    truth, expected = case.calibration.parameters, np.array([0.1, 2.0, 2.1])
+    model = averaged_cdf(np.array([0.0, 0.3, 0.4, 10.0]), expected, truth, 10.0, min_range=0.3)
+    assert model[:2].tolist() == [0.0, 0.0]
+    assert model[2] > 0.0
+    assert model[3] == pytest.approx(1 - truth.z_max, abs=1e-9)
+
+
 def test_hits_end_on_the_walls_and_missing_returns_where_the_map_expects_them(case):
     calibration = case.calibration
     rows = np.flatnonzero((calibration.causes == 2) & ~calibration.table.hits_nothing)

@@ -18,6 +18,7 @@ from beamfield.calibration.learning_problem import LearningProblem, learning_pro
 from beamfield.calibration.m_steps import m_step
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
+from beamfield.kernels.beam import SHORTEST_SUPPORT
 from beamfield.models.beam_density import CAUSES
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits, counted_from, expected_from
@@ -37,8 +38,8 @@ def learn_from_known_causes(
     """Return the maximum-likelihood parameters of beams whose causes are known.
 
     The weights are the shares of the causes (6.14). By default sigma_hit and lambda_short maximise the likelihood of
-    the densities as they are, cut to [min_range, max_range] and [min_range, z*]; with `closed_form` they are the chapter's (6.19) and
-    (6.23), which do so only for densities that are not cut.
+    the densities as they are, cut to [min_range, max_range] and [min_range, z*]; with `closed_form` they are the
+    chapter's (6.19) and (6.23), which do so only for densities that are not cut.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def learn_from_known_causes(
     ------
     InvalidInputError
         If shapes differ, a value is out of range, or a cause cannot have led to its range: max and only max for no
-        return, a short not beyond z* (or min_range, if z* is less).
+        return, a short not beyond z* (or a micrometre beyond min_range, if z* is less).
     TooLittleDataError
         If there is no hit.
 
@@ -113,7 +114,7 @@ def _check_consistency(
 ) -> None:
     wrong = ~((z >= min_range) & (expected >= 0.0) & (expected <= max_range))
     wrong |= (z >= max_range) != (causes == W_MAX)
-    wrong |= (causes == W_SHORT) & (z > np.maximum(expected, min_range))
+    wrong |= (causes == W_SHORT) & (z > np.maximum(expected, min_range + SHORTEST_SUPPORT))
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
         raise InvalidInputError(

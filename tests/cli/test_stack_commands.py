@@ -42,7 +42,7 @@ def test_the_doctor_names_what_is_wrong(good, capsys):
     assert main(["doctor", str(good)]) == 1
     out = capsys.readouterr().out
     assert "error: not-finite (line 6)\n  seen: z_rand is nan\n" in out
-    assert out.splitlines()[-1] == "1 error, 1 info"
+    assert out.splitlines()[-1] == "1 error"
 
 
 def test_the_doctor_speaks_json(good, capsys):

@@ -27,6 +27,7 @@ controller_server:
   ros__parameters:
     controller_frequency: 20.0
 """
+TWO = NAV2.replace("map_server:", "amcl_2:").replace("yaml_filename", "laser_model_type").replace("lobby.yaml", "beam")
 LAUNCH = """\
 <launch>
   <arg name="z" default="0.5"/>
@@ -105,8 +106,11 @@ def test_values_come_with_their_lines(write):
     assert section.number("z_short") is None
     section = read_stack_file(write(LAUNCH, "a.launch")).section
     assert section.label == "loc"
-    assert section.entries["laser_z_rand"].value == "$(arg z)"
-    with pytest.raises(FormatError, match=r"a\.launch:6: laser_z_rand: expected a number, got '\$\(arg z\)'"):
+    assert section.entries["laser_z_rand"].value == 0.5
+    assert section.entries["laser_z_rand"].filled_in == "$(arg z)"
+    section = read_stack_file(write(LAUNCH.replace(' default="0.5"', ""), "a.launch")).section
+    assert section.entries["laser_z_rand"].value is None
+    with pytest.raises(FormatError, match=r"a\.launch:6: laser_z_rand: expected a number, got '\$\(arg z\)', which is"):
         section.number("laser_z_rand")
 
 
@@ -214,8 +218,7 @@ def test_a_file_that_changed_meanwhile_is_left_alone(write):
     ("text", "name", "message"),
     [
         ("a: 1\n", "p.yaml", r"p\.yaml: no parameters of a measurement model found"),
-        (NAV2.replace("map_server:", "amcl_2:"), "p.yaml",
-         r"several sections .* 'amcl_2.ros__parameters' \(line 3\), 'amcl.ros__parameters' \(line 6\)"),
+        (TWO, "p.yaml", r"several sections .* 'amcl_2.ros__parameters' \(line 3\), 'amcl.ros__parameters' \(line 6\)"),
         (NAV2.replace("field_prob", "field_best"), "p.yaml", r"p\.yaml:10: laser_model_type: no model of nav2"),
         ("just text\n", "p.yaml", "expected keys with values"),
         ("<launch><node></launch>", "p.launch", r"p\.launch:1: no valid XML: mismatched tag"),
@@ -234,8 +237,9 @@ def test_bad_files_are_refused_with_their_line(write, text, name, message):
 
 
 def test_one_of_several_sections_can_be_chosen(write):
-    path = write(NAV2.replace("map_server:", "amcl_2:"))
+    path = write(TWO)
     assert read_stack_file(path, section="amcl.ros__parameters").section.line == 6
+    assert read_stack_file(path, section="3").section.label == "amcl_2.ros__parameters"
     with pytest.raises(FormatError, match=r"no section 'x' .* there are 'amcl_2.ros__parameters', 'amcl.ros__param"):
         read_stack_file(path, section="x")
 

@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
     from beamfield.stacks.doctor.diagnosis import Diagnosis
     from beamfield.stacks.doctor.patient import MapFile
     from beamfield.stacks.parameter_file import StackFile
@@ -31,6 +33,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_file_options(parser)
     parser.add_argument("--map", type=Path, metavar="MAP", help="the map: map_server .yaml, Wean .dat, or a bag")
     parser.add_argument("--log", type=Path, metavar="LOG", help="a log of the robot's scans")
+    parser.add_argument("--poses", type=Path, metavar="FILE",
+                        help="reference poses for the log: TUM or CSV (default: those in the log)")  # fmt: skip
     add_log_options(parser)
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
     parser.set_defaults(run=run)
@@ -41,21 +45,21 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the parameter file")
     group.add_argument("--stack", metavar="NAME", help="nav2, ros1, beluga, mrpt or f1tenth (default: find out)")
     group.add_argument("--model", metavar="NAME", help="measurement model (default: as the file says)")
-    group.add_argument("--section", metavar="LABEL", help="which section, if several have such parameters")
+    group.add_argument(
+        "--section", metavar="LABEL", help="which section, if several have such parameters; its line will do"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, examine, print."""
-    from beamfield.io.read_log import read_log
     from beamfield.stacks.doctor.examine import examine
     from beamfield.stacks.parameter_file import read_stack_file
 
     file = read_stack_file(arguments.params, stack=arguments.stack, model=arguments.model, section=arguments.section)
+    if arguments.poses is not None and arguments.log is None:
+        raise InvalidInputError("--poses: are poses of a log's scans, but there is no --log")
     grid, map_file = (None, None) if arguments.map is None else _read_map(arguments.map)
-    log = None
-    if arguments.log is not None:
-        sensors = read_log(arguments.log, **log_options(arguments))
-        log = sensors.only_sensor(arguments.sensor[0] if arguments.sensor else None)
+    log = None if arguments.log is None else _read_log(arguments)
     found = examine(file, grid=grid, map_file=map_file, log=log)
     print(_as_json(file, found) if arguments.json else _as_text(file, found))
     return 1 if any(item.severity != "info" for item in found) else 0
@@ -63,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _read_map(path: Path) -> tuple[OccupancyGrid, MapFile]:
     from beamfield.io.read_map import read_map
-    from beamfield.io.ros_map import ros_map_notes
+    from beamfield.io.ros_map import between_share, ros_map_notes
     from beamfield.io.yaml_file import read_yaml
     from beamfield.stacks.doctor.patient import MapFile
 
@@ -72,7 +76,21 @@ def _read_map(path: Path) -> tuple[OccupancyGrid, MapFile]:
     if path.suffix not in (".yaml", ".yml"):
         return grid, MapFile(path.name, yaw=yaw)
     mode = str(read_yaml(path).values.get("mode", "trinary"))
-    return grid, MapFile(path.name, mode, yaw, tuple(ros_map_notes(path)))
+    return grid, MapFile(
+        path.name, mode, yaw, tuple(ros_map_notes(path)), between_share(path) if mode == "trinary" else 0.0
+    )
+
+
+def _read_log(arguments: argparse.Namespace) -> SensorLog:
+    from beamfield.io.read_log import read_log
+    from beamfield.io.trajectory import attach_poses, read_trajectory
+
+    log = read_log(arguments.log, **log_options(arguments))
+    if arguments.poses is not None:
+        log = attach_poses(log, read_trajectory(arguments.poses))
+    if arguments.sensor and len(arguments.sensor) > 1:
+        raise InvalidInputError(f"--sensor: the doctor looks at one sensor, got {len(arguments.sensor)}")
+    return log.only_sensor(arguments.sensor[0] if arguments.sensor else None)
 
 
 def _as_text(file: StackFile, found: tuple[Diagnosis, ...]) -> str:

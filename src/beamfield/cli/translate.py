@@ -33,6 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     target = parser.add_mutually_exclusive_group()
     target.add_argument("--out", type=Path, metavar="FILE", help="write a new file (.launch for ROS 1 launch lines)")
     target.add_argument("--patch", type=Path, metavar="FILE", help="change the values in this file; keeps a backup")
+    parser.add_argument("--patch-section", metavar="LABEL", help="which section of it, if several have such parameters")
     parser.set_defaults(run=run)
 
 
@@ -41,22 +42,27 @@ def run(arguments: argparse.Namespace) -> int:
     from beamfield.errors import InvalidInputError
     from beamfield.io.atomic import write_file
     from beamfield.stacks.new_file import new_file_text
-    from beamfield.stacks.parameter_file import read_stack_file, write_values
+    from beamfield.stacks.parameter_file import check_patch_target, read_stack_file, write_values
     from beamfield.stacks.translate import CHAPTER, translate
 
+    if arguments.patch_section is not None and arguments.patch is None:
+        raise InvalidInputError("--patch-section: is a section of the file to --patch, but there is none")
     file = read_stack_file(arguments.params, stack=arguments.stack, model=arguments.model, section=arguments.section)
     result = translate(
         file, arguments.to, model=arguments.to_model, max_range=arguments.max_range, n_beams=arguments.beams
     )
     notes = list(result.notes)
     if not file.stack_is_certain:
-        notes.append("read as nav2's file; say --stack beluga if it is Beluga's")
+        notes.append(f"read as {file.stack}'s file; say --stack beluga if it is Beluga's")
     head = f"{result.stack} {result.model}, from {file.stack} {file.model} by beamfield {__version__}"
     how = "the same relative weights" if result.exact else "not exactly the same weights"
     if arguments.patch is not None:
         if result.stack == CHAPTER:
             raise InvalidInputError("--patch: is for files of a stack, chapter has none")
-        target = read_stack_file(arguments.patch, stack=result.stack, model=result.model)
+        target = read_stack_file(
+            arguments.patch, stack=result.stack, model=result.model, section=arguments.patch_section
+        )
+        check_patch_target(target)
         backup = write_values(target.section, result.values)
         print(f"changed {arguments.patch}, the old file is {backup.name}")
     elif result.stack == CHAPTER:
@@ -65,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         print("\n".join(f"{name} = {value:.6g}" for name, value in result.values.items()))
     else:
         launch = arguments.out is not None and arguments.out.suffix in (".launch", ".xml")
+        if arguments.out is not None:
+            _check_suffix(arguments.out, result.stack)
         text = new_file_text(result.stack, result.values, comments=[head, how, *result.notes], launch=launch)
         if arguments.out is None:
             print(text, end="")
@@ -74,3 +82,13 @@ def run(arguments: argparse.Namespace) -> int:
     for note in [how, *notes]:
         print(f"note: {note}", file=sys.stderr)
     return 0
+
+
+def _check_suffix(path: Path, stack: str) -> None:
+    """Say if a file of this name would not be read as the stack's."""
+    from beamfield.errors import InvalidInputError
+
+    ini = path.suffix in (".ini", ".cfg")
+    if ini is not (stack == "mrpt") or (path.suffix in (".launch", ".xml") and stack != "ros1"):
+        expected = {"mrpt": ".ini", "ros1": ".yaml or .launch"}.get(stack, ".yaml")
+        raise InvalidInputError(f"--out: files of {stack} end in {expected}, got {path.name!r}")

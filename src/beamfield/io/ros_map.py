@@ -174,6 +174,34 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     return [note]
 
 
+def between_share(path: str | os.PathLike[str]) -> float:
+    """Return the share of a map's pixels between its two thresholds, without those that a map saver writes for unknown.
+
+    Parameters
+    ----------
+    path
+        The YAML file.
+
+    Returns
+    -------
+    0 for maps in "raw" mode, which have no thresholds. Trinary mode makes these pixels unknown.
+
+    Raises
+    ------
+    FormatError, OSError
+        As for `read_ros_map`.
+    """
+    yaml = read_yaml(path)
+    occupied, free = _thresholds(yaml)
+    if _mode(yaml) == "raw":
+        return 0.0
+    image = read_map_image(_image_path(yaml))
+    shade = image.grey / 255.0
+    p = shade if _negate(yaml) else 1.0 - shade
+    between = (p > free) & (p < occupied) & (image.grey != _UNKNOWN_GREY)
+    return float((between if image.opaque is None else between & image.opaque).mean())
+
+
 # ------------------------------------------------------------------------------------------------------- the YAML file
 
 

@@ -112,7 +112,7 @@ class YamlFile:
         return value
 
 
-def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> YamlFile:
+def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, number_keys: bool = False) -> YamlFile:
     """Read a YAML file whose top level has keys.
 
     Parameters
@@ -121,6 +121,8 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> Ya
         The file, UTF-8.
     max_bytes
         Larger files are refused.
+    number_keys
+        Whether keys may be numbers and the like; they are taken as the text that stands there.
 
     Raises
     ------
@@ -157,6 +159,8 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> Ya
         raise FormatError(source, f"expected keys with values, got {kind}", line=root.start_mark.line + 1)
     lines: dict[Place, int] = {}
     spans: Spans = {}
+    if number_keys:
+        _make_keys_text(root)
     values = _construct(yaml, root, (), lines, spans, source)
     return YamlFile(source, values, lines, text, spans)
 
@@ -195,6 +199,18 @@ def _check_events(yaml: YAML, text: str, path: Path) -> None:
         if getattr(event, "anchor", None) is not None:
             mark = "*" if isinstance(event, AliasEvent) else "&"
             raise FormatError(path, f"anchors and aliases are not read, got {mark + str(event.anchor)!r}", line=line)
+
+
+def _make_keys_text(node: Node) -> None:
+    # The depth has been checked.
+    if isinstance(node, MappingNode):
+        for key, value in node.value:
+            if isinstance(key, ScalarNode) and _kind(key) in _SCALARS:
+                key.tag = f"{_TAG}str"
+            _make_keys_text(value)
+    elif isinstance(node, SequenceNode):
+        for item in node.value:
+            _make_keys_text(item)
 
 
 def _construct(yaml: YAML, node: Node, place: Place, lines: dict[Place, int], spans: Spans, path: Path) -> Any:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Set
+from dataclasses import dataclass
 from pathlib import Path
 
 from beamfield.errors import FormatError
-from beamfield.stacks.parameter_text import Entry, ParameterSection, Value
+from beamfield.io.yaml_file import shorten
+from beamfield.stacks.line_ends import end_of_line, line_break, lines_with_places
+from beamfield.stacks.parameter_text import Entry, ParameterSection, plain_value
 
 MAX_BYTES = 2_000_000
-_SECTION = re.compile(r"\s*\[([^\]]*)\]")
-_PAIR = re.compile(r"\s*([A-Za-z_][\w.]*)\s*=[ \t]*(.*?)[ \t]*(//.*|;.*|#.*)?$")
+_NAME = re.compile(r"[A-Za-z_][\w.]*")
+_COMMENTS = ("//", ";", "#")
 
 
 def ini_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
@@ -27,52 +30,69 @@ def ini_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
     Raises
     ------
     FormatError
-        If the file is too large or no text, a name is there twice in a section, or a line is neither section, pair,
-        comment nor empty.
+        If the file is too large or no text, or in a section that counts a name is there twice or a line is neither
+        section, pair, comment nor empty.
     """
     with path.open("rb") as file:
         content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
         raise FormatError(path, f"expected an ini file of at most {MAX_BYTES} bytes, got more")
     try:
-        text = content.decode("utf-8")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FormatError(path, f"no text in UTF-8: byte {content[error.start : error.start + 1]!r}") from error
-    sections: list[tuple[str, int, dict[str, Entry]]] = [("", 1, {})]
-    at = 0
-    for number, line in enumerate(text.splitlines(keepends=True), start=1):
-        body = line.rstrip("\r\n")
-        if header := _SECTION.match(body):
-            sections.append((header.group(1).strip(), number, {}))
-        elif (pair := _PAIR.match(body)) and body.strip():
-            name, entries = pair.group(1), sections[-1][2]
-            if name in entries:
-                raise FormatError(path, f"is there twice in [{sections[-1][0]}]", line=number, field=name)
-            entries[name] = Entry(name, _plain(pair.group(2)), number, at + pair.start(2), at + pair.end(2))
-        elif body.strip() and not body.lstrip().startswith(("//", ";", "#", "@", "%")):
-            raise FormatError(path, f"expected [section], name = value or a comment, got {body.strip()[:60]!r}",
-                              line=number)  # fmt: skip
-        at += len(line)
-    chosen = [item for item in sections if not known.isdisjoint(item[2])]
-    return [_section(path, text, *item) for item in chosen]
+    sections = _parse(text)
+    chosen = [section for section in sections if not known.isdisjoint(section.entries)]
+    # Other sections of the file are other programs' business, unless there is nothing else to say.
+    for section in chosen or sections:
+        if section.fault is not None:
+            line, field, message = section.fault
+            raise FormatError(path, message, line=line, field=field)
+    return [_section(path, text, section) for section in chosen]
 
 
-def _section(path: Path, text: str, label: str, line: int, entries: dict[str, Entry]) -> ParameterSection:
-    last = max(entries.values(), key=lambda entry: entry.stop)
-    end = text.find("\n", last.stop)
-    end = len(text) if end < 0 else end - (text[end - 1 : end] == "\r")
-    newline = "\r\n" if "\r\n" in text else "\n"
-    return ParameterSection(path, "ini", label, line, text, entries, end, newline)
+@dataclass
+class _Section:
+    label: str
+    line: int
+    entries: dict[str, Entry]
+    # The first thing that is wrong with it: line, field, message.
+    fault: tuple[int, str | None, str] | None = None
 
 
-def _plain(word: str) -> Value | None:
-    if not word:
-        return None
-    if word.lower() in ("true", "false"):
-        return word.lower() == "true"
-    for kind in (int, float):
-        try:
-            return kind(word)
-        except ValueError:
+def _parse(text: str) -> list[_Section]:
+    sections = [_Section("", 1, {})]
+    for number, (line, start) in enumerate(lines_with_places(text), start=1):
+        body = line.strip()
+        section = sections[-1]
+        name, assign, rest = line.partition("=")
+        if body.startswith("["):
+            label, bracket, _ = body[1:].partition("]")
+            if bracket:
+                sections.append(_Section(label.strip(), number, {}))
+                continue
+        if not body or body.startswith(_COMMENTS) or body.startswith(("@", "%")):
             continue
-    return word
+        key = name.strip()
+        if not assign or _NAME.fullmatch(key) is None:
+            fault = f"expected [section], name = value or a comment, got {shorten(body)}"
+            section.fault = section.fault or (number, None, fault)
+        elif key in section.entries:
+            section.fault = section.fault or (number, key, f"is there twice in [{section.label}]")
+        else:
+            value = _without_comment(rest)
+            begin = start + len(name) + 1 + len(rest) - len(rest.lstrip(" \t"))
+            begin = begin if value else start + len(name) + 1
+            section.entries[key] = Entry(key, plain_value(value), number, begin, begin + len(value))
+    return sections
+
+
+def _without_comment(rest: str) -> str:
+    places = [place for mark in _COMMENTS if (place := rest.find(mark)) >= 0]
+    return rest[: min(places, default=len(rest))].strip(" \t")
+
+
+def _section(path: Path, text: str, section: _Section) -> ParameterSection:
+    last = max(section.entries.values(), key=lambda entry: entry.stop)
+    at = end_of_line(text, last.stop)
+    return ParameterSection(path, "ini", section.label, section.line, text, section.entries, at, line_break(text))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Literal
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.atomic import atomic_file, write_file
+from beamfield.io.yaml_file import shorten
 from beamfield.stacks.ini_sections import ini_sections
 from beamfield.stacks.launch_sections import launch_sections
 from beamfield.stacks.parameter_text import ParameterSection, Value
@@ -47,6 +49,8 @@ _SHARED = frozenset(
     ("laser_model_type", "z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams",
      "laser_likelihood_max_dist", "laser_max_range", "laser_min_range", "do_beamskip", "beam_skip_distance")
 )  # fmt: skip
+# ROS 1's have a prefix.
+_NAV2_ONLY = frozenset(("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams"))
 _KNOWN = _SHARED.union(*_SIGNS.values())
 # MRPT numbers its models, or spells them with "lm" in front.
 _MRPT_MODELS = {
@@ -64,14 +68,22 @@ class StackFile:
         Whose file it is, and the measurement model that it chooses (or the stack's default).
     section
         The parameters and their places in the text.
-    stack_is_certain
-        False if nothing in the file tells nav2 from Beluga, whose files look alike, and nobody said.
+    possible
+        Whose file it can be by what stands in it, the likeliest first: nav2's and Beluga's look alike.
+    stack_is_said
+        Whether `stack` was said, not found out.
     """
 
     stack: Stack
     model: str
     section: ParameterSection
-    stack_is_certain: bool = True
+    possible: tuple[Stack, ...] = ()
+    stack_is_said: bool = False
+
+    @property
+    def stack_is_certain(self) -> bool:
+        """False if the file can be another stack's, and nobody said whose it is."""
+        return self.stack_is_said or len(self.possible) < 2
 
 
 def read_stack_file(
@@ -86,7 +98,8 @@ def read_stack_file(
     stack, model
         What it is for; None finds out.
     section
-        Label of the section to take if there are several: "amcl.ros__parameters", the name of a node, an ini section.
+        Label of the section to take if there are several: "amcl.ros__parameters", the name of a node, an ini section;
+        or its line, where labels are the same.
 
     Raises
     ------
@@ -101,8 +114,9 @@ def read_stack_file(
         check_stack(stack)
     source = Path(path)
     chosen = _only(source, _sections(source), section)
-    found, certain = (stack, True) if stack is not None else _stack_of(chosen)
-    return StackFile(check_stack(found), check_model(found, model or _model_of(found, chosen)), chosen, certain)
+    possible = _possible_stacks(chosen)
+    found = possible[0] if stack is None else check_stack(stack)
+    return StackFile(found, check_model(found, model or _model_of(found, chosen)), chosen, possible, stack is not None)
 
 
 def check_stack(name: str) -> Stack:
@@ -136,7 +150,9 @@ def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path
     PermissionError
         If the file is read-only.
     InvalidInputError
-        If the file has changed since it was read.
+        If the file has changed since it was read, or would not read as it should afterwards.
+    FormatError
+        If there is no place for a new parameter.
     OSError
         As the file system says; the file is then as it was.
     """
@@ -146,11 +162,38 @@ def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path
     mark = b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") and not section.text.startswith("\ufeff") else b""
     if before != mark + section.text.encode():
         raise InvalidInputError(f"{path}: the file has changed since it was read")
+    after = section.with_values(values)
     backup = _free_name(path)
-    with atomic_file(backup) as part:
-        part.write_bytes(before)
-    write_file(path, mark + section.with_values(values).encode())
+    with atomic_file(path) as part:
+        part.write_bytes(mark + after.encode())
+        if not _reads_as(part, section, values):
+            raise InvalidInputError(
+                f"{path}: the new values cannot be put into it without changing more; it is left as it is"
+            )
+        write_file(backup, before)
     return backup
+
+
+def check_patch_target(file: StackFile) -> None:
+    """Say if a file is not one to write this stack's values into.
+
+    Parameters
+    ----------
+    file
+        From `read_stack_file`, with the stack whose values are to be written.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is another stack's file.
+    PermissionError
+        If it is read-only.
+    """
+    if file.possible and file.stack not in file.possible:
+        raise InvalidInputError(
+            f"{file.section.path}: expected a file of {file.stack}, this is one of {' or '.join(file.possible)}"
+        )
+    check_writable(file.section.path)
 
 
 def check_writable(path: Path) -> None:
@@ -164,6 +207,8 @@ def check_writable(path: Path) -> None:
 
 def _sections(path: Path) -> list[ParameterSection]:
     suffix = path.suffix.lower()
+    if suffix == ".py":
+        raise FormatError(path, "launch files in Python are not read; give the YAML file that it loads")
     if suffix in (".launch", ".xml"):
         return launch_sections(path, _KNOWN)
     if suffix in (".ini", ".cfg"):
@@ -173,34 +218,73 @@ def _sections(path: Path) -> list[ParameterSection]:
 
 def _only(path: Path, sections: list[ParameterSection], label: str | None) -> ParameterSection:
     if label is not None:
-        sections = [section for section in sections if section.label == label] or _raise(path, sections, label)
+        named = [section for section in sections if section.label == label]
+        named = named if len(named) == 1 else [section for section in sections if str(section.line) == label] or named
+        sections = named or _raise(path, sections, label)
     if not sections:
         raise FormatError(
             path, "no parameters of a measurement model found (z_hit, laser_z_hit, LF_stdHit, ... or an amcl node)"
         )
     if len(sections) > 1:
         labels = ", ".join(f"{section.label!r} (line {section.line})" for section in sections)
-        raise FormatError(path, f"several sections have such parameters, choose one of {labels}")
+        raise FormatError(path, f"several sections have such parameters, choose by label or line one of {labels}")
     return sections[0]
 
 
 def _raise(path: Path, sections: list[ParameterSection], label: str) -> list[ParameterSection]:
     known = ", ".join(repr(section.label) for section in sections) or "none"
-    raise FormatError(path, f"no section {label!r} with parameters of a measurement model; there are {known}")
+    raise FormatError(path, f"no section {shorten(label)} with parameters of a measurement model; there are {known}")
 
 
-def _stack_of(section: ParameterSection) -> tuple[Stack, bool]:
-    if section.syntax == "launch":
-        return "ros1", True
+def _possible_stacks(section: ParameterSection) -> tuple[Stack, ...]:
     if section.syntax == "ini":
-        return "mrpt", True
+        return ("mrpt",)
     names = set(section.entries)
-    # Stray names of another stack do not change whose file it is: only ROS 2 has this key.
-    ros_2 = section.label.rsplit(".", 1)[-1] == ROS_2_KEY
-    possible: tuple[Stack, ...] = ("beluga", "f1tenth") if ros_2 else ("f1tenth", "ros1", "mrpt", "beluga")
-    counts = {stack: len(names & _SIGNS[stack]) for stack in possible}
-    best = max(possible, key=lambda stack: counts[stack])
-    return (best, True) if counts[best] > 0 else ("nav2", False)
+    counts = {stack: len(names & signs) for stack, signs in _SIGNS.items()}
+    if counts["f1tenth"] > counts["ros1"] + counts["beluga"] or "particle_filter" in (section.label, section.package):
+        return ("f1tenth",)
+    # Only ROS 2 has this key. Stray names of another stack do not change whose file it is.
+    if section.package == "nav2_amcl":
+        return ("nav2",)
+    if section.label.rsplit(".", 1)[-1] == ROS_2_KEY:
+        return ("beluga",) if counts["beluga"] else _by_label(section.label)
+    if section.package == "beluga_amcl" and not counts["ros1"]:
+        return ("beluga",)
+    if section.syntax == "launch" or counts["ros1"]:
+        # Beluga's node for ROS 1 has amcl's names.
+        return ("ros1", "beluga") if counts["beluga"] or section.package == "beluga_amcl" else ("ros1",)
+    if counts["mrpt"]:
+        return ("mrpt",)
+    if counts["beluga"]:
+        return ("beluga",)
+    # What is left are names that both ROS versions have, unless nav2's own weights are among them.
+    return ("nav2", "beluga") if names & _NAV2_ONLY else ("ros1",)
+
+
+def _by_label(label: str) -> tuple[Stack, ...]:
+    return ("f1tenth",) if "particle_filter" in label else ("nav2", "beluga")
+
+
+def _reads_as(path: Path, section: ParameterSection, values: Mapping[str, Value]) -> bool:
+    """Whether the section in this file has the new values, and the old ones where there are no new ones."""
+    try:
+        found = [item for item in _sections(path) if (item.label, item.line) == (section.label, section.line)]
+    except FormatError:
+        return False
+    expected = {name: entry.value for name, entry in section.entries.items()} | dict(values)
+    return (
+        len(found) == 1
+        and found[0].entries.keys() == expected.keys()
+        and all(_same(found[0].entries[name].value, value) for name, value in expected.items())
+    )
+
+
+def _same(found: Value | None, expected: Value | None) -> bool:
+    if isinstance(found, float) and isinstance(expected, float):
+        # Files have six digits. NaN, which only old values can be, stays NaN.
+        return math.isclose(found, expected, rel_tol=1e-5) or (math.isnan(found) and math.isnan(expected))
+    numbers = isinstance(found, (int, float)) and isinstance(expected, (int, float))
+    return found == expected and (numbers or type(found) is type(expected))
 
 
 def _model_of(stack: str, section: ParameterSection) -> str:
@@ -209,12 +293,15 @@ def _model_of(stack: str, section: ParameterSection) -> str:
     name = "likelihoodMethod" if stack == "mrpt" else "laser_model_type"
     entry = section.entries.get(name)
     if entry is None or entry.value is None:
+        if entry is not None and entry.filled_in:
+            message = f"expected the name of a model, got {entry.filled_in!r}, which is filled in elsewhere: say which"
+            raise section.error(name, message)
         return "LF_Thrun" if stack == "mrpt" else "likelihood_field"
     model = str(entry.value)
     model = _MRPT_MODELS.get(model, model) if stack == "mrpt" else model
     if model not in MODELS[check_stack(stack)]:
         known = ", ".join(MODELS[check_stack(stack)])
-        raise section.error(name, f"no model of {stack} that beamfield knows ({known}), got {entry.value!r}")
+        raise section.error(name, f"no model of {stack} that beamfield knows ({known}), got {shorten(entry.value)}")
     return model
 
 

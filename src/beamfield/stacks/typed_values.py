@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import Field, fields
 from typing import Any, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.yaml_file import shorten
 from beamfield.stacks.parameter_file import StackFile
 from beamfield.stacks.parameter_text import Entry, Value
 from beamfield.stacks.registry import parameter_class
+from beamfield.stacks.yaml_sections import ROS_2_KEY
 
 # These declare each parameter's type, and stop if a file has another.
 STRICT_STACKS = ("nav2", "beluga")
+# Truth values of YAML 1.1, which ROS reads.
+_TRUE, _FALSE = ("yes", "on", "y", "true"), ("no", "off", "n", "false")
+# What YAML 1.1 reads as a number with an exponent.
+_EXPONENT_1_1 = re.compile(r"[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)[eE][-+]\d+")
 # A number or a name in the file; `file.model` says what it stands for.
 MRPT_MODEL = "likelihoodMethod"
+# How a message begins about a value that is known only when the robot starts.
+FILLED_IN = "is filled in when the robot starts:"
+MOST = 2**63 - 1
+# No distance, weight or rate of a robot is smaller; squares and cubes of it still are numbers.
+LEAST = 1e-12
 
 
 class Unusable(NamedTuple):
@@ -42,12 +54,14 @@ def typed_values(file: StackFile) -> TypedValues:
         entry = file.section.entries.get(item.name)
         if entry is None or item.name == MRPT_MODEL:
             continue
-        value, message = _convert(entry, item, strict=file.stack in STRICT_STACKS)
+        value, message = entry.value, _unread(file, entry)
+        if not message:
+            value, message = _convert(entry, _plain_text(file, entry), item, strict=file.stack in STRICT_STACKS)
         if not message:
             message = _refusal(kind, {**usable, item.name: value})
         if message:
             unusable.append(Unusable(item.name, message))
-        else:
+        elif value is not None:
             usable[item.name] = value
     if "laser_model_type" in {item.name for item in fields(kind)}:
         usable["laser_model_type"] = file.model
@@ -68,7 +82,26 @@ def checked_values(file: StackFile) -> Any:
     return typed.parameters
 
 
-def _convert(entry: Entry, item: Field[Any], *, strict: bool) -> tuple[Any, str]:
+def _plain_text(file: StackFile, entry: Entry) -> str:
+    """Return what stands in the file; "" if it is in quotes, which make it text."""
+    text = file.section.text[entry.start : entry.stop].strip()
+    return "" if file.section.syntax == "yaml" and text[:1] in ("'", '"') else text
+
+
+def _unread(file: StackFile, entry: Entry) -> str:
+    """Return why the program gets no value, or another one than YAML 1.2 says; "" if it does."""
+    if entry.filled_in and entry.value is None:
+        return f"{FILLED_IN} {entry.filled_in!r}"
+    text = _plain_text(file, entry)
+    by_ros_1 = file.section.syntax == "yaml" and file.section.label.rsplit(".", 1)[-1] != ROS_2_KEY
+    if by_ros_1 and isinstance(entry.value, float) and "e" in text.lower() and not _EXPONENT_1_1.fullmatch(text):
+        return (
+            f"expected a number as ROS 1 reads it (1.0e-3: with a point and a signed exponent), got the text {text!r}"
+        )
+    return ""
+
+
+def _convert(entry: Entry, text: str, item: Field[Any], *, strict: bool) -> tuple[Any, str]:
     """Return the value in the type of the parameter, and what is wrong with it, if anything."""
     value, default = entry.value, item.default
     if isinstance(default, bool):
@@ -76,13 +109,19 @@ def _convert(entry: Entry, item: Field[Any], *, strict: bool) -> tuple[Any, str]
             return value, ""
         if value in (0, 1) and not strict:
             return bool(value), ""
-        return value, f"expected true or false, got {value!r}"
+        if isinstance(value, str) and text.lower() in _TRUE + _FALSE:
+            return text.lower() in _TRUE, ""
+        return value, f"expected true or false, got {shorten(value)}"
     if isinstance(default, str):
-        return (value, "") if isinstance(value, str) else (value, f"expected text, got {value!r}")
+        return (value, "") if isinstance(value, str) else (value, f"expected text, got {shorten(value)}")
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return value, f"expected a number, got {value!r}"
+        return value, f"expected a number, got {shorten(value)}"
+    if isinstance(value, int) and abs(value) > MOST:
+        return value, f"expected a number that fits into 64 bits, got {shorten(value)}"
     if not math.isfinite(value):
         return value, f"expected a finite number, got {value!r}"
+    if value and not LEAST <= abs(value) <= 1.0 / LEAST and not isinstance(default, int):
+        return value, f"expected 0 or a number between {LEAST:g} and {1.0 / LEAST:g}, got {value!r}"
     if isinstance(default, int):
         if isinstance(value, int):
             return value, ""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import Any
 
-from beamfield.io.yaml_file import Place, YamlFile, read_yaml
+from beamfield.errors import FormatError
+from beamfield.io.yaml_file import Place, YamlFile, read_yaml, shorten
+from beamfield.stacks.line_ends import end_of_line, line_break, start_of_line, start_of_yaml_line
 from beamfield.stacks.parameter_text import Entry, ParameterSection
 
 # ROS 2 puts a node's parameters under this key.
@@ -23,17 +26,20 @@ def yaml_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
     path
         The file.
     known
-        Names by which a section is recognised; one is enough. So is a node name with "amcl" or "particle_filter" in it.
+        Names by which a section is recognised; one is enough. If no section has one, those of nodes count that have
+        "amcl" or "particle_filter" in their names.
 
     Raises
     ------
     FormatError
-        If the file is no YAML that `read_yaml` takes.
+        If the file is no YAML that `read_yaml` takes, or a key without value is written in a way that is not found.
     """
-    file = read_yaml(path)
-    return [
-        _section(file, place, values) for place, values in _maps(file.values, ()) if _is_model(place, values, known)
-    ]
+    file = read_yaml(path, number_keys=True)
+    maps = [(place, values) for place, values in _maps(file.values, ()) if place or values]
+    chosen = [item for item in maps if not known.isdisjoint(_scalars(item[1]))]
+    # nav2's files have further nodes with amcl in their names; they only count where no node says anything.
+    chosen = chosen or [item for item in maps if _is_node(item[0])]
+    return [_section(file, place, values, known) for place, values in chosen]
 
 
 def _maps(values: Any, place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:
@@ -43,53 +49,54 @@ def _maps(values: Any, place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:
             yield from _maps(value, (*place, key))
 
 
-def _is_model(place: Place, values: dict[str, Any], known: Set[str]) -> bool:
-    if not known.isdisjoint(name for name, value in values.items() if not isinstance(value, (dict, list))):
-        return True
+def _scalars(values: dict[str, Any]) -> Iterator[str]:
+    return (name for name, value in values.items() if not isinstance(value, (dict, list)))
+
+
+def _is_node(place: Place) -> bool:
     owner = str(place[-2]) if len(place) > 1 and place[-1] == ROS_2_KEY else ""
     return any(node in owner for node in _NODES)
 
 
-def _section(file: YamlFile, place: Place, values: dict[str, Any]) -> ParameterSection:
+def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[str]) -> ParameterSection:
     entries = {}
     for name, value in values.items():
+        is_scalar = not isinstance(value, (dict, list))
+        if not is_scalar and name not in known:
+            continue
         start, stop = file.spans[(*place, name)]
         line = file.lines[(*place, name)]
         if start == stop:
             # The parser finds a missing value at the next key; it belongs behind this one's colon.
-            start = stop = _behind_colon(file.source, line, name)
-        if isinstance(value, (dict, list)):
-            continue
-        entries[name] = Entry(name, value, line, start, stop)
+            start = stop = _behind_colon(file, line, name)
+        entries[name] = Entry(name, value if is_scalar else shorten(value), line, start, stop)
     label = ".".join(str(key) for key in place)
-    return ParameterSection(
-        file.path, "yaml", label, file.lines[place], file.source, entries, *_insertion(file, place, entries)
-    )
+    at, before, after = _insertion(file, place, entries)
+    return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after)
 
 
-def _behind_colon(text: str, line: int, name: str) -> int:
-    begin = sum(len(part) for part in text.split("\n")[: line - 1]) + line - 1
-    return text.index(":", text.index(name, begin) + len(name)) + 1
+def _behind_colon(file: YamlFile, line: int, name: str) -> int:
+    key = re.compile(rf"""(?<![\w."'])["']?{re.escape(name)}["']?\s*:""")
+    found = key.search(file.source, start_of_yaml_line(file.source, line))
+    if found is None:
+        raise FormatError(file.path, "the place of its missing value was not found", line=line, field=name)
+    return found.end()
 
 
 def _insertion(file: YamlFile, place: Place, entries: dict[str, Entry]) -> tuple[int, str, str]:
     """Return where a new key goes, and what stands before and after it."""
     text, start = file.source, file.spans[place][0]
-    newline = "\r\n" if "\r\n" in text else "\n"
+    newline = line_break(text)
     if text[start : start + 1] == "{":
-        return (start + 1, "", ", ") if entries else (start + 1, "", "")
+        # A comma behind the last pair is allowed.
+        return start + 1, "", ", "
+    indent = " " * (start - start_of_line(text, start))
     if not entries:
         # Only maps and lists inside: before the first of them, whose key begins the section.
-        indent = _indent(text, start)
         return start, "", newline + indent
-    # Behind the last parameter that stands on a line of its own. Entries are in the file's order.
+    # Behind the last parameter, which stands on lines of its own. Entries are in the file's order.
     last = max(entries.values(), key=lambda entry: entry.stop)
-    end = text.find("\n", last.stop)
-    end = len(text) if end < 0 else end - (text[end - 1 : end] == "\r")
-    return end, newline + _indent(text, start), ""
-
-
-def _indent(text: str, at: int) -> str:
-    line_start = text.rfind("\n", 0, at) + 1
-    # A section that is an item of a list would begin with a dash; parameters never do.
-    return " " * (at - line_start)
+    if text[last.start : last.start + 1] in ("|", ">"):
+        # The end of a text in lines is somewhere below it.
+        return start, "", newline + indent
+    return end_of_line(text, last.stop), newline + indent, ""

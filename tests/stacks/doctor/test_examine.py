@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.sensors import NoReturnPolicy, RangeFinder, SensorLog
 from beamfield.stacks.doctor.examine import CHECKS, examine
 from beamfield.stacks.doctor.patient import MapFile
 from beamfield.stacks.parameter_file import read_stack_file
@@ -18,6 +18,10 @@ N_BEAMS = 120
 
 def amcl(tmp_path, stack="nav2", **values):
     """Return a parameter file; ROS 1's flat, the others' for ROS 2."""
+    if "text" in values:
+        path = tmp_path / values.get("name", "params.yaml")
+        path.write_text(values["text"])
+        return read_stack_file(path, stack=stack)
     path = tmp_path / "params.yaml"
     indent, head = ("  ", "amcl:\n") if stack == "ros1" else ("    ", "amcl:\n  ros__parameters:\n")
     path.write_text(head + "".join(f"{indent}{name}: {value}\n" for name, value in values.items()) + f"{indent}x: 1\n")
@@ -59,11 +63,33 @@ def scans(fill=3.0, *, max_range=10.0, n_beams=N_BEAMS, poses=None):
     return SensorLog(finder, np.arange(10.0), ranges, nowhere if poses is None else poses, nowhere)
 
 
+def reporting(value, fill):
+    """Return scans whose driver reports a value where nothing comes back."""
+    return replace(scans(fill), no_return=NoReturnPolicy((value,), origin="given"))
+
+
 def some(value, share, other=3.0):
     """Return (k,) readings of which the first share has one value."""
     ranges = np.full(N_BEAMS, other)
     ranges[: round(share * N_BEAMS)] = value
     return ranges
+
+
+NODE = """<launch>
+  <arg name="z"/>
+  <node pkg="amcl" type="amcl" name="amcl">
+    <param name="laser_z_hit" value="0.95"/>
+    <param name="laser_z_rand" value="$(arg z)"/>
+    <rosparam file="$(find robot)/amcl.yaml"/>
+  </node>
+</launch>
+"""
+WITHOUT = NODE.replace("$(arg z)", "0.05").replace(
+    """    <rosparam file="$(find robot)/amcl.yaml"/>
+""",
+    "",
+)
+ROBOT = {"stack": "ros1", "name": "amcl.launch"}
 
 
 # name, keywords for the file, map and log that trigger it, and what to change so that they do not.
@@ -73,6 +99,17 @@ FINDINGS = {
     "wrong-type of text": ({"z_rand": "much"}, {}, {"z_rand": 0.5}, {}),
     "wrong-type of count": ({"max_beams": 59.5}, {}, {"max_beams": 59}, {}),
     "out-of-range": ({"sigma_hit": -0.1}, {}, {"sigma_hit": 0.1}, {}),
+    "filled-in-at-start": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
+    "loaded-elsewhere": ({"text": NODE, **ROBOT}, {}, {"text": WITHOUT, **ROBOT}, {}),
+    "no-ros-parameters-key": ({"text": "amcl:\n  z_hit: 0.5\n"}, {}, {"z_hit": 0.5}, {}),
+    "wrong-type of a list": ({"z_hit": "[0.5]"}, {}, {"z_hit": 0.5}, {}),
+    "wrong-type of a switch": ({"do_beamskip": "maybe"}, {}, {"do_beamskip": "yes"}, {}),
+    "wrong-type in YAML 1.1": ({"stack": "ros1", "laser_z_hit": "1e-1"}, {},
+                               {"stack": "ros1", "laser_z_hit": "1.0e-1"}, {}),
+    "wrong-type in YAML 1.1 only in ROS 1": ({"stack": "ros1", "laser_z_hit": "5e-1"}, {}, {"z_hit": "5e-1"}, {}),
+    "out-of-range of size": ({"sigma_hit": "1.0e-300"}, {}, {"sigma_hit": "1.0e-2"}, {}),
+    "out-of-range of beams": ({"max_beams": 1}, {}, {"max_beams": 2}, {}),
+    "out-of-range of digits": ({"max_beams": "9" * 400}, {}, {"max_beams": 9999999}, {}),
     "foreign-name": ({"laser_z_hit": 0.5}, {}, {"z_hit": 0.5}, {}),
     "foreign-name in ROS 1": ({"stack": "ros1", "z_hit": 0.5}, {}, {"stack": "ros1", "laser_z_hit": 0.5}, {}),
     "foreign-name of Beluga": ({"model_unknown_space": "true"}, {},
@@ -82,7 +119,13 @@ FINDINGS = {
     "weights-sum of the beam model": ({"laser_model_type": "beam"}, {},
                                       {"laser_model_type": "beam", "z_hit": 0.4}, {}),
     "unused-parameters": ({"z_short": 0.1}, {}, {"z_short": 0.05, "z_hit": 0.4, "laser_model_type": "beam"}, {}),
-    "no-random-readings": ({"z_rand": 0.0, "z_hit": 1.0}, {}, {"z_rand": 0.1, "z_hit": 0.9}, {}),
+    "no-random-readings": ({"z_rand": 0.0, "z_hit": 1.0, "laser_model_type": "likelihood_field_prob"}, {},
+                           {"z_rand": 0.0, "z_hit": 1.0}, {}),
+    "value-above-one": ({"z_hit": 1.2}, {}, {"z_hit": 1.0, "z_rand": 0.2}, {}),
+    "value-above-one of the beam model": ({"laser_model_type": "beam", "z_hit": 0.95, "z_max": 0.1}, {},
+                                          {"laser_model_type": "beam", "z_hit": 0.95, "z_max": 0.05}, {}),
+    "all-weights-zero": ({"z_rand": 0.0, "z_hit": 0.0, "laser_model_type": "likelihood_field_prob"}, {},
+                         {"z_rand": 0.0, "z_hit": 0.1, "laser_model_type": "likelihood_field_prob"}, {}),
     "sigma-below-resolution": ({"sigma_hit": 0.02}, {"grid": room(0.05)}, {"sigma_hit": 0.02}, {"grid": room(0.04)}),
     "sigma-huge": ({"sigma_hit": 1.0}, {}, {"sigma_hit": 0.4}, {}),
     "distance-limit": ({"sigma_hit": 0.4, "laser_likelihood_max_dist": 0.9}, {},
@@ -100,12 +143,22 @@ FINDINGS = {
                                           {"stack": "beluga", "max_beams": 90}, {"log": scans(some(np.nan, 0.7))}),
     "many-beams-in-product": ({"laser_model_type": "likelihood_field_prob", "max_beams": 60}, {},
                               {"laser_model_type": "likelihood_field_prob", "max_beams": 12}, {}),
-    "range-limit-above-sensor": ({"laser_max_range": 100.0}, {"log": scans()}, {"laser_max_range": 10.0},
-                                 {"log": scans()}),
+    "range-limit-above-sensor": ({"stack": "beluga", "laser_max_range": 100.0}, {"log": scans()},
+                                 {"stack": "beluga", "laser_max_range": 10.0}, {"log": scans()}),
+    "range-limit-above-sensor not in nav2": ({"stack": "beluga"}, {"log": scans()}, {}, {"log": scans()}),
     "range-limit-hides-readings": ({"laser_max_range": 5.0}, {"log": scans(some(6.0, 0.1))},
                                    {"laser_max_range": 5.0}, {"log": scans(some(6.0, 0.01))}),
     "min-range-hides-readings": ({"laser_min_range": 0.5}, {"log": scans(some(0.4, 0.1))},
                                  {"laser_min_range": 0.3}, {"log": scans(some(0.4, 0.1))}),
+    "z-max-unreachable of Beluga": ({"stack": "beluga", "laser_model_type": "beam"}, {"log": scans(some(np.inf, 0.1))},
+                                    {"stack": "beluga", "laser_model_type": "beam", "laser_max_range": 10.0},
+                                    {"log": reporting(10.0, some(np.inf, 0.1))}),
+    "z-max-unreachable behind laser_max_range": (
+        {"laser_model_type": "beam", "laser_max_range": 8.0}, {"log": reporting(10.0, some(np.inf, 0.1))},
+        {"laser_model_type": "beam", "laser_max_range": 12.0}, {"log": reporting(10.0, some(np.inf, 0.1))}),
+    "many-beams-in-product of MRPT": (
+        {"stack": "mrpt", "name": "p.ini", "text": "[a_likelihoodOpts]\nLF_decimation = 2\n"}, {"log": scans()},
+        {"stack": "mrpt", "name": "p.ini", "text": "[a_likelihoodOpts]\nLF_decimation = 5\n"}, {"log": scans()}),
     "z-max-unreachable": ({"laser_model_type": "beam"}, {"log": scans(some(np.inf, 0.1))},
                           {"laser_model_type": "beam"}, {"log": scans()}),
     "no-obstacles": ({}, {"grid": OccupancyGrid.from_ros(np.zeros((9, 9)), resolution=0.1)}, {}, {"grid": room()}),
@@ -122,7 +175,9 @@ FINDINGS = {
     "map-mode-loses-cells": (
         {}, {"grid": OccupancyGrid(np.full((9, 9), 0.7, np.float32), 0.1), "map_file": MapFile("m.yaml", "raw")},
         {}, {"grid": OccupancyGrid(np.full((9, 9), 0.7, np.float32), 0.1), "map_file": MapFile("m.yaml")}),
-    "nav2-or-beluga": ({"stack": None, "z_hit": 0.5}, {}, {"stack": "nav2", "z_hit": 0.5}, {}),
+    "thresholds-lose-cells": ({}, {"grid": room(), "map_file": MapFile("m.yaml", between_share=0.1)},
+                              {}, {"grid": room(), "map_file": MapFile("m.yaml", between_share=0.01)}),
+    "stack-uncertain": ({"stack": None, "z_hit": 0.5}, {}, {"stack": "nav2", "z_hit": 0.5}, {}),
 }  # fmt: skip
 
 
@@ -209,6 +264,62 @@ def test_every_check_has_a_test(tmp_path):
     assert not silent
 
 
+def texts(found, name):
+    return next(f"{item.seen} {item.why} {item.remedy}" for item in found if item.name == name)
+
+
+def test_what_a_sum_other_than_one_does_depends_on_the_model(tmp_path):
+    """In 1 + a sum of cubes a factor of 1.1 counts 1.331 times; in products and bare sums of cubes it cancels."""
+    values = {"z_hit": 0.5, "z_rand": 0.6}
+    assert "count 1.3 times as much against that 1" in texts(examine(amcl(tmp_path, **values)), "weights-sum")
+    for more in ({"laser_model_type": "likelihood_field_prob"}, {"laser_model_type": "beam", "stack": "beluga"}):
+        found = examine(amcl(tmp_path, **values, **more))
+        assert "all poses' weights alike" in texts(found, "weights-sum")
+        assert next(item for item in found if item.name == "weights-sum").severity == "info"
+
+
+def test_defaults_do_not_stand_in_for_values_that_are_wrong(tmp_path):
+    """With nav2's default of 0.5 for z_rand the sum would be 1.4."""
+    assert "weights-sum" not in [item.name for item in examine(amcl(tmp_path, z_hit=0.9, z_rand=".nan"))]
+    assert "sigma-below-resolution" not in [
+        item.name for item in examine(amcl(tmp_path, sigma_hit="wide"), grid=room(0.5))
+    ]
+
+
+def test_an_infinite_longest_range_is_the_sensors_own_in_amcl_only(tmp_path):
+    severities = {
+        stack: next(
+            f.severity for f in examine(amcl(tmp_path, stack, laser_max_range=".inf")) if f.name == "not-finite"
+        )
+        for stack in ("nav2", "ros1", "beluga")
+    }
+    assert severities == {"nav2": "info", "ros1": "info", "beluga": "error"}
+
+
+def test_parameters_of_beam_skipping_in_belugas_file_are_one_finding(tmp_path):
+    skipping = {"do_beamskip": "false", "beam_skip_distance": 0.5, "beam_skip_threshold": 0.3}
+    found = [item for item in examine(amcl(tmp_path, "beluga", **skipping)) if item.name == "foreign-name"]
+    assert [item.severity for item in found] == ["info"]
+    assert found[0].seen.startswith("do_beamskip, beam_skip_distance, beam_skip_threshold are parameters of nav2")
+    skipping["do_beamskip"] = "true"
+    found = [item for item in examine(amcl(tmp_path, "beluga", **skipping)) if item.name == "foreign-name"]
+    assert [item.severity for item in found] == ["warning"]
+
+
+def test_advice_on_names_fits_the_stacks(tmp_path):
+    assert "call it z_hit (values keep" in texts(examine(amcl(tmp_path, laser_z_hit=0.5)), "foreign-name")
+    assert "call it z_hit if the value is meant for beluga" in texts(
+        examine(amcl(tmp_path, "beluga", laser_z_hit=0.5)), "foreign-name"
+    )
+    both = texts(examine(amcl(tmp_path, laser_z_hit=0.5, z_hit=0.5)), "foreign-name")
+    assert "default" not in both
+
+
+def test_belugas_node_for_ros_1_is_not_taken_for_amcl_in_silence(tmp_path):
+    found = examine(amcl(tmp_path, None, text="laser_z_hit: 0.5\nlaser_z_rand: 0.5\nexecution_policy: seq\n"))
+    assert "read as ros1's, though Beluga's node for ROS 1 has amcl's names" in texts(found, "stack-uncertain")
+
+
 def test_the_worst_comes_first_with_its_line(tmp_path):
     found = examine(amcl(tmp_path, z_short=0.1, z_rand=".nan", laser_z_hit=0.4))
     assert [item.severity for item in found] == sorted(
@@ -216,6 +327,7 @@ def test_the_worst_comes_first_with_its_line(tmp_path):
     )
     assert (found[0].name, found[0].parameter, found[0].line) == ("not-finite", "z_rand", 4)
     assert {item.line for item in found if item.name == "foreign-name"} == {5}
+    assert {item.line for item in examine(amcl(tmp_path, text=NODE, **ROBOT)) if item.name == "loaded-elsewhere"} == {6}
 
 
 def test_parameters_keep_the_names_of_their_stack(tmp_path):

@@ -23,6 +23,8 @@ def beam_count(patient: Patient) -> Iterator[Diagnosis]:
     if not patient.is_amcl or patient.log is None:
         return
     n, asked = patient.log.finder.n_beams, patient.value("max_beams")
+    if asked is None:
+        return
     stepping = patient.file.stack != "beluga" and patient.file.model != "likelihood_field_prob"
     if patient.file.stack == "nav2" and stepping and n < asked:
         yield patient.finds(
@@ -46,7 +48,7 @@ def usable_beams(patient: Patient) -> Iterator[Diagnosis]:
     if not patient.is_amcl or patient.log is None or len(patient.log) == 0:
         return
     n, asked = patient.log.finder.n_beams, patient.value("max_beams")
-    if patient.file.stack == "nav2" and patient.file.model != "likelihood_field_prob" and n < asked:
+    if asked is None or (patient.file.stack == "nav2" and patient.file.model != "likelihood_field_prob" and n < asked):
         return
     selected = _selected(patient, n)
     ranges = patient.log.ranges[:, selected]
@@ -60,24 +62,29 @@ def usable_beams(patient: Patient) -> Iterator[Diagnosis]:
             "few-usable-beams", "warning",
             f"of {len(selected)} chosen beams the median scan has {median:.0f} with a range below {limit:g} m; "
             f"{poor:.0%} of the scans have fewer than {FEWEST_USABLE}",
-            "beams are chosen before NaN, missing returns and far readings are dropped, without an error or a warning",
-            "raise max_beams, or have the driver report what it knows", parameter="max_beams",
+            "beams are chosen first; those that turn out NaN, without return or too far then tell nothing about walls, "
+            "and the program does not say so",
+            f"raise {patient.name_of('max_beams')}, or have the driver report what it knows", parameter="max_beams",
             values={"median_usable": median, "chosen": len(selected), "share_of_poor_scans": poor},
         )  # fmt: skip
 
 
 def many_beams_in_product(patient: Patient) -> Iterator[Diagnosis]:
     """Find products over so many beams that they cannot be independent."""
-    if patient.file.model != "likelihood_field_prob":
-        return
-    asked = patient.value("max_beams")
-    if asked > MANY_IN_PRODUCT:
+    asked = None
+    if patient.file.model == "likelihood_field_prob":
+        asked = patient.value("max_beams")
+    elif patient.file.stack == "mrpt" and patient.log is not None:
+        step = patient.value("beam_step")
+        averages = patient.is_field and patient.parameters.LF_alternateAverageMethod
+        asked = None if step is None or averages else -(-patient.log.finder.n_beams // step)
+    if asked is not None and asked > MANY_IN_PRODUCT:
         yield patient.finds(
-            "many-beams-in-product", "info", f"likelihood_field_prob multiplies up to {asked} beams",
+            "many-beams-in-product", "info", f"{patient.file.model} multiplies up to {asked} beams",
             "neighbouring beams err together (a person, a door, a map a little off), so the product is too sure; this "
             "stack has no exponent, fewer beams are the only cure",
             "calibrate: the number of beams is chosen with the other values",
-            parameter="max_beams", values={"max_beams": asked},
+            parameter="beam_step" if patient.file.stack == "mrpt" else "max_beams", values={"beams": asked},
         )  # fmt: skip
 
 

@@ -14,11 +14,13 @@ from beamfield.stacks.typed_values import typed_values
 
 CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
     value_checks.unusable_values,
+    value_checks.missing_ros_key,
     map_checks.no_obstacles,
     map_checks.ignored_yaw,
     beam_checks.beam_count,
     sharpness.sharpness,
     beam_checks.usable_beams,
+    weight_checks.value_above_one,
     weight_checks.weights_sum,
     weight_checks.no_random,
     weight_checks.sigma_against_resolution,
@@ -32,6 +34,7 @@ CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
     value_checks.foreign_names,
     beam_checks.many_beams_in_product,
     weight_checks.unused_weights,
+    value_checks.loaded_elsewhere,
     value_checks.stack_guess,
 )
 

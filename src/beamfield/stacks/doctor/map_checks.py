@@ -26,9 +26,9 @@ def ignored_yaw(patient: Patient) -> Iterator[Diagnosis]:
         return
     yield patient.finds(
         "map-yaw-ignored", "error",
-        f"the map's origin has a yaw of {math.degrees(patient.map_file.yaw):.3g} degrees; {patient.file.stack} takes "
-        "only its x and y",
-        "every pose is matched against a map that lies turned: localisation cannot work",
+        f"the map's origin has a yaw of {math.degrees(patient.map_file.yaw):.3g} degrees",
+        "MRPT's bridge from ROS takes no map with a turned origin" if patient.file.stack == "mrpt" else
+        f"{patient.file.stack} takes only the origin's x and y: every pose is matched against a map that lies turned",
         "save the map with a yaw of 0 (turn the picture)", values={"yaw": patient.map_file.yaw},
     )  # fmt: skip
 
@@ -38,12 +38,15 @@ def half_cell(patient: Patient) -> Iterator[Diagnosis]:
     if patient.grid is None or patient.file.stack not in ("nav2", "ros1"):
         return
     shift = patient.grid.resolution / 2.0
-    sigma = float(patient.value("sigma_hit"))
+    sigma = patient.value("sigma_hit")
+    numbers = {"shift": shift} if sigma is None else {"shift": shift, "sigma": float(sigma)}
     yield patient.finds(
-        "half-cell-shift", "warning" if shift > sigma else "info",
-        f"{patient.file.stack} centres cell (0, 0) on the map's origin, so every wall lies {shift:g} m off in x and y",
-        "poses come out shifted by as much; other programs on the robot (costmaps, planners) do not shift",
-        "use a finer map, or move its origin by half a cell for amcl alone", values={"shift": shift, "sigma": sigma},
+        "half-cell-shift", "warning" if sigma is not None and shift > sigma else "info",
+        f"{patient.file.stack} centres cell (0, 0) on the map's origin: to it every wall lies {shift:g} m too low in x "
+        "and y",
+        "poses come out shifted with the walls; other programs on the robot (costmaps, planners) do not shift them",
+        f"use a finer map, or give amcl alone a copy of the map's file with {shift:g} m added to x and y of its origin",
+        values=numbers,
     )  # fmt: skip
 
 
@@ -103,6 +106,16 @@ def lost_cells(patient: Patient) -> Iterator[Diagnosis]:
             "space that nobody has seen counts as free: rays pass it, and particles are spread over it",
             "set free_thresh to 0.196 in the map's file",
         )  # fmt: skip
+    if patient.map_file.between_share > CHANGED_SHARE:
+        share = patient.map_file.between_share
+        yield patient.finds(
+            "thresholds-lose-cells", "warning",
+            f"{share:.1%} of the pixels of {patient.map_file.name} lie between free_thresh and occupied_thresh, not "
+            "counting the grey that means unknown",
+            "they become unknown: walls that were seen less often are no obstacles, and seldom seen space is not free",
+            "bring the thresholds nearer to each other, so that what is probably a wall counts as one",
+            values={"share": share},
+        )  # fmt: skip
     if not patient.is_amcl or patient.map_file.mode == "trinary":
         return
     grid = patient.grid
@@ -125,7 +138,7 @@ def no_obstacles(patient: Patient) -> Iterator[Diagnosis]:
     if patient.grid is not None and not patient.grid.occupied.any():
         yield patient.finds(
             "no-obstacles", "error", "the map has no occupied cell",
-            "every reading is equally far from an obstacle (or, in Beluga, at one): no pose can be told from another",
+            "no reading is nearer to an obstacle at one pose than at another: no pose can be told from the next",
             "look at occupied_thresh, negate and the picture",
         )  # fmt: skip
 

@@ -38,12 +38,15 @@ class MapFile:
         Of the origin, radians.
     notes
         What its reader noticed.
+    between_share
+        Share of the pixels between its two thresholds, without those that a map saver writes for unknown.
     """
 
     name: str
     mode: str = "trinary"
     yaw: float = 0.0
     notes: tuple[str, ...] = ()
+    between_share: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +98,14 @@ class Patient:
         return names.get(parameter, parameter)
 
     def value(self, parameter: str) -> Any:
-        """Return a parameter's value by nav2's name, a default if the file says nothing; None if there is no such."""
-        return getattr(self.parameters, self.name_of(parameter), None)
+        """Return a parameter's value by nav2's name, a default if the file says nothing.
+
+        None if there is no such parameter, or the file has something for it that cannot be used.
+        """
+        name = self.name_of(parameter)
+        if any(item.name == name for item in self.typed.unusable):
+            return None
+        return getattr(self.parameters, name, None)
 
     def finds(
         self,

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
 
@@ -15,19 +16,28 @@ HIDDEN_SHARE = 0.02
 
 def unreachable_z_max(patient: Patient) -> Iterator[Diagnosis]:
     """Find a z_max that no reading of a REP 117 driver brings in."""
-    if patient.file.stack not in ("nav2", "ros1") or patient.file.model != "beam" or not patient.value("z_max"):
+    if patient.file.model != "beam" or not patient.value("z_max"):
         return
-    share = None if patient.log is None else float(np.isposinf(patient.log.ranges).mean())
-    if share == 0.0:
+    limit, log = patient.value("laser_max_range"), patient.log
+    share = None if log is None else float(np.isposinf(log.ranges).mean())
+    if limit is None or share == 0.0 or (log is not None and _reports_limit(log, limit, patient.file.stack)):
         return
     seen = f"{patient.name_of('z_max')} is {patient.value('z_max'):g}"
     if share is not None:
         seen += f", and {share:.1%} of the log's readings are missing returns"
+    if patient.file.stack == "beluga":
+        why = "z_max counts only readings of laser_max_range that the sensor's own limit lets pass; +inf is dropped"
+        to = "have the driver report range_max where nothing comes back, and set laser_max_range to it"
+    else:
+        why = (
+            "z_max counts only readings that are exactly the sensor's limit or laser_max_range, whichever is less, and "
+            "too short ones, which amcl turns into it; +inf scores 0 and readings beyond laser_max_range nearly so"
+        )
+        to = "have the driver report range_max where nothing comes back, with laser_max_range at that limit or above"
     yield patient.finds(
         "z-max-unreachable", "info" if share is None else "warning", seen,
-        "z_max counts only readings that are exactly the longest range; drivers that follow REP 117 report +inf, which "
-        "scores 0, so that missing returns say nothing",
-        "have the driver report range_max, or set laser_max_range below the sensor's limit; else z_max has no effect",
+        f"{why}: with a driver that follows REP 117 and reports +inf, missing returns say nothing",
+        f"{to}; else z_max has no effect",
         parameter="z_max", values={} if share is None else {"share_without_return": share},
     )  # fmt: skip
 
@@ -39,14 +49,13 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
         return
     sensor = patient.log.finder.max_range
     name = patient.name_of("laser_max_range")
-    if limit > sensor * 1.01:
-        divides_by_own = patient.file.stack in ("beluga", "mrpt", "f1tenth")
+    # nav2 and ROS 1 take the lesser of the two.
+    if limit > sensor * 1.01 and not _amcl(patient):
+        rand = patient.name_of("z_rand")
         yield patient.finds(
-            "range-limit-above-sensor", "warning" if divides_by_own else "info",
-            f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
-            f"random readings get the density z_rand / {limit:g} instead of z_rand / {sensor:g}: they are worth "
-            f"{limit / sensor:.1f} times too little"
-            if divides_by_own else "the sensor's limit holds; the parameter does nothing",
+            "range-limit-above-sensor", "warning", f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
+            f"random readings are spread over {limit:g} m, {rand} / {limit:g} for each metre, where the sensor has "
+            f"{sensor:g}: they are worth {limit / sensor:.1f} times too little",
             f"set it to {sensor:g}", parameter="laser_max_range", values={"limit": limit, "sensor": sensor},
         )  # fmt: skip
     elif 0.0 < limit < sensor and patient.file.stack != "mrpt":  # MRPT only divides by it
@@ -56,7 +65,7 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
             yield patient.finds(
                 "range-limit-hides-readings", "warning",
                 f"{name} is {limit:g} m, {hidden:.1%} of the log's readings are longer",
-                "these readings are dropped or taken for missing returns, and they are those that tell headings best",
+                "these readings are cut down to it, or count for nothing, and they are those that tell headings best",
                 f"set it to the sensor's {sensor:g} m", parameter="laser_max_range",
                 values={"limit": limit, "sensor": sensor, "hidden_share": hidden},
             )  # fmt: skip
@@ -64,9 +73,9 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
 
 def short_limit(patient: Patient) -> Iterator[Diagnosis]:
     """Find a shortest range that AMCL turns real readings into missing returns with."""
-    if patient.file.stack not in ("nav2", "ros1") or patient.log is None:
-        return
     low = patient.value("laser_min_range")
+    if not _amcl(patient) or patient.log is None or low is None:
+        return
     finite = patient.log.ranges[np.isfinite(patient.log.ranges)]
     hidden = float((finite <= low).mean()) if finite.size else 0.0
     if low > 0.0 and hidden > HIDDEN_SHARE:
@@ -77,3 +86,14 @@ def short_limit(patient: Patient) -> Iterator[Diagnosis]:
             "lower it, or filter such readings out before (NaN)", parameter="laser_min_range",
             values={"limit": low, "hidden_share": hidden},
         )  # fmt: skip
+
+
+def _amcl(patient: Patient) -> bool:
+    return patient.file.stack in ("nav2", "ros1")
+
+
+def _reports_limit(log: SensorLog, limit: float, stack: str) -> bool:
+    """Whether the driver reports missing returns as the very value that z_max counts for."""
+    sensor = log.finder.max_range
+    counts = limit if stack == "beluga" else min(sensor, limit) if limit > 0.0 else sensor
+    return any(abs(value - counts) <= 1e-3 and value <= sensor + 1e-3 for value in log.no_return.values)

@@ -28,6 +28,12 @@ DEFAULT_BEAMS = 60
 # The sensor's longest range where nobody knows it, metres.
 PLAIN_LIMIT = 10.0
 N_SCANS = 9
+# No scan has more.
+MOST_BEAMS = 2000
+
+_FEWER = "fewer beams or a wider sigma_hit"
+_FLATTER = {"ros1": "fewer beams or a wider laser_sigma_hit", "mrpt": "a larger decimation or a wider stdHit",
+            "f1tenth": "a larger squash_factor"}  # fmt: skip
 
 
 def sharpness(patient: Patient) -> Iterator[Diagnosis]:
@@ -37,6 +43,13 @@ def sharpness(patient: Patient) -> Iterator[Diagnosis]:
     try:
         effective, where = _effective(patient)
     except InvalidInputError:  # the program would not return; another check says so
+        return
+    if effective == 0.0:
+        yield patient.finds(
+            "all-weights-zero", "error", f"one scan gives all {N_PARTICLES} particles around the true pose {where} the "
+            "weight 0", "weights are divided by their sum: there is nothing left to choose poses by",
+            "give random readings (z_rand) a few percent, and hits something",
+        )  # fmt: skip
         return
     share = effective / N_PARTICLES
     seen = (
@@ -55,9 +68,8 @@ def sharpness(patient: Patient) -> Iterator[Diagnosis]:
     elif share < SHARP:
         yield patient.finds(
             "absurdly-sharp", "warning", seen,
-            "beams err together, but are multiplied as if they were independent: the first bad scan can throw away the "
-            "true pose",
-            "calibrate (beamfield calibrate --stack), or take fewer beams or a wider sigma_hit",
+            "beams err together, but count as if they were independent: one bad scan can throw away the true pose",
+            f"calibrate (beamfield calibrate --stack), or take {_FLATTER.get(patient.file.stack, _FEWER)}",
             values=numbers,
         )  # fmt: skip
 
@@ -120,7 +132,7 @@ def _range_limit(patient: Patient) -> float:
 def _n_beams(patient: Patient) -> int:
     asked = patient.value("max_beams")
     if asked is not None:
-        return int(asked) if patient.log is None else min(int(asked), patient.log.finder.n_beams)
+        return min(int(asked), MOST_BEAMS if patient.log is None else patient.log.finder.n_beams)
     if patient.log is None:
         return DEFAULT_BEAMS
     return math.ceil(patient.log.finder.n_beams / int(patient.value("beam_step")))

@@ -5,14 +5,22 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterator, Set
+from dataclasses import replace
+from typing import TypeGuard
 
+from beamfield.io.yaml_file import shorten
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
 from beamfield.stacks.parameter_file import STACKS
+from beamfield.stacks.parameter_text import Entry
 from beamfield.stacks.registry import parameter_names
+from beamfield.stacks.typed_values import FILLED_IN, MOST, STRICT_STACKS
+from beamfield.stacks.yaml_sections import ROS_2_KEY
 
 # Names that differ by so little are a slip of the pen (difflib's ratio).
 SIMILAR = 0.88
+BEAM_SKIPPING = ("do_beamskip", "beam_skip_distance", "beam_skip_threshold", "beam_skip_error_threshold")
+_OFF = Entry("do_beamskip", False, 0, 0, 0)
 # Nodes share their section with parameters that beamfield does not know: motion model, frames, topics.
 _OTHER_PREFIXES = (
     "alpha",
@@ -32,68 +40,152 @@ def unusable_values(patient: Patient) -> Iterator[Diagnosis]:
     """Find values of the wrong type, out of range, infinite or NaN."""
     for name, message in patient.typed.unusable:
         value = patient.file.section.entries[name].value
-        if isinstance(value, float) and not math.isfinite(value):
+        if message.startswith(FILLED_IN):
             yield patient.finds(
-                "not-finite", "error", f"{name} is {value}",
-                "every weight computed with it is NaN or infinite; nav2 has crashed on it",
-                "write a number", own=name,
+                "filled-in-at-start", "info", f"{name} {message}",
+                "what the value will be is not known here, so that nothing is said about it",
+                "say the value in the file, or a default for the argument", own=name,
             )  # fmt: skip
+        elif isinstance(value, float) and not math.isfinite(value):
+            yield _not_finite(patient, name, value)
         elif "ROS 2 declares" in message:
             yield patient.finds(
                 "wrong-type", "error", f"{name} is the integer {value}",
                 "ROS 2 declares it as a double and refuses an integer: the node does not start",
                 f"write {value}.0", own=name,
             )  # fmt: skip
-        elif isinstance(value, (int, float)) and not isinstance(value, bool) and "whole number" not in message:
+        elif _is_number(value) and not message.startswith("expected a number as") and "whole number" not in message:
             yield patient.finds(
-                "out-of-range", "error", f"{name} is {value}: {message}",
-                "the weights that come of it mean nothing",
-                "see what it means and choose a value in its range", own=name, values={"value": float(value)},
+                "out-of-range", "error", f"{name} is {shorten(value)}: {message}", _out_of_range(patient, name),
+                "see what it means and choose a value in its range", own=name,
+                values={"value": float(value)} if abs(value) <= MOST else {},
             )  # fmt: skip
         else:
             yield patient.finds(
                 "wrong-type", "error", f"{name}: {message}",
-                "the program stops, or takes its default without a word",
+                "ROS 2 refuses the value: the node does not start" if patient.file.stack in STRICT_STACKS
+                else "amcl takes its default without a word" if patient.file.stack == "ros1"
+                else "the program stops, or takes another value without a word",
                 "write a value of the right type", own=name,
             )  # fmt: skip
 
 
+def loaded_elsewhere(patient: Patient) -> Iterator[Diagnosis]:
+    """Say that a launch file loads more parameters from another file."""
+    for line, source in patient.file.section.elsewhere:
+        yield replace(patient.finds(
+            "loaded-elsewhere", "info", f"the node also takes parameters from {source}",
+            "they are not read here: parameters that this file does not have are taken for defaults",
+            "examine that file as well",
+        ), line=line)  # fmt: skip
+
+
+def missing_ros_key(patient: Patient) -> Iterator[Diagnosis]:
+    """Find parameters of a ROS 2 node that do not stand where ROS 2 reads them."""
+    section = patient.file.section
+    if patient.file.stack not in STRICT_STACKS or section.syntax != "yaml":
+        return
+    if section.label.rsplit(".", 1)[-1] == ROS_2_KEY or "ros1" in patient.file.possible:
+        return
+    yield patient.finds(
+        "no-ros-parameters-key", "error", f"the parameters do not stand below the key {ROS_2_KEY}",
+        "ROS 2 reads a node's parameters only there, and takes the file for broken: the node does not start",
+        f"put them below 'amcl:' and '{ROS_2_KEY}:'; if this is for ROS 1, the weights' names begin with laser_",
+    )  # fmt: skip
+
+
 def foreign_names(patient: Patient) -> Iterator[Diagnosis]:
     """Find parameters of another stack, and names one letter off."""
-    own = parameter_names(patient.file.stack)
-    for name, entry in patient.file.section.entries.items():
-        if name in own or entry.value is None:
-            continue
-        for stack in STACKS:
-            if stack != patient.file.stack and name in parameter_names(stack):
-                yield patient.finds(
-                    "foreign-name", "warning", f"{name} is a parameter of {stack}, not of {patient.file.stack}",
-                    f"{patient.file.stack} ignores it without a word and uses its own default",
-                    _own_name(name, own), own=name,
-                )  # fmt: skip
-                break
-        else:
-            near = difflib.get_close_matches(name, own, n=1, cutoff=SIMILAR)
-            if near and near[0] not in patient.file.section.entries and not name.startswith(_OTHER_PREFIXES):
-                yield patient.finds(
-                    "misspelt-name", "warning", f"{name} looks like {near[0]}, which the file does not have",
-                    "a parameter with an unknown name is ignored without a word",
-                    f"write {near[0]}, if that is meant", own=name,
-                )  # fmt: skip
+    own, entries = parameter_names(patient.file.stack), patient.file.section.entries
+    strange = [
+        name for name, entry in entries.items() if name not in own and (entry.value is not None or entry.filled_in)
+    ]
+    foreign = {name: stack for name in strange if (stack := _stack_with(name)) is not None}
+    for name in foreign:
+        if other := _counterpart(name, own):
+            yield _foreign(patient, [name], foreign[name], other, other in entries)
+    rest = [name for name in foreign if not _counterpart(name, own)]
+    for stack in dict.fromkeys(foreign[name] for name in rest):
+        yield _foreign(patient, [name for name in rest if foreign[name] == stack], stack, "", False)
+    for name in strange:
+        near = difflib.get_close_matches(name, own, n=1, cutoff=SIMILAR)
+        if name not in foreign and near and near[0] not in entries and not name.startswith(_OTHER_PREFIXES):
+            yield patient.finds(
+                "misspelt-name", "warning", f"{name} looks like {near[0]}, which the file does not have",
+                "a parameter with an unknown name is ignored without a word",
+                f"write {near[0]}, if that is meant", own=name,
+            )  # fmt: skip
 
 
 def stack_guess(patient: Patient) -> Iterator[Diagnosis]:
     """Say that a file could be another stack's."""
-    if not patient.file.stack_is_certain:
-        yield patient.finds(
-            "nav2-or-beluga", "info", "read as nav2's; nothing in it tells nav2 from Beluga",
-            "the same values mean different things there: Beluga's hit has the constant of a normal density",
-            "say --stack beluga if that is what the robot runs",
+    if patient.file.stack_is_certain:
+        return
+    nodes = {
+        "nav2": "nav2's and Beluga's files have the same names",
+        "ros1": "Beluga's node for ROS 1 has amcl's names",
+    }
+    remedy = "say --stack beluga if that is what the robot runs"
+    if patient.file.stack == "ros1":
+        remedy += ", and leave the laser_ of laser_z_hit and its like away in the file that you give"
+    yield patient.finds(
+        "stack-uncertain", "info", f"read as {patient.file.stack}'s, though {nodes[patient.file.stack]}",
+        "the same values mean different things there: Beluga's hit has the constant of a normal density",
+        remedy,
+    )  # fmt: skip
+
+
+def _not_finite(patient: Patient, name: str, value: float) -> Diagnosis:
+    if name == "laser_max_range" and value > 0.0 and patient.file.stack in ("nav2", "ros1"):
+        return patient.finds(
+            "not-finite", "info", f"{name} is {value}", "the sensor's own limit holds then, as with -1.0",
+            "write -1.0", own=name,
         )  # fmt: skip
+    return patient.finds(
+        "not-finite", "error", f"{name} is {value}",
+        "programs compute on with it: weights become NaN, infinite or all the same. nav2 has crashed on it",
+        "write a number", own=name,
+    )  # fmt: skip
 
 
-def _own_name(name: str, own: Set[str]) -> str:
+def _out_of_range(patient: Patient, name: str) -> str:
+    if patient.name_of("max_beams") == name:
+        if patient.file.stack == "beluga":
+            return "without a beam there is nothing to weigh poses by"
+        return "with fewer than two beams amcl does not look at scans at all"
+    return "the model's formula means nothing with it"
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _stack_with(name: str) -> str | None:
+    return next((stack for stack in STACKS if name in parameter_names(stack)), None)
+
+
+def _foreign(patient: Patient, names: list[str], stack: str, other: str, has_other: bool) -> Diagnosis:
+    are = "is a parameter" if len(names) == 1 else "are parameters"
+    instead = f" and uses its default for {other}" if other and not has_other else ""
+    # What is switched off there does nothing here either.
+    is_off = set(names) <= set(BEAM_SKIPPING) and not patient.file.section.entries.get("do_beamskip", _OFF).value
+    return patient.finds(
+        "foreign-name", "info" if is_off else "warning",
+        f"{', '.join(names)} {are} of {stack}, not of {patient.file.stack}",
+        f"{patient.file.stack} ignores {'it' if len(names) == 1 else 'them'} without a word{instead}",
+        _rename(patient.file.stack, stack, other), own=names[0],
+    )  # fmt: skip
+
+
+def _counterpart(name: str, own: Set[str]) -> str:
+    """Return the stack's own name for the same thing; "" if there is none."""
     other = name.removeprefix("laser_") if name.startswith("laser_") else f"laser_{name}"
-    if other in own:
-        return f"call it {other} (values keep their meaning between ROS 1 and nav2)"
-    return "remove it, or translate the file: beamfield translate"
+    return other if other in own else ""
+
+
+def _rename(stack: str, other_stack: str, name: str) -> str:
+    if name and {stack, other_stack} <= {"nav2", "ros1"}:
+        return f"call it {name} (values keep their meaning between ROS 1 and nav2)"
+    if name:
+        return f"call it {name} if the value is meant for {stack}; if it is {other_stack}'s: beamfield translate"
+    return "leave it out; if the values are from there, beamfield translate gives those for this stack"

@@ -20,22 +20,44 @@ def weights_sum(patient: Patient) -> Iterator[Diagnosis]:
         return
     names = ("z_hit", "z_rand") if patient.is_field else ("z_hit", "z_short", "z_max", "z_rand")
     values = [patient.value(name) for name in names]
-    total = sum(values)
-    if abs(total - 1.0) <= SUM_TOLERANCE:
+    if None in values or abs(sum(values) - 1.0) <= SUM_TOLERANCE:
         return
+    total = float(sum(values))
     terms = " + ".join(f"{patient.name_of(name)} {value:g}" for name, value in zip(names, values, strict=True))
-    # A common factor cancels in a product, and in a table with columns divided by their sums; in 1 + a sum of cubes
-    # it changes how much the scan counts.
-    product = patient.file.model in ("likelihood_field_prob", "LF_Thrun", "table")
+    why = "the stack's documents ask for a sum of 1, but nothing checks it. "
+    if _factor_cancels(patient):
+        why += "A common factor changes all poses' weights alike, so that nothing is lost but their meaning as shares"
+    else:
+        # Of a sum of 0 there are no shares.
+        why += "The weight of a scan is 1 + the sum of p^3 over its beams, so that a common factor does not cancel"
+        why += (
+            f": the beams count {total**3:.2g} times as much against that 1 as with a sum of 1" if total > 0.0 else ""
+        )
     yield patient.finds(
-        "weights-sum", "info" if product else "warning",
-        f"the weights that {patient.file.model} uses sum to {total:.4g}: {terms}",
-        "a common factor cancels in this model, so nothing is lost but their meaning as shares"
-        if product else
-        "they are no shares then; and as this model adds 1 or a power of the values, a common factor changes how much "
-        "a scan counts",
-        "divide each by their sum", parameter="z_hit", values={"total": total},
+        "weights-sum", "info" if _factor_cancels(patient) else "warning",
+        f"the weights that {patient.file.model} uses sum to {total:.4g}: {terms}", why,
+        "divide each by their sum, and look at nearly-flat afterwards" if total < 1.0 or _factor_cancels(patient)
+        else "divide each by their sum; the scan then counts less, so calibrate or look at nearly-flat",
+        parameter="z_hit", values={"total": total},
     )  # fmt: skip
+
+
+def value_above_one(patient: Patient) -> Iterator[Diagnosis]:
+    """Find factors with which one beam is worth more than 1, which amcl's code takes for impossible."""
+    if patient.file.stack not in ("nav2", "ros1"):
+        return
+    hit, short, most, rand, rate = (patient.value(n) for n in ("z_hit", "z_short", "z_max", "z_rand", "lambda_short"))
+    if None in (hit, short, most, rand, rate):
+        return
+    # Random readings add z_rand / range_max, a few percent of it at most.
+    largest = hit if patient.is_field else max(hit + short * rate, hit + most)
+    if largest > 1.0 + 1e-9:
+        yield patient.finds(
+            "value-above-one", "warning", f"one beam can be worth {largest:.4g}, which is more than 1",
+            f"{patient.file.stack} asserts that no beam is worth more than 1: builds with assertions, such as debug "
+            "builds, stop there",
+            "divide the weights by their sum", parameter="z_hit", values={"largest": float(largest)},
+        )  # fmt: skip
 
 
 def unused_weights(patient: Patient) -> Iterator[Diagnosis]:
@@ -46,14 +68,15 @@ def unused_weights(patient: Patient) -> Iterator[Diagnosis]:
         yield patient.finds(
             "unused-parameters", "info",
             f"{', '.join(given)} {'does' if len(given) == 1 else 'do'} nothing in {patient.file.model}",
-            f"{why}; changing them changes nothing",
+            f"{why}; another value changes nothing",
             "leave them out when comparing files", own=given[0],
         )  # fmt: skip
 
 
 def no_random(patient: Patient) -> Iterator[Diagnosis]:
     """Find a product of beams in which one unexplained reading forbids a pose."""
-    if patient.value("z_rand") == 0.0 and patient.file.model != "beam":
+    # Where p^3 are added up, a beam without value only adds nothing.
+    if patient.value("z_rand") == 0.0 and _multiplies(patient):
         yield patient.finds(
             "no-random-readings", "warning", f"{patient.name_of('z_rand')} is 0",
             "one reading that nothing in the map explains, such as a person, makes the true pose (nearly) impossible",
@@ -87,15 +110,25 @@ def distance_limit(patient: Patient) -> Iterator[Diagnosis]:
     if not patient.is_field:
         return
     sigma, limit = _sigma_metres(patient), patient.value("laser_likelihood_max_dist")
+    width = patient.name_of("sigma_hit")
     if sigma is not None and limit is not None and limit < CUT_SIGMAS * sigma:
         yield patient.finds(
             "distance-limit", "warning",
-            f"{patient.name_of('laser_likelihood_max_dist')} is {limit:g} m, {limit / sigma:.2g} sigma_hit",
+            f"{patient.name_of('laser_likelihood_max_dist')} is {limit:g} m, {limit / sigma:.2g} {width}",
             "a reading anywhere beyond it is worth as much as one at that distance, which is still a fair hit: poses "
             "that do not fit lose too little",
-            f"take at least {CUT_SIGMAS:g} sigma_hit, {CUT_SIGMAS * sigma:.2g} m, or a smaller sigma_hit",
+            f"take at least {CUT_SIGMAS:g} {width}, {CUT_SIGMAS * sigma:.2g} m, or a smaller {width}",
             parameter="laser_likelihood_max_dist", values={"limit": limit, "sigma": sigma},
         )  # fmt: skip
+
+
+def _factor_cancels(patient: Patient) -> bool:
+    # Products; a table with columns divided by their sums; and a bare sum of cubes.
+    return _multiplies(patient) or (patient.file.stack == "beluga" and patient.file.model == "beam")
+
+
+def _multiplies(patient: Patient) -> bool:
+    return patient.file.model in ("likelihood_field_prob", "LF_Thrun", "table")
 
 
 def _unused(patient: Patient) -> tuple[list[str], str]:

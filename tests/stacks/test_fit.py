@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import as_poses, between, compose
@@ -14,14 +15,17 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from beamfield.stacks.beluga_parameters import BelugaParameters
 from beamfield.stacks.emulator import Evidence, StackModel
 from beamfield.stacks.fit import fit_stack, net_score
 from beamfield.stacks.fit_space import fit_space
 from beamfield.stacks.likelihood_values import from_likelihood
 from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.parameter_file import MODELS
 from beamfield.stacks.particle_update import update_particles
-from beamfield.stacks.posterior_score import PosteriorScores, gather_evidence, score_windows
-from beamfield.stacks.registry import build_model
+from beamfield.stacks.posterior_score import PosteriorScores, _judge, score_windows
+from beamfield.stacks.registry import build_model, parameter_class
+from beamfield.stacks.window_evidence import gather_evidence
 from beamfield.stacks.windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 
 # The simulated reference is exact.
@@ -60,7 +64,7 @@ class Gaussian(StackModel):
 
     def log_weights(self, evidence, parameters=None):
         sigma = self.parameters if parameters is None else parameters
-        return -0.5 * evidence.squares / sigma**2
+        return np.full(len(evidence.squares), -np.inf) if sigma == 0.0 else -0.5 * evidence.squares / sigma**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,47 +75,128 @@ class _Squares(Evidence):
 def test_the_score_is_best_and_coverage_right_for_a_calibrated_posterior(drive, office):
     options = WindowOptions(scans=1, windows=400, travel=0.0, near=800, far=40, reference_error=0.005,
                             reference_turn_error=0.002)  # fmt: skip
-    rivals = draw_rivals(options)
+    rivals = draw_rivals(options, office)
     windows = cut_windows(drive, office, rivals, options)
     rng = np.random.default_rng(8)
     truth = 0.06
     centres = {float(t): rng.normal(0.0, (truth, truth, 0.4 * truth)) for t in drive.stamps}
     model = Gaussian(truth, centres)
     evidence = gather_evidence(model, drive, windows)
-    scores = {sigma: score_windows(model, evidence, sigma, rivals, options) for sigma in (0.02, 0.04, 0.06, 0.09, 0.2)}
+    sigmas = (0.02, 0.04, 0.06, 0.09, 0.2)
+    scores = dict(zip(sigmas, score_windows(model, evidence, sigmas, rivals, options), strict=True))
     means = {sigma: score.mean for sigma, score in scores.items()}
     assert max(means, key=means.get) == truth
     assert means[truth] - means[0.02] > 2.0
     # 400 windows: a standard error of 0.011.
-    assert scores[truth].coverage == pytest.approx(0.95, abs=0.04)
+    assert scores[truth].coverage == pytest.approx(0.95, abs=0.03)
     assert scores[0.02].coverage < 0.5
     assert scores[0.2].coverage > 0.99
 
 
+def test_an_uncertain_reference_costs_a_sharp_posterior_no_coverage(drive, office):
+    # The reference errs by 4 cm, the fix by 1 cm from the truth: the right sigma is 1 cm, and no sigma is over-sure.
+    options = WindowOptions(scans=1, windows=400, travel=0.0, near=800, far=0)
+    rivals = draw_rivals(options, office)
+    windows = cut_windows(drive, office, rivals, options)
+    rng = np.random.default_rng(9)
+    fix, off = (rng.normal(0.0, 1.0, (len(drive), 3)) for _ in range(2))
+    errors = fix * (0.01, 0.01, 0.004) + off * (0.04, 0.04, 0.01)
+    model = Gaussian(0.01, dict(zip(drive.stamps.tolist(), errors, strict=True)))
+    right, flat = score_windows(model, gather_evidence(model, drive, windows), [0.01, 0.15], rivals, options)
+    assert right.coverage == pytest.approx(0.95, abs=0.03)
+    assert right.mean > flat.mean + 1.0
+
+
+def test_scores_are_those_of_normal_distributions(drive, office):
+    options = WindowOptions(scans=1, windows=20, near=4000, far=0)
+    rivals = draw_rivals(options, office)
+    windows = cut_windows(drive, office, rivals, options)
+    fix, widths = np.array([0.05, -0.08, 0.02]), np.array([0.1, 0.1, 0.04])
+    model = Gaussian(0.1, {float(t): fix for t in drive.stamps})
+    (scores,) = score_windows(model, gather_evidence(model, drive, windows), [0.1], rivals, options)
+    error, prior = np.array([0.04, 0.04, 0.01]), np.array([0.25, 0.25, 0.1])
+    weights = widths**2 + error**2
+    at_reference = norm.logpdf(0.0, fix, np.sqrt(weights)).sum()
+    mean = norm.logpdf(fix, rivals.centres, np.sqrt(weights + prior**2 + error**2)).sum(axis=1)
+    np.testing.assert_allclose(scores.log_score, (at_reference - mean).mean(), atol=0.05)
+
+
 def test_weights_that_say_nothing_score_nothing(drive, office):
-    options = WindowOptions(scans=2, windows=20)
-    rivals = draw_rivals(options)
+    options = WindowOptions(scans=2, windows=20, far=0)
+    rivals = draw_rivals(options, office)
     windows = cut_windows(drive, office, rivals, options)
     model = Gaussian(1e9, {float(t): np.zeros(3) for t in drive.stamps})
-    scores = score_windows(model, gather_evidence(model, drive, windows), 1e9, rivals, options)
-    np.testing.assert_allclose(scores.log_score, 0.0, atol=1e-9)
-    np.testing.assert_array_equal(scores.covered, 1.0)
+    evidence = gather_evidence(model, drive, windows)
+    # Without any weight nav2 makes all equal.
+    for scores in score_windows(model, evidence, [1e9, 0.0], rivals, options):
+        np.testing.assert_allclose(scores.log_score, 0.0, atol=1e-9)
+        # The prior's own region misses the truth as often as it says.
+        np.testing.assert_allclose(scores.covered, 0.95, atol=0.051)
 
 
-def test_rivals_make_sums_integrals():
+def test_being_sure_of_another_place_is_no_coverage(office):
+    options = WindowOptions(near=50, far=10)
+    rivals = draw_rivals(options, office)
+    log_weights = np.zeros((1, 2, 60))
+    log_weights[0, 0, 55] = 40.0
+    log_score, covered = _judge(log_weights, 50, rivals, options)
+    np.testing.assert_array_equal(covered, [[0.0, 1.0]])
+    # All but nothing of the posterior lies at one of ten far poses, half the prior.
+    assert log_score[0, 0] == pytest.approx(np.log(20.0) - 40.0, abs=1e-6)
+
+
+def test_rivals_make_sums_integrals(office):
     options = WindowOptions(near=4000)
-    rivals = draw_rivals(options)
-    assert rivals.prior.sum() == pytest.approx(1.0, abs=0.05)
-    assert rivals.reference.sum() == pytest.approx(1.0, abs=0.05)
-    # Second moments of the prior come out of the weighted rivals.
-    variance = (rivals.prior[:, None] * rivals.offsets**2).sum(axis=0)
-    np.testing.assert_allclose(np.sqrt(variance), (0.25, 0.25, 0.1), rtol=0.06)
+    rivals = draw_rivals(options, office)
+    np.testing.assert_allclose((rivals.density * rivals.volumes).sum(axis=1), 1.0, atol=0.12)
+    np.testing.assert_allclose(rivals.mass.sum(axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(rivals.smoothing.sum(axis=1), 1.0, rtol=1e-12)
+    # Moments of the priors come out of the weighted rivals.
+    np.testing.assert_allclose(rivals.mass @ rivals.offsets, rivals.centres, atol=0.08)
+    # A filter's idea is off as far as its spread says.
+    np.testing.assert_allclose(np.linalg.norm(rivals.centres / (0.253, 0.253, 0.1005), axis=1).mean(), 1.6, atol=0.02)
     np.testing.assert_array_equal(rivals.offsets[0], 0.0)
+    # The reference's error: 4 cm around the reference.
+    spread = np.sqrt((rivals.smoothing[0, :, None] * rivals.offsets**2).sum(axis=0))
+    np.testing.assert_allclose(spread, (0.04, 0.04, 0.01), rtol=0.15)
+
+
+@pytest.mark.parametrize(("stack", "model"), [(stack, model) for stack in MODELS for model in MODELS[stack]])
+def test_gathered_evidence_weighs_as_the_emulator_does(drive, office, stack, model):
+    options = WindowOptions(scans=2, windows=15, near=40, far=20)
+    windows = cut_windows(drive, office, draw_rivals(options, office), options)[:3]
+    kind = parameter_class(stack, model)
+    start = kind(**({"laser_model_type": model} if "laser_model_type" in kind.__dataclass_fields__ else {}))
+    emulator = build_model(stack, model, office, start)
+    rng = np.random.default_rng(4)
+    candidates = [
+        replace(start, **{name: getattr(start, name) * rng.uniform(0.2, 2.0) for name in emulator.fitted_parameters})
+        for _ in range(11)
+    ]
+    got = gather_evidence(emulator, drive, windows).log_weights(emulator, candidates)
+    assert got.shape == (3, 11, 60)
+    for c, parameters in enumerate(candidates):
+        one = emulator.with_parameters(parameters)
+        for w, window in enumerate(windows):
+            poses = np.concatenate([window.near, window.far], axis=1)
+            expected = sum(one.log_likelihood(drive.scan(int(i)), p) for i, p in zip(window.scans, poses, strict=True))
+            np.testing.assert_allclose(got[w, c], expected, rtol=0.0, atol=1e-9)
+
+
+def test_beam_skipping_weighs_all_rivals_of_a_window_at_once(drive, office):
+    options = WindowOptions(scans=2, windows=15, near=40, far=20)
+    windows = cut_windows(drive, office, draw_rivals(options, office), options)[:2]
+    start = Nav2Parameters(laser_model_type="likelihood_field_prob", do_beamskip=True, beam_skip_distance=0.1)
+    model = build_model("nav2", "likelihood_field_prob", office, start)
+    got = gather_evidence(model, drive, windows).log_weights(model, [start])[1, 0]
+    scans = zip(windows[1].scans, windows[1].near, windows[1].far, strict=True)
+    expected = sum(model.log_likelihood(drive.scan(int(i)), np.concatenate([near, far])) for i, near, far in scans)
+    np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
 def test_windows_move_their_rivals_with_the_reference_and_keep_to_one_block(drive, office):
     options = WindowOptions(scans=3, windows=30)
-    rivals = draw_rivals(options)
+    rivals = draw_rivals(options, office)
     windows = cut_windows(drive, office, rivals, options)
     assert {window.fold for window in windows} == {0, 1, HELD_OUT}
     for window in windows[::7]:
@@ -153,7 +238,7 @@ def test_a_fit_improves_the_posterior_on_windows_it_has_not_seen(prob_fit):
 
 def test_a_beam_model_takes_the_learned_densities(drive, office):
     fit = fit_stack(
-        "beluga", "beam", drive, office, start=build_defaults("beluga", "beam"), beam_parameters=TRUTH,
+        "beluga", "beam", drive, office, start=BelugaParameters(laser_model_type="beam"), beam_parameters=TRUTH,
         options=EXACT,
     )  # fmt: skip
     assert fit.how == "maximum likelihood"
@@ -161,12 +246,6 @@ def test_a_beam_model_takes_the_learned_densities(drive, office):
     assert (values.z_hit, values.z_short, values.z_max, values.z_rand) == (0.80, 0.10, 0.03, 0.07)
     assert (values.sigma_hit, values.lambda_short) == (0.05, 0.6)
     assert net_score(fit.chosen.held_out) > net_score(fit.before.held_out)
-
-
-def build_defaults(stack, model):
-    from beamfield.stacks.registry import parameter_class
-
-    return parameter_class(stack, model)(laser_model_type=model)
 
 
 def test_nav2s_beam_values_are_the_learned_density_up_to_a_factor(office):
@@ -198,6 +277,25 @@ def test_a_start_that_nav2_would_hang_on_is_made_usable(drive, office):
     space = fit_space("nav2", "likelihood_field", Nav2Parameters(max_beams=400), drive.finder, office, None)
     assert space.usable_start.max_beams == 61
     assert max(setting["max_beams"] for setting in space.settings) <= 61
+
+
+@pytest.mark.parametrize(("n_beams", "counts"), [(4, [4]), (3, [3]), (1, [2])])
+def test_sensors_of_few_beams_have_something_to_try(office, n_beams, counts):
+    finder = RangeFinder.from_bearings(np.linspace(0.0, 3.0, n_beams), 4.0)
+    for stack, name in (("nav2", "max_beams"), ("ros1", "laser_max_beams"), ("beluga", "max_beams")):
+        start = parameter_class(stack, "likelihood_field")()
+        space = fit_space(stack, "likelihood_field", start, finder, office, None)
+        assert [setting[name] for setting in space.settings] == counts
+    for stack, model in (("mrpt", "LF_Thrun"), ("mrpt", "rayTracing"), ("f1tenth", "table")):
+        space = fit_space(stack, model, parameter_class(stack, model)(), finder, office, None)
+        assert [next(iter(setting.values())) for setting in space.settings] == [1]
+
+
+def test_a_start_that_nothing_beats_is_kept(drive, office, prob_fit):
+    again = fit_stack(
+        "nav2", "likelihood_field_prob", drive, office, start=prob_fit.parameters, options=replace(EXACT, seed=1)
+    )
+    assert net_score(again.chosen.crossed) >= net_score(again.before.crossed)
 
 
 def test_coordinates_go_there_and_back(drive, office):

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from beamfield.stacks.parameter_file import StackFile
 
 
+# A reference that is off by so many metres is off by a radian.
+REFERENCE_LEVER = 4.0
+
+
 @dataclass(frozen=True)
 class StackResult:
     """What fitting a stack adds to the outputs.
@@ -59,7 +63,8 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
                        help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
     group.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
     group.add_argument("--reference-error", type=float, default=0.04, metavar="M",
-                       help="how wrong the reference poses may be, standard deviation per axis (0.04)")  # fmt: skip
+                       help="how wrong the reference poses may be, standard deviation per axis (0.04); "
+                       "a quarter of it in radians")  # fmt: skip
 
 
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
@@ -112,8 +117,12 @@ def fit_for_stack(
         fits.append(
             fit_stack(
                 stack, model, sensor, grid, start=start, beam_parameters=plain,
-                options=WindowOptions(reference_error=arguments.reference_error, seed=arguments.seed),
-                selection=result.options.selection, progress=progress, threads=arguments.threads,
+                options=WindowOptions(
+                    reference_error=arguments.reference_error,
+                    reference_turn_error=arguments.reference_error / REFERENCE_LEVER, seed=arguments.seed,
+                ),
+                selection=result.options.selection, block_s=arguments.block, progress=progress,
+                threads=arguments.threads,
             )
         )  # fmt: skip
     best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))

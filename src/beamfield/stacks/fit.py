@@ -18,8 +18,9 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.emulator import StackModel
 from beamfield.stacks.fit_space import FitSpace, fit_space
 from beamfield.stacks.particle_update import ParticleUpdate, update_particles
-from beamfield.stacks.posterior_score import PosteriorScores, WindowEvidence, gather_evidence, score_windows
+from beamfield.stacks.posterior_score import PosteriorScores, score_windows
 from beamfield.stacks.registry import build_model
+from beamfield.stacks.window_evidence import WindowEvidence, gather_evidence
 from beamfield.stacks.windows import HELD_OUT, Rivals, Window, WindowOptions, cut_windows, draw_rivals
 
 Progress = Callable[[str, int, int], None]
@@ -118,7 +119,7 @@ def fit_stack(
     few scans, in which the reference trajectory competes with others around it and elsewhere on the map. The objective
     is the mean log of the posterior's density at the reference, a proper score: weights that are too flat lose, and so
     do weights that are certain and wrong. Of the settings the one is taken that scores best on windows it was not
-    fitted to, less a price for 95 % regions that miss the reference.
+    fitted to, less a price for 95 % regions that miss the reference. The start is kept if none does better.
 
     Parameters
     ----------
@@ -148,13 +149,14 @@ def fit_stack(
         If the log is too short.
     """
     options = options or WindowOptions()
-    rivals = draw_rivals(options)
+    rivals = draw_rivals(options, grid)
     windows = cut_windows(log, grid, rivals, options, selection, block_s)
     space = fit_space(stack, model, start, log.finder, grid, beam_parameters)
     before_model = build_model(stack, model, grid, space.usable_start, **model_options)
     stage, n_steps = f"fitting {stack} {model}", len(space.settings) + 3
     _tell(progress, stage, 0, n_steps)
-    before = _judge(before_model, {}, log, windows, rivals, options)
+    as_it_was = {name: getattr(space.usable_start, name) for name in space.settings[0]}
+    before = _judge(before_model, as_it_was, log, windows, rivals, options)
     trials = []
     for done, setting in enumerate(space.settings):
         _tell(progress, stage, done + 1, n_steps)
@@ -167,6 +169,8 @@ def fit_stack(
         fitted_to = gather_evidence(final, log, [window for window in windows if window.fold != HELD_OUT])
         final = final.with_parameters(_polish(final, fitted_to, space, rivals, options))
     chosen = replace(_judge(final, best.setting, log, windows, rivals, options), crossed=best.crossed)
+    if net_score(before.crossed) > net_score(best.crossed):
+        chosen = before
     _tell(progress, stage, n_steps - 1, n_steps)
     judged = [int(window.scans[0]) for window in windows if window.fold == HELD_OUT]
     final = build_model(stack, model, grid, chosen.parameters, **model_options)
@@ -196,7 +200,7 @@ def _judge(
     options: WindowOptions,
 ) -> Trial:  # fmt: skip
     """Return the scores of a model as it is."""
-    scores = score_windows(model, gather_evidence(model, log, windows), model.parameters, rivals, options)
+    (scores,) = score_windows(model, gather_evidence(model, log, windows), [model.parameters], rivals, options)
     held_out = np.array([window.fold == HELD_OUT for window in windows])
     return Trial(dict(setting), model.parameters, scores[~held_out], scores[held_out])
 
@@ -212,7 +216,7 @@ def _try(
     """
     evidence = gather_evidence(model, log, windows)
     candidates = [space.parameters(model.parameters, point) for point in space.grid(model.parameters)]
-    scores = [score_windows(model, evidence, candidate, rivals, options) for candidate in candidates]
+    scores = score_windows(model, evidence, candidates, rivals, options)
     folds = [np.array([window.fold == fold for window in windows]) for fold in range(3)]
 
     def best(chosen: NDArray[np.bool_]) -> int:
@@ -224,13 +228,14 @@ def _try(
 
 
 def _polish(
-    model: StackModel[Any, Any], evidence: Sequence[WindowEvidence], space: FitSpace, rivals: Rivals,
+    model: StackModel[Any, Any], evidence: WindowEvidence, space: FitSpace, rivals: Rivals,
     options: WindowOptions,
 ) -> Any:  # fmt: skip
     """Return better parameters near the model's own, by the windows fitted to."""
 
     def loss(point: FloatArray) -> float:
-        return -net_score(score_windows(model, evidence, space.parameters(model.parameters, point), rivals, options))
+        (scores,) = score_windows(model, evidence, [space.parameters(model.parameters, point)], rivals, options)
+        return -net_score(scores)
 
     first = space.point(model.parameters)
     result = minimize(

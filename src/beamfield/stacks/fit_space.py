@@ -27,6 +27,8 @@ PIXELS = (0.5, 1.0, 2.0, 4.0, 8.0)
 REACHES = (2.5, 5.0, 10.0)
 LOG_ODDS = (-3.0, -1.0, 1.0, 3.0, 5.0, 7.0)
 SQUASHES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+# No log is long enough to show that random readings are rarer than one in a hundred: what it lacks a robot will meet.
+LEAST_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -138,9 +140,10 @@ def _amcl(
     prefix = "laser_" if stack == "ros1" else ""
     beams = f"{prefix}max_beams"
     usable = start
-    if getattr(start, beams) > finder.n_beams:
-        usable = replace(start, **{beams: finder.n_beams})
-    settings = tuple({beams: n} for n in counts if n > 1)
+    # A scan of one beam is refused by the emulators of what never returns from it.
+    if getattr(start, beams) > max(2, finder.n_beams):
+        usable = replace(start, **{beams: max(2, finder.n_beams)})
+    settings = tuple({beams: max(2, n)} for n in counts)
     if model == "beam":
         first, learned = from_likelihood(stack, usable, likelihood, finder, grid)
         if learned:
@@ -234,4 +237,4 @@ def _share(names: tuple[str, ...], name: str) -> Coordinate:
         }
         return replace(parameters, **values, **{name: share})
 
-    return Coordinate(f"share of {name}", get, put, 1.0, -9.0, 9.0, LOG_ODDS)
+    return Coordinate(f"share of {name}", get, put, 1.0, math.log(LEAST_SHARE / (1.0 - LEAST_SHARE)), 9.0, LOG_ODDS)

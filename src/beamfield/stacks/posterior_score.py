@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
-from beamfield.sensors import SensorLog
+from beamfield.kernels.posterior import judge_posteriors
 from beamfield.stacks.emulator import StackModel
-from beamfield.stacks.windows import Rivals, Window, WindowOptions
+from beamfield.stacks.window_evidence import LANES, WindowEvidence
+from beamfield.stacks.windows import Rivals, WindowOptions
 
 LEVEL = 0.95
-
-
-class WindowEvidence(NamedTuple):
-    """What one window says before the fitted parameters come in: one evidence per scan, near poses before far ones."""
-
-    scans: tuple[Any, ...]
-    fold: int
+# Nats that a window can lose at most.
+LOWEST = -50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +27,11 @@ class PosteriorScores:
     Parameters
     ----------
     log_score
-        (w,) nats: log of the posterior density at the reference over the prior's there. 0 for weights that say nothing;
-        wrong and certain is punished without bound, so that it is largest in the mean for a calibrated posterior.
+        (w,) nats: log of the posterior density at the reference over the prior's there, mean over priors. 0 for
+        weights that say nothing; wrong and certain is punished, so that it is largest in the mean for a calibrated
+        posterior.
     covered
-        (w,) probability that the posterior's 95 % region holds the truth, which is somewhere around the reference.
+        (w,) share of the priors whose posterior holds the reference in its 95 % region.
     """
 
     log_score: FloatArray
@@ -59,30 +56,15 @@ class PosteriorScores:
         return PosteriorScores(np.append(self.log_score, other.log_score), np.append(self.covered, other.covered))
 
 
-def gather_evidence(
-    model: StackModel[Any, Any],
-    log: SensorLog,
-    windows: Sequence[Window],
-    progress: Callable[[int, int], None] | None = None,
-) -> list[WindowEvidence]:
-    """Return the evidence of all windows, for many evaluations with other parameters."""
-    gathered = []
-    for done, window in enumerate(windows):
-        scans = tuple(
-            model.evidence(log.scan(int(i)), np.concatenate([near, far]))
-            for i, near, far in zip(window.scans, window.near, window.far, strict=True)
-        )
-        gathered.append(WindowEvidence(scans, window.fold))
-        if progress is not None:
-            progress(done + 1, len(windows))
-    return gathered
-
-
 def score_windows(
-    model: StackModel[Any, Any], evidence: Sequence[WindowEvidence], parameters: Any, rivals: Rivals,
-    options: WindowOptions,
-) -> PosteriorScores:  # fmt: skip
+    model: StackModel[Any, Any], evidence: WindowEvidence, candidates: Sequence[Any], rivals: Rivals,
+    options: WindowOptions, *, threads: int | None = None,
+) -> list[PosteriorScores]:  # fmt: skip
     """Return how well parameters do on windows.
+
+    A filter knows where the robot is up to a prior, which is off the truth as far as its spread says, or that it may be
+    anywhere. The posterior over where the reference lies is that prior times the stack's weights, averaged over the
+    reference's error; it is judged where the reference does lie.
 
     Parameters
     ----------
@@ -90,48 +72,39 @@ def score_windows(
         Makes weights from evidence.
     evidence
         From `gather_evidence`.
-    parameters
-        The stack's.
+    candidates
+        The stack's parameters, one set after the other.
     rivals, options
         As the windows were cut with.
+    threads
+        Number of threads; None uses what pays.
     """
-    scores, covered = np.empty(len(evidence)), np.empty(len(evidence))
-    for i, window in enumerate(evidence):
-        total = np.sum([model.log_weights(scan, parameters) for scan in window.scans], axis=0)
-        scores[i], covered[i] = _judge(total, rivals, options)
-    return PosteriorScores(scores, covered)
+    scores = []
+    for first in range(0, len(candidates), LANES):
+        chunk = candidates[first : first + LANES]
+        log_weights = evidence.log_weights(model, chunk, threads)
+        log_score, covered = _judge(log_weights, evidence.n_near, rivals, options)
+        scores += [PosteriorScores(*pair) for pair in zip(log_score.T, covered.T, strict=True)]
+    return scores
 
 
-def _judge(log_weights: FloatArray, rivals: Rivals, options: WindowOptions) -> tuple[float, float]:
-    """Return log score and coverage of one window, given log weights of near and far poses."""
-    n = len(rivals.prior)
-    top = float(log_weights.max())
-    if top == -np.inf:
-        # No pose has any weight: the filter learns nothing (nav2 then makes all weights equal).
-        return 0.0, 1.0
-    weights = np.exp(log_weights - top)
-    near, far = weights[:n], weights[n:]
-    at_reference = float((near * rivals.reference).sum() / rivals.reference.sum())
-    around = float((near * rivals.prior).sum() / rivals.prior.sum())
-    elsewhere = float(far.mean()) if far.size else 0.0
-    share = options.far_share if far.size else 0.0
-    evidence = (1.0 - share) * around + share * elsewhere
+def _judge(
+    log_weights: FloatArray, n_near: int, rivals: Rivals, options: WindowOptions
+) -> tuple[FloatArray, FloatArray]:
+    """Return log scores and coverage (w, c) of log weights (w, c, n), near poses before far ones."""
+    shape = log_weights.shape[:2]
+    rows = log_weights.reshape(-1, log_weights.shape[2])
+    top = rows.max(axis=1, keepdims=True)
+    # No pose has any weight: the filter learns nothing (nav2 then makes all weights equal).
+    weights = np.exp(np.where(top > -np.inf, rows - np.where(top > -np.inf, top, 0.0), 0.0))
+    near = np.ascontiguousarray(weights[:, :n_near] @ rivals.smoothing.T)
+    far = np.ascontiguousarray(weights[:, n_near:])
+    share = options.far_share if far.shape[1] else 0.0
+    ratios, covered = np.empty((len(rows), len(rivals.mass))), np.empty(len(rows))
+    judge_posteriors(
+        near, far, (1.0 - share) * rivals.mass, (1.0 - share) * rivals.density, share / max(1, far.shape[1]),
+        share * rivals.far_density, LEVEL, ratios, covered,
+    )  # fmt: skip
     # A weight that underflows next to the best pose is a loss that no fit should follow for ever.
-    score = max(np.log(max(at_reference, 1e-300)) - np.log(evidence), -50.0)
-    return score, _coverage(near, elsewhere * share, rivals, 1.0 - share)
-
-
-def _coverage(near: FloatArray, elsewhere: float, rivals: Rivals, share: float) -> float:
-    """Return the probability that the region of highest density with 95 % of the posterior holds the truth.
-
-    A rival lies in it if what is denser has less than 95 %. Poses elsewhere count as denser if their mean weight is
-    larger.
-    """
-    mass = near * rivals.prior * (share / rivals.prior.sum())
-    density = near * rivals.prior_density
-    order: NDArray[np.int64] = np.argsort(-density, kind="stable")
-    above = np.empty(len(near))
-    above[order] = np.cumsum(mass[order]) - mass[order]
-    above += np.where(elsewhere > near * share, elsewhere, 0.0)
-    inside = above < LEVEL * (mass.sum() + elsewhere)
-    return float((inside * rivals.reference).sum() / rivals.reference.sum())
+    scores = np.log(np.maximum(ratios, np.exp(LOWEST))).mean(axis=1)
+    return scores.reshape(shape), covered.reshape(shape)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi
 
 from beamfield.calibration.selection import SelectionOptions, select_scans
 from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S, time_blocks
@@ -18,6 +19,8 @@ from beamfield.sensors import SensorLog
 FEWEST_WINDOWS = 5
 HELD_OUT = 2
 WINDOWS_PER_BLOCK = 2.5
+# Priors around each reference.
+N_CENTRES = 20
 
 
 @dataclass(frozen=True)
@@ -81,22 +84,34 @@ class WindowOptions:
 class Rivals:
     """Poses around the reference, the same for all windows, with what makes sums over them integrals.
 
+    All of it is about where the reference may lie, which is the truth and the reference's own error: weights of the
+    truth are averaged over that error, and priors are as much wider.
+
     Parameters
     ----------
     offsets
         (n, 3) in the frame of the reference pose, metres and radians; the first is 0.
-    prior
-        (n,) weight of each in an integral over the prior around the reference; sums to about 1.
-    reference
-        (n,) weight of each in an integral over where the truth may be, given the reference; sums to about 1.
-    prior_density
-        (n,) the prior's density, 1 at the reference.
+    volumes
+        (n,) of each in an integral, m^2 rad.
+    smoothing
+        (n, n) rows that average over the reference's error.
+    centres
+        (c, 3) where priors are centred: a filter's idea is off from the truth as far as its spread says.
+    mass
+        (c, n) weight of each pose in an integral over each prior; rows sum to 1.
+    density
+        (c, n) the prior's density, 1/(m^2 rad).
+    far_density
+        Density of poses elsewhere on the map, 1/(m^2 rad); 0 if there are none.
     """
 
     offsets: FloatArray
-    prior: FloatArray
-    reference: FloatArray
-    prior_density: FloatArray
+    volumes: FloatArray
+    smoothing: FloatArray
+    centres: FloatArray
+    mass: FloatArray
+    density: FloatArray
+    far_density: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,27 +134,31 @@ class Window:
     fold: int
 
 
-def draw_rivals(options: WindowOptions) -> Rivals:
-    """Draw poses around a reference at all scales, from a centimetre to beyond the prior.
+def draw_rivals(options: WindowOptions, grid: OccupancyGrid) -> Rivals:
+    """Draw poses around a reference at all scales, from half a centimetre to beyond the prior.
 
     A posterior may be centimetres wide: poses drawn from the prior alone would miss it, and its integral with them,
-    which would reward sharpness without end. Here scales are log-uniform, and weights make up for it.
+    which would reward sharpness without end. Here two thirds have log-uniform scales, the others reach as far as priors
+    that are themselves off, and weights make up for it.
     """
     rng = np.random.default_rng(options.seed)
-    scales = np.geomspace(0.005 / options.spread, 2.0, 24)
+    scales = np.append(np.geomspace(0.005 / options.spread, 1.0, 16), np.full(8, 1.5))
     widths = np.array([options.spread, options.spread, options.turn_spread])
     chosen = rng.permutation(np.arange(options.near) % len(scales))
     offsets = rng.standard_normal((options.near, 3)) * scales[chosen, None] * widths
     offsets[0] = 0.0
-    proposal = np.mean([_density(offsets, scale * widths) for scale in scales], axis=0)
-    certain = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
-    prior = _density(offsets, widths)
+    volumes = 1.0 / (len(offsets) * np.mean([_density(offsets, scale * widths) for scale in scales], axis=0))
+    error = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
+    smoothing = _density(offsets[:, None] - offsets, error) * volumes
+    wide = np.hypot(widths, error)
+    centres = _centres(rng) * wide
+    density = _density(offsets - centres[:, None], wide)
+    mass = density * volumes
+    area = int(grid.free.sum()) * grid.resolution**2
     return Rivals(
-        offsets,
-        np.asarray(prior / proposal / len(offsets)),
-        np.asarray(_density(offsets, certain) / proposal / len(offsets)),
-        np.asarray(prior / prior[0]),
-    )
+        offsets, volumes, smoothing / smoothing.sum(axis=1, keepdims=True), centres,
+        mass / mass.sum(axis=1, keepdims=True), density, 1.0 / (2.0 * np.pi * area) if area > 0.0 else 0.0,
+    )  # fmt: skip
 
 
 def cut_windows(
@@ -231,7 +250,16 @@ def _anywhere(grid: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatArr
     return compose(grid.origin, local)
 
 
+def _centres(rng: np.random.Generator) -> FloatArray:
+    """Return points (c, 3) of a normal distribution whose distances are its quantiles: one in twenty beyond 95 %."""
+    directions = rng.standard_normal((N_CENTRES, 3))
+    # Every other one opposite to the last, so that they balance.
+    directions[1::2] = -directions[::2]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.asarray(directions * chi.ppf((np.arange(N_CENTRES) + 0.5) / N_CENTRES, 3)[:, None])
+
+
 def _density(offsets: FloatArray, widths: FloatArray) -> FloatArray:
-    """Return the normal density of offsets (n, 3) with standard deviations (3,)."""
-    squares = np.square(offsets / widths).sum(axis=1)
+    """Return the normal density of offsets (..., 3) with standard deviations (3,)."""
+    squares = np.square(offsets / widths).sum(axis=-1)
     return np.asarray(np.exp(-0.5 * squares) / np.prod(np.sqrt(2.0 * np.pi) * widths))

@@ -1,0 +1,147 @@
+"""Sums over beams of values that are looked up: what fitting a likelihood field spends its time on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+# Sets of parameters that are summed in one pass.
+LANES = 8
+_ODD = np.uint64(0x9E3779B97F4A7C15)
+
+
+@kernel
+def number_distances(
+    distances: NDArray[np.uint64],
+    places: NDArray[np.int8],
+    slots: NDArray[np.int32],
+    known: NDArray[np.uint64],
+    known_places: NDArray[np.int8],
+    n_known: int,
+    codes: NDArray[np.int32],
+) -> int:
+    """Number end points by what lies there: equal distance and place, equal number, in the order of appearance.
+
+    Parameters
+    ----------
+    distances
+        (e,) metres: the bits of float64.
+    places
+        (e,) known, unknown or off the map.
+    slots
+        Hash table, a power of two long: numbers, -1 where empty; updated.
+    known, known_places
+        Distance and place of each number so far; as long as half of `slots`, updated.
+    n_known
+        How many there are.
+    codes
+        (e,) overwritten.
+
+    Returns
+    -------
+    How many there are now; -1 if the table is too small.
+    """
+    mask = np.uint64(len(slots) - 1)
+    for i in range(len(distances)):
+        bits, place = distances[i], places[i]
+        # Distances of single precision have zeros below, so that only the product's upper bits differ.
+        mixed = (bits ^ np.uint64(place)) * _ODD
+        slot = ((mixed >> np.uint64(40)) ^ (mixed >> np.uint64(24))) & mask
+        while True:
+            code = slots[slot]
+            if code < 0:
+                if n_known == len(known):
+                    return -1
+                known[n_known], known_places[n_known] = bits, place
+                slots[slot] = code = n_known
+                n_known += 1
+                break
+            if known[code] == bits and known_places[code] == place:
+                break
+            slot = (slot + np.uint64(1)) & mask
+        codes[i] = code
+    return n_known
+
+
+@kernel
+def sum_values(
+    codes: NDArray[np.int32], starts: NDArray[np.int64], table: NDArray[np.float64], sums: NDArray[np.float64]
+) -> None:
+    """Sum the table's rows over the beams of each pose.
+
+    Parameters
+    ----------
+    codes
+        Rows of the table, the beams of one pose after those of the other.
+    starts
+        (n + 1,) where each pose's beams start.
+    table
+        (v, 8) values for eight sets of parameters.
+    sums
+        (n, 8) overwritten.
+    """
+    for i in range(len(starts) - 1):
+        a = b = c = d = e = f = g = h = 0.0
+        for j in range(starts[i], starts[i + 1]):
+            row = table[codes[j]]
+            a += row[0]
+            b += row[1]
+            c += row[2]
+            d += row[3]
+            e += row[4]
+            f += row[5]
+            g += row[6]
+            h += row[7]
+        sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3] = a, b, c, d
+        sums[i, 4], sums[i, 5], sums[i, 6], sums[i, 7] = e, f, g, h
+
+
+@kernel
+def judge_posteriors(
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+    mass: NDArray[np.float64],
+    density: NDArray[np.float64],
+    far_mass: float,
+    far_density: float,
+    level: float,
+    ratios: NDArray[np.float64],
+    covered: NDArray[np.float64],
+) -> None:
+    """Fill the posterior density at the first pose over the prior's, and whether it is in the densest region.
+
+    Parameters
+    ----------
+    near
+        (r, n) weights of poses around the reference, which is the first.
+    far
+        (r, m) weights of poses elsewhere.
+    mass, density
+        (c, n) each near pose's share of the prior and the prior's density there, for c priors.
+    far_mass, far_density
+        The same of each far pose.
+    level
+        Probability of the region.
+    ratios
+        (r, c) overwritten: weight of the first pose over the mean weight under each prior; 0 if it has none.
+    covered
+        (r,) overwritten: share of the priors whose posterior has less than `level` denser than the first pose.
+    """
+    for r in range(len(near)):
+        inside = 0
+        for c in range(len(mass)):
+            here = near[r, 0] * density[c, 0]
+            total = above = 0.0
+            for i in range(near.shape[1]):
+                part = near[r, i] * mass[c, i]
+                total += part
+                above += part if near[r, i] * density[c, i] > here else 0.0
+            for i in range(far.shape[1]):
+                part = far[r, i] * far_mass
+                total += part
+                above += part if far[r, i] * far_density > here else 0.0
+            ratios[r, c] = near[r, 0] / total if total > 0.0 else 0.0
+            inside += above < level * total
+        covered[r] = inside / len(mass)

@@ -8,7 +8,6 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erf
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
@@ -96,6 +95,9 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
         values = self._parameters_for(evidence, parameters)
         z, z_star, limit = evidence.ranges, evidence.expected_ranges, evidence.max_range
         width = math.sqrt(2.0) * values.sigma_hit
+        # Here, because it takes longer to load than all else that other models need.
+        from scipy.special import erf
+
         inside = 0.5 * (erf((limit - z_star) / width) + erf(z_star / width))
         p = np.exp(-(((z - z_star) / width) ** 2))
         p *= values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi)) / inside

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from beamfield.cli.main import main
 from beamfield.io.ros_map import save_map
@@ -110,3 +112,79 @@ def test_what_cannot_be_translated_is_one_line(good, tmp_path, capsys):
     assert "f1tenth has no model that can weigh as beluga's likelihood_field_prob does" in err
     assert err.count("\n") == 1
     assert not out.exists()
+
+
+def test_the_doctor_takes_reference_poses_from_a_file(good, tmp_path, capsys):
+    grid = OccupancyGrid.from_ros(np.pad(np.zeros((60, 80)), 1, constant_values=100), resolution=0.1)
+    save_map(grid, tmp_path / "map.yaml")
+    lines = [f"FLASER 90 {' '.join(['2.0'] * 90)} 0 0 0 0 0 0 {t} host {t}" for t in range(30)]
+    (tmp_path / "run.log").write_text("\n".join(lines) + "\n")
+    (tmp_path / "poses.tum").write_text("".join(f"{t} 4 3 0 0 0 0 1\n" for t in range(30)))
+    words = [
+        "doctor",
+        str(good),
+        "--model",
+        "likelihood_field",
+        "--json",
+        "--map",
+        str(tmp_path / "map.yaml"),
+        "--log",
+        str(tmp_path / "run.log"),
+    ]
+    assert main([*words, "--poses", str(tmp_path / "poses.tum"), "--max-range", "10"]) == 1
+    found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert "in the log" in found["nearly-flat"]["seen"]
+    assert main(["doctor", str(good), "--poses", str(tmp_path / "poses.tum")]) == 1
+    assert "--poses: are poses of a log's scans, but there is no --log" in capsys.readouterr().err
+
+
+def test_the_doctor_sees_thresholds_that_lose_cells(good, tmp_path, capsys):
+    Image.fromarray(np.full((20, 20), 120, np.uint8)).save(tmp_path / "map.png")
+    (tmp_path / "map.yaml").write_text(
+        "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    assert main(["doctor", str(good), "--map", str(tmp_path / "map.yaml"), "--json"]) == 1
+    found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert found["thresholds-lose-cells"]["values"]["share"] == 1.0
+
+
+TWO = """\
+/r1/amcl:
+  ros__parameters:
+    z_hit: 0.5
+/r2/amcl:
+  ros__parameters:
+    z_hit: 0.6
+"""
+
+
+def test_one_section_of_several_is_patched(good, tmp_path, capsys):
+    target = tmp_path / "robots.yaml"
+    target.write_text(TWO)
+    words = ["translate", str(good), "--to", "nav2", "--patch", str(target)]
+    assert main(words) == 1
+    assert target.read_text() == TWO
+    assert "choose by label or line" in capsys.readouterr().err
+    assert main([*words, "--patch-section", "/r2/amcl.ros__parameters"]) == 0
+    assert target.read_text().startswith(TWO.replace("0.6", "0.947236"))
+    assert main(["translate", str(good), "--to", "nav2", "--patch-section", "x"]) == 1
+
+
+@pytest.mark.parametrize(("name", "text"), [("ros1.yaml", "laser_z_hit: 0.5\n"), ("p.ini", "[a]\nLF_stdHit = 1\n")])
+def test_another_stacks_file_is_not_patched(good, tmp_path, capsys, name, text):
+    target = tmp_path / name
+    target.write_text(text)
+    assert main(["translate", str(good), "--to", "nav2", "--patch", str(target)]) == 1
+    err = capsys.readouterr().err
+    assert "expected a file of nav2, this is one of" in err
+    assert err.count("\n") == 1
+    assert target.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("to", "name", "expected"), [("nav2", "a.ini", ".yaml"), ("nav2", "a.launch", ".yaml"), ("mrpt", "a.yaml", ".ini")]
+)
+def test_new_files_get_names_by_which_they_are_read_again(good, tmp_path, capsys, to, name, expected):
+    assert main(["translate", str(good), "--to", to, "--out", str(tmp_path / name)]) == 1
+    assert f"files of {to} end in {expected}, got '{name}'" in capsys.readouterr().err
+    assert not (tmp_path / name).exists()

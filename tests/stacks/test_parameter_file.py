@@ -7,7 +7,7 @@ import difflib
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.stacks.parameter_file import read_stack_file, write_values
+from beamfield.stacks.parameter_file import MODELS, check_patch_target, read_stack_file, write_values
 
 NAV2 = """\
 # localisation of the lobby robot
@@ -160,15 +160,120 @@ def test_only_changed_values_change_in_an_ini_file(write):
         ("amcl: {z_hit: 1.0}\n", "z_hit", 1e-7, "amcl: {z_hit: 1.0e-07}\n"),
         ("z_hit: 1.0\r\nx: 2\r\n", "z_rand", 0.1, "z_hit: 1.0\r\nx: 2\r\nz_rand: 0.1\r\n"),
         ("z_hit: 1.0", "z_rand", 0.1, "z_hit: 1.0\nz_rand: 0.1"),
+        ("z_hit: 1.0\rx: 2\r", "z_rand", 0.1, "z_hit: 1.0\rx: 2\rz_rand: 0.1\r"),
+        ("a: {z_hit: 1.0, # one\n  p: {x: 1}}\n", "z_rand", 0.1, "a: {z_rand: 0.1, z_hit: 1.0, # one\n  p: {x: 1}}\n"),
+        ("'z_hit': 1.0 # z_hit: old\n\"z_rand\": # z_rand: 3\n", "z_rand", 0.1,
+         "'z_hit': 1.0 # z_hit: old\n\"z_rand\": 0.1 # z_rand: 3\n"),
+        ("z_hit: 1.0\nt: |\n  z_rand: 2\n  more\n", "z_rand", 0.1,
+         "z_rand: 0.1\nz_hit: 1.0\nt: |\n  z_rand: 2\n  more\n"),
         ("amcl:\n  ros__parameters:\n    p: {x: 1}\n", "z_hit", 0.1,
          "amcl:\n  ros__parameters:\n    z_hit: 0.1\n    p: {x: 1}\n"),
     ],
-    ids=["without value", "in brackets", "tiny", "windows line ends", "no last line end", "only maps inside"],
+    ids=["without value", "in brackets", "tiny", "windows line ends", "no last line end",
+         "old mac line ends", "brackets over lines", "names in comments and quotes", "text in lines",
+         "only maps inside"],
 )  # fmt: skip
 def test_odd_yaml_is_changed_and_read_again(write, text, name, value, after):
     section = read_stack_file(write(text)).section
     assert section.with_values({name: value}) == after
     assert read_stack_file(write(after)).section.number(name) == pytest.approx(value)
+
+
+def test_what_does_not_change_stays_as_it_was_written(write):
+    text = "z_hit: 5.0e-1\nz_rand: !!float 0.50\nlaser_model_type: 'beam'\n"
+    section = read_stack_file(write(text)).section
+    assert section.with_values({"z_hit": 0.5, "z_rand": 0.5, "laser_model_type": "beam"}) == text
+
+
+def test_only_nodes_with_a_model_count_beside_others_of_amcl(write):
+    text = NAV2 + "amcl_map_client:\n  ros__parameters:\n    use_sim_time: true\n"
+    assert read_stack_file(write(text)).section.label == "amcl.ros__parameters"
+
+
+def test_keys_may_be_numbers_in_other_sections(write):
+    assert read_stack_file(write("waypoints:\n  1: {2.5: a}\n" + NAV2)).section.entries["z_hit"].value == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "stack", "certain"),
+    [
+        ("laser_z_hit: 0.5\n", "ros1", True),
+        ("laser_z_hit: 0.5\nexecution_policy: seq\n", "ros1", False),
+        ("amcl:\n  laser_max_range: 12.0\n", "ros1", True),
+        ("amcl:\n  z_hit: 0.5\n", "nav2", False),
+        ("/**:\n  ros__parameters:\n    z_hit: 0.5\n", "nav2", False),
+        ("particle_filter:\n  ros__parameters:\n    z_hit: 0.5\n", "f1tenth", True),
+    ],
+)
+def test_whose_file_a_yaml_file_can_be(write, text, stack, certain):
+    file = read_stack_file(write(text))
+    assert (file.stack, file.stack_is_certain) == (stack, certain)
+
+
+@pytest.mark.parametrize(
+    ("text", "stack", "is_good"),
+    [
+        (NAV2, "nav2", True), (NAV2, "beluga", True), (NAV2, "ros1", False), (FLAT, "nav2", False),
+        ("laser_z_hit: 0.5\n", "nav2", False), ("laser_z_hit: 0.5\n", "ros1", True),
+    ],
+    ids=["nav2", "beluga", "ros 1 into ROS 2", "nav2 into f1tenth", "nav2 into ROS 1", "ros 1"],
+)  # fmt: skip
+def test_values_go_into_files_of_their_own_stack_only(write, text, stack, is_good):
+    file = read_stack_file(write(text), stack=stack, model=MODELS[stack][0])
+    if is_good:
+        check_patch_target(file)
+        return
+    with pytest.raises(InvalidInputError, match=f"expected a file of {stack}, this is one of"):
+        check_patch_target(file)
+
+
+def test_a_change_that_would_reach_further_is_not_made(write):
+    path = write("z_hit:\n  - 0.5\n  - 0.7\nz_rand: 0.5\n")
+    before = path.read_bytes()
+    with pytest.raises(InvalidInputError, match="without changing more; it is left as it is"):
+        write_values(read_stack_file(path).section, {"z_hit": 0.6})
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == ["params.yaml"]
+
+
+def test_a_link_stays_a_link(write, tmp_path):
+    path = write(NAV2)
+    link = tmp_path / "link.yaml"
+    link.symlink_to(path)
+    write_values(read_stack_file(link).section, {"z_hit": 0.6})
+    assert link.is_symlink()
+    assert "z_hit: 0.6 " in path.read_text()
+
+
+def test_faults_in_other_sections_of_an_ini_file_do_not_matter(write):
+    text = "#include x\n[other]\nfree text\na=1\na=2\n" + INI + "\n[more]\n<<<END\n"
+    assert read_stack_file(write(text, "p.ini")).section.entries["LF_stdHit"].value == 0.35
+
+
+HOSTILE = {
+    "bomb.yaml": b"a: &a [x]\nb: [*a, *a]\nz_hit: 0.5\n", "deep.yaml": b"a: " + b"[" * 5000 + b"]" * 5000,
+    "nul.yaml": b"z_hit: 0.5\0\n", "nul.launch": b"<launch>\0</launch>", "latin.yaml": b"z_hit: \xff\n",
+    "latin.launch": b"<launch>\xff</launch>", "latin.ini": b"[a]\nLF_stdHit=\xff\n",
+    "utf16.yaml": "z_hit: 0.5\n".encode("utf-16"), "twice.yaml": b"z_hit: 1.0\nz_hit: 2.0\n",
+    "big.yaml": b"# " + b"x" * 200_001, "big.launch": b"<!--" + b"x" * 2_000_001, "big.ini": b"# " + b"x" * 2_000_001,
+    "digits.yaml": b"z_hit: " + b"9" * 6000, "tag.yaml": b"z_hit: !!python/object:os.system 1\n",
+    "nested.launch": b"<a>" * 50_000 + b"</a>" * 50_000, "start.py": b"import launch\n", "key.yaml": b"? z_hit\n",
+    "method.yaml": b"z_hit: 0.5\nlaser_model_type: 3\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(HOSTILE[name])
+    with pytest.raises(FormatError, match=name) as refused:
+        read_stack_file(path)
+    assert len(str(refused.value)) < 300 + len(str(path))
+
+
+def test_a_line_of_a_million_blanks_takes_no_time(write):
+    section = read_stack_file(write("[a]\nLF_stdHit = x" + " " * 1_000_000 + "x\n", "p.ini")).section
+    assert section.entries["LF_stdHit"].line == 2
 
 
 def test_a_node_without_parameters_gets_one(write):

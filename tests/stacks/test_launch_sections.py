@@ -1,0 +1,132 @@
+"""Launch files: arguments, conditions, several nodes, parameters that other files hold."""
+
+from __future__ import annotations
+
+import pytest
+
+from beamfield.errors import FormatError
+from beamfield.stacks.parameter_file import read_stack_file
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(body: str):
+        path = tmp_path / "amcl.launch"
+        path.write_bytes(f"<launch>\n{body}\n</launch>\n".encode())
+        return path
+
+    return write
+
+
+def node(*inside: str, attributes: str = 'pkg="amcl" type="amcl" name="amcl"') -> str:
+    return f"<node {attributes}>\n" + "\n".join(inside) + "\n</node>"
+
+
+def param(name: str, value: str, more: str = "") -> str:
+    return f'<param name="{name}" value="{value}" {more}/>'
+
+
+@pytest.mark.parametrize(
+    ("before", "written", "value"),
+    [
+        ('<arg name="z" default="0.5"/>', "$(arg z)", 0.5),
+        ('<arg name="z" value="0.5"/>', "$( arg z)", None),
+        ('<arg name="z"/>', "$(arg z)", None),
+        ('<arg name="y" default="5"/><arg name="z" default="0.$(arg y)"/>', "$(arg z)", 0.5),
+        ('<let name="z" value="1"/><arg name="z" default="0.5"/>', "$(var z)", 0.5),
+        ("", "$(optenv Z_HIT 0.5)", 0.5),
+        ("", "$(optenv Z_HIT)", None),
+        ("", "$(env Z_HIT)", None),
+        ("", "$(eval 1 / 2.0)", None),
+        ('<arg name="z" default="$(arg z)"/>', "$(arg z)", None),
+    ],
+)
+def test_arguments_are_filled_in_with_their_defaults(write, before, written, value):
+    section = read_stack_file(write(before + node(param("laser_z_hit", written)))).section
+    assert section.entries["laser_z_hit"].value == value
+    assert section.entries["laser_z_hit"].filled_in == written
+
+
+def test_arguments_that_grow_without_bound_are_not_filled_in(write):
+    twice = "".join(f'<arg name="a{i + 1}" default="$(arg a{i})$(arg a{i})"/>' for i in range(100))
+    path = write('<arg name="a0" default="0123456789"/>' + twice + node(param("laser_z_hit", "$(arg a100)")))
+    assert read_stack_file(path).section.entries["laser_z_hit"].value is None
+
+
+@pytest.mark.parametrize(
+    ("condition", "value"), [('if="$(arg big)"', 0.9), ('unless="$(arg big)"', 0.1), ('if="1"', 0.1), ('if="0"', 0.9)]
+)
+def test_what_conditions_take_out_by_default_is_not_there(write, condition, value):
+    other = f"unless={condition[3:]}" if condition.startswith("if") else f"if={condition[7:]}"
+    body = '<arg name="big" default="false"/>' + node(
+        param("laser_z_hit", "0.1", condition), param("laser_z_hit", "0.9", other)
+    )
+    assert read_stack_file(write(body)).section.entries["laser_z_hit"].value == value
+    group = '<arg name="big" default="false"/>' + "".join(
+        f"<group {given}>{node(param('laser_z_hit', text))}</group>"
+        for given, text in ((condition, "0.1"), (other, "0.9"))
+    )
+    assert read_stack_file(write(group)).section.entries["laser_z_hit"].value == value
+
+
+def test_of_two_robots_one_is_chosen_by_label_or_line(write):
+    two = "\n".join(f'<group ns="{robot}">{node(param("laser_z_hit", z))}</group>' for robot, z in (("a", 1), ("b", 2)))
+    with pytest.raises(FormatError, match=r"choose by label or line one of 'a/amcl' \(line 2\), 'b/amcl' \(line 5\)"):
+        read_stack_file(write(two))
+    assert read_stack_file(write(two), section="b/amcl").section.entries["laser_z_hit"].value == 2
+    same = node(param("laser_z_hit", "1")) + "\n" + node(param("laser_z_hit", "2"))
+    assert read_stack_file(write(same), section="5").section.entries["laser_z_hit"].value == 2
+
+
+def test_a_node_whose_parameters_are_in_another_file_says_which(write):
+    body = node('<rosparam command="load" file="$(find robot)/amcl.yaml"/>')
+    message = r"amcl\.launch:3: the parameters of the node 'amcl' are .* in '\$\(find robot\)/amcl.yaml'"
+    with pytest.raises(FormatError, match=message):
+        read_stack_file(write(body))
+
+
+@pytest.mark.parametrize(
+    ("body", "stack", "certain"),
+    [
+        (node(param("laser_z_hit", "1")), "ros1", True),
+        (node(param("z_hit", "1.0"), attributes='pkg="nav2_amcl" exec="amcl" name="amcl"'), "nav2", True),
+        (node(param("z_hit", "1.0"), attributes='pkg="beluga_amcl" exec="amcl_node" name="amcl"'), "beluga", True),
+        (node(param("laser_z_hit", "1"), attributes='pkg="beluga_amcl" type="amcl_node" name="amcl"'), "ros1", False),
+        (node(param("squash_factor", "2.2"), param("z_hit", "0.8"),
+              attributes='pkg="particle_filter" type="particle_filter.py" name="pf"'), "f1tenth", True),
+    ],
+    ids=["amcl", "nav2", "beluga", "beluga in ROS 1", "f1tenth"],
+)  # fmt: skip
+def test_whose_node_it_is(write, body, stack, certain):
+    file = read_stack_file(write(body))
+    assert (file.stack, file.stack_is_certain) == (stack, certain)
+
+
+def test_the_value_is_found_among_attributes_that_look_like_it(write):
+    path = write(node('<param name="laser_z_hit" data-value=\'7\' myvalue = "8" value = \'0.5\'\n  type="double" />'))
+    section = read_stack_file(path).section
+    after = section.with_values({"laser_z_hit": 0.6})
+    assert after == section.text.replace("'0.5'", "'0.6'")
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"], ids=["unix", "windows", "old mac"])
+def test_new_parameters_stand_before_the_end_tag_and_out_of_comments(write, newline):
+    path = write(node("  " + param("laser_z_hit", "0.5") + " <!-- two", "  lines -->"))
+    path.write_bytes(path.read_bytes().replace(b"\n", newline.encode()))
+    section = read_stack_file(path).section
+    after = section.with_values({"laser_z_rand": 0.5, "laser_z_hit": 0.5})
+    new = f'  <param name="laser_z_rand" value="0.5"/>{newline}'
+    assert after == section.text.replace(f"{newline}</node>", f"{newline}{new}</node>")
+
+
+def test_a_node_without_end_tag_takes_no_new_parameters(write):
+    section = read_stack_file(write('<node pkg="amcl" type="amcl" name="amcl"/>')).section
+    with pytest.raises(FormatError, match=r":2: amcl: has no end tag"):
+        section.with_values({"laser_z_hit": 0.5})
+
+
+def test_forty_thousand_parameters_are_read_in_a_moment(write):
+    many = (param(f"p{i}", "é") for i in range(40_000))
+    section = read_stack_file(write(node(*many, param("laser_z_hit", "0.25")))).section
+    entry = section.entries["laser_z_hit"]
+    assert section.text[entry.start : entry.stop] == "0.25"

@@ -203,6 +203,7 @@ def _snippet(head: str, parameters: BeamParameters, log: SensorLog) -> str:
     names = ["z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"]
     names += [name for name in EXTENSIONS if getattr(parameters, name) != 0.0]
     lines = [f"{name}: {getattr(parameters, name):.6g}" for name in names] + [f"max_range: {log.finder.max_range:.6g}"]
+    lines += [f"min_range: {log.finder.min_range:.6g}"] if log.finder.min_range > 0.0 else []
     lines.insert(0, f"# beam model of {log.finder.name!r}, by beamfield {__version__}")
     return f"<p>{_text(head)}</p>\n<pre>{_text(chr(10).join(lines))}</pre>"
 

@@ -10,8 +10,11 @@ from matplotlib.figure import Figure
 
 from beamfield.errors import InvalidInputError
 from beamfield.figures.gallery import FIGURES, chosen_figures, gallery_page, save_figure
+from beamfield.figures.likelihood_over_map import draw_likelihood_map
 from beamfield.figures.sonar_figures import RIGHT, kinds_of
 from beamfield.figures.world import FigureWorld, simulated_world, world_of_log
+from beamfield.localization.likelihood_map import LikelihoodMap
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import ScanLog, SensorLog
 from beamfield.simulation.sonar import EchoCause, simulate_sonar, sonar_ring
 
@@ -81,6 +84,20 @@ def test_the_maximum_of_figure_6_7_is_at_the_reference_pose(world):
     ax = next(ax for ax in all_axes(FIGURES["6.7"].draw(world)) if ax.get_title(loc="left").startswith("(b)"))
     maximum = next(line for line in ax.lines if line.get_label() == "maximum")
     assert np.hypot(maximum.get_xdata()[0] - world.pose[0], maximum.get_ydata()[0] - world.pose[1]) < 0.5
+
+
+@pytest.mark.parametrize("spread", [2.0, 300.0])
+def test_a_map_of_likelihoods_shows_differences_however_small_they_are(spread):
+    # Correlations of maps differ by two nats, scans of a laser by hundreds.
+    values = -spread * np.linspace(0.0, 1.0, 400).reshape(20, 20)
+    everywhere = np.ones((20, 20), np.bool_)
+    result = LikelihoodMap(
+        values, everywhere, np.zeros((20, 20), np.int16), np.zeros(1), np.zeros((1, 2)), 0.5, np.zeros(3)
+    )
+    ax = Figure().add_subplot()
+    draw_likelihood_map(result, OccupancyGrid(np.zeros((20, 20)), 0.5), ax)
+    image = next(image for image in ax.get_images() if image.norm.vmax == 0.0 and image.norm.vmin < 0.0)
+    assert image.norm.vmin == pytest.approx(-min(spread / 2.0, 30.0), rel=0.01)
 
 
 def test_the_beam_of_figure_6_9_passes_three_obstacles(world):

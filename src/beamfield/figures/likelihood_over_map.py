@@ -23,7 +23,8 @@ PALE_MAP = ("#FFFFFF", "#F1F3F5", "#A9B2BB")
 BEST_COLOUR, REFERENCE_COLOUR = "#D55E00", "#0072B2"
 # Metres shown around a scan.
 MARGIN = 1.5
-# Nats below the maximum from which on a place is drawn as white: e^-30 of the largest value.
+# Nats below the maximum from which on a place is drawn as white: e^-30 of the largest value. Where values lie closer
+# together, as correlations of maps and scans of few sonars do, all places would be dark.
 SPAN = 30.0
 # With more cells along a side than this, dots are drawn larger than a cell.
 CELLS_ACROSS = 400
@@ -36,7 +37,7 @@ def likelihood_figure(
     reference: FloatArray | None = None,
     *,
     model_name: str = "",
-    span: float = SPAN,
+    span: float | None = None,
 ) -> Figure:
     """Draw (a) a scan at its reference pose in the map and (b) its likelihood over the map.
 
@@ -53,7 +54,8 @@ def likelihood_figure(
     model_name
         For the title.
     span
-        Places this many nats below the maximum are white.
+        Places this many nats below the maximum are white. None: 30, or what the median place has if that is
+        less.
     """
     limits = known_limits(grid)
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
@@ -104,7 +106,7 @@ def draw_likelihood_map(
     ax: Axes,
     *,
     reference: FloatArray | None = None,
-    span: float = SPAN,
+    span: float | None = None,
     title: str = "",
 ) -> None:
     """Draw log p(z | x, m) over the map, the darker the more likely, with its maximum and the reference pose.
@@ -123,7 +125,8 @@ def draw_likelihood_map(
     reference
         (3,) reference pose to mark.
     span
-        Places this many nats below the maximum are white.
+        Places this many nats below the maximum are white. None: 30, or what the median place has if that is
+        less.
     title
         Of the axes.
 
@@ -132,6 +135,8 @@ def draw_likelihood_map(
     InvalidInputError
         If the span is not positive.
     """
+    if span is None:
+        span = _fitting_span(result)
     if not 0.0 < span < np.inf:
         raise InvalidInputError(f"span: expected a positive number of nats, got {span}")
     framed_map(grid, ax, colours=PALE_MAP)
@@ -153,6 +158,16 @@ def draw_likelihood_map(
     style(ax, title=title, x="x [m]", y="y [m]", grid="none")
     ax.set_facecolor(PALE_MAP[1])
     legend(ax, loc="best")
+
+
+def _fitting_span(result: LikelihoodMap) -> float:
+    """Return the nats between the best and the median of the possible places, SPAN at most."""
+    if result.is_flat:
+        return SPAN
+    values = result.log_likelihood[result.evaluated]
+    median = float(values.max() - np.median(values[np.isfinite(values)]))
+    # Where half of the places are exactly as good as the best one, what tells the others apart is below.
+    return min(median, SPAN) if median > 0.0 else SPAN
 
 
 def _white_to_dark() -> ListedColormap:

@@ -206,6 +206,7 @@ def test_survives_pickling(rng):
     [
         ({"sigma": 0.0}, "sigma: expected a positive, finite number, got 0.0"),
         ({"sigma": np.nan}, "sigma: expected a positive, finite number, got nan"),
+        ({"sigma": 40.0}, "sigma: expected at most the map's longer side, 1 m, got 40.0"),
         ({"angle_step": -1.0}, "angle_step: expected a positive, finite number, got -1.0"),
     ],
 )

@@ -195,8 +195,8 @@ def test_off_the_map_distances_go_on_unless_cut_off():
     np.testing.assert_allclose(model_of(ROW).beam_log_likelihood(scan, pose), [value(1.0), value(2.0)], atol=1e-7)
     far = model_of(ROW, off_map="far").beam_log_likelihood(scan, pose)
     np.testing.assert_allclose(far, math.log(0.2 / MAX_RANGE), atol=1e-7)
-    clipped = model_of(ROW, off_map="far", max_distance=0.7).beam_log_likelihood(scan, pose)
-    np.testing.assert_allclose(clipped, value(0.7), atol=1e-7)
+    clipped = model_of(ROW, off_map="far", max_distance=1.5).beam_log_likelihood(scan, pose)
+    np.testing.assert_allclose(clipped, value(1.5), atol=1e-7)
 
 
 def test_where_a_field_ends_makes_no_difference(room, rng):
@@ -348,6 +348,7 @@ def test_parameters_that_make_no_sense_are_refused(values, message):
         ({"interpolation": "cubic"}, "interpolation: expected 'nearest' or 'bilinear', got 'cubic'"),
         ({"off_map": "near"}, "off_map: expected 'continued' or 'far', got 'near'"),
         ({"max_distance": -2.0}, "max_distance: expected a positive, finite number of metres or None, got -2.0"),
+        ({"max_distance": 0.04}, "max_distance: expected at least one cell, .* m, or None, got 0.04"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, message):

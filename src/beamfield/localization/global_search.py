@@ -139,7 +139,7 @@ class GlobalSearch:
     Raises
     ------
     InvalidInputError
-        If sigma or the step is not positive and finite.
+        If sigma or the step is not positive and finite, or sigma is longer than the map: all poses would score alike.
 
     References
     ----------
@@ -170,6 +170,9 @@ class GlobalSearch:
         for name in ("sigma", "angle_step"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InvalidInputError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")
+        longest = max(self.grid.shape) * self.grid.resolution
+        if self.sigma > longest:
+            raise InvalidInputError(f"sigma: expected at most the map's longer side, {longest:g} m, got {self.sigma}")
         values = _field(self.grid, self.sigma)
         values.flags.writeable = False
         object.__setattr__(self, "_field", values)

@@ -172,7 +172,8 @@ class LikelihoodFieldModel:
         grid, parameters
             The map and the intrinsic parameters.
         max_distance
-            Distances are cut off here, metres; None leaves them. Nearly nothing changes from 8 sigma_hit on.
+            Distances are cut off here, metres, at least one cell; None leaves them. Nearly nothing changes from
+            8 sigma_hit on.
         only_boundaries
             Count only the boundary of thick walls as obstacles; see `distance_to_obstacles`.
         off_map
@@ -180,7 +181,17 @@ class LikelihoodFieldModel:
             the edge has two sides. "far": everything off the map has the distance max_distance (as in AMCL).
         **options
             unknown, interpolation, exponent, n_beams and threads of the class.
+
+        Raises
+        ------
+        InvalidInputError
+            If max_distance is not finite or shorter than a cell, so that all places off the obstacles would be alike,
+            or an option is none of those named here.
         """
+        if max_distance is not None and 0.0 < max_distance < grid.resolution:
+            raise InvalidInputError(
+                f"max_distance: expected at least one cell, {grid.resolution:g} m, or None, got {max_distance}"
+            )
         if off_map not in ("continued", "far"):
             raise InvalidInputError(f"off_map: expected 'continued' or 'far', got {off_map!r}")
         margin = 0.0

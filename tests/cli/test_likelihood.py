@@ -131,6 +131,7 @@ def test_parameters_come_from_a_calibration(folder, tmp_path, capsys):
         (("--sensor", "RLASER"), "no sensor 'RLASER'; the log has 'FLASER'"),
         (("--out", "a.gif"), "expected a name ending in .png, .svg, .pdf, got 'a.gif'"),
         (("--npz", "a.csv"), "expected a name ending in .npz, got 'a.csv'"),
+        (("--out", "no folder/a.png"), "no folder: No such folder to write into"),
         (("--beams", "-3"), "--beams: expected 0"),
         (("--local-scans", "0"), "--local-scans: expected at least 1"),
         (("--headings", "0"), "headings: expected at least 1, got 0"),
@@ -145,6 +146,7 @@ def test_parameters_come_from_a_calibration(folder, tmp_path, capsys):
         "sensor",
         "out",
         "npz",
+        "folder",
         "beams",
         "local",
         "headings",
@@ -158,3 +160,10 @@ def test_bad_input_is_one_line(folder, capsys, words, message):
     assert re.search(message, error)
     assert error.count("\n") == 1
     assert error.startswith("beamfield: error: ")
+
+
+def test_no_thread_at_all_is_wrong_usage(folder, capsys):
+    with pytest.raises(SystemExit) as exit_code:
+        run(folder, "--threads", "0")
+    assert exit_code.value.code == 2
+    assert "--threads: expected at least 1, got 0" in capsys.readouterr().err

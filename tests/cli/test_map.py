@@ -91,7 +91,7 @@ def test_a_map_that_is_there_is_kept_unless_overwritten(log, tmp_path):
     ("words", "message"),
     [
         (("--hit", "0.4"), "hit: expected a probability"),
-        (("--resolution", "0"), "room.log: resolution: expected a positive number of metres, got 0.0"),
+        (("--resolution", "0"), "--resolution: expected a positive number of metres, got 0.0"),
         (("--resolution", "1e-5"), "the limit is 100000000"),
         (("--sensor", "a", "--sensor", "b"), "--sensor: expected one for a map, got a, b"),
         (("--sensor", "RAWLASER1"), "RAWLASER1"),
@@ -105,6 +105,11 @@ def test_what_cannot_be_done_leaves_no_file(log, tmp_path, words, message):
         run(log, tmp_path / "room.yaml", *words)
     assert message in str(error.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_refused_before_the_log_is_read(tmp_path):
+    with pytest.raises(FileNotFoundError, match="No such folder to write into"):
+        run(tmp_path / "no.log", tmp_path / "no folder" / "room.yaml")
 
 
 def test_the_name_must_be_that_of_a_yaml_file(log, tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from beamfield.errors import InvalidInputError
-from beamfield.io.atomic import atomic_file, atomic_files, atomic_folder, write_file
+from beamfield.io.atomic import atomic_file, atomic_files, atomic_folder, check_writable, write_file
 
 
 def names(folder: Path) -> list[str]:
@@ -113,6 +113,9 @@ def test_a_folder_a_device_or_a_missing_folder_is_refused_before_anything_is_wri
         write_file(tmp_path / "none" / "a.txt", "x")
     with pytest.raises(InvalidInputError, match="regular file"):
         write_file(os.devnull, "x")
+    with pytest.raises(FileNotFoundError):
+        check_writable(tmp_path / "none" / "a.txt")
+    check_writable(tmp_path / "a.txt")
     assert names(tmp_path) == []
 
 

@@ -59,7 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
         (folder / "gallery.md").write_text(page, encoding="utf-8")
     for figure in figures:
         print(f"{figure.name}: {figure.title}. {figure.caption}")
-    print(f"\nwrote {len(figures)} figures and gallery.md into {arguments.out}, drawn from: {world.name}")
+    count = "1 figure" if len(figures) == 1 else f"{len(figures)} figures"
+    print(f"\nwrote {count} and gallery.md into {arguments.out}, drawn from: {world.name}")
     return 0
 
 

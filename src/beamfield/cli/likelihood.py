@@ -101,10 +101,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    from beamfield.io.atomic import check_writable
+
     if arguments.out is not None and arguments.out.suffix.lower() not in PICTURES:
         raise InvalidInputError(f"--out: expected a name ending in {', '.join(PICTURES)}, got {arguments.out.name!r}")
     if arguments.npz is not None and arguments.npz.suffix.lower() != ".npz":
         raise InvalidInputError(f"--npz: expected a name ending in .npz, got {arguments.npz.name!r}")
+    for path in (arguments.out, arguments.npz):
+        if path is not None:
+            check_writable(path)
     if arguments.beams < 0:
         raise InvalidInputError(f"--beams: expected 0 (all) or more, got {arguments.beams}")
     if arguments.local_scans < 1:

@@ -61,7 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments
         Words of the command line without the program's name; None takes them from the process.
     """
-    parsed = build_parser().parse_args(arguments)
+    parser = build_parser()
+    parsed = parser.parse_args(arguments)
+    threads = getattr(parsed, "threads", None)
+    if threads is not None and threads < 1:
+        parser.error(f"argument --threads: expected at least 1, got {threads}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("default", BeamfieldWarning)

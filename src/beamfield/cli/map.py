@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,6 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    from beamfield.io.atomic import check_writable
+
     out: Path = arguments.out
     if out.suffix not in (".yaml", ".yml"):
         raise InvalidInputError(f"--out: expected a name ending in .yaml or .yml, got {out.name!r}")
@@ -95,6 +98,9 @@ def _check(arguments: argparse.Namespace) -> None:
                 raise InvalidInputError(
                     f"{path}: is there already; choose another name, or replace it with --overwrite"
                 )
+    check_writable(out)
+    if not 0.0 < arguments.resolution < math.inf:
+        raise InvalidInputError(f"--resolution: expected a positive number of metres, got {arguments.resolution}")
     if arguments.odometry and arguments.poses is not None:
         raise InvalidInputError("--odometry: poses come from --poses already; give one of the two")
     if arguments.sensor and len(arguments.sensor) > 1:

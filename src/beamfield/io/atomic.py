@@ -87,6 +87,24 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
         _flush(folder)
 
 
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise now what `atomic_file` would raise after the work is done.
+
+    Parameters
+    ----------
+    path
+        The file that is to be written.
+
+    Raises
+    ------
+    InvalidInputError
+        If `path` exists and is no regular file.
+    OSError
+        If it is a folder, or its folder does not exist.
+    """
+    _replaceable(Path(path))
+
+
 @contextmanager
 def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Write a folder of files: all of them or none.

@@ -25,6 +25,8 @@ _EXPONENT_1_1 = re.compile(r"[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)[eE][-+]\d+")
 MRPT_MODEL = "likelihoodMethod"
 # How a message begins about a value that is known only when the robot starts.
 FILLED_IN = "is filled in when the robot starts:"
+# And about an integer where ROS 2 wants a double.
+INTEGER = "expected a number with a point"
 MOST = 2**63 - 1
 # No distance, weight or rate of a robot is smaller; squares and cubes of it still are numbers.
 LEAST = 1e-12
@@ -35,6 +37,8 @@ class Unusable(NamedTuple):
 
     name: str
     message: str
+    is_clear: bool = False
+    """Whether it is clear what is meant, and the parameters have that."""
 
 
 class TypedValues(NamedTuple):
@@ -57,11 +61,13 @@ def typed_values(file: StackFile) -> TypedValues:
         value, message = entry.value, _unread(file, entry)
         if not message:
             value, message = _convert(entry, _plain_text(file, entry), item, strict=file.stack in STRICT_STACKS)
-        if not message:
-            message = _refusal(kind, {**usable, item.name: value})
+        is_clear = message.startswith(INTEGER)
+        if not message or is_clear:
+            refusal = _refusal(kind, {**usable, item.name: value})
+            message, is_clear = refusal or message, is_clear and not refusal
         if message:
-            unusable.append(Unusable(item.name, message))
-        elif value is not None:
+            unusable.append(Unusable(item.name, message, is_clear))
+        if value is not None and (is_clear or not message):
             usable[item.name] = value
     if "laser_model_type" in {item.name for item in fields(kind)}:
         usable["laser_model_type"] = file.model
@@ -77,8 +83,8 @@ def checked_values(file: StackFile) -> Any:
         If a value cannot be used; names the line.
     """
     typed = typed_values(file)
-    for name, message in typed.unusable:
-        raise file.section.error(name, message)
+    for item in typed.unusable:
+        raise file.section.error(item.name, item.message)
     return typed.parameters
 
 
@@ -129,10 +135,7 @@ def _convert(entry: Entry, text: str, item: Field[Any], *, strict: bool) -> tupl
             return int(value), ""
         return value, f"expected a whole number, got {value!r}"
     if strict and isinstance(value, int):
-        return (
-            value,
-            f"expected a number with a point ({value}.0): ROS 2 declares it as double, got the integer {value}",
-        )
+        return float(value), f"{INTEGER} ({value}.0): ROS 2 declares it as double, got the integer {value}"
     return float(value), ""
 
 

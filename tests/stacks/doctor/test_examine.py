@@ -350,3 +350,21 @@ def test_sharpness_is_measured_on_the_log_if_there_are_poses(tmp_path):
     assert "in the log" in found["absurdly-sharp"].seen
     without = {item.name: item for item in examine(file, grid=grid, log=replace(log, poses=np.full((10, 3), np.nan)))}
     assert "in a plain room" in without["absurdly-sharp"].seen
+
+
+def test_an_integer_for_a_double_does_not_hide_what_else_is_wrong(tmp_path):
+    found = [item.name for item in examine(amcl(tmp_path, z_hit=1, z_rand=0.5))]
+    assert "wrong-type" in found
+    assert "nearly-flat" in found
+    assert texts(examine(amcl(tmp_path, z_hit=1, z_rand=0.5)), "weights-sum").startswith("the weights that")
+    assert "out-of-range" in [item.name for item in examine(amcl(tmp_path, sigma_hit=0))]
+
+
+def test_the_mean_of_mrpts_average_method_forbids_nothing(tmp_path):
+    text = "[a_likelihoodOpts]\nLF_zRandom = 0\nLF_alternateAverageMethod = {}\n"
+    names = {
+        switch: [f.name for f in examine(amcl(tmp_path, "mrpt", name="p.ini", text=text.format(switch)))]
+        for switch in (0, 1)
+    }
+    assert "no-random-readings" in names[0]
+    assert "no-random-readings" not in names[1]

@@ -103,7 +103,7 @@ class Patient:
         None if there is no such parameter, or the file has something for it that cannot be used.
         """
         name = self.name_of(parameter)
-        if any(item.name == name for item in self.typed.unusable):
+        if any(item.name == name and not item.is_clear for item in self.typed.unusable):
             return None
         return getattr(self.parameters, name, None)
 

@@ -35,7 +35,7 @@ def unreachable_z_max(patient: Patient) -> Iterator[Diagnosis]:
         )
         to = "have the driver report range_max where nothing comes back, with laser_max_range at that limit or above"
     yield patient.finds(
-        "z-max-unreachable", "info" if share is None else "warning", seen,
+        "z-max-unreachable", "info", seen,
         f"{why}: with a driver that follows REP 117 and reports +inf, missing returns say nothing",
         f"{to}; else z_max has no effect",
         parameter="z_max", values={} if share is None else {"share_without_return": share},
@@ -53,7 +53,7 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
     if limit > sensor * 1.01 and not _amcl(patient):
         rand = patient.name_of("z_rand")
         yield patient.finds(
-            "range-limit-above-sensor", "warning", f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
+            "range-limit-above-sensor", "info", f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
             f"random readings are spread over {limit:g} m, {rand} / {limit:g} for each metre, where the sensor has "
             f"{sensor:g}: they are worth {limit / sensor:.1f} times too little",
             f"set it to {sensor:g}", parameter="laser_max_range", values={"limit": limit, "sensor": sensor},

@@ -38,7 +38,7 @@ _FLATTER = {"ros1": "fewer beams or a wider laser_sigma_hit", "mrpt": "a larger 
 
 def sharpness(patient: Patient) -> Iterator[Diagnosis]:
     """Find parameters with which a scan hardly moves the particles, or with which a handful take all the weight."""
-    if patient.typed.unusable:
+    if not all(item.is_clear for item in patient.typed.unusable):
         return
     try:
         effective, where = _effective(patient)

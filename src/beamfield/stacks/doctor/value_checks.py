@@ -14,7 +14,7 @@ from beamfield.stacks.doctor.patient import Patient
 from beamfield.stacks.parameter_file import STACKS
 from beamfield.stacks.parameter_text import Entry
 from beamfield.stacks.registry import parameter_names
-from beamfield.stacks.typed_values import FILLED_IN, MOST, STRICT_STACKS
+from beamfield.stacks.typed_values import FILLED_IN, INTEGER, MOST, STRICT_STACKS
 from beamfield.stacks.yaml_sections import ROS_2_KEY
 
 # Names that differ by so little are a slip of the pen (difflib's ratio).
@@ -38,7 +38,7 @@ _OTHER_PREFIXES = (
 
 def unusable_values(patient: Patient) -> Iterator[Diagnosis]:
     """Find values of the wrong type, out of range, infinite or NaN."""
-    for name, message in patient.typed.unusable:
+    for name, message, _ in patient.typed.unusable:
         value = patient.file.section.entries[name].value
         if message.startswith(FILLED_IN):
             yield patient.finds(
@@ -48,7 +48,7 @@ def unusable_values(patient: Patient) -> Iterator[Diagnosis]:
             )  # fmt: skip
         elif isinstance(value, float) and not math.isfinite(value):
             yield _not_finite(patient, name, value)
-        elif "ROS 2 declares" in message:
+        elif message.startswith(INTEGER):
             yield patient.finds(
                 "wrong-type", "error", f"{name} is the integer {value}",
                 "ROS 2 declares it as a double and refuses an integer: the node does not start",

@@ -75,8 +75,9 @@ def unused_weights(patient: Patient) -> Iterator[Diagnosis]:
 
 def no_random(patient: Patient) -> Iterator[Diagnosis]:
     """Find a product of beams in which one unexplained reading forbids a pose."""
-    # Where p^3 are added up, a beam without value only adds nothing.
-    if patient.value("z_rand") == 0.0 and _multiplies(patient):
+    # Where values are added up, a beam without value only adds nothing.
+    averages = patient.file.model == "LF_Thrun" and patient.parameters.LF_alternateAverageMethod
+    if patient.value("z_rand") == 0.0 and _multiplies(patient) and not averages:
         yield patient.finds(
             "no-random-readings", "warning", f"{patient.name_of('z_rand')} is 0",
             "one reading that nothing in the map explains, such as a person, makes the true pose (nearly) impossible",
@@ -113,11 +114,11 @@ def distance_limit(patient: Patient) -> Iterator[Diagnosis]:
     width = patient.name_of("sigma_hit")
     if sigma is not None and limit is not None and limit < CUT_SIGMAS * sigma:
         yield patient.finds(
-            "distance-limit", "warning",
+            "distance-limit", "info",
             f"{patient.name_of('laser_likelihood_max_dist')} is {limit:g} m, {limit / sigma:.2g} {width}",
-            "a reading anywhere beyond it is worth as much as one at that distance, which is still a fair hit: poses "
-            "that do not fit lose too little",
-            f"take at least {CUT_SIGMAS:g} {width}, {CUT_SIGMAS * sigma:.2g} m, or a smaller {width}",
+            "a reading anywhere beyond it is worth as much as one at that distance, which is still a fair hit: weights "
+            "get flatter, and far readings that do not fit hardly count",
+            f"nothing, if that is meant; else at least {CUT_SIGMAS:g} {width}, {CUT_SIGMAS * sigma:.2g} m",
             parameter="laser_likelihood_max_dist", values={"limit": limit, "sigma": sigma},
         )  # fmt: skip
 

@@ -1,7 +1,8 @@
 """The beam model on arrays of measured and expected ranges (6.3.1): densities, causes and distribution functions.
 
 For whoever has expected ranges already, as learning has: no map, no poses, no scans. All functions take millions of
-beams, use several threads, and allocate nothing but their result if both arrays are float64 of one shape.
+beams, use several threads, and allocate nothing but their result if both arrays are float64 of one shape and there is
+no min_range.
 """
 
 from __future__ import annotations

@@ -165,3 +165,23 @@ def test_beam_skipping_does_not_get_lost_in_silence(params):
     file = params("nav2", laser_model_type="likelihood_field_prob", do_beamskip="true", laser_max_range=10.0)
     assert any("beam skipping is left out" in note for note in translate(file, "beluga").notes)
     assert translate(file, "ros1").values["do_beamskip"] is True
+
+
+def test_weights_of_a_product_sum_to_one_whatever_the_sensors_limit(params):
+    file = params("mrpt", LF_zHit=0.95, LF_zRandom=0.05, LF_maxRange=81)
+    values = translate(file, "nav2", max_range=12.0).values
+    assert values["z_hit"] + values["z_rand"] == pytest.approx(1.0)
+    assert values["z_hit"] / values["z_rand"] == pytest.approx(0.95 / (0.05 / 81 * 12))
+
+
+@pytest.mark.parametrize(("sigma", "above"), [(0.05, True), (0.4, False)])
+def test_a_peak_that_amcl_asserts_against_is_said(params, sigma, above):
+    """Beluga's 0.5 N(0; 0, 0.05^2) is 3.99, and so is nav2's z_hit then."""
+    file = params("beluga", laser_model_type="likelihood_field", z_hit=0.5, z_rand=0.5, sigma_hit=sigma)
+    assert any("z_hit is above 1" in note for note in translate(file, "nav2").notes) is above
+
+
+def test_options_that_only_beluga_has_are_not_lost_in_silence(params):
+    notes = translate(params("beluga", laser_model_type="likelihood_field", z_hit=0.5), "nav2").notes
+    assert any("only_obstacle_boundaries is left out" in note for note in notes)
+    assert any("not the same beams" in note for note in notes)

@@ -12,6 +12,8 @@ from beamfield.stacks.parameter_file import Stack, StackFile, check_model, check
 from beamfield.stacks.parameter_text import Value
 from beamfield.stacks.typed_values import checked_values
 
+# amcl and its port see walls half a cell off.
+_SHIFTED = frozenset(("nav2", "ros1"))
 SQRT_2PI = math.sqrt(2.0 * math.pi)
 # beamfield's own LikelihoodFieldModel, whose parameters mean what the chapter says.
 CHAPTER = "chapter"
@@ -163,7 +165,7 @@ def _field(file: StackFile, parameters: Any, max_range: float | None, n_beams: i
         beams = None if n_beams is None else math.ceil(n_beams / parameters.LF_decimation)
         if beams is None:
             notes.append(
-                "the number of beams is left out: LF_decimation needs the beams of a scan (n_beams) to convert"
+                "the number of beams is left out: converting LF_decimation takes the number of beams in a scan"
             )
         return _Field(
             parameters.LF_zHit, parameters.LF_zRandom / parameters.LF_maxRange, parameters.LF_stdHit,
@@ -184,13 +186,17 @@ def _field(file: StackFile, parameters: Any, max_range: float | None, n_beams: i
         else:
             notes.append(
                 f"assumed that the sensor's longest range is {limit:g} m or more: {file.stack} divides z_rand by the "
-                "lesser of it and laser_max_range (say max_range)"
+                "lesser of it and laser_max_range (say what it is)"
             )
     peak = value("z_hit") / (SQRT_2PI * value("sigma_hit")) if file.stack == "beluga" else value("z_hit")
     if value("max_beams") and getattr(parameters, "do_beamskip", False):
         notes.append("beam skipping is left out: only nav2 and ROS 1 have it")
     if file.stack == "beluga" and file.model == "likelihood_field" and parameters.model_unknown_space:
         notes.append("model_unknown_space is left out: only Beluga has it")
+    if file.stack == "beluga" and file.model == "likelihood_field" and parameters.only_obstacle_boundaries:
+        notes.append(
+            "only_obstacle_boundaries is left out: elsewhere the inner cells of thick walls are obstacles, too"
+        )
     return _Field(
         peak, value("z_rand") / limit, value("sigma_hit"), value("laser_likelihood_max_dist"), limit, value("max_beams")
     )
@@ -202,7 +208,9 @@ def _field_values(
     stack, model = target
     limit = source.max_range
     scale = SQRT_2PI * source.sigma if stack in ("beluga", CHAPTER) else 1.0
-    hit, rand = source.peak * scale, source.floor * limit
+    # nav2 and ROS 1 divide by the lesser of the two, whatever the file says.
+    by_sensor = stack in _SHIFTED and max_range is not None and max_range < limit
+    hit, rand = source.peak * scale, source.floor * (max_range if by_sensor and max_range is not None else limit)
     if model == "likelihood_field" and stack != CHAPTER:
         notes.append("z_hit and z_rand keep their scale instead of summing to 1: next to the 1 of this model it counts")
     else:
@@ -220,7 +228,7 @@ def _field_values(
         if n_beams is not None and source.max_beams is not None:
             values["LF_decimation"] = max(1, round(n_beams / source.max_beams))
         else:
-            notes.append("LF_decimation is left out: a number of beams needs the beams of a scan (n_beams) to convert")
+            notes.append("LF_decimation is left out: converting a number of beams takes the number of beams in a scan")
         notes.append("MRPT leaves out the first reading after one that is not valid, and points 2 cm apart or nearer")
         return values, True
     values = {
@@ -233,10 +241,9 @@ def _field_values(
     if stack == "beluga":
         if model == "likelihood_field":
             values |= {"model_unknown_space": False, "only_obstacle_boundaries": False}
-    elif max_range is not None and max_range < limit:
-        # These divide by the lesser of the two, whatever the file says.
-        values[_name(stack, "z_rand")] = rand * max_range / limit
+    elif by_sensor:
         notes.append(f"z_rand is for a sensor whose longest range is {max_range:g} m")
+    notes += _above_one(stack, hit)
     return values, True
 
 
@@ -273,14 +280,22 @@ def _beam(file: StackFile, target: tuple[str, str], parameters: Any, max_range: 
     values |= {_name(stack, name): weight for name, weight in weights.items()}
     values |= {_name(stack, name): value(name) for name in ("sigma_hit", "lambda_short", "max_beams")}
     values["laser_max_range"] = limit
+    notes += _above_one(stack, weights["z_hit"])
     return Translation(*target, values, False, tuple(notes + _map_notes(file.stack, stack)))
 
 
+def _above_one(stack: str, hit: float) -> list[str]:
+    if stack not in _SHIFTED or hit <= 1.0:
+        return []
+    return [f"z_hit is above 1, where builds of {stack} with assertions (debug builds) stop"]
+
+
 def _map_notes(source: Stack | str, target: str) -> list[str]:
-    shifted = {"nav2", "ros1"}
     notes = []
-    if (source in shifted) != (target in shifted):
+    if (source in _SHIFTED) != (target in _SHIFTED):
         notes.append("nav2 and ROS 1 see walls half a cell off, the others where the map has them")
+    if "beluga" in (source, target) and _SHIFTED & {source, target}:
+        notes.append("nav2 and ROS 1 take every so many-th beam, Beluga max_beams evenly: not the same beams")
     if "beluga" in (source, target):
         notes.append("off the map Beluga gives 1 / laser_max_range, the others what the maximum distance is worth")
     return notes

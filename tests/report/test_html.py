@@ -228,7 +228,10 @@ DEGENERATE = {
         {"opposite", "refinement"},
     ),
     "no hit": ({"truth": BeamParameters(0.0, 0.5, 0.2, 0.3, 0.05, 0.0)}, {"noise", "opposite"}),
-    "one beam and one expected range": ({"bearings": ONE_BEAM, "n_scans": 600, "same_place": True}, {"opposite", "scan-fit"}),
+    "one beam and one expected range": (
+        {"bearings": ONE_BEAM, "n_scans": 600, "same_place": True},
+        {"opposite", "scan-fit"},
+    ),
     "one held-out block, long limit": ({"options": CalibrationOptions(block_s=50.0), "max_range": 80.0}, set()),
     "noise that grows": ({"truth": BeamParameters(0.8, 0.1, 0.05, 0.05, 0.03, 0.3, 0.1, 0.02)}, set()),
 }

@@ -59,7 +59,7 @@ def calibrate(folder: Path, out: Path, *more: str) -> dict:
 
 def test_a_log_of_cones_is_calibrated_as_cones_unless_told_otherwise(folder, tmp_path, monkeypatch):
     # Drawing the report's figures takes ten times as long as all the rest.
-    monkeypatch.setattr("beamfield.report.html.render_report", lambda *_: "<html></html>")
+    monkeypatch.setattr("beamfield.report.html.render_report", lambda *_, **__: "<html></html>")
     cones = calibrate(folder, tmp_path / "cones")
     found = cones["parameters"]
     assert found["z_hit"]["value"] == pytest.approx(TRUTH.z_hit, abs=0.05)

@@ -188,3 +188,42 @@ def test_new_files_get_names_by_which_they_are_read_again(good, tmp_path, capsys
     assert main(["translate", str(good), "--to", to, "--out", str(tmp_path / name)]) == 1
     assert f"files of {to} end in {expected}, got '{name}'" in capsys.readouterr().err
     assert not (tmp_path / name).exists()
+
+
+REAL_MAPS = {
+    "ros_maps/nav2_depot/depot.yaml": {"unknown-read-as-free"},
+    "ros_maps/willow_garage_010/willow-2010-02-18-0.10.yaml": {"thresholds-lose-cells", "unknown-is-free"},
+    "ros_maps/aws_small_house/map.yaml": set(),
+    "wean_hall/derived_wean.yaml": {"thresholds-lose-cells", "unknown-is-free"},
+}
+MAP_FINDINGS = {"unknown-read-as-free", "thresholds-lose-cells", "unknown-is-free", "map-mode-loses-cells",
+                "map-yaw-ignored", "no-obstacles"}  # fmt: skip
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", REAL_MAPS)
+def test_the_doctor_judges_real_maps(data, good, capsys, name):
+    main(["doctor", str(good), "--stack", "nav2", "--map", str(data / name), "--json"])
+    found = {item["name"] for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert found & MAP_FINDINGS == REAL_MAPS[name]
+
+
+@pytest.mark.real
+def test_the_doctor_tries_the_model_on_a_real_log(data, good, capsys):
+    """nav2's default field hardly looks at the scans of a TurtleBot 4; a longest range of 5 m hides many of them."""
+    folder = data / "olin_mac_tb4"
+    good.write_text(GOOD.replace("10.0", "5.0").replace("likelihood_field_prob", "likelihood_field"))
+    words = [
+        "doctor",
+        str(good),
+        "--stack",
+        "nav2",
+        "--map",
+        str(folder / "map" / "mac_1st_floor_final.yaml"),
+        "--json",
+    ]
+    words += ["--log", str(folder / "macfirst_floor_take_2"), "--poses", str(folder / "derived_ref_take_2.csv.gz")]
+    assert main(words) == 1
+    found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
+    assert "in the log (median of up to 9 scans)" in found["nearly-flat"]["seen"]
+    assert found["range-limit-hides-readings"]["values"]["hidden_share"] > 0.05

@@ -28,7 +28,8 @@ from beamfield.sensors import SensorLog
 AMCL = (
     "AMCL's beam model (laser_model_type: beam) has the six parameters under these names, in ROS 1 with the prefix "
     "laser_, and laser_max_range. It leaves out the normalisers of (6.4) and (6.7) and sums cubes, so these "
-    "values are a start there, not an optimum."
+    "values are a start there, not an optimum. beamfield calibrate --stack nav2 (or ros1, beluga, mrpt, f1tenth) fits "
+    "the program's own model."
 )
 
 SECTIONS = {

@@ -19,8 +19,6 @@ Floats = NDArray[np.float64]
 # Poses of one pass of the vectorised loop: five columns of doubles stay in the nearest cache.
 BLOCK = 512
 QUARTER_PI, HALF_PI = 0.7853981633974483, 1.5707963267948966
-# Terms of a sum below exp(-45) = 3e-20 of the largest change no bit of it, unless there are thousands of them.
-NEGLIGIBLE = -45.0
 TAN_PI_8 = 0.41421356237309503
 
 
@@ -148,25 +146,6 @@ def fill_candidates(
                 row[j] = _never_nan(
                     log_value(x, y, cos, sin, across[j], along[j], r, cos_phi, sin_phi, w_r, w_phi, constants[j])
                 )
-
-
-@kernel
-def fill_sums(values: Floats, log_landmark: float, log_spurious: Floats, out: Floats) -> None:
-    """Sum over correspondences: values (n, k, N) of `fill_candidates`, log_spurious (k,), out (n, k)."""
-    for i in range(values.shape[0]):
-        for k in range(values.shape[1]):
-            best = log_spurious[k]
-            for j in range(values.shape[2]):
-                best = max(best, values[i, k, j] + log_landmark)
-            if best == -math.inf:
-                out[i, k] = best
-                continue
-            total = math.exp(log_spurious[k] - best)
-            for j in range(values.shape[2]):
-                below = values[i, k, j] + log_landmark - best
-                if below > NEGLIGIBLE:
-                    total += math.exp(below)
-            out[i, k] = best + math.log(total)
 
 
 @inlined_kernel

@@ -13,9 +13,10 @@ from beamfield.detections import SPURIOUS, Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.landmark import LandmarkModel, sample_wrapped
+from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_signatures import LOG_2PI, signature_log_density
+from beamfield.models.wrapped_normal import sample_wrapped
 
 # With a grid, drawing stops when less than one pose in so many lies in free space.
 MAX_DRAWS_PER_POSE = 10_000

@@ -1,0 +1,312 @@
+"""What models of features share: of which thing of the map each feature is, known or not (6.6.3)."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.detections import SPURIOUS, UNKNOWN
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, compose, invert
+from beamfield.kernels.correspondence import fill_sums
+from beamfield.kernels.threads import run_in_slices
+from beamfield.models.assignment import assign_exclusively
+
+Correspondence = Literal["known", "nearest", "sum", "assignment"]
+# Values per pose, feature and thing in memory at a time: 8 MB.
+VALUES_PER_CHUNK = 1_000_000
+
+
+class Features(Protocol):
+    """The features of one observation."""
+
+    @property
+    def ids(self) -> NDArray[np.int64] | None:
+        """(k,) id of what each is of, `SPURIOUS` or `UNKNOWN`; None if none is known."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+Z = TypeVar("Z", bound=Features)
+
+
+class FeatureMap(Protocol):
+    """A map of N things with ids."""
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """(N,) ids, each once."""
+        ...
+
+    def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
+        """Return the index of the thing with each id."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+class Given(NamedTuple):
+    """What is given of the correspondences of one observation, as indices of features."""
+
+    known: NDArray[np.int64]
+    """Features whose thing is known."""
+    which: NDArray[np.int64]
+    """The index of that thing."""
+    unknown: NDArray[np.int64]
+    """Features whose correspondence is unknown."""
+    spurious: NDArray[np.int64]
+    """Features known to be of nothing in the map."""
+
+
+class Tables(NamedTuple):
+    """What the kernels need of map and observation."""
+
+    things: FloatArray
+    """(N, c) the map."""
+    features: FloatArray
+    """(k, 5) the features."""
+    base: FloatArray
+    """(k, N) constants given each thing, or (k,) where they are the same for all."""
+    log_spurious: FloatArray
+    """(k,) log density given nothing in the map."""
+
+
+@dataclass(frozen=True, eq=False)
+class CorrespondenceModel(ABC, Generic[Z]):
+    """p(f(z) | x, m) of features, each of one thing of the map or of none; independent given pose and map (6.39).
+
+    A model of landmarks or lines says how likely a feature is given its thing; what follows from that is here.
+
+    Parameters
+    ----------
+    correspondence
+        What to do with features whose id is unknown; ids that are given are always used, and `without_ids` of the
+        features takes them off.
+
+        - "known": refuse them.
+        - "nearest": the thing (or none) that explains the feature best. With equal noise for all things that is the
+          least Mahalanobis distance over all that was measured. Not a density over features.
+        - "sum": the sum over all correspondences, ``spurious_rate p(f | none) + (1 - spurious_rate) / N sum_j p(f |
+          j)``: every thing is as likely as any other before the feature is seen. A density.
+        - "assignment": as "nearest", for all features of unknown id together, and no thing explains two of them
+          (things that known ids name are taken). -inf if there are more features than things and spurious_rate is 0.
+          Not a density over features. A wall that is seen in pieces needs another.
+    mount
+        (3,) pose of the sensor on the robot, metres and radians; zero for features in the robot's frame.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+
+    Raises
+    ------
+    InvalidInputError
+        If correspondence has no such value, or the mount is no pose.
+
+    Notes
+    -----
+    For "nearest" and "assignment", a thing's value is weighted with (1 - spurious_rate) and no thing's with
+    spurious_rate. Instances are immutable, can be pickled and may be used from several threads.
+
+    References
+    ----------
+    Probabilistic Robotics, 6.6.2 and 6.6.3: (6.38) to (6.40).
+    """
+
+    correspondence: Correspondence = field(kw_only=True)
+    mount: FloatArray = field(default_factory=lambda: np.zeros(3), kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+
+    feature_name: ClassVar[str]
+    """What a feature is called in errors."""
+    _kernels: ClassVar[ModuleType]
+    """Has fill_known and fill_candidates, with the parameters of those in `kernels.landmark`."""
+
+    def __post_init__(self) -> None:
+        if self.correspondence not in ("known", "nearest", "sum", "assignment"):
+            raise InvalidInputError(
+                f"correspondence: expected 'known', 'nearest', 'sum' or 'assignment', got {self.correspondence!r}"
+            )
+        mount = np.array(as_poses(self.mount, "mount"))
+        if mount.shape != (3,):
+            raise InvalidInputError(f"mount: expected shape (3,), got {mount.shape}")
+        mount.flags.writeable = False
+        object.__setattr__(self, "mount", mount)
+
+    def log_likelihood(self, z: Z, poses: ArrayLike) -> FloatArray:
+        """Return log p(f(z) | x, m) of one observation at many poses: (6.39).
+
+        Parameters
+        ----------
+        z
+            The features.
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (...) nats; -inf where nothing explains a feature, never NaN. No features give 0.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3), an id is not in the map, an id is unknown while the correspondence is
+            "known", or the features are not what the model needs, see its class.
+        """
+        robot = as_poses(poses)
+        given, tables = self._prepare(z)
+        total: FloatArray = np.zeros(robot.shape[:-1])
+        total += tables.log_spurious[given.spurious].sum()
+        if len(given.known) and total.size:
+            total += self._known(given, tables, robot.reshape(-1, 3), each=False).reshape(total.shape)
+        if len(given.unknown) and total.size:
+            total += self._unknown(z, given, tables, robot.reshape(-1, 3))[0].sum(axis=1).reshape(total.shape)
+        return total
+
+    def detection_log_likelihood(self, z: Z, poses: ArrayLike) -> FloatArray:
+        """Return what each feature contributes to `log_likelihood`, (..., k).
+
+        Parameters
+        ----------
+        z, poses
+            As for `log_likelihood`.
+        """
+        return self._evaluate(z, poses)[0]
+
+    def correspondences(self, z: Z, poses: ArrayLike) -> NDArray[np.int64]:
+        """Return the id of the thing that each feature is taken for, or `SPURIOUS`, (..., k).
+
+        Parameters
+        ----------
+        z, poses
+            As for `log_likelihood`. With correspondence "sum" it is the most probable thing of each feature. Where
+            nothing explains a feature (a type that no landmark can show, no room for an assignment), `UNKNOWN`.
+        """
+        return self._evaluate(z, poses)[1]
+
+    @property
+    @abstractmethod
+    def _things(self) -> FeatureMap:
+        """The map."""
+
+    @property
+    @abstractmethod
+    def _spurious_rate(self) -> float:
+        """Probability that a feature is of nothing in the map."""
+
+    @abstractmethod
+    def _tables(self, z: Z, given: Given) -> Tables:
+        """Return what the kernels need, or refuse features that are not what the model needs."""
+
+    def _exclude(
+        self, z: Z, given: Given, flat: FloatArray, mount: FloatArray, things: FloatArray, each: FloatArray
+    ) -> None:
+        """Set candidates (n, unknown, N) that are none to -inf; poses, mount and things (c, N) as for the kernels."""
+
+    def _may_be_spurious(self, given: Given) -> bool:
+        """Say whether the density given nothing in the map is needed."""
+        return bool(len(given.spurious) or (len(given.unknown) and self._spurious_rate > 0.0))
+
+    def _prepare(self, z: Z) -> tuple[Given, Tables]:
+        ids = np.full(len(z), UNKNOWN) if z.ids is None else z.ids
+        known, unknown, spurious = (np.flatnonzero(mask) for mask in (ids >= 0, ids == UNKNOWN, ids == SPURIOUS))
+        if len(unknown) and self.correspondence == "known":
+            raise InvalidInputError(
+                f"ids: correspondence 'known' needs an id of every {self.feature_name}, "
+                f"got none for {self.feature_name} {unknown[0]}"
+            )
+        given = Given(known, self._things.indices_of(ids[known]), unknown, spurious)
+        return given, self._tables(z, given)
+
+    def _evaluate(self, z: Z, poses: ArrayLike) -> tuple[FloatArray, NDArray[np.int64]]:
+        """Return values and ids, each (..., k)."""
+        robot = as_poses(poses)
+        flat = robot.reshape(-1, 3)
+        given, tables = self._prepare(z)
+        values: FloatArray = np.zeros((len(flat), len(z)))
+        ids = np.full((len(flat), len(z)), SPURIOUS, dtype=np.int64)
+        values[:, given.spurious] = tables.log_spurious[given.spurious]
+        if len(given.known):
+            values[:, given.known] = self._known(given, tables, flat, each=True)
+            ids[:, given.known] = self._things.ids[given.which]
+        if len(given.unknown):
+            values[:, given.unknown], chosen = self._unknown(z, given, tables, flat)
+            # Index N means none, N + 1 unknown.
+            ids[:, given.unknown] = np.append(self._things.ids, [SPURIOUS, UNKNOWN])[chosen]
+        shape = (*robot.shape[:-1], len(z))
+        return values.reshape(shape), ids.reshape(shape)
+
+    def _known(self, given: Given, tables: Tables, flat: FloatArray, *, each: bool) -> FloatArray:
+        features, things = tables.features[given.known], tables.things[given.which]
+        base = tables.base[given.known, given.which] if tables.base.ndim == 2 else tables.base[given.known]
+        out = np.empty((len(flat), len(features) if each else 1))
+        first, mount = 0 if each else -1, self._mount_in_sensor_axes()
+        run_in_slices(
+            lambda a, b: self._kernels.fill_known(flat[a:b], mount, features, things, base, first, out[a:b]),
+            len(flat),
+            threads=self.threads,
+            work_per_row=1 + len(features) // 2,
+        )
+        return out
+
+    def _unknown(self, z: Z, given: Given, tables: Tables, flat: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+        """Return values and indices of things (N for none, N + 1 where there is no room), each (n, unknown)."""
+        k, n_things = len(given.unknown), len(self._things)
+        values = np.empty((len(flat), k))
+        chosen = np.empty((len(flat), k), dtype=np.int64)
+        features, base = tables.features[given.unknown], tables.base[given.unknown]
+        none = tables.log_spurious[given.unknown] + _log(self._spurious_rate)
+        things, mount = np.ascontiguousarray(tables.things.T), self._mount_in_sensor_axes()
+        rows = max(1, VALUES_PER_CHUNK // (k * (n_things + 1)))
+
+        def chunk(a: int, b: int) -> None:
+            each = np.empty((b - a, k, n_things))
+            self._kernels.fill_candidates(flat[a:b], mount, features, things, base, each)
+            self._exclude(z, given, flat[a:b], mount, things, each)
+            self._choose(each, none, given.which, values[a:b], chosen[a:b])
+
+        def work(start: int, stop: int) -> None:
+            for a in range(start, stop, rows):
+                # Its memory is free again before the next one asks for it.
+                chunk(a, min(a + rows, stop))
+
+        run_in_slices(work, len(flat), threads=self.threads, work_per_row=k * n_things)
+        return values, chosen
+
+    def _choose(
+        self,
+        each: FloatArray,
+        none: FloatArray,
+        taken: NDArray[np.int64],
+        values: FloatArray,
+        chosen: NDArray[np.int64],
+    ) -> None:
+        n_things = each.shape[-1]
+        prior = math.log1p(-self._spurious_rate) - (math.log(n_things) if self.correspondence == "sum" else 0.0)
+        if self.correspondence == "assignment":
+            # Taken by a feature whose id is known.
+            each[..., taken] = -np.inf
+            assign_exclusively(each + prior, none, values, chosen)
+            return
+        chosen[...] = each.argmax(axis=-1)
+        values[...] = each.max(axis=-1) + prior
+        chosen[none > values] = n_things
+        chosen[np.maximum(values, none) == -np.inf] = n_things + 1
+        if self.correspondence == "sum":
+            fill_sums(each, prior, none, values)
+        else:
+            np.maximum(values, none, out=values)
+
+    def _mount_in_sensor_axes(self) -> FloatArray:
+        turn = np.array([0.0, 0.0, self.mount[2]])
+        offset = compose(invert(turn), np.array([self.mount[0], self.mount[1], 0.0]))
+        return np.array([offset[0], offset[1], self.mount[2]])
+
+
+def _log(probability: float) -> float:
+    return math.log(probability) if probability > 0.0 else -math.inf

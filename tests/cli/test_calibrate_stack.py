@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.report import html
+from beamfield.stacks import fit_space
 from beamfield.stacks.parameter_file import read_stack_file
 from beamfield.stacks.typed_values import checked_values
 
@@ -28,11 +30,18 @@ amcl:
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("world")
     code = main([
-        "simulate", str(folder), "--overwrite", "--seed", "4", "--duration", "110", "--scan-rate", "4", "--beams", "31",
+        "simulate", str(folder), "--overwrite", "--seed", "4", "--duration", "90", "--scan-rate", "3", "--beams", "31",
         "--quiet",
     ])  # fmt: skip
     assert code == 0
     return folder
+
+
+@pytest.fixture(autouse=True)
+def short_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which numbers of beams are tried, and the report's own figures, are tested elsewhere."""
+    monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9, 20))
+    monkeypatch.setattr(html, "report_figures", lambda *_, **__: [])
 
 
 def calibrate(world: Path, out: Path, *more: str) -> int:

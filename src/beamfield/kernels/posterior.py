@@ -110,29 +110,31 @@ def judge_posteriors(
     ratios: NDArray[np.float64],
     covered: NDArray[np.float64],
 ) -> None:
-    """Fill the posterior density at the first pose over the prior's, and whether it is in the densest region.
+    """Fill the posterior density at the truth over the prior's, and whether it is in the densest region.
+
+    There are c guesses at what is not known, each with a truth, which is the pose of that number, and a prior.
 
     Parameters
     ----------
     near
-        (r, n) weights of poses around the reference, which is the first.
+        (r, n) weights of poses around the reference, the c truths first.
     far
         (r, m) weights of poses elsewhere.
     mass, density
-        (c, n) each near pose's share of the prior and the prior's density there, for c priors.
+        (c, n) each near pose's share of the prior and the prior's density there.
     far_mass, far_density
         The same of each far pose.
     level
         Probability of the region.
     ratios
-        (r, c) overwritten: weight of the first pose over the mean weight under each prior; 0 if it has none.
+        (r, c) overwritten: weight of the truth over the mean weight under the prior; 0 if it has none.
     covered
-        (r,) overwritten: share of the priors whose posterior has less than `level` denser than the first pose.
+        (r,) overwritten: share of the guesses whose posterior has less than `level` denser than the truth.
     """
     for r in range(len(near)):
         inside = 0
         for c in range(len(mass)):
-            here = near[r, 0] * density[c, 0]
+            here = near[r, c] * density[c, c]
             total = above = 0.0
             for i in range(near.shape[1]):
                 part = near[r, i] * mass[c, i]
@@ -142,6 +144,6 @@ def judge_posteriors(
                 part = far[r, i] * far_mass
                 total += part
                 above += part if far[r, i] * far_density > here else 0.0
-            ratios[r, c] = near[r, 0] / total if total > 0.0 else 0.0
+            ratios[r, c] = near[r, c] / total if total > 0.0 else 0.0
             inside += above < level * total
         covered[r] = inside / len(mass)

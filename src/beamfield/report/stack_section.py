@@ -10,16 +10,30 @@ from typing import Any
 import numpy as np
 
 from beamfield.geometry import FloatArray
-from beamfield.report.drawing import DATA, FIT, HELD_OUT, NARROW, QUIET, legend, new_figure, style, svg_panel
+from beamfield.report.drawing import DATA, FIT, HELD_OUT, NARROW, QUIET, legend_above, new_figure, style, svg_panel
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned
 from beamfield.stacks.fit import StackFit, Trial, net_score
 from beamfield.stacks.particle_update import ParticleUpdate
 
 HOW = {
-    "maximum likelihood": "Weights, sigma and rates are those of the chapter's beam model by maximum likelihood, "
+    "maximum likelihood": "Factors, sigma and rates are those of the chapter's beam model by maximum likelihood, "
     "translated; the number of beams is chosen on windows of the log.",
     "posterior": "All values are chosen by the posterior they make on windows of the log.",
+}
+_AMCL_FIELD = "p = z_hit exp(-d² / 2 sigma_hit²) + z_rand / range_max, d from a beam's end to the nearest obstacle"
+_BELUGA_FIELD = "p = z_hit N(d; 0, sigma_hit²) + z_rand / laser_max_range, d from a beam's end to the nearest obstacle"
+# What a scan multiplies a particle's weight by.
+FORMULAS = {
+    "nav2 likelihood_field": f"1 + Σ p³ over beams; {_AMCL_FIELD}",
+    "nav2 likelihood_field_prob": f"Π p over beams; {_AMCL_FIELD}",
+    "nav2 beam": "1 + Σ p³ over beams; p has the four causes of the chapter without normalisers",
+    "beluga likelihood_field": f"1 + Σ p³ over beams; {_BELUGA_FIELD}",
+    "beluga likelihood_field_prob": f"Π p over beams; {_BELUGA_FIELD}",
+    "beluga beam": "Σ p³ over beams; p is the chapter's mixture with z_max for a density",
+    "mrpt LF_Thrun": "Π p over points; p = LF_zHit exp(-d² / 2 LF_stdHit²) + LF_zRandom / LF_maxRange",
+    "mrpt rayTracing": "exp(1 + Σ log p); p = 0.1 / max_range + 0.9 exp(-(z - z*)² / 2 rayTracing_stdHit²)",
+    "f1tenth table": "(Π T)^(1 / squash_factor) over beams; T is the table of ranges by pixels",
 }
 
 
@@ -49,28 +63,34 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
     """
     stack, model = chosen.model.stack, chosen.model.model
     scores = "".join(
-        _row(cells, "fit" if cells[0] == "*" else "rival") for fit in fits for cells in _score_rows(fit, fit is chosen)
+        _row(cells, "fit" if cells[0] == "*" else "rival", numbers_from=2)
+        for fit in fits
+        for cells in _score_rows(fit, fit is chosen)
     )
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in _SCORE_HEADER)
-    values = "".join(_row(cells, "") for cells in _parameter_rows(chosen))
+    head = "".join(f"<th{_class(i, 2)}>{html.escape(cell)}</th>" for i, cell in enumerate(_SCORE_HEADER))
+    values = "".join(_row(cells, "", numbers_from=1) for cells in _parameter_rows(chosen))
     warning = "" if chosen.covers else f'<ul class="findings"><li>{html.escape(_coverage_text(chosen))}</li></ul>'
     panels = "".join(
         f'<div class="narrow">{panel.markup}</div>' for panel in (_beams_panel(chosen), _error_panel(chosen))
     )
     options = chosen.options
     markup = (
-        f"<p>{html.escape(HOW[chosen.how])} {html.escape(model)} computes: {html.escape(_summary(chosen))}</p>{warning}"
+        f"<p>{html.escape(HOW[chosen.how])} A scan multiplies a particle's weight by "
+        f"{html.escape(_formula(chosen))}.</p>{warning}"
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{scores}</tbody></table></div>'
         "<p>Score: on held-out windows of "
-        f"{options.scans} scans, the mean logarithm of the posterior's density at the reference trajectory over the "
-        "prior's, in nats: 0 for weights that say nothing, without bound below for weights that are certain and wrong. "
-        "Coverage: share of the windows whose 95 % region holds the truth, which may be "
-        f"{options.reference_error * 100:g} cm from the reference. Update: {chosen.update.n_particles} particles, "
-        f"{chosen.update.error_before[0] * 100:.0f} cm from the reference in the mean, weighed by one scan.</p>"
-        f'<figure id="stack-choice"><h3>What was chosen, and what it does to particles</h3><div class="panels">{panels}'
-        "</div><figcaption>Left: the score of each setting on windows that it was not fitted to, less a price for "
-        "missing coverage; the setting with the best is taken. Right: the mean distance of particles from the "
-        "reference after one update, over held-out scans.</figcaption></figure>"
+        f"{options.scans} scans, the mean logarithm of the posterior's density at the reference over the prior's, in "
+        "nats: 0 for weights that say nothing, far below 0 for weights that are certain and wrong. Coverage: share of "
+        "those windows whose 95 % region holds the reference, which itself may be "
+        f"{options.reference_error * 100:g} cm off. Effective particles and error: {chosen.update.n_particles} "
+        f"particles, {chosen.update.error_before[0] * 100:.0f} cm from the reference in the mean, weighed by one "
+        "scan.</p>"
+        '<figure id="stack-choice"><h3>What was chosen, and what one scan does to particles</h3>'
+        f'<div class="panels">{panels}'
+        "</div><figcaption>Left: the score of each setting on windows that its values were not fitted to, and the same "
+        "less a price for 95 % regions that miss the reference; the circle is the setting taken. Right: the mean "
+        "distance of particles from the reference after one scan, over held-out scans; left of the dashed line the "
+        "scan helped.</figcaption></figure>"
         '<div class="scroll"><table><thead><tr><th>parameter</th><th class="n">before</th><th class="n">calibrated</th>'
         f"</tr></thead><tbody>{values}</tbody></table></div>"
         f"<p>The file:</p><pre>{html.escape(file_text)}</pre>"
@@ -137,8 +157,14 @@ def _value(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _row(cells: tuple[str, ...], css: str) -> str:
-    return f'<tr class="{css}">' + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"
+def _row(cells: tuple[str, ...], css: str, numbers_from: int) -> str:
+    """Return a row of a table, its numbers to the right."""
+    inside = "".join(f"<td{_class(i, numbers_from)}>{html.escape(cell)}</td>" for i, cell in enumerate(cells))
+    return f'<tr class="{css}">{inside}</tr>'
+
+
+def _class(column: int, numbers_from: int) -> str:
+    return ' class="n"' if column >= numbers_from else ""
 
 
 def _coverage_text(fit: StackFit) -> str:
@@ -148,10 +174,10 @@ def _coverage_text(fit: StackFit) -> str:
     )
 
 
-def _summary(fit: StackFit) -> str:
-    """Return the model's formula in one line: the first line of the class that states it."""
-    lines = [(kind.__doc__ or "").strip().splitlines()[0] for kind in type(fit.model).__mro__ if kind.__doc__]
-    return next((line for line in lines if "``" in line), lines[0]).replace("``", "")
+def _formula(fit: StackFit) -> str:
+    """Return the model's formula in one line; ROS 1's are nav2's."""
+    stack = {"ros1": "nav2"}.get(fit.model.stack, fit.model.stack)
+    return FORMULAS[f"{stack} {fit.model.model}"]
 
 
 def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:
@@ -172,18 +198,15 @@ def _beams_panel(fit: StackFit) -> Any:
     labels = [", ".join(str(value) for value in trial.setting.values()) for trial in fit.trials]
     name = ", ".join(fit.trials[0].setting) or "setting"
     places = np.arange(len(fit.trials))
-    axes.plot(places, [trial.crossed.mean for trial in fit.trials], "o-", color=DATA, label="score")
-    axes.plot(
-        places, [net_score(trial.crossed) for trial in fit.trials], "o-", color=FIT, label="less missing coverage"
-    )
-    chosen = next(i for i, trial in enumerate(fit.trials) if dict(trial.setting) == dict(fit.chosen.setting))
-    axes.plot(
-        places[chosen], net_score(fit.trials[chosen].crossed), "o", ms=11, mfc="none", mec=HELD_OUT, label="taken"
-    )
     axes.axhline(0.0, color=QUIET, linewidth=0.8)
+    axes.plot(places, [trial.crossed.mean for trial in fit.trials], "o-", color=DATA, label="score")
+    axes.plot(places, [net_score(trial.crossed) for trial in fit.trials], "o-", color=FIT, label="less the price")
+    for place, trial in zip(places, fit.trials, strict=True):
+        if dict(trial.setting) == dict(fit.chosen.setting):
+            axes.plot(place, net_score(trial.crossed), "o", ms=11, mfc="none", mec=HELD_OUT, label="taken")
     axes.set_xticks(places, labels)
-    style(axes, title="Settings", x=name, y="nats per window")
-    legend(axes, loc="best")
+    style(axes, title="", x=name, y="score [nats per window]")
+    legend_above(axes)
     alt = f"Score by {name}: " + "; ".join(
         f"{label} {net_score(trial.crossed):.2f}" for label, trial in zip(labels, fit.trials, strict=True)
     )
@@ -197,10 +220,11 @@ def _error_panel(fit: StackFit) -> Any:
         errors, share = _steps(update.error_after)
         axes.step(errors * 100.0, share, where="post", color=colour, linewidth=1.8, label=label)
     start = float(fit.update.error_before.mean()) * 100.0
-    axes.axvline(start, color=QUIET, linewidth=0.9, linestyle="--", label="before the update")
+    axes.axvline(start, color=QUIET, linewidth=0.9, linestyle="--", label="without the scan")
     axes.set_xlim(left=0.0)
-    style(axes, title="One update", x="mean distance from the reference [cm]", y="share of held-out scans")
-    legend(axes, loc="best")
+    axes.set_ylim(0.0, 1.02)
+    style(axes, title="", x="mean distance of particles from the reference [cm]", y="share of held-out scans")
+    legend_above(axes)
     alt = (
         f"Share of scans by error after one update: before in the mean {fit.update_before.error_after.mean():.3f} m, "
         f"calibrated {fit.update.error_after.mean():.3f} m"

@@ -115,7 +115,7 @@ class BelugaField(FieldModel[BelugaParameters]):
     def log_of_sums(
         self,
         sums: FloatArray,
-        n_beams: int | NDArray[np.int64],
+        n_beams: int | NDArray[np.int64],  # noqa: ARG002
         parameters: BelugaParameters,  # noqa: ARG002
     ) -> FloatArray:
         """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""

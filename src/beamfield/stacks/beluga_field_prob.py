@@ -45,7 +45,7 @@ class BelugaFieldProb(BelugaField):
     def log_of_sums(
         self,
         sums: FloatArray,
-        n_beams: int | NDArray[np.int64],
+        n_beams: int | NDArray[np.int64],  # noqa: ARG002
         parameters: BelugaParameters,  # noqa: ARG002
     ) -> FloatArray:
         """Return the sums; see `FieldModel.log_of_sums`."""

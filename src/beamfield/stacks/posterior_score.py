@@ -27,11 +27,11 @@ class PosteriorScores:
     Parameters
     ----------
     log_score
-        (w,) nats: log of the posterior density at the reference over the prior's there, mean over priors. 0 for
+        (w,) nats: log of the posterior density at the truth over the prior's there, mean over guesses at both. 0 for
         weights that say nothing; wrong and certain is punished, so that it is largest in the mean for a calibrated
         posterior.
     covered
-        (w,) share of the priors whose posterior holds the reference in its 95 % region.
+        (w,) share of the guesses whose posterior holds the truth in its 95 % region.
     """
 
     log_score: FloatArray
@@ -44,7 +44,7 @@ class PosteriorScores:
 
     @property
     def coverage(self) -> float:
-        """Share of the windows whose 95 % region holds the truth."""
+        """Share of the guesses at the truth, over all windows, that the 95 % region holds."""
         return float(self.covered.mean())
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> PosteriorScores:
@@ -63,8 +63,8 @@ def score_windows(
     """Return how well parameters do on windows.
 
     A filter knows where the robot is up to a prior, which is off the truth as far as its spread says, or that it may be
-    anywhere. The posterior over where the reference lies is that prior times the stack's weights, averaged over the
-    reference's error; it is judged where the reference does lie.
+    anywhere. The posterior is that prior times the stack's weights. It is judged where the truth may be: around the
+    reference.
 
     Parameters
     ----------
@@ -97,8 +97,7 @@ def _judge(
     top = rows.max(axis=1, keepdims=True)
     # No pose has any weight: the filter learns nothing (nav2 then makes all weights equal).
     weights = np.exp(np.where(top > -np.inf, rows - np.where(top > -np.inf, top, 0.0), 0.0))
-    near = np.ascontiguousarray(weights[:, :n_near] @ rivals.smoothing.T)
-    far = np.ascontiguousarray(weights[:, n_near:])
+    near, far = np.ascontiguousarray(weights[:, :n_near]), np.ascontiguousarray(weights[:, n_near:])
     share = options.far_share if far.shape[1] else 0.0
     ratios, covered = np.empty((len(rows), len(rivals.mass))), np.empty(len(rows))
     judge_posteriors(

@@ -19,8 +19,8 @@ from beamfield.sensors import SensorLog
 FEWEST_WINDOWS = 5
 HELD_OUT = 2
 WINDOWS_PER_BLOCK = 2.5
-# Priors around each reference.
-N_CENTRES = 20
+# Guesses at truth and prior around each reference.
+N_GUESSES = 20
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,9 @@ class WindowOptions:
     far_share
         Prior probability that the robot is elsewhere.
     reference_error, reference_turn_error
-        How wrong the reference poses themselves may be: standard deviations in metres (each axis) and radians.
+        How wrong the reference poses themselves may be: standard deviations in metres (each axis) and radians. No
+        posterior pays that is surer of the reference than this: references often come from the same scans, so that
+        agreement with them proves nothing below it.
     seed
         Of the poses.
 
@@ -56,7 +58,7 @@ class WindowOptions:
     scans: int = 4
     travel: float = 0.25
     turn: float = 0.2
-    windows: int = 60
+    windows: int = 90
     near: int = 400
     far: int = 100
     spread: float = 0.25
@@ -67,7 +69,7 @@ class WindowOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("scans", 1), ("windows", 2), ("near", 20), ("far", 0)):
+        for name, least in (("scans", 1), ("windows", 2), ("near", 2 * N_GUESSES), ("far", 0)):
             if getattr(self, name) < least:
                 raise InvalidInputError(f"{name}: expected at least {least}, got {getattr(self, name)}")
         for name in ("spread", "turn_spread", "reference_error", "reference_turn_error"):
@@ -84,19 +86,17 @@ class WindowOptions:
 class Rivals:
     """Poses around the reference, the same for all windows, with what makes sums over them integrals.
 
-    All of it is about where the reference may lie, which is the truth and the reference's own error: weights of the
-    truth are averaged over that error, and priors are as much wider.
+    There are c guesses at what is not known: where the truth lies, given the reference, and where a filter's prior is
+    centred, given the truth.
 
     Parameters
     ----------
     offsets
-        (n, 3) in the frame of the reference pose, metres and radians; the first is 0.
+        (n, 3) in the frame of the reference pose, metres and radians; the first c are the truths.
     volumes
         (n,) of each in an integral, m^2 rad.
-    smoothing
-        (n, n) rows that average over the reference's error.
     centres
-        (c, 3) where priors are centred: a filter's idea is off from the truth as far as its spread says.
+        (c, 3) where priors are centred: off from the truth as far as their spread says.
     mass
         (c, n) weight of each pose in an integral over each prior; rows sum to 1.
     density
@@ -107,7 +107,6 @@ class Rivals:
 
     offsets: FloatArray
     volumes: FloatArray
-    smoothing: FloatArray
     centres: FloatArray
     mass: FloatArray
     density: FloatArray
@@ -142,22 +141,21 @@ def draw_rivals(options: WindowOptions, grid: OccupancyGrid) -> Rivals:
     that are themselves off, and weights make up for it.
     """
     rng = np.random.default_rng(options.seed)
-    scales = np.append(np.geomspace(0.005 / options.spread, 1.0, 16), np.full(8, 1.5))
     widths = np.array([options.spread, options.spread, options.turn_spread])
-    chosen = rng.permutation(np.arange(options.near) % len(scales))
-    offsets = rng.standard_normal((options.near, 3)) * scales[chosen, None] * widths
-    offsets[0] = 0.0
-    volumes = 1.0 / (len(offsets) * np.mean([_density(offsets, scale * widths) for scale in scales], axis=0))
     error = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
-    smoothing = _density(offsets[:, None] - offsets, error) * volumes
-    wide = np.hypot(widths, error)
-    centres = _centres(rng) * wide
-    density = _density(offsets - centres[:, None], wide)
+    truths = _normal_points(rng) * error
+    scales = np.append(np.geomspace(0.005 / options.spread, 1.0, 16), np.full(8, 1.5))
+    chosen = scales[rng.permutation(np.arange(options.near - N_GUESSES) % len(scales))]
+    offsets = np.concatenate([truths, rng.standard_normal((len(chosen), 3)) * chosen[:, None] * widths])
+    drawn = np.mean([_density(offsets, scale * widths) for scale in scales], axis=0)
+    volumes = 1.0 / (N_GUESSES * _density(offsets, error) + len(chosen) * drawn)
+    centres = truths + _normal_points(rng) * widths
+    density = _density(offsets - centres[:, None], widths)
     mass = density * volumes
     area = int(grid.free.sum()) * grid.resolution**2
     return Rivals(
-        offsets, volumes, smoothing / smoothing.sum(axis=1, keepdims=True), centres,
-        mass / mass.sum(axis=1, keepdims=True), density, 1.0 / (2.0 * np.pi * area) if area > 0.0 else 0.0,
+        offsets, volumes, centres, mass / mass.sum(axis=1, keepdims=True), density,
+        1.0 / (2.0 * np.pi * area) if area > 0.0 else 0.0,
     )  # fmt: skip
 
 
@@ -250,13 +248,16 @@ def _anywhere(grid: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatArr
     return compose(grid.origin, local)
 
 
-def _centres(rng: np.random.Generator) -> FloatArray:
-    """Return points (c, 3) of a normal distribution whose distances are its quantiles: one in twenty beyond 95 %."""
-    directions = rng.standard_normal((N_CENTRES, 3))
+def _normal_points(rng: np.random.Generator) -> FloatArray:
+    """Return points (c, 3) of a normal distribution whose distances are its quantiles, one in twenty beyond 95 %."""
+    directions = rng.standard_normal((N_GUESSES, 3))
     # Every other one opposite to the last, so that they balance.
     directions[1::2] = -directions[::2]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return np.asarray(directions * chi.ppf((np.arange(N_CENTRES) + 0.5) / N_CENTRES, 3)[:, None])
+    distances = chi.ppf((np.arange(N_GUESSES) + 0.5) / N_GUESSES, 3)
+    # Pairs stay neighbours in distance; their order says nothing.
+    pairs = rng.permutation(N_GUESSES // 2)
+    return np.asarray((directions * distances[:, None]).reshape(-1, 2, 3)[pairs].reshape(-1, 3))
 
 
 def _density(offsets: FloatArray, widths: FloatArray) -> FloatArray:

@@ -151,6 +151,22 @@ def indices_of_ids(map_ids: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int
     return np.asarray(found)
 
 
+def finite_copy(values: ArrayLike, name: str) -> FloatArray:
+    """Return numbers as a read-only copy that nobody else can change.
+
+    Raises
+    ------
+    InvalidInputError
+        If one is not finite; it is named.
+    """
+    array = np.array(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+        raise InvalidInputError(f"{name}: expected finite numbers, got {array[where]} at index {where}")
+    array.flags.writeable = False
+    return array
+
+
 def _frozen(values: ArrayLike, name: str) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     if np.isinf(array).any():

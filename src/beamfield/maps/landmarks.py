@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.detections import as_map_ids, indices_of_ids
+from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -54,13 +54,13 @@ class LandmarkMap:
     kind: SignatureKind = None  # type: ignore[assignment]  # the same
 
     def __post_init__(self) -> None:
-        positions = _finite(self.positions, "positions")
+        positions = finite_copy(self.positions, "positions")
         if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
             raise InvalidInputError(f"positions: expected shape (n, 2) with n >= 1, got {positions.shape}")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "ids", as_map_ids(self.ids, len(positions)))
         if self.signatures is not None:
-            object.__setattr__(self, "signatures", _finite(self.signatures, "signatures"))
+            object.__setattr__(self, "signatures", finite_copy(self.signatures, "signatures"))
         object.__setattr__(self, "kind", self._checked_kind())
 
     def __len__(self) -> int:
@@ -99,12 +99,3 @@ class LandmarkMap:
             if wrong.any():
                 raise InvalidInputError(f"signatures: expected types 0, 1, 2, ..., got {self.signatures[wrong][0]}")
         return self.kind or ("vector" if len(shape) == 2 else "number")
-
-
-def _finite(values: ArrayLike, name: str) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
-    if not np.isfinite(array).all():
-        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-        raise InvalidInputError(f"{name}: expected finite numbers, got {array[where]} at index {where}")
-    array.flags.writeable = False
-    return array

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.detections import as_map_ids, indices_of_ids
+from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 
@@ -53,7 +53,7 @@ class LineMap:
     segments: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        given = _finite(self.lines, "lines")
+        given = finite_copy(self.lines, "lines")
         if given.ndim != 2 or given.shape[1] != 2 or not len(given):
             raise InvalidInputError(f"lines: expected shape (n, 2) with n >= 1, got {given.shape}")
         lines = normal_form(given)
@@ -144,7 +144,7 @@ def _across(lines: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _checked_segments(values: ArrayLike) -> FloatArray:
-    segments = _finite(values, "segments")
+    segments = finite_copy(values, "segments")
     if segments.ndim != 2 or segments.shape[1] != 4 or not len(segments):
         raise InvalidInputError(f"segments: expected shape (n, 4) with n >= 1, got {segments.shape}")
     points = (segments[:, :2] == segments[:, 2:]).all(axis=1)
@@ -152,12 +152,3 @@ def _checked_segments(values: ArrayLike) -> FloatArray:
         i = int(points.argmax())
         raise InvalidInputError(f"segments: expected two different ends, got {segments[i].tolist()} at index {i}")
     return segments
-
-
-def _finite(values: ArrayLike, name: str) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
-    if not np.isfinite(array).all():
-        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-        raise InvalidInputError(f"{name}: expected finite numbers, got {array[where]} at index {where}")
-    array.flags.writeable = False
-    return array

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.detections import UNKNOWN, as_ids
+from beamfield.detections import UNKNOWN, as_ids, finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.maps.lines import normal_form
@@ -73,7 +73,7 @@ class LineDetections:
     stamp: float = 0.0
 
     def __post_init__(self) -> None:
-        given = _finite(self.lines, "lines")
+        given = finite_copy(self.lines, "lines")
         if given.size == 0:
             given = given.reshape(0, 2)
         if given.ndim != 2 or given.shape[1] != 2:
@@ -87,12 +87,12 @@ class LineDetections:
             covariances[turned, 1, 0] *= -1.0
             object.__setattr__(self, "covariances", _read_only(covariances))
         if self.segments is not None:
-            segments = _finite(self.segments, "segments")
+            segments = finite_copy(self.segments, "segments")
             if segments.size == 0:
                 segments = segments.reshape(0, 4)
             if segments.shape != (k, 4):
                 raise InvalidInputError(f"segments: expected shape ({k}, 4), got {segments.shape}")
-            object.__setattr__(self, "segments", _read_only(segments))
+            object.__setattr__(self, "segments", segments)
         if self.ids is not None:
             object.__setattr__(self, "ids", as_ids(self.ids, k, UNKNOWN))
 
@@ -141,7 +141,7 @@ class LineDetections:
 
 
 def _checked_covariances(values: ArrayLike, k: int) -> FloatArray:
-    given = _finite(values, "covariances")
+    given = finite_copy(values, "covariances")
     if given.shape not in ((2, 2), (k, 2, 2)):
         raise InvalidInputError(f"covariances: expected shape ({k}, 2, 2) or (2, 2), got {given.shape}")
     covariances: FloatArray = np.array(np.broadcast_to(given, (k, 2, 2)))
@@ -155,14 +155,6 @@ def _checked_covariances(values: ArrayLike, k: int) -> FloatArray:
                 f"covariances: expected symmetric, positive definite matrices, got {each.tolist()} at index {i}"
             )
     return covariances
-
-
-def _finite(values: ArrayLike, name: str) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
-    if not np.isfinite(array).all():
-        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-        raise InvalidInputError(f"{name}: expected finite numbers, got {array[where]} at index {where}")
-    return array
 
 
 def _read_only(array: FloatArray) -> FloatArray:

@@ -119,3 +119,11 @@ def test_a_read_only_file_is_refused_and_left_alone(world, tmp_path, capsys):
     assert "mine.yaml: the file is read-only" in capsys.readouterr().err
     assert mine.read_text() == MINE
     assert not (tmp_path / "out").exists()
+
+
+def test_a_file_of_another_stack_is_refused_and_left_alone(world, tmp_path, capsys):
+    theirs = tmp_path / "theirs.yaml"
+    theirs.write_text("amcl:\n  laser_z_hit: 0.9\n")
+    assert calibrate(world, tmp_path / "out", "--stack", "nav2", "--patch", str(theirs)) == 1
+    assert "theirs.yaml: expected a file of nav2, this is one of ros1" in capsys.readouterr().err
+    assert theirs.read_text() == "amcl:\n  laser_z_hit: 0.9\n"

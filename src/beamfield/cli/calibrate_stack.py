@@ -69,7 +69,7 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
 
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     """Check the options before any long work, and return the file to patch, if any."""
-    from beamfield.stacks.parameter_file import check_model, check_stack, check_writable, read_stack_file
+    from beamfield.stacks.parameter_file import check_model, check_patch_target, check_stack, read_stack_file
     from beamfield.stacks.typed_values import checked_values
     from beamfield.stacks.windows import WindowOptions
 
@@ -90,8 +90,8 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     if arguments.patch is None:
         return None
     file = read_stack_file(arguments.patch, stack=arguments.stack, model=arguments.model, section=arguments.section)
+    check_patch_target(file)
     checked_values(file)
-    check_writable(arguments.patch)
     return file
 
 

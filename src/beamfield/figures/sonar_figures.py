@@ -17,6 +17,8 @@ from beamfield.sensors import RangeFinder
 from beamfield.simulation.sonar import EchoCause, SonarPhysics, SonarReadings, simulate_sonar, sonar_ring
 
 N_SENSORS, MAX_RANGE = 24, 5.0
+# Scans that are tried for one with readings of every kind.
+N_TRIALS = 30
 # Half the side of the maps, metres.
 REACH = 4.7
 # A reading is right if it is this near to the nearest thing in the cone, metres.
@@ -39,7 +41,7 @@ def sonar_figure(world: FigureWorld) -> Figure:
     """
     ring = sonar_ring(N_SENSORS, max_range=MAX_RANGE)
     pose = world.pose
-    readings = simulate_sonar(world.grid, pose[None], ring, SonarPhysics(phantoms=0.0), np.random.default_rng(61))
+    readings = telling_readings(world, ring)
     figure = new_figure(11.0, 4.9)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 0.72, 1.0))
     for ax in (left, right):
@@ -58,6 +60,15 @@ def sonar_figure(world: FigureWorld) -> Figure:
     figure.set_layout_engine("constrained", rect=(0.0, 0.08, 1.0, 0.92))
     figure.legend(handles=handles, loc="lower center", ncols=4, fontsize=8.5, frameon=False)
     return figure
+
+
+def telling_readings(world: FigureWorld, ring: RangeFinder) -> SonarReadings:
+    """Return the first of 30 simulated scans at the world's pose that has the most kinds of readings."""
+    rng = np.random.default_rng(61)
+    scans = [
+        simulate_sonar(world.grid, world.pose[None], ring, SonarPhysics(phantoms=0.0), rng) for _ in range(N_TRIALS)
+    ]
+    return max(scans, key=lambda readings: np.isin(np.arange(len(KINDS)), kinds_of(readings)).sum())
 
 
 def draw_cones(readings: SonarReadings, ring: RangeFinder, pose: FloatArray, ax: Axes) -> None:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +10,9 @@ import numpy as np
 from beamfield.detections import Detections
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.io.atomic import write_file
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_lines import parse_numbers
+from beamfield.io.text_rows import csv_rows, finite_numbers, parse_id, word_rows, write_csv
 from beamfield.maps.landmarks import LandmarkMap
-
-MAX_ID = 2**53
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +54,7 @@ def read_landmarks(path: str | Path) -> LandmarkMap:
         As the file system says.
     """
     source = Path(path)
-    rows = _csv_rows(source)
+    rows = csv_rows(source)
     line, header = next(rows, (None, []))
     extra = [name.strip().lower() for name in header][3:]
     vector = [f"signature_{i + 1}" for i in range(len(extra))]
@@ -105,15 +99,13 @@ def write_landmarks(path: str | Path, landmarks: LandmarkMap) -> None:
             if landmarks.kind == "vector"
             else ["type" if landmarks.kind == "type" else "signature"]
         )
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
+    rows = []
     for which, values in zip(landmarks.ids.tolist(), np.column_stack(columns).tolist(), strict=True):
         shown = [repr(value) for value in values]
         if landmarks.kind == "type":
             shown[-1] = str(int(values[-1]))
-        writer.writerow([which, *shown])
-    write_file(path, text.getvalue())
+        rows.append([which, *shown])
+    write_csv(path, names, rows)
 
 
 def read_mrclam_landmarks(path: str | Path) -> LandmarkMap:
@@ -137,7 +129,7 @@ def read_mrclam_landmarks(path: str | Path) -> LandmarkMap:
     """
     source = Path(path)
     table = _Table(source)
-    for line, words in _word_rows(source):
+    for line, words in word_rows(source):
         if len(words) != 5:
             raise FormatError(source, f"expected subject, x, y, x_std, y_std, got {len(words)} values", line=line)
         deviations = parse_numbers(source, line, words[3:], "standard deviation")
@@ -166,7 +158,7 @@ def read_course_world(path: str | Path) -> LandmarkMap:
     """
     source = Path(path)
     table = _Table(source)
-    for line, words in _word_rows(source):
+    for line, words in word_rows(source):
         if len(words) != 3:
             raise FormatError(source, f"expected id, x, y, got {len(words)} values", line=line)
         table.add(line, words)
@@ -195,20 +187,20 @@ def read_course_log(path: str | Path) -> CourseLog:
     source = Path(path)
     odometry: list[FloatArray] = []
     seen: list[list[tuple[int, float, float]]] = []
-    for line, words in _word_rows(source):
+    for line, words in word_rows(source):
         kind = words[0]
         if kind not in ("ODOMETRY", "SENSOR"):
             raise FormatError(source, f"expected ODOMETRY or SENSOR, got {kind[:40]!r}", line=line)
         if len(words) != 4:
             raise FormatError(source, f"expected 3 values, got {len(words) - 1}", line=line, field=kind)
         if kind == "ODOMETRY":
-            odometry.append(_finite_numbers(source, line, words[1:], kind))
+            odometry.append(finite_numbers(source, line, words[1:], kind))
             seen.append([])
             continue
         if not seen:
             raise FormatError(source, "expected ODOMETRY before the first feature", line=line, field=kind)
-        distance, bearing = _finite_numbers(source, line, words[2:], kind).tolist()
-        seen[-1].append((_id(source, line, words[1]), distance, bearing))
+        distance, bearing = finite_numbers(source, line, words[2:], kind).tolist()
+        seen[-1].append((parse_id(source, line, words[1]), distance, bearing))
     if not seen:
         raise FormatError(source, "no steps: the file has no ODOMETRY line")
     return CourseLog(np.array(odometry), tuple(_as_detections(features) for features in seen))
@@ -223,13 +215,13 @@ class _Table:
         self.rows: list[FloatArray] = []
 
     def add(self, line: int, words: list[str]) -> None:
-        which = _id(self.source, line, words[0])
+        which = parse_id(self.source, line, words[0])
         if which in self.ids:
             raise FormatError(
                 self.source, f"expected each id once, got {which} again after line {self.ids[which]}", line=line
             )
         self.ids[which] = line
-        self.rows.append(_finite_numbers(self.source, line, words[1:], "landmark"))
+        self.rows.append(finite_numbers(self.source, line, words[1:], "landmark"))
 
     def to_map(self, *, n_columns: int, kind: str | None = None, vector: bool = False) -> LandmarkMap:
         if not self.rows:
@@ -249,29 +241,3 @@ class _Table:
 def _as_detections(features: list[tuple[int, float, float]]) -> Detections:
     ids, ranges, bearings = zip(*features, strict=True) if features else ((), (), ())
     return Detections(np.array(ranges), np.array(bearings), ids=np.array(ids, dtype=np.int64))
-
-
-def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    for number, text in read_lines(path):
-        if text.strip() and not text.lstrip().startswith("#"):
-            yield number, [word.strip() for word in text.strip().split(",")]
-
-
-def _word_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    for number, text in read_lines(path):
-        if text.strip() and not text.lstrip().startswith("#"):
-            yield number, text.split()
-
-
-def _id(path: Path, line: int, word: str) -> int:
-    if not re.fullmatch(r"[0-9]{1,16}", word) or int(word) > MAX_ID:
-        raise FormatError(path, f"expected a whole number >= 0, got {word[:40]!r}", line=line, field="id")
-    return int(word)
-
-
-def _finite_numbers(path: Path, line: int, words: list[str], what: str) -> FloatArray:
-    numbers = parse_numbers(path, line, words, what)
-    if not np.isfinite(numbers).all():
-        bad = words[int((~np.isfinite(numbers)).argmax())]
-        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
-    return numbers

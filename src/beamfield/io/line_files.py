@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.io.atomic import write_file
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_rows import csv_rows, finite_numbers, parse_id, write_csv
 from beamfield.maps.lines import LineMap
 
-MAX_ID = 2**53
 LINE_HEADER, SEGMENT_HEADER = ("id", "rho", "alpha"), ("id", "x1", "y1", "x2", "y2")
 
 
@@ -40,7 +34,7 @@ def read_line_map(path: str | Path) -> LineMap:
         As the file system says.
     """
     source = Path(path)
-    rows = _csv_rows(source)
+    rows = csv_rows(source)
     line, header = next(rows, (None, []))
     names = tuple(name.lower() for name in header)
     if names not in (LINE_HEADER, SEGMENT_HEADER):
@@ -54,7 +48,7 @@ def read_line_map(path: str | Path) -> LineMap:
     for line, words in rows:
         if len(words) != len(header):
             raise FormatError(source, f"expected {len(header)} values, got {len(words)}", line=line)
-        which = _id(source, line, words[0])
+        which = parse_id(source, line, words[0])
         if which in ids:
             raise FormatError(source, f"id {which} is also in line {ids[which]}", line=line, field="id")
         ids[which] = line
@@ -86,12 +80,8 @@ def write_line_map(path: str | Path, lines: LineMap) -> None:
         As the file system says; the old file is left as it was.
     """
     header, values = (LINE_HEADER, lines.lines) if lines.segments is None else (SEGMENT_HEADER, lines.segments)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    for which, row in zip(lines.ids.tolist(), values.tolist(), strict=True):
-        writer.writerow([which, *(repr(value) for value in row)])
-    write_file(path, text.getvalue())
+    ids = lines.ids.tolist()
+    write_csv(path, header, ([ids[i], *map(repr, row)] for i, row in enumerate(values.tolist())))
 
 
 def read_amrl_vector_map(path: str | Path) -> LineMap:
@@ -111,7 +101,7 @@ def read_amrl_vector_map(path: str | Path) -> LineMap:
     """
     source = Path(path)
     segments = []
-    for line, words in _csv_rows(source):
+    for line, words in csv_rows(source):
         if len(words) != 4:
             raise FormatError(source, f"expected x1, y1, x2, y2, got {len(words)} values", line=line)
         segments.append(_numbers(source, line, words, is_segment=True))
@@ -120,23 +110,8 @@ def read_amrl_vector_map(path: str | Path) -> LineMap:
     return LineMap.from_segments(segments)
 
 
-def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    for number, text in read_lines(path):
-        if text.strip() and not text.lstrip().startswith("#"):
-            yield number, [word.strip() for word in text.strip().split(",")]
-
-
-def _id(path: Path, line: int, word: str) -> int:
-    if not re.fullmatch(r"[0-9]{1,16}", word) or int(word) > MAX_ID:
-        raise FormatError(path, f"expected a whole number >= 0, got {word[:40]!r}", line=line, field="id")
-    return int(word)
-
-
 def _numbers(path: Path, line: int, words: list[str], *, is_segment: bool) -> FloatArray:
-    numbers = parse_numbers(path, line, words, "line")
-    if not np.isfinite(numbers).all():
-        bad = words[int((~np.isfinite(numbers)).argmax())]
-        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line)
+    numbers = finite_numbers(path, line, words, "line")
     if is_segment and (numbers[:2] == numbers[2:]).all():
         raise FormatError(path, f"expected two different ends, got {','.join(words)[:80]!r}", line=line)
     return numbers

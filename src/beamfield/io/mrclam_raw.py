@@ -12,12 +12,12 @@ from beamfield.detection_log import DetectionLog, group_detections
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, interpolate_poses
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_lines import parse_numbers
+from beamfield.io.text_rows import MAX_ID, word_rows
 from beamfield.maps.landmarks import LandmarkMap
 
 # Motion capture gives a pose a hundred times a second, but loses robots for seconds.
 LONGEST_GAP_S = 0.5
-MAX_NUMBER = 2**53
 
 
 def read_mrclam_barcodes(path: str | Path) -> dict[int, int]:
@@ -78,8 +78,7 @@ def read_mrclam_measurements(
         As the file system says.
     """
     source = Path(path)
-    rows, lines = _table(source, "time barcode range bearing")
-    _check_times(source, rows[:, 0], lines)
+    rows, lines = _table_in_time(source, "time barcode range bearing")
     seen = [_whole(source, line, float(value), "barcode") for line, value in zip(lines, rows[:, 1], strict=True)]
     in_map = set(landmarks.ids.tolist())
     subjects = [barcodes.get(barcode, UNKNOWN) for barcode in seen]
@@ -109,9 +108,7 @@ def read_mrclam_groundtruth(path: str | Path) -> tuple[FloatArray, FloatArray]:
     OSError
         As the file system says.
     """
-    source = Path(path)
-    rows, lines = _table(source, "time x y theta")
-    _check_times(source, rows[:, 0], lines)
+    rows, _ = _table_in_time(Path(path), "time x y theta")
     return rows[:, 0], rows[:, 1:]
 
 
@@ -130,20 +127,28 @@ def read_mrclam_odometry(path: str | Path) -> tuple[FloatArray, FloatArray]:
     OSError
         As the file system says.
     """
-    source = Path(path)
-    rows, lines = _table(source, "time v w")
-    _check_times(source, rows[:, 0], lines)
+    rows, _ = _table_in_time(Path(path), "time v w")
     return rows[:, 0], rows[:, 1:]
+
+
+def _table_in_time(path: Path, columns: str) -> tuple[FloatArray, list[int]]:
+    """Return the rows, whose first column is a time that does not step back, and the line of each."""
+    rows, lines = _table(path, columns)
+    times = rows[:, 0]
+    back = np.diff(times) < 0.0
+    if back.any():
+        i = int(back.argmax()) + 1
+        raise FormatError(
+            path, f"expected times that rise, got {times[i]!s} after {times[i - 1]!s}", line=lines[i], field="time"
+        )
+    return rows, lines
 
 
 def _table(path: Path, columns: str) -> tuple[FloatArray, list[int]]:
     """Return the rows and the line of each."""
     names = columns.split()
     rows, lines = [], []
-    for line, text in read_lines(path):
-        if not text.strip() or text.lstrip().startswith("#"):
-            continue
-        words = text.split()
+    for line, words in word_rows(path):
         if len(words) != len(names):
             raise FormatError(path, f"expected {', '.join(names)}, got {len(words)} values", line=line)
         numbers = parse_numbers(path, line, words, "row")
@@ -157,17 +162,8 @@ def _table(path: Path, columns: str) -> tuple[FloatArray, list[int]]:
     return np.array(rows), lines
 
 
-def _check_times(path: Path, times: FloatArray, lines: list[int]) -> None:
-    back = np.diff(times) < 0.0
-    if back.any():
-        i = int(back.argmax()) + 1
-        raise FormatError(
-            path, f"expected times that rise, got {times[i]!s} after {times[i - 1]!s}", line=lines[i], field="time"
-        )
-
-
 def _whole(path: Path, line: int, value: float, what: str) -> int:
-    if not 0.0 <= value <= MAX_NUMBER or value != int(value):
+    if not 0.0 <= value <= MAX_ID or value != int(value):
         raise FormatError(path, f"expected a whole number >= 0, got {value!r}", line=line, field=what)
     return int(value)
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, compose, invert
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_lines import parse_numbers
+from beamfield.io.text_rows import word_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +68,10 @@ def read_relations(path: str | Path) -> Relations:
     """
     source = Path(path)
     rows = []
-    for line, text in read_lines(source):
-        words = text.split()
-        if not words or words[0].startswith("#"):
-            continue
+    for line, words in word_rows(source):
         numbers = parse_numbers(source, line, words, "relation")
         if len(numbers) != 8 or not np.isfinite(numbers).all():
-            raise FormatError(source, f"expected eight finite numbers, got {text.strip()[:80]!r}", line=line)
+            raise FormatError(source, f"expected eight finite numbers, got {' '.join(words)[:80]!r}", line=line)
         rows.append(numbers)
     table = np.array(rows).reshape(-1, 8)
     return Relations(table[:, :2], table[:, [2, 3, 7]])

@@ -11,7 +11,8 @@ import numpy as np
 from beamfield.detection_log import DetectionLog, group_detections
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_lines import read_lines
+from beamfield.io.text_rows import finite_numbers
 from beamfield.maps.landmarks import LandmarkMap
 
 HEADING = math.pi / 2.0
@@ -77,11 +78,7 @@ def _rows(path: Path, n: int, what: str) -> FloatArray:
         words = [word.strip() for word in text.split(",")]
         if len(words) != n:
             raise FormatError(path, f"expected {n} values, got {len(words)}", line=line)
-        numbers = parse_numbers(path, line, words, what)
-        if not np.isfinite(numbers).all():
-            bad = words[int((~np.isfinite(numbers)).argmax())]
-            raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
-        rows.append(numbers)
+        rows.append(finite_numbers(path, line, words, what))
     if not rows:
         raise FormatError(path, "no rows")
     return np.array(rows)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,11 +11,10 @@ from beamfield.detection_log import DetectionLog, group_detections
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
-from beamfield.io.atomic import write_file
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_lines import parse_numbers
+from beamfield.io.text_rows import csv_rows, is_id, write_csv
 
 COLUMNS = ("stamp", "x", "y", "theta", "id", "range", "bearing")
-MAX_ID = 2**53
 
 
 def read_sightings(path: str | Path) -> DetectionLog:
@@ -46,15 +42,12 @@ def read_sightings(path: str | Path) -> DetectionLog:
     rows: list[FloatArray] = []
     lines: list[int] = []
     header: tuple[str, ...] | None = None
-    for line, text in read_lines(source):
-        if not text.strip() or text.lstrip().startswith("#"):
-            continue
-        words = [word.strip() for word in text.split(",")]
+    for line, words in csv_rows(source):
         if header is None:
             header = tuple(word.lower() for word in words)
             if header != COLUMNS:
                 raise FormatError(
-                    source, f"expected the header {','.join(COLUMNS)}, got {text.strip()[:80]!r}", line=line
+                    source, f"expected the header {','.join(COLUMNS)}, got {','.join(words)[:80]!r}", line=line
                 )
             continue
         rows.append(_row(source, line, words))
@@ -85,9 +78,7 @@ def write_sightings(path: str | Path, log: DetectionLog) -> None:
     OSError
         As the file system says; the old file is left as it was.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows = []
     for pose, seen in zip(log.poses, log.detections, strict=True):
         if np.isnan(pose).any():
             continue
@@ -95,15 +86,15 @@ def write_sightings(path: str | Path, log: DetectionLog) -> None:
         start = [repr(value) for value in (float(seen.stamp), *pose.tolist())]
         for which, distance, bearing in zip(ids.tolist(), seen.ranges.tolist(), seen.bearings.tolist(), strict=True):
             values = ["" if np.isnan(value) else repr(value) for value in (distance, bearing)]
-            writer.writerow([*start, "" if which == UNKNOWN else which, *values])
-    write_file(path, text.getvalue())
+            rows.append([*start, "" if which == UNKNOWN else which, *values])
+    write_csv(path, COLUMNS, rows)
 
 
 def _row(path: Path, line: int, words: list[str]) -> FloatArray:
     if len(words) != len(COLUMNS):
         raise FormatError(path, f"expected {len(COLUMNS)} values, got {len(words)}", line=line)
     which = words[4]
-    if which and which != str(SPURIOUS) and (not re.fullmatch(r"[0-9]{1,16}", which) or int(which) > MAX_ID):
+    if which and which != str(SPURIOUS) and not is_id(which):
         raise FormatError(
             path, f"expected a whole number >= 0, -1 or nothing, got {which[:40]!r}", line=line, field="id"
         )

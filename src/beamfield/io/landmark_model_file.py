@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import InvalidInputError
+from beamfield.io.parameter_document import document_text, named_numbers
 from beamfield.io.yaml_file import read_yaml
 from beamfield.models.landmark_parameters import LandmarkParameters
 
@@ -48,17 +46,8 @@ def landmark_model_text(
     """
     if parameters.signature_covariance is not None or parameters.confusion is not None:
         raise InvalidInputError("parameters: a signature covariance or confusion matrix has no place in the file")
-    document: dict[str, Any] = {"landmark_model": {name: getattr(parameters, name) for name in NUMBERS}}
-    if intervals:
-        document["intervals_95"] = {name: [float(low), float(high)] for name, (low, high) in intervals.items()}
-    if provenance:
-        document["provenance"] = dict(provenance)
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    stream = io.StringIO()
-    yaml.dump(document, stream)
-    return HEADER + stream.getvalue()
+    document = {"landmark_model": {name: getattr(parameters, name) for name in NUMBERS}}
+    return document_text(HEADER, document, intervals=intervals, provenance=provenance)
 
 
 def read_landmark_model(path: str | Path) -> LandmarkParameters:
@@ -77,18 +66,8 @@ def read_landmark_model(path: str | Path) -> LandmarkParameters:
         As the file system says.
     """
     file = read_yaml(path)
-    section = file.value("landmark_model")
-    if not isinstance(section, dict):
-        raise file.error(f"expected the parameters' names and values, got {section!r}", "landmark_model")
-    for name in section:
-        if name not in NUMBERS:
-            raise file.error(f"unknown parameter {name!r}; known are {', '.join(NUMBERS)}", "landmark_model", name)
-    values: dict[str, Any] = {}
-    for name in {**dict.fromkeys(REQUIRED), **section}:
-        is_null = file.value("landmark_model", name) is None and name in MAY_BE_NULL
-        values[name] = None if is_null else file.number("landmark_model", name)
+    values = named_numbers(file, "landmark_model", NUMBERS, required=REQUIRED, may_be_null=MAY_BE_NULL)
     try:
         return LandmarkParameters(**values)
     except InvalidInputError as error:
-        line = file.lines.get(("landmark_model",))
-        raise FormatError(path, str(error), line=line, field="landmark_model") from error
+        raise file.error(str(error), "landmark_model") from error

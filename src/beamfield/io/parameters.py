@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML
-
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import InvalidInputError
+from beamfield.io.parameter_document import document_text, named_numbers
 from beamfield.io.yaml_file import read_yaml
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder
@@ -23,6 +21,8 @@ HEADER = """\
 # Readings below min_range (metres) are dropped: each density is cut to [min_range, max_range], and the weights are
 # shares of the readings that are left.
 """
+# Left out, they have the defaults of `BeamParameters`.
+OPTIONAL = ("range_offset", "sigma_slope")
 
 
 class SavedBeamModel(NamedTuple):
@@ -68,16 +68,7 @@ def beam_model_text(
     if finder.opening_angle > 0.0:
         # Radians: parameters of cones mean nothing to a model of beams.
         document["sensor"]["opening_angle"] = float(finder.opening_angle)
-    if intervals:
-        document["intervals_95"] = {name: [float(low), float(high)] for name, (low, high) in intervals.items()}
-    if provenance:
-        document["provenance"] = dict(provenance)
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    stream = io.StringIO()
-    yaml.dump(document, stream)
-    return HEADER + stream.getvalue()
+    return document_text(HEADER, document, intervals=intervals, provenance=provenance)
 
 
 def read_beam_model(path: str | Path) -> SavedBeamModel:
@@ -98,15 +89,8 @@ def read_beam_model(path: str | Path) -> SavedBeamModel:
         If a parameter is missing, no number, or outside its range, or a limit of the sensor is; names the line.
     """
     file = read_yaml(path)
-    known = {item.name: item for item in fields(BeamParameters)}
-    section = file.value("beam_model")
-    if not isinstance(section, dict):
-        raise file.error(f"expected the parameters' names and values, got {section!r}", "beam_model")
-    for name in section:
-        if name not in known:
-            raise file.error(f"unknown parameter {name!r}; known are {', '.join(known)}", "beam_model", name)
-    optional = {"range_offset", "sigma_slope"} - set(section)
-    values = {name: file.number("beam_model", name) for name in known if name not in optional}
+    names = [item.name for item in fields(BeamParameters)]
+    values = named_numbers(file, "beam_model", names, required=[name for name in names if name not in OPTIONAL])
     max_range = file.number("sensor", "max_range")
     sensor = file.value("sensor")
     min_range = file.number("sensor", "min_range") if isinstance(sensor, dict) and "min_range" in sensor else 0.0
@@ -115,4 +99,4 @@ def read_beam_model(path: str | Path) -> SavedBeamModel:
     try:
         return SavedBeamModel(BeamParameters(**values), max_range, min_range)
     except InvalidInputError as error:
-        raise FormatError(path, str(error), line=file.lines.get(("beam_model",)), field="beam_model") from error
+        raise file.error(str(error), "beam_model") from error

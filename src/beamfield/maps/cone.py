@@ -12,7 +12,7 @@ from beamfield.geometry import FloatArray, as_poses, compose, transform_points
 from beamfield.kernels import cone as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.raycast import IntArray, RayCaster
+from beamfield.maps.raycast import IntArray, RayCaster, frame_of, pose_rows
 from beamfield.sensors import RangeFinder
 
 # What a cone costs beside a ray, to decide whether threads pay.
@@ -118,8 +118,8 @@ class ConeCaster:
         k = finder.n_beams
         edges = self._rays.expected_ranges(robots, _edges(finder), threads=threads)
         ranges: FloatArray = np.minimum(edges[..., :k], edges[..., k:])
-        rows, results = _as_rows(robots), ranges.reshape(len(edges.reshape(-1, 2 * k)), k)
-        frame, cones = self._frame(), _cones(finder, self.grid.resolution)
+        rows, results = pose_rows(robots), ranges.reshape(len(edges.reshape(-1, 2 * k)), k)
+        frame, cones = frame_of(self.grid), _cones(finder, self.grid.resolution)
         resolution, cols = self.grid.resolution, self.grid.shape[1]
 
         def work(start: int, stop: int) -> None:
@@ -150,12 +150,12 @@ class ConeCaster:
         shorter = lengths.argmin(axis=1)[:, None, :]
         ranges = np.take_along_axis(lengths, shorter, axis=1)[:, 0]
         cells = np.take_along_axis(hits, shorter[..., None], axis=1)[:, 0]
-        rows = _as_rows(robots)
+        rows = pose_rows(robots)
         rays = compose(rows[:, None, None], edges.mounts.reshape(n_edges, k, 3))
         rays = np.take_along_axis(rays, shorter[..., None], axis=1)[:, 0]
         points = self.grid.to_cells(transform_points(rays, np.stack([ranges, np.zeros_like(ranges)], axis=-1)))
         if n_edges == 2:
-            frame, cones = self._frame(), _cones(finder, self.grid.resolution)
+            frame, cones = frame_of(self.grid), _cones(finder, self.grid.resolution)
             resolution, cols = self.grid.resolution, self.grid.shape[1]
 
             def work(a: int, b: int) -> None:
@@ -211,10 +211,6 @@ class ConeCaster:
         self.__dict__.update(state)
         self._bits.flags.writeable = self._bands.flags.writeable = False
 
-    def _frame(self) -> tuple[float, float, float]:
-        x, y, yaw = self.grid.origin.tolist()
-        return x, y, yaw
-
 
 def make_caster(
     grid: OccupancyGrid, finder: RangeFinder, *, unknown: Literal["free", "occupied"] = "free"
@@ -234,8 +230,3 @@ def _cones(finder: RangeFinder, resolution: float) -> kernels.Cones:
     x, y, theta = finder.mounts.T
     right, left = theta - finder.opening_angle / 2.0, theta + finder.opening_angle / 2.0
     return kernels.Cones(x / resolution, y / resolution, np.cos(right), np.sin(right), np.cos(left), np.sin(left))
-
-
-def _as_rows(poses: FloatArray) -> FloatArray:
-    """Return poses as writeable rows (n, 3): one array type, so that kernels are compiled once."""
-    return np.require(poses.reshape(-1, 3), requirements=["C", "W"])

@@ -115,8 +115,8 @@ class RayCaster:
         robots = as_poses(poses)
         k = finder.n_beams
         ranges: FloatArray = np.empty((*robots.shape[:-1], k))
-        rows, results = _contiguous(robots), ranges.reshape(-1)
-        frame, terrain = self._frame(), self._terrain(finder.max_range)
+        rows, results = pose_rows(robots), ranges.reshape(-1)
+        frame, terrain = frame_of(self.grid), self._terrain(finder.max_range)
         fan, same_mount = _fan(finder, self.grid.resolution)
 
         def work(start: int, stop: int) -> None:
@@ -137,8 +137,8 @@ class RayCaster:
         robots = as_poses(poses)
         k = finder.n_beams
         cells = np.empty((*robots.shape[:-1], k, 2), np.int32)
-        rows, results = _contiguous(robots), cells.reshape(-1, 2)
-        frame, terrain = self._frame(), self._terrain(finder.max_range)
+        rows, results = pose_rows(robots), cells.reshape(-1, 2)
+        frame, terrain = frame_of(self.grid), self._terrain(finder.max_range)
         fan, _ = _fan(finder, self.grid.resolution)
 
         def work(start: int, stop: int) -> None:
@@ -171,8 +171,8 @@ class RayCaster:
         """
         rays = as_poses(origins, "origins")
         ranges: FloatArray = np.empty(rays.shape[:-1])
-        rows, results = _contiguous(rays), ranges.reshape(-1)
-        frame, terrain = self._frame(), self._terrain(max_range)
+        rows, results = pose_rows(rays), ranges.reshape(-1)
+        frame, terrain = frame_of(self.grid), self._terrain(max_range)
 
         def work(start: int, stop: int) -> None:
             kernels.cast_rays(rows[start:stop], frame, terrain, results[start:stop])
@@ -184,8 +184,8 @@ class RayCaster:
         """Return which cell each single ray hits: (..., 2) row and column, -1 for none; parameters as for `cast`."""
         rays = as_poses(origins, "origins")
         cells = np.empty((*rays.shape[:-1], 2), np.int32)
-        rows, results = _contiguous(rays), cells.reshape(-1, 2)
-        frame, terrain = self._frame(), self._terrain(max_range)
+        rows, results = pose_rows(rays), cells.reshape(-1, 2)
+        frame, terrain = frame_of(self.grid), self._terrain(max_range)
 
         def work(start: int, stop: int) -> None:
             part = results[start:stop]
@@ -199,10 +199,6 @@ class RayCaster:
         self.__dict__.update(state)
         self._rectangles.flags.writeable = False
 
-    def _frame(self) -> tuple[float, float, float]:
-        x, y, yaw = self.grid.origin.tolist()
-        return x, y, yaw
-
     def _terrain(self, max_range: float) -> kernels.Terrain:
         if not 0.0 < max_range < np.inf:
             raise InvalidInputError(f"max_range: expected a positive finite number of metres, got {max_range}")
@@ -211,9 +207,15 @@ class RayCaster:
         return kernels.Terrain(self._rectangles.reshape(-1), rows, cols, resolution, longest, longest / resolution)
 
 
-def _contiguous(poses: FloatArray) -> FloatArray:
+def pose_rows(poses: FloatArray) -> FloatArray:
     """Return poses as writeable rows (n, 3): one array type, so that kernels are compiled once."""
     return np.require(poses.reshape(-1, 3), requirements=["C", "W"])
+
+
+def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:
+    """Return a map's origin (x, y, yaw) as kernels take it."""
+    x, y, yaw = grid.origin.tolist()
+    return x, y, yaw
 
 
 def _fan(finder: RangeFinder, resolution: float) -> tuple[FloatArray, bool]:

@@ -10,7 +10,6 @@ from beamfield.maps import mapping
 from beamfield.maps.mapping import (
     CONFIDENT,
     InverseSensorModel,
-    OccupancyMapper,
     build_map,
     end_points,
     local_map,
@@ -18,6 +17,7 @@ from beamfield.maps.mapping import (
     share_of_hits_in_obstacles,
 )
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.occupancy_mapper import OccupancyMapper
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 from tests.reference.map_matching_slow import log_odds_map

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose
 from beamfield.kernels import mapping as kernels
 from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
+from beamfield.maps.log_odds import check_resolution, check_size, grid_of_log_odds, lengths_and_kinds
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import RangeFinder, usable_ranges
+from beamfield.sensors import RangeFinder
 
 SCANS_PER_CHUNK = 128
 # The arc lies so many cells behind the reading, which is the near surface of the cell that reflects. Measured in a room
@@ -78,8 +78,7 @@ def build_cone_map(
     Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985: evidence of occupancy on the arc is
     weighed against evidence of emptiness before it is entered.
     """
-    if not 0.0 < resolution < np.inf:
-        raise InvalidInputError(f"resolution: expected a positive number of metres, got {resolution}")
+    check_resolution(resolution)
     readings = _readings(ranges, finder, resolution, inverse_model)
     first, shape = _extent(readings, finder, poses, resolution, max_cells)
     starts = np.column_stack([poses[:, :2] / resolution - first, np.cos(poses[:, 2]), np.sin(poses[:, 2])])
@@ -102,7 +101,7 @@ def build_cone_map(
         )  # fmt: skip
         _report(progress, len(starts) * (len(chunks) + number + 1) // (2 * len(chunks)), len(starts))
     log_odds = np.clip(hits * hit + passes * passed, low, high)
-    return _to_grid(log_odds, seen >= 0, first, resolution)
+    return grid_of_log_odds(log_odds, seen >= 0, first, resolution)
 
 
 class _Readings(NamedTuple):
@@ -113,18 +112,7 @@ class _Readings(NamedTuple):
 
 
 def _readings(ranges: FloatArray, finder: RangeFinder, resolution: float, model: InverseSensorModel) -> _Readings:
-    z = usable_ranges(ranges, finder)
-    kinds = np.full(z.shape, kernels.HIT, np.uint8)
-    kinds[np.isnan(z)] = kernels.SKIP
-    lost = z == finder.max_range
-    kinds[lost] = kernels.PASS if model.clear_without_return > 0 else kernels.SKIP
-    z[lost] = min(model.clear_without_return, finder.max_range)
-    if model.longest_hit is not None:
-        with np.errstate(invalid="ignore"):
-            far = z > model.longest_hit
-        kinds[far & (kinds == kernels.HIT)] = kernels.PASS
-        z[far] = model.longest_hit
-    z[kinds == kernels.SKIP] = 0.0
+    z, kinds = lengths_and_kinds(ranges, finder, model)
     return _Readings(z / resolution + np.where(kinds == kernels.HIT, BEHIND_READING, 0.0), kinds)
 
 
@@ -139,29 +127,10 @@ def _extent(
     reach = readings.lengths[used][:, None] + 2.0
     low, high = np.floor((apex - reach).min(axis=0)), np.ceil((apex + reach).max(axis=0))
     size = high - low
-    if not np.prod(size) <= max_cells:
-        wide, tall = size * resolution
-        raise InvalidInputError(
-            f"building a map: {wide:.6g} m x {tall:.6g} m at {resolution:g} m are {size[1]:.0f} x {size[0]:.0f} cells, "
-            f"and the limit is {max_cells}; use a coarser resolution or a longest_hit"
-        )
+    check_size(size, resolution, max_cells)
     return low.astype(np.int64), (int(size[1]), int(size[0]))
 
 
 def _report(progress: Callable[[int, int], None] | None, done: int, total: int) -> None:
     if progress is not None:
         progress(done, total)
-
-
-def _to_grid(
-    log_odds: NDArray[np.float32], seen: NDArray[np.bool_], first: NDArray[np.int64], resolution: float
-) -> OccupancyGrid:
-    """Return the smallest grid with all cells that were seen, or one unknown cell."""
-    rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
-    if len(rows) == 0:
-        return OccupancyGrid(np.full((1, 1), np.nan, np.float32), resolution)
-    part = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    probability = np.float32(1.0) / (np.float32(1.0) + np.exp(-log_odds[part]))
-    probability[~seen[part]] = np.nan
-    origin = (first + np.array([cols[0], rows[0]])) * resolution
-    return OccupancyGrid(probability, resolution, np.array([*origin, 0.0]))

@@ -43,6 +43,7 @@ def stack_tables(fits: Sequence[StackFit], chosen: StackFit) -> str:
         f"{chosen.model.stack}, {chosen.model.model}: {HOW[chosen.how]}",
         aligned(("parameter", "before", "calibrated"), _parameter_rows(chosen), right=(1, 2)),
         aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, fit is chosen)], right=(2, 3, 4, 5)),
+        f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
     if not chosen.covers:
         parts.append(f"warning (stack-coverage): {_coverage_text(chosen)}")
@@ -78,8 +79,8 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
         f"<p>{html.escape(HOW[chosen.how])} A scan multiplies a particle's weight by "
         f"{html.escape(_formula(chosen))}.</p>{warning}"
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{scores}</tbody></table></div>'
-        "<p>Score: on held-out windows of "
-        f"{options.scans} scans, the mean logarithm of the posterior's density at the reference over the prior's, in "
+        f"<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the mean "
+        "logarithm of the posterior's density at the reference over the prior's, in "
         "nats: 0 for weights that say nothing, far below 0 for weights that are certain and wrong. Coverage: share of "
         "those windows whose 95 % region holds the reference, which itself may be "
         f"{options.reference_error * 100:g} cm off. Effective particles and error: {chosen.update.n_particles} "

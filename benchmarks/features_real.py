@@ -35,7 +35,8 @@ from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import between, invert, transform_points, wrap_angle
 from beamfield.io.read_log import read_log
 from beamfield.localization.alignment import align
-from beamfield.plot import draw_features, draw_scan, end_points
+from beamfield.maps.end_points import end_points
+from beamfield.plot import draw_features, draw_scan
 from beamfield.sensors import Scan, SensorLog, usable_ranges
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -240,7 +241,7 @@ def extract(scan: Scan) -> dict[str, list[Feature]]:
 
 def in_view(feature: Feature, pair: Pair) -> float:
     """Return the share of a feature's end points that the second scan looks at."""
-    ends = end_points(pair.first.ranges, pair.first.finder, np.zeros(3))[feature.beams]
+    ends = end_points(pair.first.ranges, pair.first.finder)[feature.beams]
     finder = pair.second.finder
     away = transform_points(invert(pair.pose), ends) - finder.mounts[0, :2]
     distance, bearing = np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])

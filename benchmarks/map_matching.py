@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from beamfield.geometry import wrap_angle
 from beamfield.kernels import global_search as kernels
 from beamfield.localization.global_search import GlobalSearch, SearchWindow
-from beamfield.maps.mapping import build_map, end_points, local_map, scan_map
+from beamfield.maps.end_points import hit_points
+from beamfield.maps.mapping import build_map, local_map, scan_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.cell_difference import CellDifferenceModel
@@ -140,7 +141,7 @@ def searching(grid: OccupancyGrid, log: SensorLog) -> list[dict[str, Any]]:
 
 def seconds_per_candidate(search: GlobalSearch, scan: Scan) -> float:
     """Return the time of one candidate's sum, from 40,000 of them beside each other."""
-    points = end_points(scan.ranges[None], scan.finder, np.zeros((1, 3)))
+    points = hit_points(scan.ranges, scan.finder)
     cells = np.floor(search.grid.to_cells(points)).astype(np.int32).T[::-1]
     field = np.ascontiguousarray(search._field)[None]
     bounds = np.empty((1, 200, 200), np.int64)

@@ -16,8 +16,9 @@ from beamfield.features.lines import find_lines
 from beamfield.features.poles import Pole
 from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import compose
+from beamfield.maps.end_points import end_points
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.plot import MAP_COLOURS, draw_features, draw_map, draw_ranges, draw_scan, draw_trajectory, end_points
+from beamfield.plot import MAP_COLOURS, draw_features, draw_map, draw_ranges, draw_scan, draw_trajectory
 from beamfield.sensors import RangeFinder, Scan
 
 FINDER = RangeFinder.from_bearings([-np.pi / 2, 0.0, np.pi / 2], 10.0, mount=(0.2, 0.0, 0.0), min_range=0.1)

@@ -18,6 +18,7 @@ from beamfield.features.minima import LocalMinimum
 from beamfield.features.poles import Pole
 from beamfield.features.straight_line import Line
 from beamfield.geometry import FloatArray, as_poses, compose, transform_points
+from beamfield.maps.end_points import end_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
 
@@ -290,29 +291,6 @@ def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes, *, bins: int =
     ax.set_ylabel("readings per bin")
     ax.legend(loc="upper right", fontsize=8, framealpha=1.0)
     return ax
-
-
-def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> FloatArray:
-    """Return where beams end, equation (6.32).
-
-    Parameters
-    ----------
-    ranges
-        (..., k) metres in the conventions of `Scan`.
-    finder
-        The sensor.
-    poses
-        (..., 3) pose of the robot for each scan; may be NaN.
-
-    Returns
-    -------
-    (..., k, 2) metres in the frame of the poses; NaN where nothing was measured or the pose is unknown.
-    """
-    z = usable_ranges(ranges, finder)
-    z[z >= finder.max_range] = np.nan
-    beams = compose(np.asarray(poses, dtype=np.float64)[..., None, :], finder.mounts)
-    direction = np.stack([np.cos(beams[..., 2]), np.sin(beams[..., 2])], axis=-1)
-    return np.asarray(beams[..., :2] + z[..., None] * direction)
 
 
 def _ellipse(feature: Feature) -> FloatArray:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import scan_field as kernels
-from beamfield.maps.scan_field import ScanField, end_points
+from beamfield.maps.end_points import hit_points
+from beamfield.maps.scan_field import ScanField
 from beamfield.sensors import RangeFinder, Scan
 
 BEARINGS = np.radians(np.arange(-120.0, 120.5))
@@ -41,7 +42,7 @@ def test_the_nearest_element_is_that_of_a_search_through_all(scan: Scan, rng: np
 def test_the_gradient_is_the_slope_of_the_score_away_from_ends_of_surfaces(scan: Scan) -> None:
     # There, and behind the walls, where the other part of the density is constant, the gradient is exact.
     field = ScanField.from_scan(scan, sigma_hit=0.1)
-    points = end_points(scan)[60:180:4]
+    points = hit_points(scan.ranges, scan.finder)[60:180:4]
     points = points[(np.abs(points[:, 0]) < 2.4) | (np.abs(points[:, 1]) < 1.4)]
     points = points + 0.08 * points / np.linalg.norm(points, axis=1, keepdims=True)
     pose, gradient, information = np.array([0.02, -0.01, 0.002]), np.zeros(3), np.zeros((3, 3))
@@ -58,7 +59,7 @@ def test_the_gradient_is_the_slope_of_the_score_away_from_ends_of_surfaces(scan:
 
 
 def test_a_climb_never_lowers_the_score(scan: Scan, rng: np.random.Generator) -> None:
-    view, points = ScanField.from_scan(scan).view, end_points(scan)
+    view, points = ScanField.from_scan(scan).view, hit_points(scan.ranges, scan.finder)
     for start in rng.normal(size=(20, 3)) * (0.3, 0.3, 0.2):
         for sigma in (0.4, 0.05):
             before = kernels.linearise(points, start, 1, sigma, 4 * sigma, view, np.zeros(3), np.zeros((3, 3)))[0]

@@ -10,7 +10,8 @@ from beamfield.geometry import compose, wrap_angle
 from beamfield.kernels import global_search as kernels
 from beamfield.localization import global_search
 from beamfield.localization.global_search import GlobalSearch, SearchWindow
-from beamfield.maps.mapping import end_points, scan_map
+from beamfield.maps.end_points import hit_points
+from beamfield.maps.mapping import scan_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, Scan
@@ -47,7 +48,7 @@ def test_equals_trying_every_pose(trial):
     xs = center[0] + np.arange(-25, 26) * 0.1
     ys = center[1] + np.arange(-18, 19) * 0.1
     headings = center[2] + np.arange(60) * np.radians(6.0)
-    points = end_points(scan.ranges[None], FINDER, np.zeros((1, 3)))
+    points = hit_points(scan.ranges, FINDER)
     sums = every_pose(search._field.astype(int), grid, points, xs, ys, headings)
     assert found.n_candidates == sums.size
     assert found.n_scored < 0.5 * sums.size

@@ -7,11 +7,11 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import compose, invert
 from beamfield.kernels import mapping as kernels
 from beamfield.maps import mapping
+from beamfield.maps.end_points import hit_points
 from beamfield.maps.mapping import (
     CONFIDENT,
     InverseSensorModel,
     build_map,
-    end_points,
     local_map,
     scan_map,
     share_of_hits_in_obstacles,
@@ -267,7 +267,7 @@ def test_wrong_shapes_are_refused():
 
 def test_end_points_are_those_of_hits():
     finder = RangeFinder.from_bearings([0.0, np.pi / 2, 0.1, 0.2], max_range=8.0, mount=(1.0, 0.0, 0.0))
-    points = end_points([[2.0, 3.0, np.inf, np.nan], [1.0] * 4], finder, [[0.0, 0.0, np.pi / 2], [np.nan] * 3])
+    points = hit_points([[2.0, 3.0, np.inf, np.nan], [1.0] * 4], finder, [[0.0, 0.0, np.pi / 2], [np.nan] * 3])
     np.testing.assert_allclose(points, [[0.0, 3.0], [-3.0, 1.0]], atol=1e-12)
 
 

@@ -10,7 +10,8 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose, invert, transform_points
 from beamfield.kernels import surfaces as kernels
-from beamfield.maps.scan_field import Category, ScanField, end_points
+from beamfield.maps.end_points import hit_points
+from beamfield.maps.scan_field import Category, ScanField
 from beamfield.sensors import RangeFinder, Scan
 
 MAX_RANGE = 20.0
@@ -153,7 +154,7 @@ def test_a_scan_without_end_points_gives_a_field_that_says_nothing(value: float)
 def test_likelihoods_are_sums_over_end_points_and_threads_change_no_bit(scan: Scan, rng: np.random.Generator) -> None:
     field = ScanField.from_scan(scan)
     poses = rng.normal(size=(20, 3)) * 0.2
-    expected = [field.log_density(transform_points(pose, end_points(scan))).sum() for pose in poses]
+    expected = [field.log_density(transform_points(pose, hit_points(scan.ranges, scan.finder))).sum() for pose in poses]
     np.testing.assert_allclose(field.log_likelihood(scan, poses), expected, rtol=1e-12)
     np.testing.assert_array_equal(field.log_likelihood(scan, poses, threads=3), field.log_likelihood(scan, poses))
 
@@ -172,7 +173,11 @@ def test_fields_pickle(scan: Scan) -> None:
 def test_end_points_follow_the_mounts(scan: Scan) -> None:
     mount = np.array([0.3, -0.1, 2.0])
     moved = Scan(scan.ranges, RangeFinder.from_bearings(BEARINGS, MAX_RANGE, mount=mount))
-    np.testing.assert_allclose(transform_points(invert(mount), end_points(moved)), end_points(scan), atol=1e-12)
+    np.testing.assert_allclose(
+        transform_points(invert(mount), hit_points(moved.ranges, moved.finder)),
+        hit_points(scan.ranges, scan.finder),
+        atol=1e-12,
+    )
     np.testing.assert_allclose(compose(mount, invert(mount)), 0.0, atol=1e-12)
 
 

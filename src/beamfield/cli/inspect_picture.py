@@ -12,8 +12,9 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
+from beamfield.maps.end_points import end_points
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.plot import MAP_COLOURS, PATH_COLOUR, draw_map, draw_ranges, draw_scan, draw_trajectory, end_points
+from beamfield.plot import MAP_COLOURS, PATH_COLOUR, draw_map, draw_ranges, draw_scan, draw_trajectory
 from beamfield.sensors import ScanLog, SensorLog
 
 MOST_POINTS = 150_000
@@ -154,7 +155,7 @@ def _draw_one_scan(sensor: SensorLog, ax: Axes) -> None:
     draw_scan(sensor.scan(index), np.zeros(3), ax, label="end points", rays=True)
     ax.annotate("", (0.6, 0.0), (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": PATH_COLOUR, "lw": 2}, zorder=6)
     ax.plot(0.0, 0.0, "o", color=PATH_COLOUR, markersize=6, label="robot, facing +x", zorder=6)
-    points = end_points(sensor.ranges[index], sensor.finder, np.zeros(3))
+    points = end_points(sensor.ranges[index], sensor.finder)
     _zoom(ax, np.concatenate([points, [[0.0, 0.0], [0.6, 0.0]]]), outside=0.0)
     ax.set_title(f"scan {index} in the robot frame", fontsize=11)
     ax.legend(loc="best", fontsize=7, framealpha=0.9)

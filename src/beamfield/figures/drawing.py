@@ -14,8 +14,9 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, transform_points
+from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.plot import MAP_COLOURS, end_points
+from beamfield.plot import MAP_COLOURS
 from beamfield.report.drawing import GRID
 from beamfield.sensors import Scan
 
@@ -94,8 +95,7 @@ def scan_limits(scan: Scan, pose: ArrayLike, margin: float) -> tuple[FloatArray,
         Added on each side, metres.
     """
     place = np.asarray(pose, dtype=np.float64)
-    points = end_points(scan.ranges, scan.finder, place)
-    points = points[np.isfinite(points).all(axis=1)]
+    points = hit_points(scan.ranges, scan.finder, place)
     low, high = np.quantile(points, (STRAY, 1.0 - STRAY), axis=0) if len(points) else (place[:2], place[:2])
     return np.minimum(low, place[:2]) - margin, np.maximum(high, place[:2]) + margin
 

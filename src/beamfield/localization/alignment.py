@@ -15,7 +15,8 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, wrap_angle
 from beamfield.kernels import scan_field as kernels
 from beamfield.localization.weak_direction import weigh_slides
-from beamfield.maps.scan_field import ScanField, end_points
+from beamfield.maps.end_points import hit_points
+from beamfield.maps.scan_field import ScanField
 from beamfield.sensors import Scan
 
 Problem = Literal["", "no end points", "no overlap", "undetermined", "ambiguous", "not converged"]
@@ -181,7 +182,7 @@ def align(
     """
     start = _checked_start(initial, search, threshold, max_steps)
     field = _as_field(onto, onto_poses)
-    points = end_points(scan)
+    points = hit_points(scan.ranges, scan.finder)
     lever = _lever(points)
     if not len(points):
         return _failure(start, 0.0, 0.0, lever, "no end points")

@@ -13,7 +13,7 @@ from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angl
 from beamfield.kernels import global_search as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.distance import distance_to_obstacles
-from beamfield.maps.mapping import end_points
+from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 
@@ -373,6 +373,6 @@ def _field(grid: OccupancyGrid, sigma: float) -> NDArray[np.uint8]:
 def _points(z: Scan | OccupancyGrid) -> FloatArray:
     """Return (p, 2) what is scored, in the robot frame: end points of hits, or centres of occupied cells."""
     if isinstance(z, Scan):
-        return end_points(z.ranges[None], z.finder, np.zeros((1, 3)))
+        return hit_points(z.ranges, z.finder)
     rows, cols = np.nonzero(z.occupied)
     return z.to_map(np.column_stack([cols, rows]) + 0.5)

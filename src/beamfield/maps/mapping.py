@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError, TooLittleDataError
-from beamfield.geometry import FloatArray, compose, invert, transform_points
+from beamfield.geometry import FloatArray, compose, invert
 from beamfield.maps.cone_mapping import build_cone_map
+from beamfield.maps.end_points import hit_points
 from beamfield.maps.inverse_sensor import CONFIDENT as CONFIDENT
 from beamfield.maps.inverse_sensor import InverseSensorModel as InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.occupancy_mapper import MAX_CELLS, OccupancyMapper
-from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
+from beamfield.sensors import Scan, SensorLog
 
 Progress = Callable[[int, int], None]
 
@@ -203,31 +204,10 @@ def share_of_hits_in_obstacles(
     track = _poses_of(log, poses)
     for start in range(0, len(log), SCANS_PER_CHUNK):
         part = slice(start, start + SCANS_PER_CHUNK)
-        points = end_points(log.ranges[part], log.finder, track[part])
+        points = hit_points(log.ranges[part], log.finder, track[part])
         hits += len(points)
         inside += int(np.count_nonzero(grid.look_up(near, points)))
     return inside / max(hits, 1)
-
-
-def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> FloatArray:
-    """Return the points (n, 2) at which the readings below max_range end (6.32), scan by scan, in the poses' frame.
-
-    Parameters
-    ----------
-    ranges
-        (t, k) metres in the conventions of `Scan`.
-    finder
-        The sensor.
-    poses
-        (t, 3) poses of the robot; NaN leaves a scan out.
-    """
-    z = usable_ranges(ranges, finder)
-    track = np.asarray(poses, dtype=np.float64)
-    with np.errstate(invalid="ignore"):
-        hits = (z < finder.max_range) & np.isfinite(track).all(axis=-1, keepdims=True)
-    scan, beam = np.nonzero(hits)
-    along = np.stack([z[hits], np.zeros(len(scan))], axis=-1)
-    return transform_points(track[scan], transform_points(finder.mounts[beam], along))
 
 
 def _poses_of(log: SensorLog, poses: ArrayLike | None) -> FloatArray:

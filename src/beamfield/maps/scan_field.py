@@ -14,8 +14,9 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import scan_field as kernels
 from beamfield.kernels.threads import run_in_slices
+from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_surfaces import Fan, measured_fans
-from beamfield.sensors import Scan, usable_ranges
+from beamfield.sensors import Scan
 
 # Nearer than this many sigma to a surface, a point is taken to be on it.
 HIT_SIGMAS = 3.0
@@ -235,7 +236,7 @@ class ScanField:
         """
         where = as_poses(poses)
         flat = np.ascontiguousarray(where.reshape(-1, 3))
-        points, out = end_points(z), np.empty(len(flat))
+        points, out = hit_points(z.ranges, z.finder), np.empty(len(flat))
         reach, margin = REACH_SIGMAS * self.sigma_hit, MARGIN_SIGMAS * self.sigma_hit
 
         def work(start: int, stop: int) -> None:
@@ -255,16 +256,6 @@ class ScanField:
         kernels.fill_field(flat, reach, margin, self.sigma_hit, self.view, density, distance, free)
         shape = where.shape[:-1]
         return density.reshape(shape), distance.reshape(shape), free.reshape(shape)
-
-
-def end_points(scan: Scan) -> FloatArray:
-    """Return the end points (n, 2) of a scan's valid readings in the robot's frame: (6.32)."""
-    ranges = usable_ranges(scan.ranges, scan.finder)
-    mounts = scan.finder.mounts
-    with np.errstate(invalid="ignore"):
-        valid = ranges < scan.finder.max_range
-    r, m = ranges[valid], mounts[valid]
-    return np.column_stack([m[:, 0] + r * np.cos(m[:, 2]), m[:, 1] + r * np.sin(m[:, 2])])
 
 
 def _check_parameters(z_hit: float, z_rand: float, sigma_hit: float) -> None:

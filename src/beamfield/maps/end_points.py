@@ -1,0 +1,46 @@
+"""Where beams end, equation (6.32): in the robot's frame or, at a pose, in the map's."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import FloatArray, compose
+from beamfield.sensors import RangeFinder, usable_ranges
+
+
+def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike | None = None) -> FloatArray:
+    """Return where beams end, equation (6.32).
+
+    Parameters
+    ----------
+    ranges
+        (..., k) metres in the conventions of `Scan`.
+    finder
+        The sensor.
+    poses
+        (..., 3) pose of the robot for each scan; may be NaN. None gives points in the robot's frame.
+
+    Returns
+    -------
+    (..., k, 2) metres in the frame of the poses; NaN where nothing was measured or the pose is unknown.
+    """
+    z = usable_ranges(ranges, finder)
+    z[z >= finder.max_range] = np.nan
+    beams = finder.mounts
+    if poses is not None:
+        beams = compose(np.asarray(poses, dtype=np.float64)[..., None, :], beams)
+    direction = np.stack([np.cos(beams[..., 2]), np.sin(beams[..., 2])], axis=-1)
+    return np.asarray(beams[..., :2] + z[..., None] * direction)
+
+
+def hit_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike | None = None) -> FloatArray:
+    """Return the end points (n, 2) of the readings below max_range alone, scan by scan.
+
+    Parameters
+    ----------
+    ranges, finder, poses
+        As for `end_points`; a pose of NaN leaves a scan out.
+    """
+    points = end_points(ranges, finder, poses)
+    return np.asarray(points[np.isfinite(points).all(axis=-1)])

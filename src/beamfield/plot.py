@@ -24,6 +24,7 @@ from beamfield.sensors import RangeFinder, Scan, usable_ranges
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
 # Free, unknown, occupied.
 MAP_COLOURS = ("#FFFFFF", "#E1E5EA", "#3C444D")
@@ -63,33 +64,86 @@ def draw_map(grid: OccupancyGrid, ax: Axes, *, max_side: int = 2000) -> Axes:
     InvalidInputError
         If `max_side` is not positive.
     """
-    from matplotlib.colors import ListedColormap
-    from matplotlib.transforms import Affine2D
-
     if max_side < 1:
         raise InvalidInputError(f"max_side: expected at least 1, got {max_side}")
     step = -(-max(grid.shape) // max_side)
-    categories = _categories(grid, step)
-    rows, cols = categories.shape
     # The last pixel of a coarser picture may stand over the map's edge.
-    extent = (0.0, cols * step * grid.resolution, 0.0, rows * step * grid.resolution)
-    x, y, yaw = grid.origin
-    in_map = Affine2D().rotate(yaw).translate(x, y)
-    ax.imshow(
-        categories,
-        origin="lower",
-        extent=extent,
-        transform=in_map + ax.transData,
-        cmap=ListedColormap(MAP_COLOURS),
-        vmin=0,
-        vmax=2,
-        interpolation="nearest",
-        zorder=0,
-    )
+    draw_cells(categories(grid, step), step * grid.resolution, grid.origin, ax)
     corners = grid.to_map([[0, 0], [grid.shape[1], 0], grid.shape[::-1], [0, grid.shape[0]]])
     ax.set_xlim(corners[:, 0].min(), corners[:, 0].max())
     ax.set_ylim(corners[:, 1].min(), corners[:, 1].max())
     return _in_metres(ax)
+
+
+def draw_cells(
+    kinds: NDArray[np.uint8], resolution: float, origin: FloatArray, ax: Axes, *, colours: Sequence[str] = MAP_COLOURS
+) -> AxesImage:
+    """Draw cells of three categories at their place in the map frame; the axes' limits are left to the caller.
+
+    Parameters
+    ----------
+    kinds
+        (rows, cols) as from `categories`, row 0 lowest.
+    resolution
+        Side of a cell, metres.
+    origin
+        (3,) pose of the lower-left corner.
+    ax
+        Where to draw.
+    colours
+        Of free, unknown and occupied cells.
+
+    Returns
+    -------
+    The image.
+    """
+    from matplotlib.colors import ListedColormap
+
+    return draw_array(kinds, resolution, origin, ax, cmap=ListedColormap(list(colours)), vmin=0, vmax=2, zorder=0)
+
+
+def categories(grid: OccupancyGrid, step: int = 1) -> NDArray[np.uint8]:
+    """Return 0 free, 1 unknown, 2 occupied for blocks of step x step cells; any occupied or else free cell decides.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    step
+        Cells per block and side.
+    """
+    occupied, free = (_any_in_block(mask, step) for mask in (grid.occupied, grid.free))
+    return np.where(occupied, 2, np.where(free, 0, 1)).astype(np.uint8)
+
+
+def draw_array(values: ArrayLike, resolution: float, origin: FloatArray, ax: Axes, **options: Any) -> AxesImage:
+    """Draw an array of cells at its place in the map frame.
+
+    Parameters
+    ----------
+    values
+        (rows, cols), row 0 lowest; masked cells are left out.
+    resolution
+        Side of a cell, metres.
+    origin
+        (3,) pose of the lower-left corner.
+    ax
+        Where to draw.
+    **options
+        For `imshow`.
+
+    Returns
+    -------
+    The image.
+    """
+    from matplotlib.transforms import Affine2D
+
+    rows, cols = np.shape(values)
+    x, y, yaw = (float(v) for v in origin)
+    in_map = Affine2D().rotate(yaw).translate(x, y) + ax.transData
+    options = {"interpolation": "nearest", "zorder": 1, **options}
+    extent = (0.0, cols * resolution, 0.0, rows * resolution)
+    return ax.imshow(values, origin="lower", extent=extent, transform=in_map, **options)
 
 
 def draw_trajectory(
@@ -305,12 +359,6 @@ def _ellipse(feature: Feature) -> FloatArray:
 def _unit_circle() -> FloatArray:
     angle = np.linspace(0.0, 2.0 * np.pi, 49)
     return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _categories(grid: OccupancyGrid, step: int) -> NDArray[np.uint8]:
-    """Return 0 free, 1 unknown, 2 occupied for blocks of step x step cells."""
-    occupied, free = (_any_in_block(mask, step) for mask in (grid.occupied, grid.free))
-    return np.where(occupied, 2, np.where(free, 0, 1)).astype(np.uint8)
 
 
 def _any_in_block(mask: NDArray[np.bool_], step: int) -> NDArray[Any]:

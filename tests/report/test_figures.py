@@ -13,7 +13,7 @@ from beamfield.calibration.time_split import time_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.check_figures import noise_points
 from beamfield.report.density_figures import averaged_cdf
-from beamfield.report.map_figures import end_points
+from beamfield.report.map_figures import beam_ends
 from beamfield.report.range_bins import range_step, telling_bin, thinned, typical_bins
 from beamfield.report.score_figures import PIT_BINS, pit_band
 
@@ -76,12 +76,12 @@ def test_the_averaged_model_starts_at_min_range(case):
 def test_hits_end_on_the_walls_and_missing_returns_where_the_map_expects_them(case):
     calibration = case.calibration
     rows = np.flatnonzero((calibration.causes == 2) & ~calibration.table.hits_nothing)
-    x, y = end_points(calibration, case.log, rows).T
+    x, y = beam_ends(calibration, case.log, rows).T
     on_wall = np.minimum(np.minimum(np.abs(x), np.abs(x - 12)), np.minimum(np.abs(y), np.abs(y - 6)))
     assert len(rows) > 100
     assert on_wall.max() < 1e-9
     hits = np.flatnonzero(calibration.causes == 0)
-    x, y = end_points(calibration, case.log, hits).T
+    x, y = beam_ends(calibration, case.log, hits).T
     on_wall = np.minimum(np.minimum(np.abs(x), np.abs(x - 12)), np.minimum(np.abs(y), np.abs(y - 6)))
     assert np.quantile(on_wall, 0.95) < 0.15
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap
-from matplotlib.image import AxesImage
-from matplotlib.transforms import Affine2D
 from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, transform_points
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.plot import MAP_COLOURS
+from beamfield.plot import MAP_COLOURS, categories, draw_cells
 from beamfield.report.drawing import GRID
 from beamfield.sensors import Scan
 
@@ -38,37 +34,11 @@ def framed_map(grid: OccupancyGrid, ax: Axes, *, colours: Sequence[str] = MAP_CO
     colours
         Of free, unknown and occupied cells.
     """
-    shade = np.where(grid.occupied, 2, np.where(grid.free, 0, 1)).astype(np.uint8)
-    image = draw_array(shade, grid.resolution, grid.origin, ax, cmap=ListedColormap(list(colours)), vmin=0, vmax=2)
-    image.set_zorder(0)
+    draw_cells(categories(grid), grid.resolution, grid.origin, ax, colours=colours)
     x_low, x_high, y_low, y_high = known_limits(grid)
     ax.set_xlim(x_low, x_high)
     ax.set_ylim(y_low, y_high)
     ax.set_aspect("equal", adjustable="box")
-
-
-def draw_array(values: Any, resolution: float, origin: FloatArray, ax: Axes, **options: Any) -> AxesImage:
-    """Draw an array of cells at its place in the map frame.
-
-    Parameters
-    ----------
-    values
-        (rows, cols), row 0 lowest; masked cells are left out.
-    resolution
-        Side of a cell, metres.
-    origin
-        (3,) pose of the lower-left corner.
-    ax
-        Where to draw.
-    **options
-        For `imshow`.
-    """
-    rows, cols = values.shape
-    x, y, yaw = (float(v) for v in origin)
-    in_map = Affine2D().rotate(yaw).translate(x, y) + ax.transData
-    options = {"interpolation": "nearest", "zorder": 1, **options}
-    extent = (0.0, cols * resolution, 0.0, rows * resolution)
-    return ax.imshow(values, origin="lower", extent=extent, transform=in_map, **options)
 
 
 def known_limits(grid: OccupancyGrid, margin: float = 0.5) -> Limits:

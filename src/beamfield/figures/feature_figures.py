@@ -12,13 +12,14 @@ from scipy.ndimage import maximum_filter
 from beamfield.features.corners import find_corners
 from beamfield.features.lines import find_lines
 from beamfield.features.sweep import RangeNoise
-from beamfield.figures.drawing import colour_bar, draw_array, framed_map, known_limits, mark_robot
+from beamfield.figures.drawing import colour_bar, framed_map, known_limits, mark_robot
 from beamfield.figures.likelihood_over_map import PALE_MAP, REFERENCE_COLOUR
 from beamfield.figures.world import FigureWorld
 from beamfield.localization.feature_map import map_features
 from beamfield.localization.feature_posteriors import posteriors_of_scan
 from beamfield.localization.pose_posterior import PoseLattice, PosePosterior
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.plot import draw_array
 from beamfield.report.drawing import legend, new_figure, style
 
 RESOLUTION, HEADINGS = 0.25, 60

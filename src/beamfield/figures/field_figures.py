@@ -8,13 +8,14 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
-from beamfield.figures.drawing import colour_bar, draw_array, framed_map, known_limits, mark_robot
+from beamfield.figures.drawing import colour_bar, framed_map, known_limits, mark_robot
 from beamfield.figures.obstacle_scene import ObstacleScene
 from beamfield.figures.world import FigureWorld
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import BeamProfile, LikelihoodFieldModel
+from beamfield.plot import draw_array
 from beamfield.report.drawing import CAUSE_COLOURS, QUIET, new_figure, style
 
 BEAM_COLOUR = "#D55E00"

@@ -8,13 +8,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from beamfield.detections import Detections
-from beamfield.figures.drawing import colour_bar, draw_array
+from beamfield.figures.drawing import colour_bar
 from beamfield.figures.world import FigureWorld
 from beamfield.geometry import FloatArray
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_poses import sample_poses
+from beamfield.plot import draw_array
 from beamfield.report.drawing import legend, new_figure, style
 
 # What was seen, as in the chapter, and how well.

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from scipy.ndimage import maximum_filter
 
 from beamfield.errors import InvalidInputError
-from beamfield.figures.drawing import colour_bar, draw_array, framed_map, known_limits, mark_robot, scan_limits
+from beamfield.figures.drawing import colour_bar, framed_map, known_limits, mark_robot, scan_limits
 from beamfield.geometry import FloatArray
 from beamfield.localization.likelihood_map import LikelihoodMap
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.plot import draw_scan
+from beamfield.plot import draw_array, draw_scan
 from beamfield.report.drawing import legend, new_figure, style
 from beamfield.sensors import Scan
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from beamfield.figures.drawing import colour_bar, draw_array, framed_map, mark_robot, scan_limits
+from beamfield.figures.drawing import colour_bar, framed_map, mark_robot, scan_limits
 from beamfield.figures.likelihood_over_map import likelihood_figure
 from beamfield.figures.world import FigureWorld
 from beamfield.geometry import FloatArray
@@ -18,7 +18,7 @@ from beamfield.maps.mapping import local_map
 from beamfield.maps.scan_field import ScanField
 from beamfield.models.beam import BeamModel
 from beamfield.models.map_matching import MapMatchingModel
-from beamfield.plot import draw_scan
+from beamfield.plot import draw_array, draw_scan
 from beamfield.report.drawing import legend, new_figure, style
 
 Progress = Callable[[int, int], None]

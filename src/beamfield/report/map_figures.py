@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
-from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.plot import categories, draw_cells
 from beamfield.report.drawing import (
     CAUSE_COLOURS,
     CAUSE_NAMES,
@@ -36,7 +35,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     """Draw the end points of the beams on the map, coloured by their most likely cause."""
     table = calibration.table
     rows = thinned(np.flatnonzero(~table.hits_nothing), MOST_POINTS)
-    points = end_points(calibration, log, rows)
+    points = beam_ends(calibration, log, rows)
     causes = calibration.causes[rows]
     path = log.poses[calibration.selection.used, :2]
     limits = _limits(points[causes != 3], path)
@@ -120,7 +119,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
     )
 
 
-def end_points(calibration: Calibration, log: SensorLog, rows: NDArray[np.int64]) -> FloatArray:
+def beam_ends(calibration: Calibration, log: SensorLog, rows: NDArray[np.int64]) -> FloatArray:
     """Return (n, 2) where beams end in the map; beams without return end at their expected range.
 
     Parameters
@@ -163,21 +162,8 @@ def draw_map(axes: Axes, grid: OccupancyGrid, limits: tuple[float, float, float,
     )
     if col >= col_end or row >= row_end:
         return
-    part = np.s_[row:row_end, col:col_end]
-    shade = np.where(grid.occupied[part], 2, np.where(grid.unknown[part], 1, 0)).astype(np.uint8)
-    s = grid.resolution
-    map_from_grid = Affine2D().rotate(float(grid.origin[2])).translate(float(grid.origin[0]), float(grid.origin[1]))
-    image = axes.imshow(
-        shade,
-        extent=(col * s, col_end * s, row * s, row_end * s),
-        origin="lower",
-        cmap=ListedColormap(MAP_COLOURS),
-        vmin=0,
-        vmax=2,
-        interpolation="nearest",
-        aspect="auto",
-    )
-    image.set_transform(map_from_grid + axes.transData)
+    corner = np.array([*grid.to_map([col, row]), grid.origin[2]])
+    draw_cells(categories(grid)[row:row_end, col:col_end], grid.resolution, corner, axes, colours=MAP_COLOURS)
 
 
 def _draw_path(axes: Axes, path: FloatArray) -> None:

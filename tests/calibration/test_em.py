@@ -206,6 +206,19 @@ def test_exact_readings_stop_sigma_at_its_floor():
     assert "sigma-at-floor" in {f.name for f in result.findings}
 
 
+def test_noise_that_is_all_slope_is_no_noiseless_simulation():
+    rng = np.random.default_rng(2)
+    expected = rng.uniform(0.5, 7.0, 4000)
+    z = np.clip(expected * (1.0 + rng.normal(0.0, 0.05, 4000)), 0.0, 7.99)
+    # Near walls are exact: the constant part of the noise has nothing to explain.
+    z[expected < 1.0] = expected[expected < 1.0] * (1.0 + rng.normal(0.0, 0.001, int((expected < 1.0).sum())))
+    result = learn_intrinsic_parameters(z, expected, 8.0, fit_sigma_slope=True)
+    names = {f.name for f in result.findings}
+    assert result.parameters.sigma_hit == pytest.approx(SIGMA_FLOOR_SHARE * 8.0)
+    assert "noise-all-slope" in names
+    assert "sigma-at-floor" not in names
+
+
 def test_readings_at_zero_stop_lambda_at_its_ceiling():
     z, expected, max_range, _, _ = draw("indoor", 2000)
     z[:300] = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from benchmarks.sonar import crazyflie, held_out_score
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps
+from beamfield.cli.main import main
 from beamfield.io.read_log import read_log
 from beamfield.sensors import SensorLog
 
@@ -70,3 +72,19 @@ def test_the_main_job_calibrates_the_drones_rangers_without_a_map(data: Path):
     assert uniform.behind_fit > 0.7
     assert result.parameters.z_max < 0.02
     assert result.parameters.z_hit > 0.5
+
+
+def test_a_ring_of_range_finders_without_poses_is_calibrated_on_its_odometry(
+    data: Path, tmp_path: Path, capsys
+) -> None:
+    bag = str(data / "crazyflie_multiranger" / "rice.bag")
+    common = ["--quiet", "--out", str(tmp_path / "out"), "--bootstrap", "20", "--no-refine"]
+    assert main(["calibrate", bag, *common]) == 1
+    assert "give --poses, or --odometry" in capsys.readouterr().err
+    assert main(["calibrate", bag, "--odometry", "--map", "map.yaml", *common]) == 1
+    assert "--odometry: only without --map" in capsys.readouterr().err
+    assert main(["calibrate", bag, "--odometry", *common]) == 0
+    scores = json.loads((tmp_path / "out" / "calibration.json").read_text())["scores"]
+    ahead = {score["name"]: score["behind_fit"] for score in scores}
+    assert ahead["nav2 defaults"] > 0.0
+    assert ahead["uniform"] > 0.3

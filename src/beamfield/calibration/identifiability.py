@@ -17,6 +17,7 @@ from beamfield.calibration.finding import Finding
 from beamfield.calibration.intrinsic_likelihood import (
     OFFSET,
     RATE,
+    SLOPE,
     VARIANCE,
     W_HIT,
     W_MAX,
@@ -61,9 +62,9 @@ def identifiability_findings(
     """Name what these beams leave open at the maximum `theta`.
 
     The names: ``no-returns``, ``no-max-readings``, ``no-hits``, ``no-shorts``, ``no-random``, ``lambda-undetermined``,
-    ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``, ``sigma-confounded``, ``offset-at-limit``,
-    ``hits-and-shorts-confounded``, ``hits-and-random-confounded``, ``shorts-and-random-confounded``,
-    ``several-modes``.
+    ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``, ``noise-all-slope``, ``sigma-confounded``,
+    ``offset-at-limit``, ``hits-and-shorts-confounded``, ``hits-and-random-confounded``,
+    ``shorts-and-random-confounded``, ``several-modes``.
     """
     if likelihood.n_returned == 0.0:
         return (
@@ -135,6 +136,13 @@ def _sigma_findings(
     variance = float(theta[VARIANCE])
     sigma = float(np.sqrt(variance))
     if variance <= problem.lower[VARIANCE]:
+        slope = float(np.sqrt(max(theta[SLOPE], 0.0)))
+        if slope > 0.0:
+            text = (
+                f"sigma_hit is at its floor of {sigma:.3g} m: all noise of hits grows with the expected range "
+                f"({slope:.3g} m per metre), as if near walls were measured without any."
+            )
+            return [Finding("noise-all-slope", "info", text, {"sigma_hit": sigma, "sigma_slope": slope})]
         text = (
             f"sigma_hit is at its floor of {sigma:.3g} m: many readings equal the expected range exactly, as in a "
             "simulation without noise, and the likelihood grows without bound as sigma_hit shrinks."

@@ -40,6 +40,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="map_server .yaml, Wean .dat, or a bag; without it, maps drawn from the log")  # fmt: skip
     parser.add_argument("--resolution", type=float, metavar="M", help="of drawn maps, where no map is given (0.05)")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
+    parser.add_argument("--odometry", action="store_true",
+                        help="without --map: the log's odometry as reference poses; drift counts as noise")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("beamfield_calibration"), metavar="DIR", help="output folder")
     add_log_options(parser)
     model = parser.add_argument_group("model")
@@ -118,6 +120,8 @@ def run(arguments: argparse.Namespace) -> int:
     from beamfield.io.read_map import read_map
     from beamfield.io.trajectory import attach_poses, read_trajectory
 
+    if arguments.odometry and (arguments.map is not None or arguments.poses is not None):
+        raise InvalidInputError("--odometry: only without --map and --poses: odometry is not in the map's frame")
     options = _options(arguments)
     patched = read_stack_request(arguments)
     outputs: dict[str, dict[str, str]] = {}
@@ -142,7 +146,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise InvalidInputError(
                 "--patch: one file cannot hold the parameters of several sensors; choose one with --sensor"
             )
-        for name, sensor in chosen.items():
+        for name, logged in chosen.items():
+            sensor = _with_poses(logged, arguments)
             files, table, good, stack = _calibrate_sensor(
                 arguments, sensor, grid, options, origin, log.notes, progress, patched
             )
@@ -230,6 +235,19 @@ def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str,
         known = ", ".join(repr(name) for name in log.sensors)
         raise InvalidInputError(f"{arguments.log}: has several sensors, choose with --sensor: {known}")
     return log.sensors
+
+
+def _with_poses(sensor: SensorLog, arguments: argparse.Namespace) -> SensorLog:
+    """Return the sensor with the poses that were asked for."""
+    if arguments.odometry:
+        if not sensor.has_odometry:
+            raise TooLittleDataError(f"{arguments.log}: --odometry: the log has none")
+        return sensor.with_poses(sensor.odometry)
+    if arguments.map is None and not sensor.has_poses and sensor.has_odometry:
+        raise InvalidInputError(
+            f"{arguments.log}: no scan has a reference pose; give --poses, or --odometry to trust the wheels"
+        )
+    return sensor
 
 
 def _folder_name(sensor: str) -> str:

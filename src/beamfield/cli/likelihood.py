@@ -26,6 +26,8 @@ and how far from the reference pose, and draw it: the scan at its reference pose
 PICTURES = (".png", ".svg", ".pdf")
 # Without --parameters: a laser scanner in a building with a few people.
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.2, "lambda_short": 0.4}
+# And a sonar: many echoes are lost or take a detour.
+SONAR_DEFAULTS = {"z_hit": 0.5, "z_short": 0.05, "z_max": 0.2, "z_rand": 0.25, "sigma_hit": 0.1, "lambda_short": 0.4}
 # Local maps for map matching have cells of at least this size, metres: time is proportional to their number.
 LOCAL_RESOLUTION = 0.2
 
@@ -156,7 +158,7 @@ def _measurement_and_model(
 
     if arguments.model == "matching":
         return _local_map(sensor, grid, arguments), MapMatchingModel(grid, threads=arguments.threads)
-    parameters = _parameters(arguments)
+    parameters = _parameters(arguments, scan)
     lattice = {"resolution": arguments.resolution, "headings": arguments.headings}
     options: dict[str, Any] = {"n_beams": arguments.beams or None, "threads": arguments.threads}
     if arguments.model == "beam":
@@ -169,12 +171,12 @@ def _measurement_and_model(
     return scan, LikelihoodFieldModel.from_grid(grid, of_field, **options)
 
 
-def _parameters(arguments: argparse.Namespace) -> BeamParameters:
+def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
     from beamfield.io.parameters import read_beam_model
     from beamfield.models.beam_parameters import BeamParameters
 
     if arguments.parameters is None:
-        return BeamParameters(**DEFAULTS)
+        return BeamParameters(**(SONAR_DEFAULTS if scan.finder.opening_angle > 0.0 else DEFAULTS))
     return read_beam_model(arguments.parameters).parameters
 
 

@@ -74,7 +74,7 @@ def test_the_main_job_calibrates_the_drones_rangers_without_a_map(data: Path):
     assert result.parameters.z_hit > 0.5
 
 
-def test_a_ring_of_range_finders_without_poses_is_calibrated_on_its_odometry(
+def test_a_ring_without_poses_is_calibrated_on_its_odometry(data: Path, tmp_path: Path, capsys) -> None:
     data: Path, tmp_path: Path, capsys
 ) -> None:
     bag = str(data / "crazyflie_multiranger" / "rice.bag")

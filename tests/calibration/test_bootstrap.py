@@ -83,6 +83,33 @@ def test_a_parameter_on_its_bound_gets_an_interval_that_starts_there():
     assert np.all(got.replicates[:, :4] >= 0.0)
 
 
+@pytest.mark.parametrize("n_near", [0, 2], ids=["no shorts", "two readings next to the sensor"])
+def test_a_rate_that_nothing_determines_has_an_open_interval_not_the_bound_of_the_search(n_near):
+    rng = np.random.default_rng(5)
+    expected = rng.uniform(1.0, 7.0, 3000)
+    z = sample_beams(expected, MAX_RANGE, BeamParameters(0.9, 0.0, 0.1, 0.0, 0.05, 0.0), rng)
+    z[:n_near] = 0.003
+    stamps = np.linspace(0.0, 400.0, z.size)
+    parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE).parameters
+    got = bootstrap_intervals(z, expected, stamps, MAX_RANGE, parameters, n_replicates=50)
+    assert got.intervals["lambda_short"] == (0.0, np.inf)
+    assert got.standard_errors["lambda_short"] == np.inf
+    assert all(np.isfinite(got.intervals[name]).all() for name in got.intervals if name != "lambda_short")
+
+
+def test_replicates_that_reach_the_ceiling_of_the_search_are_no_bound():
+    """Enough readings cut short to call it a cause, but all next to the sensor: any large rate will do."""
+    rng = np.random.default_rng(5)
+    expected = rng.uniform(1.0, 7.0, 3000)
+    z = sample_beams(expected, MAX_RANGE, BeamParameters(0.9, 0.0, 0.1, 0.0, 0.05, 0.0), rng)
+    z[::300] = 1e-5
+    stamps = np.linspace(0.0, 400.0, z.size)
+    parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE).parameters
+    assert parameters.z_short * z.size > 5.0
+    got = bootstrap_intervals(z, expected, stamps, MAX_RANGE, parameters, n_replicates=50)
+    assert got.intervals["lambda_short"] == (0.0, np.inf)
+
+
 def test_replicates_are_maxima_of_their_own_sample():
     z, expected, stamps, _ = dependent_beams(np.random.default_rng(3), n_blocks=10)
     parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE).parameters

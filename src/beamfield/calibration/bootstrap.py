@@ -12,7 +12,8 @@ from scipy.special import ndtr, stdtrit
 
 from beamfield.calibration.climb import climb
 from beamfield.calibration.finding import Finding
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, parameters_of, theta_of
+from beamfield.calibration.identifiability import FEWEST_BEAMS_OF_A_CAUSE
+from beamfield.calibration.intrinsic_likelihood import RATE, W_SHORT, IntrinsicLikelihood, parameters_of, theta_of
 from beamfield.calibration.learning_problem import LearningProblem, learning_problem
 from beamfield.calibration.priors import IntrinsicPriors
 from beamfield.calibration.time_split import time_blocks
@@ -31,6 +32,7 @@ _NATS_LEFT = 0.02
 _MOST_ITERATIONS = 30
 
 _NAMES = tuple(item.name for item in fields(BeamParameters))
+_RATE_COLUMN = _NAMES.index("lambda_short")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +43,10 @@ class IntervalResult:
     ----------
     intervals
         (low, high) per learned parameter, by the names of `BeamParameters`; empty where there is one block only.
+        (0, inf) for lambda_short where it is undetermined: fewer than 3 beams look like unexpected objects, or
+        replicates reach the bound of the search.
     standard_errors
-        Standard deviation of the replicates per learned parameter.
+        Standard deviation of the replicates per learned parameter; inf where it is undetermined.
     replicates
         Learned parameters of each replicate, shape (n_replicates, 8), in the order of `BeamParameters`.
     level
@@ -141,6 +145,7 @@ def bootstrap_intervals(
         fit_sigma_slope=fit_sigma_slope,
     )
     rng = np.random.default_rng(seed)
+    n_used = z.size
     z, expected, blocks = _thinned(z, expected, blocks, rng)
     _, blocks = np.unique(blocks, return_inverse=True)
     n_blocks = int(blocks.max()) + 1
@@ -150,17 +155,22 @@ def bootstrap_intervals(
 
     draws = rng.multinomial(n_blocks, np.full(n_blocks, 1.0 / n_blocks), size=n_replicates)
     replicates = _learn_replicates(z, expected, blocks, theta, problem, draws, threads, progress)
+    tail = expanded_tail(level, n_blocks)
+    n_shorts = _n_shorts(z, expected, theta, problem) * n_used / z.size
+    is_undetermined = n_shorts < FEWEST_BEAMS_OF_A_CAUSE or _reaches_ceiling(replicates, tail, problem)
     centre = _parameter_row(theta)
     if z.size < np.size(ranges):  # thinned beams have an estimate of their own: keep the deviations, not the places
         everything = np.ones((1, n_blocks), dtype=np.int64)
         own = _learn_replicates(z, expected, blocks, theta, problem, everything, threads, None)[0]
         replicates = np.maximum(replicates - own + centre, np.where(np.array(_NAMES) == "range_offset", -np.inf, 0.0))
-    tail = expanded_tail(level, n_blocks)
     low, high = np.quantile(replicates, [tail, 1.0 - tail], axis=0)
+    errors = replicates.std(axis=0, ddof=1)
+    if is_undetermined:
+        low[_RATE_COLUMN], high[_RATE_COLUMN], errors[_RATE_COLUMN] = 0.0, np.inf, np.inf
     learned = [i for i, name in enumerate(_NAMES) if _is_free(name, problem)]
     return IntervalResult(
         intervals={_NAMES[i]: (float(low[i]), float(high[i])) for i in learned},
-        standard_errors={_NAMES[i]: float(replicates[:, i].std(ddof=1)) for i in learned},
+        standard_errors={_NAMES[i]: float(errors[i]) for i in learned},
         replicates=replicates,
         level=level,
         n_blocks=n_blocks,
@@ -270,6 +280,18 @@ def _likelihood(z: FloatArray, expected: FloatArray, problem: LearningProblem) -
 def _parameter_row(theta: FloatArray) -> FloatArray:
     parameters = parameters_of(theta)
     return np.array([getattr(parameters, name) for name in _NAMES])
+
+
+def _n_shorts(z: FloatArray, expected: FloatArray, theta: FloatArray, problem: LearningProblem) -> float:
+    """Return how many of these beams look like unexpected objects, by their responsibilities."""
+    return float(_likelihood(z, expected, problem).expected_statistics(theta).counts[W_SHORT])
+
+
+def _reaches_ceiling(replicates: FloatArray, tail: float, problem: LearningProblem) -> bool:
+    """Return whether the interval of lambda_short would end where the search does, which says nothing about it."""
+    # Not interpolated: half way from a rate to the ceiling is no bound either.
+    end = np.quantile(replicates[:, _RATE_COLUMN], 1.0 - tail, method="higher")
+    return bool(problem.free[RATE] and end >= problem.upper[RATE])
 
 
 def _is_free(name: str, problem: LearningProblem) -> bool:

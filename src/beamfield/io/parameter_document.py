@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -27,13 +28,16 @@ def document_text(
     document
         The sections, of plain values; numbers are written so that reading returns the same bits.
     intervals
-        95 % interval per parameter.
+        95 % interval per parameter; written as null where a bound is not finite: not determined.
     provenance
         Plain values that say where the parameters come from.
     """
     whole = dict(document)
     if intervals:
-        whole["intervals_95"] = {name: [float(low), float(high)] for name, (low, high) in intervals.items()}
+        whole["intervals_95"] = {
+            name: [float(low), float(high)] if math.isfinite(low) and math.isfinite(high) else None
+            for name, (low, high) in intervals.items()
+        }
     if provenance:
         whole["provenance"] = dict(provenance)
     yaml = YAML(typ="safe", pure=True)

@@ -75,8 +75,6 @@ def test_the_main_job_calibrates_the_drones_rangers_without_a_map(data: Path):
 
 
 def test_a_ring_without_poses_is_calibrated_on_its_odometry(data: Path, tmp_path: Path, capsys) -> None:
-    data: Path, tmp_path: Path, capsys
-) -> None:
     bag = str(data / "crazyflie_multiranger" / "rice.bag")
     common = ["--quiet", "--out", str(tmp_path / "out"), "--bootstrap", "20", "--no-refine"]
     assert main(["calibrate", bag, *common]) == 1

@@ -36,6 +36,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from tables import print_table
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FR079_CLOCK = 1211.36
@@ -93,11 +94,7 @@ def run(data: Path = DATA) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 def main() -> None:
     """Print the rows as Markdown tables."""
     for rows in run(Path(sys.argv[1]) if len(sys.argv) > 1 and Path(sys.argv[1]).is_dir() else DATA):
-        columns = list(rows[-1])
-        print(f"| {' | '.join(columns)} |")
-        print(f"|{'---|' * len(columns)}")
-        for row in rows:
-            print(f"| {' | '.join(str(row.get(column, '')) for column in columns)} |")
+        print_table(rows, columns=list(rows[-1]))
         print()
 
 

@@ -18,6 +18,7 @@ from beamfield.models.beam import BeamModel, beam_log_density, beam_responsibili
 from beamfield.models.beam_density import as_view
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, Scan
+from tables import print_table
 
 MAX_RANGE = 20.0
 PARAMETERS = BeamParameters(z_hit=0.6, z_short=0.15, z_max=0.05, z_rand=0.2, sigma_hit=0.2, lambda_short=0.1)
@@ -42,11 +43,7 @@ def run() -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the rows as a Markdown table."""
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for row in rows:
-        print(f"| {' | '.join(str(value) for value in row.values())} |")
+    print_table(run())
 
 
 def given_ranges(name: str, scan: Scan, expected: np.ndarray) -> list[dict[str, Any]]:

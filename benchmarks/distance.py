@@ -15,6 +15,7 @@ from scipy import ndimage
 from beam_model import office
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
+from tables import print_table
 
 # The largest is a warehouse that users of AMCL wait 13 s for (nav2, issue 4941).
 SHAPES = ((1000, 1000), (4000, 4000), (6743, 10813))
@@ -62,11 +63,7 @@ def least(call: Callable[[], np.ndarray], repeats: int = 5) -> tuple[float, np.n
 
 def main() -> None:
     """Print the rows as a Markdown table."""
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for line in rows:
-        print(f"| {' | '.join(str(value) for value in line.values())} |")
+    print_table(run())
 
 
 if __name__ == "__main__":

@@ -40,8 +40,10 @@ from beamfield.simulation.log import simulate_log
 
 if __package__:
     from benchmarks.rooms import drawn_room
+    from benchmarks.tables import print_table
 else:
     from rooms import drawn_room
+    from tables import print_table
 
 SIGMA = 0.05
 FINDER = RangeFinder.from_bearings(np.radians(np.arange(-180.0, 180.0, 3.0)), 8.0)
@@ -172,9 +174,8 @@ def mass_near(posterior: PosePosterior, pose: np.ndarray) -> float:
 def main(folder: Path) -> None:
     """Print both tables as Markdown."""
     for title, rows in run(folder).items():
-        print(f"### {title}\n\n| {' | '.join(rows[0])} |\n|{'---|' * len(rows[0])}")
-        for values in rows:
-            print(f"| {' | '.join(str(value) for value in values.values())} |")
+        print(f"### {title}\n")
+        print_table(rows)
         print()
 
 

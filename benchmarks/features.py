@@ -28,6 +28,7 @@ from beamfield.geometry import compose, invert, transform_points, wrap_angle
 from beamfield.plot import draw_features, draw_scan
 from beamfield.sensors import RangeFinder, Scan
 from rooms import Room, l_shaped_room
+from tables import print_table
 
 NOISE_LEVELS = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05)
 N_SCANS = 200
@@ -68,11 +69,7 @@ def main() -> None:
     if picture is not None:
         draw(picture)
         return
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for row in rows:
-        print(f"| {' | '.join(str(value) for value in row.values())} |")
+    print_table(run())
 
 
 def draw(path: Path) -> None:

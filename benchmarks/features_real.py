@@ -39,6 +39,11 @@ from beamfield.maps.end_points import end_points
 from beamfield.plot import draw_features, draw_scan
 from beamfield.sensors import Scan, SensorLog, usable_ranges
 
+if __package__:
+    from benchmarks.tables import print_table
+else:
+    from tables import print_table
+
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 # By third differences of neighbouring readings: 5 mm near by, and 4 mm more per metre in all three logs. The rest is
 # for walls that are not quite flat.
@@ -182,14 +187,6 @@ def main() -> None:
         options.out.mkdir(parents=True, exist_ok=True)
         for name in list(LOGS)[:3]:
             draw(name, options.data, options.out / f"{name.lower().replace(' ', '_')}.svg")
-
-
-def print_table(rows: list[dict[str, Any]]) -> None:
-    """Print rows as Markdown; the first one has all columns."""
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for row in rows:
-        print(f"| {' | '.join(str(row.get(column, '')) for column in rows[0])} |")
 
 
 def draw(name: str, data: Path, path: Path) -> None:

@@ -5,7 +5,6 @@ Run: python benchmarks/landmark.py
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +14,7 @@ from beamfield.detections import Detections
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
+from tables import least_seconds, print_table
 
 N_POSES, N_DETECTIONS = 20_000, 20
 N_ASSIGNMENT_POSES = 500
@@ -45,26 +45,17 @@ def run() -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the rows as a Markdown table."""
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for values in rows:
-        print(f"| {' | '.join(str(value) for value in values.values())} |")
+    print_table(run())
 
 
 def row(what: str, n_poses: int, threads: Any, call: Callable[[], object]) -> dict[str, Any]:
-    call()  # compile before the clock runs
-    best = np.inf
-    for _ in range(7):
-        start = time.perf_counter()
-        call()
-        best = min(best, time.perf_counter() - start)
+    seconds = least_seconds(call, 7)
     return {
         "correspondence": what,
         "poses": n_poses,
         "detections": N_DETECTIONS,
         "threads": threads,
-        "ns per pose x detection": round(best / (n_poses * N_DETECTIONS) * 1e9, 1),
+        "ns per pose x detection": round(seconds / (n_poses * N_DETECTIONS) * 1e9, 1),
     }
 
 

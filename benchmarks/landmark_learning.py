@@ -20,6 +20,7 @@ from beamfield.io.mrclam_instant import read_mrclam_instant
 from beamfield.io.plaza import read_plaza
 from beamfield.io.roh_bearings import read_roh_bearings
 from beamfield.maps.landmarks import LandmarkMap
+from tables import print_table
 
 Reader = Callable[[Path], tuple[LandmarkMap, DetectionLog]]
 # The makers of the MRCLAM moments left out what was off by more than this.
@@ -79,10 +80,7 @@ def main(folder: Path) -> None:
     """Print the rows as a Markdown table, and the findings below."""
     rows = run(folder)
     shown = [name for name in rows[0] if name != "findings"]
-    print(f"| {' | '.join(shown)} |")
-    print(f"|{'---|' * len(shown)}")
-    for values in rows:
-        print(f"| {' | '.join(str(values[name]) for name in shown)} |")
+    print_table(rows, columns=shown)
     print()
     for values in rows:
         print(f"- {values['set']}: {values['findings']}")

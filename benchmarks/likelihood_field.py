@@ -17,6 +17,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, Scan
+from tables import print_table
 
 MAX_RANGE = 20.0
 BEAM_PARAMETERS = BeamParameters(z_hit=0.6, z_short=0.15, z_max=0.05, z_rand=0.2, sigma_hit=0.2, lambda_short=0.1)
@@ -39,11 +40,7 @@ def run() -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the rows as a Markdown table."""
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for line in rows:
-        print(f"| {' | '.join(str(value) for value in line.values())} |")
+    print_table(run())
 
 
 def whole_calls(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -> list[dict[str, Any]]:

@@ -7,8 +7,6 @@ these as well.
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +25,7 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.simulation.floor_plan import draw_floor_plan
+from tables import least_seconds, print_table
 
 PARAMETERS = BeamParameters(z_hit=0.8, z_short=0.08, z_max=0.02, z_rand=0.1, sigma_hit=0.1, lambda_short=0.4)
 RESOLUTION, HEADINGS = 0.10, 72
@@ -74,7 +73,7 @@ def time_matching(name: str, what: str, grid: OccupancyGrid, local: OccupancyGri
     by_transforms = one_row(name, f"matching, {what}", None, model, local, grid)
     rows, cols = np.nonzero(grid.free)
     poses = np.column_stack([grid.to_map(np.column_stack([cols, rows]) + 0.5), np.full(len(rows), 0.7)])
-    asked = best_seconds(lambda: model.log_likelihood(local, poses)) * HEADINGS
+    asked = least_seconds(lambda: model.log_likelihood(local, poses), repeats=2) * HEADINGS
     by_pose = {"model": f"matching, {what}, every pose", "seconds": round(asked, 1)}
     return [by_transforms, {**by_transforms, **by_pose}]
 
@@ -82,7 +81,9 @@ def time_matching(name: str, what: str, grid: OccupancyGrid, local: OccupancyGri
 def one_row(name: str, kind: str, n_beams: int | None, model: Any, z: Any, grid: OccupancyGrid, **options: Any) -> Any:
     """Return the seconds for all poses, after a run on few poses that compiles."""
     few = likelihood_map(model, z, grid, resolution=RESOLUTION, headings=2, **options)
-    seconds = best_seconds(lambda: likelihood_map(model, z, grid, resolution=RESOLUTION, headings=HEADINGS, **options))
+    seconds = least_seconds(
+        lambda: likelihood_map(model, z, grid, resolution=RESOLUTION, headings=HEADINGS, **options), repeats=2
+    )
     return {
         "map": name,
         "model": kind,
@@ -92,23 +93,9 @@ def one_row(name: str, kind: str, n_beams: int | None, model: Any, z: Any, grid:
     }
 
 
-def best_seconds(work: Callable[[], object]) -> float:
-    """Return the least of three runs."""
-    seconds = []
-    for _ in range(3):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds)
-
-
 def main() -> None:
     """Print the rows as a Markdown table."""
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for row in rows:
-        print(f"| {' | '.join(str(value) for value in row.values())} |")
+    print_table(run())
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ Run: python benchmarks/line.py
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from beamfield.maps.lines import LineMap
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
+from tables import least_seconds, print_table
 
 N_POSES, N_LINES = 20_000, 20
 N_ASSIGNMENT_POSES = 500
@@ -48,26 +48,17 @@ def run() -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the rows as a Markdown table."""
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for values in rows:
-        print(f"| {' | '.join(str(value) for value in values.values())} |")
+    print_table(run())
 
 
 def row(what: str, n_poses: int, threads: Any, call: Callable[[], object]) -> dict[str, Any]:
-    call()  # compile before the clock runs
-    best = np.inf
-    for _ in range(40):
-        start = time.perf_counter()
-        call()
-        best = min(best, time.perf_counter() - start)
+    seconds = least_seconds(call, 40)
     return {
         "correspondence": what,
         "poses": n_poses,
         "lines": N_LINES,
         "threads": threads,
-        "ns per pose x line": round(best / (n_poses * N_LINES) * 1e9, 1),
+        "ns per pose x line": round(seconds / (n_poses * N_LINES) * 1e9, 1),
     }
 
 

@@ -32,6 +32,7 @@ from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from tables import print_table
 
 N_POSES = 2000
 N_SEARCHES = 40
@@ -41,11 +42,7 @@ def main() -> None:
     """Print the tables in Markdown."""
     grid, log = world()
     for rows in (mapping(log), matching(grid, log), searching(grid, log)):
-        keys = list(rows[0])
-        print("| " + " | ".join(keys) + " |")
-        print("|" + "---|" * len(keys))
-        for row in rows:
-            print("| " + " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()) + " |")
+        print_table(rows, digits=3)
         print()
 
 

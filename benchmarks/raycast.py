@@ -24,6 +24,11 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
 
+if __package__:
+    from benchmarks.tables import print_table
+else:
+    from tables import print_table
+
 RESOLUTION = 0.05
 MAX_RANGE = 10.0
 N_BEAMS = 60
@@ -99,11 +104,7 @@ def main() -> None:
     """Print the table in Markdown."""
     rows = run()
     for block in ([r for r in rows if r["case"] != "build"], [r for r in rows if r["case"] == "build"]):
-        keys = list(block[0])
-        print("| " + " | ".join(keys) + " |")
-        print("|" + "---|" * len(keys))
-        for row in block:
-            print("| " + " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()) + " |")
+        print_table(block, digits=3)
         print()
 
 

@@ -36,8 +36,10 @@ from beamfield.sensors import RangeFinder, SensorLog
 
 if __package__:
     from benchmarks.raycast import building
+    from benchmarks.tables import print_table
 else:
     from raycast import building
+    from tables import print_table
 
 RESOLUTION = 0.05
 MAX_RANGE = 10.0
@@ -51,8 +53,10 @@ WIDTHS_DEG = {"sonar_corridor": (0, 10, 15, 20, 30, 40), "crazyflie": (0, 10, 20
 def main(arguments: list[str]) -> None:
     """Print the tables in Markdown."""
     print_table(cone_times())
+    print()
     print_table(simulated_rings())
     if arguments:
+        print()
         print_table(real_logs(Path(arguments[0])))
 
 
@@ -237,15 +241,6 @@ def least_seconds(calls: dict[str, Any], repeats: int) -> dict[str, float]:
             call()
             best[what] = min(best[what], time.thread_time() - start)
     return best
-
-
-def print_table(rows: list[dict[str, Any]]) -> None:
-    """Print rows in Markdown."""
-    print("| " + " | ".join(rows[0]) + " |")
-    print("|" + "---|" * len(rows[0]))
-    for row in rows:
-        print("| " + " | ".join(str(value) for value in row.values()) + " |")
-    print(flush=True)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from beamfield.simulation.sonar import EchoCause, SonarPhysics, sonar_ring
 from beamfield.simulation.sonar_log import simulate_sonar_log
+from tables import print_table
 
 SEED = 3
 DURATION, SCAN_RATE = 180.0, 4.0
@@ -92,11 +93,7 @@ def fit(grid: Any, log: SensorLog) -> dict[str, str]:
 
 def main() -> None:
     """Print the rows as a Markdown table."""
-    rows = run()
-    print(f"| {' | '.join(rows[0])} |")
-    print(f"|{'---|' * len(rows[0])}")
-    for row in rows:
-        print(f"| {' | '.join(str(value) for value in row.values())} |")
+    print_table(run())
 
 
 if __name__ == "__main__":

@@ -84,8 +84,33 @@ def test_raw_mrclam_files_are_found_beside_each_other(tmp_path):
     assert landmarks.ids.tolist() == [6]
     np.testing.assert_allclose(log.poses, [[1.0, 2.0, 0.5]])
     (tmp_path / "Robot2_Groundtruth.dat.gz").unlink()
-    with pytest.raises(FileNotFoundError, match=r"Robot2_Groundtruth\.dat"):
+    with pytest.raises(FormatError, match=r"expected Robot2_Groundtruth\.dat beside it: there are no true poses"):
         read_sightings_log(tmp_path / "Robot2_Measurement.dat")
+    with pytest.raises(FileNotFoundError, match=r"Robot3_Measurement\.dat"):
+        read_sightings_log(tmp_path / "Robot3_Measurement.dat")
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("Robot1_Measurement.dat.gz", "Robot1_Odometry.dat.gz"), "without Robot.*_Groundtruth.dat: .* no true poses"),
+        (
+            ("Robot1_Measurement.dat", "Robot2_Measurement.dat.gz", "Robot1_Groundtruth.dat"),
+            r"expected one of the folder's files: Robot1_Measurement\.dat, Robot2_Measurement\.dat\.gz$",
+        ),
+        (("Plaza1_.mat", "Plaza1_TD.txt"), r"expected one of the folder's files: Plaza1_\.mat$"),
+        (tuple(f"mrclam{i}.mat" for i in range(1, 8)), r"mrclam1\.mat, .*, mrclam5\.mat and 2 more$"),
+        (("sensor_data.dat", "world.dat"), "a Freiburg course log: it has odometry but no true poses"),
+        (("notes.txt",), r"expected a CSV file .* landmark\.csv and \(Xa,Yb\)\.csv; got a folder with notes\.txt$"),
+        ((), "got a folder with no files$"),
+    ],
+    ids=["no true poses", "MRCLAM", "Plaza", "many", "Freiburg", "unknown", "empty"],
+)
+def test_a_folder_of_another_kind_says_what_to_give_instead(names, message, tmp_path):
+    for name in names:
+        (tmp_path / name).touch()
+    with pytest.raises(FormatError, match=message):
+        read_sightings_log(tmp_path)
 
 
 def test_other_mat_files_are_refused(tmp_path):

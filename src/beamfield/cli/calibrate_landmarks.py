@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 DESCRIPTION = """
 Learn sigma, bias and spurious rate of a sensor that sees landmarks (tags, reflectors, radio or infrared beacons) from
 sightings of known landmarks at known poses. SIGHTINGS is a CSV file (stamp,x,y,theta,id,range,bearing; leave empty what
-was not measured) with --map, an MRCLAM or Plaza .mat file, Robot*_Measurement.dat of MRCLAM beside its other files, or
-a folder with landmark.csv and (Xa,Yb).csv.
+was not measured) with --map, an MRCLAM or Plaza .mat file, Robot*_Measurement.dat of MRCLAM beside its
+Robot*_Groundtruth.dat, Barcodes.dat and Landmark_Groundtruth.dat, or a folder with landmark.csv and (Xa,Yb).csv.
 """
 
 

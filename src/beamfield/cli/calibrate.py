@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.calibrate_stack import StackResult, add_stack_options, fit_for_stack, read_stack_request, write_patch
+from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -33,11 +34,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "calibrate", help="learn a sensor model from a log and a map", description=DESCRIPTION
     )
-    parser.add_argument(
-        "log", type=Path, metavar="LOG", help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap"
-    )
+    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_FORMATS)
     parser.add_argument("--map", type=Path, metavar="MAP",
-                        help="map_server .yaml, Wean .dat, or a bag; without it, maps drawn from the log")  # fmt: skip
+                        help=f"{MAP_FORMATS}; without it, maps drawn from the log")  # fmt: skip
     parser.add_argument("--resolution", type=float, metavar="M", help="of drawn maps, where no map is given (0.05)")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
     parser.add_argument("--odometry", action="store_true",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -31,8 +32,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("doctor", help="what is wrong with a parameter file", description=DESCRIPTION)
     parser.add_argument("params", type=Path, metavar="PARAMS", help="YAML, ROS 1 launch file or MRPT ini")
     add_file_options(parser)
-    parser.add_argument("--map", type=Path, metavar="MAP", help="the map: map_server .yaml, Wean .dat, or a bag")
-    parser.add_argument("--log", type=Path, metavar="LOG", help="a log of the robot's scans")
+    parser.add_argument("--map", type=Path, metavar="MAP", help=f"the map: {MAP_FORMATS}")
+    parser.add_argument("--log", type=Path, metavar="LOG", help=f"a log of the robot's scans: {LOG_FORMATS}")
     parser.add_argument("--poses", type=Path, metavar="FILE",
                         help="reference poses for the log: TUM or CSV (default: those in the log)")  # fmt: skip
     add_log_options(parser)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import InvalidInputError
 
@@ -22,11 +23,8 @@ map, and write them with their captions (gallery.md) into a folder, all of them 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the command."""
     parser = subparsers.add_parser("figures", help="draw the chapter's figures", description=DESCRIPTION)
-    parser.add_argument(
-        "log", type=Path, nargs="?", metavar="LOG",
-        help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap (default: simulate one)",
-    )  # fmt: skip
-    parser.add_argument("--map", type=Path, metavar="MAP", help="the log's map: map_server .yaml, Wean .dat, or a bag")
+    parser.add_argument("log", type=Path, nargs="?", metavar="LOG", help=f"{LOG_FORMATS} (default: simulate one)")
+    parser.add_argument("--map", type=Path, metavar="MAP", help=f"the log's map: {MAP_FORMATS}")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
     parser.add_argument("--scan", type=int, metavar="I", help="index of the scan to show (default: chosen)")
     parser.add_argument("--only", nargs="+", metavar="N", help="draw only these figures, for example 6.7 6.10")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
@@ -38,10 +39,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "fit", help="say whether scans fit the map, and whether the robot is lost", description=DESCRIPTION
     )
-    parser.add_argument(
-        "log", type=Path, metavar="LOG", help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap"
-    )
-    parser.add_argument("--map", type=Path, required=True, metavar="MAP", help="map_server .yaml, Wean .dat, or a bag")
+    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_FORMATS)
+    parser.add_argument("--map", type=Path, required=True, metavar="MAP", help=MAP_FORMATS)
     parser.add_argument("--poses", type=Path, metavar="FILE", help="poses to judge: TUM or CSV file")
     parser.add_argument("--params", type=Path, metavar="FILE",
                         help="a beam_model.yaml from beamfield calibrate (default: calibrate now)")  # fmt: skip

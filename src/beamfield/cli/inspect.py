@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("inspect", help="say and draw what is in a log or a map", description=DESCRIPTION)
     parser.add_argument(
         "path", type=Path, metavar="LOG|MAP",
-        help="map_server .yaml or Wean .dat; or CARMEN or Wean text, ROS 1 .bag, ROS 2 folder or .mcap",
+        help=f"a map: {MAP_FORMATS}; or a log: {LOG_FORMATS}",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="FILE", help=f"draw it into this file ({', '.join(PICTURES)})")
     parser.add_argument("--json", action="store_true", help="print JSON (metres, radians, seconds)")

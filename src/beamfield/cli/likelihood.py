@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import InvalidInputError
 
@@ -37,10 +38,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "likelihood", help="draw how likely a scan is over a whole map", description=DESCRIPTION
     )
-    parser.add_argument(
-        "log", type=Path, metavar="LOG", help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap"
-    )
-    parser.add_argument("--map", type=Path, required=True, metavar="MAP", help="map_server .yaml, Wean .dat, or a bag")
+    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_FORMATS)
+    parser.add_argument("--map", type=Path, required=True, metavar="MAP", help=MAP_FORMATS)
     parser.add_argument("--scan", type=int, required=True, metavar="I", help="index of the scan in the log, from 0 on")
     parser.add_argument("--model", choices=("beam", "field", "matching"), default="beam",
                         help="beam model, likelihood field or map matching (default: beam)")  # fmt: skip

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli.calibrate import add_log_options, log_options
+from beamfield.cli.formats import LOG_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import InvalidInputError, TooLittleDataError
 
@@ -26,9 +27,7 @@ trajectory; wheel odometry alone (--odometry) bends a map.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the command."""
     parser = subparsers.add_parser("map", help="build a map from a log with poses", description=DESCRIPTION)
-    parser.add_argument(
-        "log", type=Path, metavar="LOG", help="CARMEN or Wean Hall text, ROS 1 .bag, ROS 2 folder or .mcap"
-    )
+    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_FORMATS)
     parser.add_argument("--out", type=Path, required=True, metavar="MAP.yaml", help="map to write")
     parser.add_argument("--overwrite", action="store_true", help="replace a map that is there")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")

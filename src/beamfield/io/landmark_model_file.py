@@ -34,10 +34,8 @@ def landmark_model_text(
     ----------
     parameters
         The parameters, written so that reading returns the same bits.
-    intervals
-        95 % interval per parameter.
-    provenance
-        Plain values that say where the parameters come from.
+    intervals, provenance
+        As for `beamfield.io.parameter_document.document_text`.
 
     Raises
     ------

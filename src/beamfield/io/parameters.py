@@ -57,10 +57,8 @@ def beam_model_text(
         The parameters, written so that reading returns the same bits.
     finder
         The sensor they belong to.
-    intervals
-        95 % interval per parameter.
-    provenance
-        Plain values that say where the parameters come from.
+    intervals, provenance
+        As for `beamfield.io.parameter_document.document_text`.
     """
     document: dict[str, Any] = {
         "beam_model": asdict(parameters),

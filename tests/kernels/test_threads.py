@@ -95,3 +95,19 @@ def test_a_forked_process_has_threads_of_its_own():
         os.waitpid(child, 0)
         pytest.fail("the forked process waits for threads that it does not have")
     assert status == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="threads cannot be placed on this system")
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one processor")
+def test_helping_threads_keep_off_the_callers_processor():
+    allowed = os.sched_getaffinity(0)
+    helpers = {}
+
+    def work(_start, _stop):
+        me = threading.get_native_id()
+        helpers[me] = os.sched_getaffinity(me)
+
+    run_in_slices(work, 2, threads=2)
+    helpers.pop(threading.get_native_id())
+    assert all(len(allowed - places) == 1 for places in helpers.values())
+    assert os.sched_getaffinity(0) == allowed

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import pairwise
 
 # Below this many units of work (rays, beams) handing a slice to another thread costs more than it saves.
@@ -40,7 +42,9 @@ def run_in_slices(work: Work, n_rows: int, *, threads: int | None = None, work_p
         return
     parts = len(helpers) + 1
     own, *others = pairwise(n_rows * i // parts for i in range(parts + 1))
+    here = _current_processor()
     for helper, (start, stop) in zip(helpers, others, strict=True):
+        helper.keep_off(here)
         helper.begin(work, start, stop)
     try:
         work(*own)
@@ -66,6 +70,7 @@ class _Helper(threading.Thread):
         self._begun.acquire()
         self._done.acquire()
         self._slice: tuple[Work, int, int] | None = None
+        self._kept_off = -1
         self._error: BaseException | None = None
         self.start()
 
@@ -82,6 +87,21 @@ class _Helper(threading.Thread):
                 del work
             self._slice = None
             self._done.release()
+
+    def keep_off(self, processor: int) -> None:
+        """Keep the thread off the processor that the calling thread runs on.
+
+        Linux likes to wake a thread where its waker runs, and on machines whose processors share no cache it does so
+        even if others are idle: both slices then share one processor, and two threads take as long as one.
+        """
+        if processor < 0 or processor == self._kept_off or self.native_id is None:
+            return
+        others = os.sched_getaffinity(0) - {processor}
+        if others:
+            # A processor that has been taken away meanwhile is no reason to fail.
+            with suppress(OSError):
+                os.sched_setaffinity(self.native_id, others)
+            self._kept_off = processor
 
     def begin(self, work: Work, start: int, stop: int) -> None:
         """Let the thread work on a slice."""
@@ -117,6 +137,21 @@ def _borrow(n: int) -> list[_Helper]:
             _n_started += 1
         helpers.append(_Helper())
     return helpers
+
+
+def _current_processor_lookup() -> Callable[[], int]:
+    """Return a function that gives the number of the processor it is called on; -1 where that is not known."""
+    if hasattr(os, "sched_setaffinity"):
+        try:
+            lookup = ctypes.CDLL(None).sched_getcpu
+        except (OSError, AttributeError):
+            return lambda: -1
+        lookup.argtypes, lookup.restype = [], ctypes.c_int
+        return lookup
+    return lambda: -1
+
+
+_current_processor = _current_processor_lookup()
 
 
 def _n_processors() -> int:

@@ -15,6 +15,7 @@ from beamfield.maps.cone import make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.thread_count import check_threads
 
 UnknownRule = Literal["skip", "free", "occupied"]
 Progress = Callable[[int, int], None]
@@ -111,6 +112,7 @@ def build_beam_table(
     InvalidInputError
         If the map has no obstacle.
     """
+    check_threads(threads)
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
     chosen = np.arange(len(log))[np.asarray(scans)]

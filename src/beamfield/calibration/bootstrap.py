@@ -21,6 +21,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.kernels.threads import run_in_slices
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.thread_count import check_threads
 
 # Fewer blocks tell too little of how parameters vary from one stretch of time to the next.
 FEWEST_TRUSTED_BLOCKS = 8
@@ -131,6 +132,7 @@ def bootstrap_intervals(
     Kuensch, "The jackknife and the bootstrap for general stationary observations", Annals of Statistics 17, 1989.
     Hesterberg, "What teachers should know about the bootstrap", American Statistician 69, 2015.
     """
+    check_threads(threads)
     z, expected, blocks = _checked(ranges, expected_ranges, stamps, max_range, min_range, block_s)
     if n_replicates < 2:
         raise InvalidInputError(f"n_replicates: expected at least 2, got {n_replicates}")

@@ -38,6 +38,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import SensorLog
+from beamfield.thread_count import check_threads
 
 Choice = Literal["auto", "on", "off"]
 Progress = Callable[[str, int, int], None]
@@ -85,6 +86,7 @@ class CalibrationOptions:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         for name, allowed in (
             ("unknown", ("skip", "free", "occupied")),
             ("range_offset", ("auto", "on", "off")),

@@ -14,6 +14,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.maps.mapping import build_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
+from beamfield.thread_count import check_threads
 
 Progress = Callable[[str, int, int], None]
 
@@ -99,6 +100,7 @@ def cross_fit_table(
     progress: Callable[[int, int], None] | None = None,
 ) -> BeamTable:
     """Cast each scan's beams in the map of the other half; parameters as for `build_beam_table`."""
+    check_threads(threads)
     total = int(scans.sum())
     parts: list[BeamTable] = []
     done = 0

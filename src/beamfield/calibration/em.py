@@ -23,6 +23,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits
+from beamfield.thread_count import check_threads
 
 Progress = Callable[[str, int], None]
 
@@ -169,6 +170,7 @@ def learn_intrinsic_parameters(
     >>> round(result.parameters.z_max, 3), round(result.parameters.sigma_hit, 2), result.converged
     (0.1, 0.05, True)
     """
+    check_threads(threads)
     z, expected, counts = _checked_beams(ranges, expected_ranges, max_range, min_range, weights)
     used = expected < max_range
     n_excluded = int(used.size - np.count_nonzero(used))

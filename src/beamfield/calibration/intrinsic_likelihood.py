@@ -12,6 +12,7 @@ from beamfield.kernels import intrinsics as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import counted_from, expected_from
+from beamfield.thread_count import check_threads
 
 # Order of the working vector theta: the four weights, the variance sigma_hit^2, its slope sigma_slope^2, offset, rate.
 W_HIT, W_SHORT, W_MAX, W_RAND, VARIANCE, SLOPE, OFFSET, RATE = range(8)
@@ -86,6 +87,7 @@ class IntrinsicLikelihood:
         weights: FloatArray | None = None,
         threads: int | None = None,
     ) -> None:
+        check_threads(threads)
         returned = ranges < max_range
         n_returned = int(np.count_nonzero(returned))
         order = np.flatnonzero(returned) if n_returned < ranges.size else None

@@ -14,6 +14,7 @@ from beamfield.calibration.landmark_em import NoiseLikelihood, NoiseTheta, climb
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels.threads import run_in_slices
+from beamfield.thread_count import check_threads
 
 # A replicate is found when further iterations promise less than this over all its sightings: a fifth of the standard
 # error that independent sightings would have, and theirs depend.
@@ -81,6 +82,7 @@ def noise_intervals(
     Percentiles are taken further out than `level` says, as in `bootstrap_intervals`: few blocks vary less than what
     they are drawn from.
     """
+    check_threads(threads)
     if n_replicates < 2:
         raise InvalidInputError(f"n_replicates: expected at least 2, got {n_replicates}")
     if not 0.0 < level < 1.0:

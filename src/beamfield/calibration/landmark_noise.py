@@ -22,6 +22,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark_parameters import LandmarkParameters
+from beamfield.thread_count import check_threads
 
 # Six parameters from fewer sightings than this are noise.
 FEWEST_SIGHTINGS = 20
@@ -178,6 +179,7 @@ def learn_landmark_parameters(
     >>> [finding.name for finding in result.findings]
     ['range-bias', 'no-spurious']
     """
+    check_threads(threads)
     cuts = _checked_cuts(truncated_at)
     _check_options(tolerance, max_iterations, max_range)
     table = _enough(sighting_table(landmark_map, log, mount=mount, block_s=block_s), fit_spurious)

@@ -12,6 +12,7 @@ from beamfield.geometry import FloatArray
 from beamfield.kernels.beam import SHORTEST_SUPPORT
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.thread_count import check_threads
 
 # A beam counts for at most this much, nats: one impossible reading says as much as a merely wrong one.
 MOST_SURPRISE = 2.0
@@ -82,6 +83,7 @@ def beam_surprise(
     ----------
     Section 6.3.1, (6.12).
     """
+    check_threads(threads)
     used = np.isfinite(ranges) & np.isfinite(expected_ranges)
     z, z_star = np.where(used, ranges, 0.0), np.clip(np.where(used, expected_ranges, 0.0), min_range, max_range)
     table = _expectations(parameters, float(max_range), float(min_range))

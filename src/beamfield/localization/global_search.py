@@ -16,6 +16,7 @@ from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from beamfield.thread_count import check_threads
 
 # Field values are stored as whole multiples of 1 / STEPS.
 STEPS = 255
@@ -167,6 +168,7 @@ class GlobalSearch:
     _field: NDArray[np.uint8] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         for name in ("sigma", "angle_step"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InvalidInputError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")

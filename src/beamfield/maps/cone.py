@@ -14,6 +14,7 @@ from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import IntArray, RayCaster, frame_of, pose_rows
 from beamfield.sensors import RangeFinder
+from beamfield.thread_count import check_threads
 
 # What a cone costs beside a ray, to decide whether threads pay.
 RAYS_PER_CONE = 20
@@ -112,6 +113,7 @@ class ConeCaster:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
+        check_threads(threads)
         robots = as_poses(poses)
         if finder.opening_angle == 0.0:
             return self._rays.expected_ranges(robots, finder, threads=threads)
@@ -142,6 +144,7 @@ class ConeCaster:
         cells
             (..., k, 2) row and column of the cells they belong to; -1 for none. Where cells touch, one of them.
         """
+        check_threads(threads)
         robots = as_poses(poses)
         n_edges = 1 if finder.opening_angle == 0.0 else 2
         k, edges = finder.n_beams, _edges(finder) if n_edges == 2 else finder
@@ -203,6 +206,7 @@ class ConeCaster:
         InvalidInputError
             If the origins are not finite (..., 3), or an option is out of its range.
         """
+        check_threads(threads)
         finder = RangeFinder(np.zeros((1, 3)), max_range, opening_angle=opening_angle)
         return np.asarray(self.expected_ranges(as_poses(origins, "origins"), finder, threads=threads)[..., 0])
 

@@ -13,6 +13,7 @@ from beamfield.kernels.landmark_cone import nearest_in_cones
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.sensors import RangeFinder
+from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,7 @@ class LandmarkCones:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
+        check_threads(threads)
         robots = as_poses(poses)
         k = finder.n_beams
         ranges: FloatArray = np.empty((*robots.shape[:-1], k))

@@ -14,6 +14,7 @@ from beamfield.kernels import raycast as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
+from beamfield.thread_count import check_threads
 
 IntArray = NDArray[np.int32]
 # The tables are addressed with 32-bit indices.
@@ -112,6 +113,7 @@ class RayCaster:
         >>> RayCaster(grid).expected_ranges([0.25, 0.25, 0.0], finder).tolist()
         [1.25, 10.0]
         """
+        check_threads(threads)
         robots = as_poses(poses)
         k = finder.n_beams
         ranges: FloatArray = np.empty((*robots.shape[:-1], k))
@@ -134,6 +136,7 @@ class RayCaster:
         (..., k, 2) row and column; -1 where nothing is hit before max_range. For a ray that is blocked at a corner, one
         of the two cells that block it.
         """
+        check_threads(threads)
         robots = as_poses(poses)
         k = finder.n_beams
         cells = np.empty((*robots.shape[:-1], k, 2), np.int32)
@@ -169,6 +172,7 @@ class RayCaster:
         InvalidInputError
             If the origins are not finite (..., 3) or max_range is not positive and finite.
         """
+        check_threads(threads)
         rays = as_poses(origins, "origins")
         ranges: FloatArray = np.empty(rays.shape[:-1])
         rows, results = pose_rows(rays), ranges.reshape(-1)
@@ -182,6 +186,7 @@ class RayCaster:
 
     def cast_hits(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> IntArray:
         """Return which cell each single ray hits: (..., 2) row and column, -1 for none; parameters as for `cast`."""
+        check_threads(threads)
         rays = as_poses(origins, "origins")
         cells = np.empty((*rays.shape[:-1], 2), np.int32)
         rows, results = pose_rows(rays), cells.reshape(-1, 2)

@@ -17,6 +17,7 @@ from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_surfaces import Fan, measured_fans
 from beamfield.sensors import Scan
+from beamfield.thread_count import check_threads
 
 # Nearer than this many sigma to a surface, a point is taken to be on it.
 HIT_SIGMAS = 3.0
@@ -234,6 +235,7 @@ class ScanField:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
+        check_threads(threads)
         where = as_poses(poses)
         flat = np.ascontiguousarray(where.reshape(-1, 3))
         points, out = hit_points(z.ranges, z.finder), np.empty(len(flat))

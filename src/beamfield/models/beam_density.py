@@ -24,6 +24,7 @@ from beamfield.kernels.beam import (
 from beamfield.kernels.threads import run_in_slices
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits, counted_from, expected_from
+from beamfield.thread_count import check_threads
 
 CAUSES = ("hit", "short", "max", "rand")
 """The four causes of a reading (6.3.1), in the order of every axis of length 4."""
@@ -258,6 +259,7 @@ def _fill(
     per_beam: tuple[int, ...],
 ) -> FloatArray:
     """Run a kernel over all beams; `per_beam` is the shape of its result for one."""
+    check_threads(threads)
     view = as_view(parameters, max_range, min_range)
     measured, expected = broadcast_beams(ranges, expected_ranges)
     flat_measured = counted_from(min_range, np.ascontiguousarray(measured).reshape(-1))

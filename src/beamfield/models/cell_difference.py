@@ -13,6 +13,7 @@ from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, overlap_sums, value_table
+from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,7 @@ class CellDifferenceModel:
     _table: NDArray[np.float32] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if not 0.0 < self.sigma < np.inf:
             raise InvalidInputError(f"sigma: expected a positive, finite number, got {self.sigma}")
         check_min_overlap(self.min_overlap)

@@ -17,6 +17,7 @@ from beamfield.geometry import FloatArray, as_poses, compose, invert
 from beamfield.kernels.correspondence import fill_sums
 from beamfield.kernels.threads import run_in_slices
 from beamfield.models.assignment import assign_exclusively
+from beamfield.thread_count import check_threads
 
 Correspondence = Literal["known", "nearest", "sum", "assignment"]
 # Values per pose, feature and thing in memory at a time: 8 MB.
@@ -128,6 +129,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
     """Has fill_known and fill_candidates, with the parameters of those in `kernels.landmark`."""
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if self.correspondence not in ("known", "nearest", "sum", "assignment"):
             raise InvalidInputError(
                 f"correspondence: expected 'known', 'nearest', 'sum' or 'assignment', got {self.correspondence!r}"

@@ -14,6 +14,7 @@ from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, poses_in_cells
+from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,7 @@ class HistogramMatchingModel:
     _table: NDArray[np.uint8] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         check_min_overlap(self.min_overlap)
         table = np.full((self.grid.shape[0] + 2, self.grid.shape[1] + 2), 2, np.uint8)
         table[1:-1, 1:-1][self.grid.probability < 0.5] = 0

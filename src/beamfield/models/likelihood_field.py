@@ -18,6 +18,7 @@ from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.sensors import RangeFinder, Scan
+from beamfield.thread_count import check_threads
 
 # A hit further than this many sigma from its obstacle is lost in any z_rand; without z_rand, only beyond the second
 # number does its density underflow to 0.
@@ -142,6 +143,7 @@ class LikelihoodFieldModel:
     _lock: threading.Lock = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
         if self.n_beams is not None and self.n_beams < 1:

@@ -21,6 +21,7 @@ from beamfield.models.local_map_cells import (
     overlap_sums,
     value_table,
 )
+from beamfield.thread_count import check_threads
 
 # Variances below this are 0: values are in [0, 1], and rounding leaves 1e-16 of them.
 NO_VARIANCE = 1e-12
@@ -110,6 +111,7 @@ class MapMatchingModel:
     _table: NDArray[np.float32] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         check_min_overlap(self.min_overlap)
         grid = self.grid if self.smoothing is None else smooth_map(self.grid, self.smoothing)
         object.__setattr__(self, "_table", value_table(grid))

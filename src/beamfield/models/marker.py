@@ -16,6 +16,7 @@ from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.markers import MarkerId, MarkerMap, as_ids
 from beamfield.models.ceiling_camera import CeilingCamera
 from beamfield.models.heading_density import HeadingDensity
+from beamfield.thread_count import check_threads
 
 __all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel", "image_of_corners"]
 
@@ -173,6 +174,7 @@ class MarkerModel:
     threads: int | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if not 0.0 < self.sigma_pixel < np.inf:
             raise InvalidInputError(
                 f"sigma_pixel: expected a positive, finite number of pixels, got {self.sigma_pixel}"

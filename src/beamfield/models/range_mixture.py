@@ -17,6 +17,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.blind_zone import counted_from, expected_from
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
+from beamfield.thread_count import check_threads
 
 # Rays in memory at a time: 8 MB of expected ranges, whatever the number of poses.
 RAYS_PER_CHUNK = 1_000_000
@@ -51,6 +52,7 @@ class RangeMixtureModel(ABC):
         """Return where expected ranges come from, built from the fields."""
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
         if self.n_beams is not None and self.n_beams < 1:

@@ -19,6 +19,7 @@ from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, T
 from beamfield.simulation.dependence import Dependence, dependent_uniforms
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from beamfield.simulation.trajectory import DriveOptions, drive_through
+from beamfield.thread_count import check_threads
 
 Progress = Callable[[int, int], None]
 
@@ -106,6 +107,7 @@ def simulate_log(
     >>> len(log), log.finder.n_beams
     (50, 16)
     """
+    check_threads(threads)
     stamps = scan_stamps(duration, scan_rate, start)
     drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
     if not grid.occupied.any():

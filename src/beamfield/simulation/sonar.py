@@ -16,6 +16,7 @@ from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
 from beamfield.simulation.surfaces import Surfaces, surfaces_of_grid
+from beamfield.thread_count import check_threads
 
 Progress = Callable[[int, int], None]
 
@@ -259,6 +260,7 @@ def simulate_sonar(
     >>> readings.ranges.tolist()
     [[4.0, 2.5, 2.0, 1.5]]
     """
+    check_threads(threads)
     robots = as_poses(poses)
     if robots.ndim != 2:
         raise InvalidInputError(f"poses: expected shape (t, 3), got {robots.shape}")

@@ -11,6 +11,7 @@ from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from beamfield.simulation.sonar import Progress, SonarPhysics, SonarReadings, simulate_sonar
 from beamfield.simulation.surfaces import surfaces_of_grid
 from beamfield.simulation.trajectory import DriveOptions, drive_through
+from beamfield.thread_count import check_threads
 
 
 def simulate_sonar_log(
@@ -74,6 +75,7 @@ def simulate_sonar_log(
     >>> log.only_sensor().ranges.shape
     (20, 8)
     """
+    check_threads(threads)
     stamps = scan_stamps(duration, scan_rate, start)
     drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
     surfaces = surfaces_of_grid(grid, smoothing=smoothing)

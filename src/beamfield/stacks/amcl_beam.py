@@ -20,6 +20,7 @@ from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.stack_map import MapMode
 from beamfield.stacks.stack_rays import AMCL_LINE, RayChoice, bresenham_ranges, check_rays, exact_ranges, walled
+from beamfield.thread_count import check_threads
 
 P = TypeVar("P")
 
@@ -69,6 +70,7 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
     _caster: RayCaster | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         check_rays(self.rays)
         check_no_return(self.no_return)
         seen = amcl_grid(self.grid, self.map_mode)

@@ -18,6 +18,7 @@ from beamfield.stacks.emulator import FieldEvidence, FieldModel
 from beamfield.stacks.field_table import AMCL_FIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.stack_map import MapMode
+from beamfield.thread_count import check_threads
 
 P = TypeVar("P")
 
@@ -56,6 +57,7 @@ class AmclField(FieldModel[P], Generic[P]):
     _table: FieldTable = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         seen = amcl_grid(self.grid, self.map_mode)
         max_distance = self.as_nav2(self.parameters).laser_likelihood_max_dist
         object.__setattr__(self, "_table", field_table(seen, seen.occupied, self.distance, AMCL_FIRE, max_distance))

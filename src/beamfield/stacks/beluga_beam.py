@@ -19,6 +19,7 @@ from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.field_table import end_points
 from beamfield.stacks.stack_map import MapMode
 from beamfield.stacks.stack_rays import BELUGA_LINE, RayChoice, bresenham_ranges, check_rays, exact_ranges
+from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
     _caster: RayCaster | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         check_rays(self.rays)
         check_no_return(self.no_return)
         seen = beluga_grid(self.grid, self.map_mode)

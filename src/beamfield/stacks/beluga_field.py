@@ -17,6 +17,7 @@ from beamfield.stacks.beluga_scan import SCAN_SETTINGS, beluga_beams, beluga_gri
 from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
 from beamfield.stacks.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.stack_map import MapMode
+from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,7 @@ class BelugaField(FieldModel[BelugaParameters]):
     _table: FieldTable = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         check_no_return(self.no_return)
         seen = beluga_grid(self.grid, self.map_mode)
         only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries

@@ -17,6 +17,7 @@ from beamfield.sensors import Scan
 from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.f1tenth_parameters import F1tenthParameters
 from beamfield.stacks.stack_rays import exact_ranges
+from beamfield.thread_count import check_threads
 
 # Cells of which the message says more than 10 (percent) stop rays; unknown ones do not.
 OCCUPIED_FROM = 0.105
@@ -69,6 +70,7 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
     _caster: RayCaster = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if self.map_mode not in ("trinary", "raw"):
             raise InvalidInputError(f"map_mode: expected 'trinary' or 'raw', got {self.map_mode!r}")
         stops = self.grid.occupied

@@ -18,6 +18,7 @@ from beamfield.stacks.field_table import FieldTable, end_points
 from beamfield.stacks.mrpt_parameters import MrptFieldParameters
 from beamfield.stacks.mrpt_scan import LEAST_SPACING, mrpt_grid, scan_points
 from beamfield.stacks.stack_map import MapMode
+from beamfield.thread_count import check_threads
 
 Precision = Literal["double", "single"]
 
@@ -73,6 +74,7 @@ class MrptField(FieldModel[MrptFieldParameters]):
     _table: FieldTable = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if self.precision not in ("double", "single"):
             raise InvalidInputError(f"precision: expected 'double' or 'single', got {self.precision!r}")
         if not 0.0 <= self.least_spacing < np.inf:

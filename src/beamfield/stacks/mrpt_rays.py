@@ -21,6 +21,7 @@ from beamfield.stacks.mrpt_parameters import MrptRayParameters
 from beamfield.stacks.mrpt_scan import mrpt_grid, valid_readings
 from beamfield.stacks.stack_map import MapMode
 from beamfield.stacks.stack_rays import WORK_PER_RAY
+from beamfield.thread_count import check_threads
 
 MrptRayChoice = Literal["marching", "exact"]
 # Rays take steps of so many cells, in numbers of so many parts of a cell; there are max_range / resolution of them, so
@@ -68,6 +69,7 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
     _casters: tuple[RayCaster, RayCaster] | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_threads(self.threads)
         if self.rays not in ("marching", "exact"):
             raise InvalidInputError(f"rays: expected 'marching' or 'exact', got {self.rays!r}")
         seen = mrpt_grid(self.grid, self.map_mode)

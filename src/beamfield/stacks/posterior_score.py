@@ -14,6 +14,7 @@ from beamfield.kernels.posterior import judge_posteriors
 from beamfield.stacks.emulator import StackModel
 from beamfield.stacks.window_evidence import LANES, WindowEvidence
 from beamfield.stacks.windows import Rivals, WindowOptions
+from beamfield.thread_count import check_threads
 
 LEVEL = 0.95
 # Nats that a window can lose at most.
@@ -79,6 +80,7 @@ def score_windows(
     threads
         Number of threads; None uses what pays.
     """
+    check_threads(threads)
     scores = []
     for first in range(0, len(candidates), LANES):
         chunk = candidates[first : first + LANES]

@@ -100,3 +100,17 @@ def test_bad_poses_are_named():
         as_poses([1.0, 2.0])
     with pytest.raises(InvalidInputError, match=r"start: expected finite numbers, got nan at index \(1, 2\)"):
         as_poses([[0.0, 0.0, 0.0], [0.0, 0.0, np.nan]], "start")
+
+
+@pytest.mark.parametrize("n", [3, 5000], ids=["few", "many"])
+def test_poses_are_finite_numbers_however_many_and_large(n):
+    huge = np.full((n, 3), 1e308)
+    assert as_poses(huge) is huge
+    for value in (np.nan, np.inf, -np.inf):
+        bad = np.ones((n, 3))
+        bad[1, 2] = value
+        with pytest.raises(InvalidInputError, match=rf"got {value} at index \(1, 2\)"):
+            as_poses(bad)
+    bad[0, 0] = np.inf  # beside -inf: their sum is NaN
+    with pytest.raises(InvalidInputError, match=r"got inf at index \(0, 0\)"):
+        as_poses(bad)

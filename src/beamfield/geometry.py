@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.errors import InvalidInputError
 
 FloatArray = NDArray[np.float64]
+# OpenBLAS computes dot products of up to 10,000 numbers without further threads.
+BLAS_ALONE = 9_000
 
 
 def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
@@ -31,13 +33,22 @@ def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
     array = np.asarray(poses, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InvalidInputError(f"{name}: expected shape (..., 3), got {array.shape}")
-    # The sum of squares is finite only if every number is (and twice as fast to get); it may overflow, so look again.
-    if not math.isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
+    if not math.isfinite(_sum_of_something(array)) and not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0]
         raise InvalidInputError(
             f"{name}: expected finite numbers, got {array[tuple(where)]} at index {tuple(where.tolist())}"
         )
     return array
+
+
+def _sum_of_something(array: FloatArray) -> float:
+    """Return a number that is finite only if all numbers are, quicker than asking each; it may overflow."""
+    if array.size <= BLAS_ALONE:
+        return float(np.vdot(array, array))
+    # BLAS would give so many to threads of its own, which then spin for milliseconds on the processor that the kernels'
+    # second thread needs: two threads took as long as one.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.add.reduce(array, axis=None))
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:

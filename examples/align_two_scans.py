@@ -15,7 +15,8 @@ import numpy as np
 from beamfield.geometry import between, transform_points
 from beamfield.io.read_log import read_log
 from beamfield.localization.alignment import align
-from beamfield.maps.scan_field import ScanField, end_points
+from beamfield.maps.end_points import hit_points
+from beamfield.maps.scan_field import ScanField
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
@@ -57,7 +58,7 @@ def main(path: str | None = None, first: int = 50, second: int = 52, picture: st
         values, origin="lower", extent=(x[0], x[-1], y[0], y[-1]), cmap="gray", vmax=1.0 - np.log(shown.max_range)
     )
     for pose, colour, name in ((start, "tab:orange", "start"), (result.pose, "tab:red", "aligned")):
-        points = transform_points(pose, end_points(scan))
+        points = transform_points(pose, hit_points(scan.ranges, scan.finder))
         axes.plot(points[:, 0], points[:, 1], ".", color=colour, markersize=3, label=name)
     axes.plot(0.0, 0.0, "o", color="tab:blue", label="robot")
     axes.set(xlabel="x in metres", ylabel="y in metres")

@@ -17,14 +17,14 @@ from beamfield.sensors import RangeFinder
 from beamfield.stacks.likelihood_values import from_likelihood
 
 # Below so many sigma a maximum distance would cut into the hits.
-SHORTEST_REACH = 2.5
+SHORTEST_REACH = 2.6
 # Numbers of beams that are tried, few first.
 BEAM_COUNTS = (4, 6, 9, 13, 20, 30, 60, 120)
 # Where the search looks first: metres, pixels, multiples of sigma, log odds.
 SIGMAS = (0.03, 0.05, 0.08, 0.13, 0.2, 0.32)
 WIDE_SIGMAS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 PIXELS = (0.5, 1.0, 2.0, 4.0, 8.0)
-REACHES = (2.5, 5.0, 10.0)
+REACHES = (SHORTEST_REACH, 5.0, 10.0)
 LOG_ODDS = (-3.0, -1.0, 1.0, 3.0, 5.0, 7.0)
 SQUASHES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 # No log is long enough to show that random readings are rarer than one in a hundred: what it lacks a robot will meet.

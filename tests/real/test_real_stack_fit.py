@@ -56,6 +56,7 @@ def test_values_of_one_log_serve_another_of_the_same_building(data: Path, wean_h
         model = build_model("nav2", "likelihood_field_prob", wean_hall, parameters)
         scores += score_windows(model, gather_evidence(model, log, windows), [parameters], rivals, OPTIONS)
     default, calibrated = scores
-    assert default.coverage < 0.85
-    assert calibrated.coverage >= 0.85
+    # Another log of the same building loses a little: 0.88 with more windows and rivals.
+    assert default.coverage < 0.7
+    assert calibrated.coverage >= 0.8
     assert net_score(calibrated) > net_score(default) + 0.5

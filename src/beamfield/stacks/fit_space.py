@@ -16,8 +16,8 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder
 from beamfield.stacks.likelihood_values import from_likelihood
 
-# Below so many sigma a maximum distance would cut into the hits.
-SHORTEST_REACH = 2.6
+# Below 2.5 sigma a maximum distance would cut into the hits; the rest is for rounding when values are written.
+SHORTEST_REACH = 2.501
 # Numbers of beams that are tried, few first.
 BEAM_COUNTS = (4, 6, 9, 13, 20, 30, 60, 120)
 # Where the search looks first: metres, pixels, multiples of sigma, log odds.

@@ -108,7 +108,11 @@ def fit_for_stack(
     from beamfield.stacks.windows import WindowOptions
 
     stack = arguments.stack
-    models = MODELS[stack] if file is None and arguments.model is None else (arguments.model or file.model,)  # type: ignore[union-attr]
+    models = MODELS[stack]
+    if file is not None:  # read with the model asked for, if any
+        models = (file.model,)
+    elif arguments.model is not None:
+        models = (arguments.model,)
     plain = next((form.result.parameters for form in result.candidates if form.name == "chapter"), None)
     fits = []
     for model in models:

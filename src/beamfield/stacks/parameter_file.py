@@ -157,7 +157,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path
         As the file system says; the file is then as it was.
     """
     path = section.path
-    check_writable(path)
+    _refuse_read_only(path)
     before = path.read_bytes()
     mark = b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") and not section.text.startswith("\ufeff") else b""
     if before != mark + section.text.encode():
@@ -193,10 +193,10 @@ def check_patch_target(file: StackFile) -> None:
         raise InvalidInputError(
             f"{file.section.path}: expected a file of {file.stack}, this is one of {' or '.join(file.possible)}"
         )
-    check_writable(file.section.path)
+    _refuse_read_only(file.section.path)
 
 
-def check_writable(path: Path) -> None:
+def _refuse_read_only(path: Path) -> None:
     """Raise PermissionError if a file is read-only.
 
     Renaming a new file over it would work, but whoever made it read-only meant it.

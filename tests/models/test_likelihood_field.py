@@ -300,6 +300,18 @@ def test_many_ranges_of_no_return_do_not_pile_up_tables(room, rng):
     assert len(model._tables) <= 4
 
 
+@pytest.mark.parametrize("threads", [2, None])
+def test_poses_with_gaps_in_memory_score_alike_with_several_threads(room, rng, threads):
+    scan, poses = random_scan(rng), poses_in(room, rng, 12_000)
+    expected = model_of(room, threads=1).log_likelihood(scan, poses)
+    model = model_of(room, threads=threads)
+    assert (model.log_likelihood(scan, poses[::3]) == expected[::3]).all()
+    assert (model.log_likelihood(scan, np.asfortranarray(poses)) == expected).all()
+    assert (model.log_likelihood(scan, np.ascontiguousarray(poses[::-1])[::-1]) == expected).all()
+    few = model_of(room, threads=threads, n_beams=7)
+    assert (few.log_likelihood(scan, poses) == model_of(room, threads=1, n_beams=7).log_likelihood(scan, poses)).all()
+
+
 def test_threads_that_need_a_table_at_once_share_it(room, rng):
     scan, poses = random_scan(rng), poses_in(room, rng)
     expected = model_of(room).log_likelihood(scan, poses)
@@ -314,7 +326,7 @@ def test_memory_of_a_table_is_as_stated(room, rng):
     model, scan = model_of(room), random_scan(rng)
     before = len(pickle.dumps(model))
     model.log_likelihood(scan, np.zeros(3))
-    assert model._tables[MAX_RANGE].codes.nbytes == model.table_bytes
+    assert model._tables.table(MAX_RANGE).codes.nbytes == model.table_bytes
     assert len(pickle.dumps(model)) == before
 
 

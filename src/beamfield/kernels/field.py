@@ -9,12 +9,16 @@ all that lies off it, so that limits replace branches.
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
+from numba.np.numpy_support import carray
 from numpy.typing import NDArray
 
+from beamfield.kernels.atomic import pointer
 from beamfield.kernels.jit import fast_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -33,6 +37,8 @@ IMPOSSIBLE = -1
 BLOCK = 512
 # Beams whose codes are added in one go: fewer loads and stores of the sums.
 GROUP = 4
+# Words that describe a job for several threads.
+JOB_WORDS = 10
 # Positions are limited to this many cells: far off any table, and far from the limits of single precision.
 FAR_OFF = 1e9
 
@@ -266,12 +272,50 @@ def fill_range_sums(poses: Floats, packed: Floats, ranges: Floats, mounts: Float
     All in one kernel, and few arguments: for 2000 poses handing over takes a tenth of the time otherwise.
     """
     frame = FrameView(packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6])
+    singles = np.empty((2, ranges.size), np.float32)
+    n = fill_single_ends(ranges, mounts, shortest, longest, frame.cells_per_metre, singles)
+    fill_scan_sums(poses, frame, singles[:, :n], codes, packed[7], packed[8], out)
+
+
+@kernel
+def fill_single_ends(ranges: Floats, mounts: Floats, shortest: float, longest: float, cells_per_metre: float,
+                     out: Singles) -> int:  # fmt: skip
+    """Fill out (2, n <= k) as `fill_end_points` does, in single precision; return n."""
     ends, beams = np.empty((2, ranges.size)), np.empty(ranges.size, np.int64)
-    n = fill_end_points(ranges, mounts, shortest, longest, frame.cells_per_metre, beams, ends)
-    singles = np.empty((2, n), np.float32)
+    n = fill_end_points(ranges, mounts, shortest, longest, cells_per_metre, beams, ends)
     for j in range(n):
-        singles[0, j], singles[1, j] = np.float32(ends[0, j]), np.float32(ends[1, j])
-    fill_scan_sums(poses, frame, singles, codes, packed[7], packed[8], out)
+        out[0, j], out[1, j] = np.float32(ends[0, j]), np.float32(ends[1, j])
+    return n
+
+
+@kernel
+def write_range_sums_job(poses: Floats, packed: Floats, ranges: Floats, mounts: Floats, shortest: float, longest: float,
+                         codes: Codes, out: Floats, job: NDArray[np.int64]) -> None:  # fmt: skip
+    """Fill job (JOB_WORDS + k,) with the arguments of `range_sums_job`, the end points behind the addresses."""
+    singles = job[JOB_WORDS:].view(np.float32).reshape(2, ranges.size)
+    n = fill_single_ends(ranges, mounts, shortest, longest, packed[5], singles)
+    job[0], job[1], job[2] = poses.ctypes.data, poses.shape[0], packed.ctypes.data
+    job[3], job[4], job[5] = singles.ctypes.data, singles.shape[1], n
+    job[6], job[7], job[8], job[9] = codes.ctypes.data, codes.shape[0], codes.shape[1], out.ctypes.data
+
+
+def _range_sums_job(job: Any, start: int, stop: int) -> None:
+    """Do `fill_range_sums` for the poses [start, stop) of a job, for `beamfield.kernels.crew`."""
+    words = carray(job, (JOB_WORDS,))
+    poses = carray(pointer(words[0]), (words[1], 3), np.float64)
+    packed = carray(pointer(words[2]), (9,), np.float64)
+    singles = carray(pointer(words[3]), (2, words[4]), np.float32)
+    codes = carray(pointer(words[6]), (words[7], words[8]), np.int32)
+    out = carray(pointer(words[9]), (words[1],), np.float64)
+    frame = FrameView(packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6])
+    fill_scan_sums(poses[start:stop], frame, singles[:, : words[5]], codes, packed[7], packed[8], out[start:stop])
+
+
+@functools.cache
+def range_sums_job() -> int:
+    """Return the address of the compiled function that does `fill_range_sums` for a part of a job's poses."""
+    compiled: Any = numba.cfunc("void(CPointer(int64), int64, int64)", cache=True)(_range_sums_job)
+    return int(compiled.address)
 
 
 @kernel

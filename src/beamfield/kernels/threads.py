@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from itertools import pairwise
+
+from beamfield.kernels.processors import keep_off, n_processors, processor_in_use
 
 # Below this many units of work (rays, beams) handing a slice to another thread costs more than it saves.
 MIN_WORK_PER_THREAD = 12_000
@@ -33,16 +33,14 @@ def run_in_slices(work: Work, n_rows: int, *, threads: int | None = None, work_p
     work_per_row
         Units of work in a row, to decide whether threads pay.
     """
-    if threads is None:
-        threads = min(_n_processors(), 1 + n_rows * work_per_row // MIN_WORK_PER_THREAD)
-    threads = min(threads, n_rows)
-    helpers = _borrow(threads - 1) if threads > 1 else []
+    threads = threads_that_pay(n_rows, threads=threads, work_per_row=work_per_row)
+    helpers = _borrow(threads - 1)
     if not helpers:
         work(0, n_rows)
         return
     parts = len(helpers) + 1
     own, *others = pairwise(n_rows * i // parts for i in range(parts + 1))
-    here = _current_processor()
+    here = processor_in_use()
     for helper, (start, stop) in zip(helpers, others, strict=True):
         helper.keep_off(here)
         helper.begin(work, start, stop)
@@ -55,6 +53,15 @@ def run_in_slices(work: Work, n_rows: int, *, threads: int | None = None, work_p
     for error in errors:
         if error is not None:
             raise error
+
+
+def threads_that_pay(
+    n_rows: int, *, threads: int | None, work_per_row: int, work_per_thread: int = MIN_WORK_PER_THREAD
+) -> int:
+    """Return the number of threads for so many rows, at least 1: `run_in_slices` says what the arguments mean."""
+    if threads is None:
+        threads = min(n_processors(), 1 + n_rows * work_per_row // work_per_thread)
+    return max(1, min(threads, n_rows))
 
 
 class _Helper(threading.Thread):
@@ -89,18 +96,8 @@ class _Helper(threading.Thread):
             self._done.release()
 
     def keep_off(self, processor: int) -> None:
-        """Keep the thread off the processor that the calling thread runs on.
-
-        Linux likes to wake a thread where its waker runs, and on machines whose processors share no cache it does so
-        even if others are idle: both slices then share one processor, and two threads take as long as one.
-        """
-        if processor < 0 or processor == self._kept_off or self.native_id is None:
-            return
-        others = os.sched_getaffinity(0) - {processor}
-        if others:
-            # A processor that has been taken away meanwhile is no reason to fail.
-            with suppress(OSError):
-                os.sched_setaffinity(self.native_id, others)
+        """Keep the thread off the processor that the calling thread runs on."""
+        if processor != self._kept_off and keep_off(self.native_id, processor):
             self._kept_off = processor
 
     def begin(self, work: Work, start: int, stop: int) -> None:
@@ -132,30 +129,11 @@ def _borrow(n: int) -> list[_Helper]:
         except IndexError:
             pass
         with _start_lock:
-            if _n_started >= max(1, _n_processors() - 1):
+            if _n_started >= max(1, n_processors() - 1):
                 break
             _n_started += 1
         helpers.append(_Helper())
     return helpers
-
-
-def _current_processor_lookup() -> Callable[[], int]:
-    """Return a function that gives the number of the processor it is called on; -1 where that is not known."""
-    if hasattr(os, "sched_setaffinity"):
-        try:
-            lookup = ctypes.CDLL(None).sched_getcpu
-        except (OSError, AttributeError):
-            return lambda: -1
-        lookup.argtypes, lookup.restype = [], ctypes.c_int
-        return lookup
-    return lambda: -1
-
-
-_current_processor = _current_processor_lookup()
-
-
-def _n_processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _forget_threads() -> None:

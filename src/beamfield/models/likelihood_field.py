@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -12,24 +11,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
+from beamfield.kernels import crew
 from beamfield.kernels import field as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_slices, threads_that_pay
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.field_tables import FieldTables
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.thread_count import check_threads
 
 # A hit further than this many sigma from its obstacle is lost in any z_rand; without z_rand, only beyond the second
 # number does its density underflow to 0.
 HIT_SIGMAS, HIT_SIGMAS_WITHOUT_RAND = 8.0, 38.6
-# From the distance on where a hit's share of a beam's value is this, the share is left out.
-NEGLIGIBLE_HIT = 1e-11
 MAX_TABLE_CELLS = 2**32 - 1
-# Tables are kept for so many different ranges of "no return".
-MAX_TABLES = 4
 # A look-up costs a small part of what `run_in_slices` takes as a unit of work.
 BEAMS_PER_WORK_UNIT = 16
+# Below this many look-ups of the quickest kind, even a thread that is awake comes too late.
+BEAMS_PER_THREAD = 80_000
 
 
 class BeamProfile(NamedTuple):
@@ -41,15 +40,6 @@ class BeamProfile(NamedTuple):
     """(n,) p_hit, a density over the range (6.33); all 0 if it stays below double precision all along the axis."""
     density: FloatArray
     """(n,) z_hit p_hit + z_rand p_rand (6.34), without the point mass of "no return"."""
-
-
-class _Table(NamedTuple):
-    codes: NDArray[np.int32]
-    low: float
-    step: float
-    has_impossible: bool
-    packed: FloatArray
-    """The frame of the table, low and step, (9,): as `fill_range_sums` takes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +127,7 @@ class LikelihoodFieldModel:
     exponent: float = field(default=1.0, kw_only=True)
     n_beams: int | None = field(default=None, kw_only=True)
     threads: int | None = field(default=None, kw_only=True)
-    _uniform: NDArray[np.bool_] = field(init=False, repr=False)
-    _frames: tuple[kernels.FrameView, kernels.FrameView] = field(init=False, repr=False)
-    _tables: dict[float, _Table] = field(init=False, repr=False)
-    _lock: threading.Lock = field(init=False, repr=False)
+    _tables: FieldTables = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
@@ -154,7 +141,7 @@ class LikelihoodFieldModel:
         rows, cols = self.distances.distance.shape
         if (rows + 2) * (cols + 2) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"distances: expected fewer than 2^32 cells, got {rows} x {cols}")
-        self._make_caches()
+        self._make_tables()
 
     @classmethod
     def from_grid(
@@ -234,7 +221,9 @@ class LikelihoodFieldModel:
         """
         robot = as_poses(poses)
         total: FloatArray = np.empty(robot.shape[:-1])
-        self._run(self._sums(z), robot, total.reshape(-1), z.finder.n_beams)
+        flat, out = robot.reshape(-1, 3), total.reshape(-1)
+        if self.threads == 1 or not self._sum_together(z, flat, out):
+            self._run(self._sums(z), flat, out, z.finder.n_beams)
         return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
 
     def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
@@ -283,10 +272,10 @@ class LikelihoodFieldModel:
         _, ends = self._end_points(z)
         gradient: FloatArray = np.zeros(robot.shape)
         if ends.size and gradient.size:
-            frame, view, distance, far = self._smooth_arguments(z.finder.max_range)
+            frame, view, distance, far = self._tables.smooth_arguments(z.finder.max_range)
 
             def work(flat: FloatArray, out: FloatArray) -> None:
-                kernels.fill_smooth_gradient(flat, frame, ends, distance, far, self._uniform, view, out)
+                kernels.fill_smooth_gradient(flat, frame, ends, distance, far, self._tables.uniform, view, out)
 
             self._run(work, robot, gradient.reshape(-1, 3), ends.shape[1])
         return self.exponent * gradient
@@ -357,7 +346,7 @@ class LikelihoodFieldModel:
     def _distances(self, ends: FloatArray, poses: FloatArray) -> FloatArray:
         """Return the distances (n, k) at end points (2, k), in cells, for poses (n, 3)."""
         values: FloatArray = np.empty((len(poses), ends.shape[1]))
-        frame, far = self._frame(0), self.distances.max_distance
+        frame, far = self._tables.frame, self.distances.max_distance
         kernels.fill_distances(
             poses, frame, ends, self.distances.distance, far, self.interpolation == "bilinear", values
         )
@@ -367,19 +356,19 @@ class LikelihoodFieldModel:
         """Return the function (poses (n, 3), out (n,)) that adds up the beams."""
         finder = scan.finder
         if self.interpolation == "nearest":
-            table = self._table(finder.max_range)
+            table = self._tables.table(finder.max_range)
             if not table.has_impossible:
                 ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
                 return lambda flat, out: kernels.fill_range_sums(
                     flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out
                 )
-            singles, border = self._end_points(scan)[1].astype(np.float32), self._frame(1)
+            singles, border = self._end_points(scan)[1].astype(np.float32), self._tables.framed
             return lambda flat, out: kernels.fill_careful_sums(
                 flat, border, singles, table.codes, table.low, table.step, out
             )
         _, ends = self._end_points(scan)
-        frame, view, distance, far = self._smooth_arguments(finder.max_range)
-        uniform, log_uniform = self._uniform, -math.log(finder.max_range)
+        frame, view, distance, far = self._tables.smooth_arguments(finder.max_range)
+        uniform, log_uniform = self._tables.uniform, -math.log(finder.max_range)
         return lambda flat, out: kernels.fill_smooth_sums(
             flat, frame, ends, distance, far, uniform, log_uniform, view, out
         )
@@ -394,12 +383,12 @@ class LikelihoodFieldModel:
     def _values(self, max_range: float, ends: FloatArray) -> Any:
         """Return the function (poses (n, 3), out (n, k)) that fills in each beam."""
         if self.interpolation == "bilinear":
-            frame, view, distance, far = self._smooth_arguments(max_range)
-            uniform, log_uniform = self._uniform, -math.log(max_range)
+            frame, view, distance, far = self._tables.smooth_arguments(max_range)
+            uniform, log_uniform = self._tables.uniform, -math.log(max_range)
             return lambda flat, out: kernels.fill_smooth_values(
                 flat, frame, ends, distance, far, uniform, log_uniform, view, out
             )
-        table, frame, singles = self._table(max_range), self._frame(1), ends.astype(np.float32)
+        table, frame, singles = self._tables.table(max_range), self._tables.framed, ends.astype(np.float32)
         return lambda flat, out: kernels.fill_beam_values(flat, frame, singles, table.codes, table.low, table.step, out)
 
     def _run(self, work: Any, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
@@ -411,87 +400,45 @@ class LikelihoodFieldModel:
             lambda a, b: work(flat[a:b], out[a:b]),
             len(flat),
             threads=self.threads,
-            work_per_row=1 + n_ends // BEAMS_PER_WORK_UNIT,
+            work_per_row=_work_per_pose(n_ends),
         )
 
-    def _smooth_arguments(self, max_range: float) -> tuple[kernels.FrameView, kernels.FieldView, Any, float]:
-        return self._frame(0), self._view(max_range), self.distances.distance, self.distances.max_distance
-
-    def _frame(self, border: int) -> kernels.FrameView:
-        """Return how the map frame becomes positions in a table with a border of 0 or 1 cells around the field."""
-        return self._frames[border]
-
-    def _make_frame(self, border: int) -> kernels.FrameView:
-        grid = self.distances.grid
-        x, y, yaw = grid.origin.tolist()
-        offset = float(self.distances.margin_cells + border)
-        return kernels.FrameView(x, y, math.cos(yaw), math.sin(yaw), yaw, 1.0 / grid.resolution, offset)
-
-    def _view(self, max_range: float) -> kernels.FieldView:
-        p = self.parameters
-        rand = p.z_rand / max_range
-        log_rand, reach = -math.inf, math.inf
-        if rand > 0.0:
-            log_rand = math.log(rand)
-            ratio = p.z_hit * kernels.INV_SQRT_2PI / p.sigma_hit / (rand * NEGLIGIBLE_HIT)
-            reach = p.sigma_hit * math.sqrt(2.0 * math.log(ratio)) if ratio > 1.0 else 0.0
-        return kernels.FieldView(p.z_hit, p.sigma_hit, rand, log_rand, reach)
-
-    def _table(self, max_range: float) -> _Table:
-        """Return the table for scans with this limit, made at the first call."""
-        table = self._tables.get(max_range)
-        if table is None:
-            with self._lock:
-                table = self._tables.get(max_range)
-                if table is None:
-                    table = self._make_table(max_range)
-                    while len(self._tables) >= MAX_TABLES:
-                        del self._tables[next(iter(self._tables))]
-                    self._tables[max_range] = table
-        return table
-
-    def _make_table(self, max_range: float) -> _Table:
-        view, log_uniform = self._view(max_range), -math.log(max_range)
-        distance, uniform = self.distances.distance, self._uniform
-        peak = kernels.log_value(0.0, view)
-        ends = [peak, log_uniform if uniform.size else peak]
-        ends.append(view.log_rand if view.rand > 0.0 else peak + kernels.SMALLEST_EXPONENT)
-        low, high = min(ends), max(ends)
-        step = (high - low) / kernels.LARGEST_CODE or 1.0
-        rows, cols = distance.shape
-        resolution = self.distances.grid.resolution
-        off = log_uniform if uniform.size else kernels.log_value(self.distances.max_distance, view)
-        codes = np.full((rows + 2, cols + 2), kernels.encode(off, low, step), np.int32)
-        inner = codes[1:-1, 1:-1]
-        run_in_slices(
-            lambda a, b: kernels.fill_codes(distance[a:b], resolution, view, low, step, inner[a:b]),
-            rows,
-            threads=self.threads,
-            work_per_row=cols,
+    def _sum_together(self, scan: Scan, flat: FloatArray, out: FloatArray) -> bool:
+        """Do `_sums` with threads that wait awake, if that is possible and pays; return whether it was done."""
+        finder = scan.finder
+        threads = threads_that_pay(
+            len(flat), threads=self.threads, work_per_row=finder.n_beams, work_per_thread=BEAMS_PER_THREAD
         )
-        if uniform.size:
-            inner[uniform] = kernels.encode(log_uniform, low, step)
-        packed = np.array([*self._frame(1), low, step])
-        return _Table(codes, low, step, view.rand == 0.0 and bool(codes.min() < 0), packed)
+        if threads == 1 or self.interpolation != "nearest" or not crew.is_possible():
+            return False
+        table = self._tables.table(finder.max_range)
+        if table.has_impossible:
+            return False
+        # Addresses know nothing of gaps between rows.
+        flat = np.ascontiguousarray(flat)
+        job = np.empty(kernels.JOB_WORDS + finder.n_beams, np.int64)
+        ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
+        kernels.write_range_sums_job(
+            flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out, job
+        )
+        rows = min(kernels.BLOCK, -(-len(flat) // threads))
+        return crew.run_together(kernels.range_sums_job(), job, len(flat), rows, threads=threads)
 
-    def _make_caches(self) -> None:
-        uniform = np.empty((0, 0), np.bool_)
-        if self.unknown == "uniform":
-            uniform = np.pad(self.distances.grid.unknown, self.distances.margin_cells, constant_values=True)
-        object.__setattr__(self, "_uniform", uniform)
-        object.__setattr__(self, "_frames", (self._make_frame(0), self._make_frame(1)))
-        object.__setattr__(self, "_tables", {})
-        object.__setattr__(self, "_lock", threading.Lock())
+    def _make_tables(self) -> None:
+        tables = FieldTables(
+            self.distances, self.parameters, unknown_is_uniform=self.unknown == "uniform", threads=self.threads
+        )
+        object.__setattr__(self, "_tables", tables)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out tables and lock: they are quick to make again."""
-        return {
-            name: value
-            for name, value in self.__dict__.items()
-            if name not in ("_uniform", "_frames", "_tables", "_lock")
-        }
+        """Leave out the tables: they are quick to make again."""
+        return {name: value for name, value in self.__dict__.items() if name != "_tables"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
             object.__setattr__(self, name, value)
-        self._make_caches()
+        self._make_tables()
+
+
+def _work_per_pose(n_ends: int) -> int:
+    return 1 + n_ends // BEAMS_PER_WORK_UNIT

@@ -33,8 +33,8 @@ def count_rows():
 def counted(n_rows, block, threads, amount=1):
     rows = np.zeros(n_rows, np.int64)
     job = np.array([rows.ctypes.data, n_rows, amount], np.int64)
-    done = crew.run_together(count_rows(), job, n_rows, block, threads=threads)
-    return done, rows
+    crew.run_together(count_rows(), job, n_rows, block, threads=threads)
+    return rows
 
 
 @pytest.fixture
@@ -49,9 +49,7 @@ def processors(monkeypatch):
 @pytest.mark.usefixtures("processors")
 def test_every_row_is_worked_on_once(n_rows, block, threads):
     for _ in range(20):
-        done, rows = counted(n_rows, block, threads)
-        assert done
-        assert (rows == 1).all()
+        assert (counted(n_rows, block, threads) == 1).all()
 
 
 @pytest.mark.usefixtures("processors")
@@ -59,21 +57,18 @@ def test_thousands_of_jobs_follow_each_other_without_mixing():
     rng = np.random.default_rng(3)
     for amount in range(1, 5000):
         n_rows, block, threads = rng.integers(1, 60), rng.integers(1, 9), rng.integers(1, 5)
-        _, rows = counted(int(n_rows), int(block), int(threads), amount)
-        assert (rows == amount).all()
+        assert (counted(int(n_rows), int(block), int(threads), amount) == amount).all()
 
 
 def test_more_rows_than_blocks_can_be_numbered_become_larger_blocks():
-    _, rows = counted(crew.BLOCKS + 10, 1, 2)
-    assert (rows == 1).all()
+    assert (counted(crew.BLOCKS + 10, 1, 2) == 1).all()
 
 
 @pytest.mark.usefixtures("processors")
-def test_one_caller_at_a_time_and_the_others_are_told():
+def test_callers_at_once_do_not_mix_their_jobs():
     with ThreadPoolExecutor(4) as pool:
-        for done, rows in pool.map(lambda _: counted(2000, 10, 3), range(500)):
-            assert (rows == int(done)).all()
-    assert counted(10, 1, 3)[0]
+        for amount, rows in enumerate(pool.map(lambda amount: counted(2000, 10, 3, amount), range(500))):
+            assert (rows == amount).all()
 
 
 @pytest.mark.usefixtures("processors")
@@ -85,9 +80,7 @@ def test_threads_sleep_when_nothing_comes_and_wake_again():
     while not all(helper.asleep for helper in board._helpers):
         assert time.monotonic() < deadline
         time.sleep(0.001)
-    done, rows = counted(1000, 1, 4)
-    assert done
-    assert (rows == 1).all()
+    assert (counted(1000, 1, 4) == 1).all()
 
 
 @pytest.mark.usefixtures("processors")
@@ -114,9 +107,7 @@ def test_others_do_share_the_work():
 def test_on_one_processor_the_caller_works_alone(monkeypatch):
     monkeypatch.setattr(crew, "n_processors", lambda: 1)
     monkeypatch.setattr(crew, "_board", crew._Board())
-    done, rows = counted(100, 3, 8)
-    assert done
-    assert (rows == 1).all()
+    assert (counted(100, 3, 8) == 1).all()
     assert crew._board._helpers == []
 
 
@@ -126,8 +117,7 @@ def test_a_forked_process_has_threads_of_its_own():
     counted(100, 1, 2)
     child = os.fork()
     if child == 0:
-        done, rows = counted(100, 1, 2)
-        os._exit(0 if done and (rows == 1).all() else 1)
+        os._exit(0 if (counted(100, 1, 2) == 1).all() else 1)
     for _ in range(300):
         pid, status = os.waitpid(child, os.WNOHANG)
         if pid:

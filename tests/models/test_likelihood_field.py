@@ -312,6 +312,30 @@ def test_poses_with_gaps_in_memory_score_alike_with_several_threads(room, rng, t
     assert (few.log_likelihood(scan, poses) == model_of(room, threads=1, n_beams=7).log_likelihood(scan, poses)).all()
 
 
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("column", [0, 1, 2])
+def test_a_pose_that_is_not_finite_is_named_whoever_meets_it(room, rng, threads, bad, column):
+    scan, poses = random_scan(rng), poses_in(room, rng, 1500)
+    model = model_of(room, threads=threads)
+    for row in (0, 700, 1499):
+        broken = poses.copy()
+        broken[row, column] = bad
+        with pytest.raises(InvalidInputError, match=rf"poses: expected finite numbers, got {bad} at index \({row}, "):
+            model.log_likelihood(scan, broken)
+    assert np.isfinite(model.log_likelihood(scan, poses)).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_finite_poses_beyond_all_maps_are_no_error(room, rng, threads):
+    scan, poses = random_scan(rng), np.zeros((1500, 3))
+    poses[::3], poses[1::3, 2] = 1e300, 1e9
+    poses[2::3, 0] = -1e15
+    got = model_of(room, threads=threads).log_likelihood(scan, poses)
+    assert np.isfinite(got).all()
+    assert got[0] == pytest.approx(scan.finder.n_beams * math.log(PARAMETERS.z_rand / MAX_RANGE), abs=1e-3)
+
+
 def test_threads_that_need_a_table_at_once_share_it(room, rng):
     scan, poses = random_scan(rng), poses_in(room, rng)
     expected = model_of(room).log_likelihood(scan, poses)

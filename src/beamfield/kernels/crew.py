@@ -31,7 +31,7 @@ BLOCKS = 2**20
 LOOKS = 5_000
 
 
-def run_together(function: int, arguments: Words, n_rows: int, rows: int, *, threads: int) -> bool:
+def run_together(function: int, arguments: Words, n_rows: int, rows: int, *, threads: int) -> None:
     """Call a compiled function over blocks of [0, n_rows), with the help of threads that wait awake.
 
     Parameters
@@ -46,19 +46,19 @@ def run_together(function: int, arguments: Words, n_rows: int, rows: int, *, thr
     threads
         Number of threads, the caller among them.
 
-    Returns
-    -------
-    Whether that was done. False, and nothing done, while another caller's job is being done.
+    Notes
+    -----
+    While another caller's job is being done, the caller works alone, so that nobody waits.
     """
     board = _board
     if not board.taken.acquire(False):
-        return False
+        work_alone(function, arguments, n_rows)
+        return
     try:
         board.wake(threads - 1)
         lead(board.words, function, arguments, n_rows, rows, threads - 1)
     finally:
         board.taken.release()
-    return True
 
 
 def is_possible() -> bool:
@@ -142,6 +142,12 @@ def lead(board: Words, function: int, arguments: Words, n_rows: int, rows: int, 
         pause()
     # Closed: the words may change from here on.
     store(board, TICKET, load(board, TICKET) // BLOCKS * BLOCKS + BLOCKS - 1)
+
+
+@kernel
+def work_alone(function: int, arguments: Words, n_rows: int) -> None:
+    """Do a job without announcing it."""
+    call(function, arguments.ctypes.data, 0, n_rows)
 
 
 @kernel

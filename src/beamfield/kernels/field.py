@@ -37,8 +37,8 @@ IMPOSSIBLE = -1
 BLOCK = 512
 # Beams whose codes are added in one go: fewer loads and stores of the sums.
 GROUP = 4
-# Words that describe a job for several threads.
-JOB_WORDS = 10
+# Words that describe a job for several threads; the last tells whether all poses were finite.
+JOB_WORDS, ALL_FINITE = 11, 10
 # Positions are limited to this many cells: far off any table, and far from the limits of single precision.
 FAR_OFF = 1e9
 
@@ -190,27 +190,43 @@ def fill_codes(distance: Singles, resolution: float, view: FieldView, low: float
 
 
 @kernel
-def place(poses: Floats, frame: FrameView, x: Singles, y: Singles, c: Singles, s: Singles) -> None:
-    """Fill x, y, c, s (n,) with position in the table and direction of poses (n, 3), in single precision."""
+def place(poses: Floats, frame: FrameView, x: Singles, y: Singles, c: Singles, s: Singles) -> bool:
+    """Fill x, y, c, s (n,) with position in the table and direction of poses (n, 3), in single precision.
+
+    Return whether all poses are finite; those that are not are placed far off.
+    """
     # Copied first: only loops over arrays without gaps are vectorised.
     n = x.size
     px, py, heading = np.empty(n), np.empty(n), np.empty(n)
-    large = 0
+    # Comparisons are written so that they are False for NaN.
+    usual = 0
     for i in range(n):
         px[i], py[i], heading[i] = poses[i, 0] - frame.x, poses[i, 1] - frame.y, poses[i, 2] - frame.yaw
-        large += 1 if abs(heading[i]) >= LARGE_HEADING else 0
+        usual += 1 if abs(heading[i]) < LARGE_HEADING else 0
     for i in range(n):
         u = (px[i] * frame.cos + py[i] * frame.sin) * frame.cells_per_metre + frame.offset
         v = (py[i] * frame.cos - px[i] * frame.sin) * frame.cells_per_metre + frame.offset
-        # Written so that NaN, from positions beyond all numbers, is far off as well.
+        usual += 1 if abs(u) < FAR_OFF else 0
+        usual += 1 if abs(v) < FAR_OFF else 0
         x[i] = np.float32(u if abs(u) < FAR_OFF else FAR_OFF)
         y[i] = np.float32(v if abs(v) < FAR_OFF else FAR_OFF)
     for i in range(n):
         sine, cosine = sin_cos(heading[i])
         s[i], c[i] = np.float32(sine), np.float32(cosine)
-    if large > 0:
-        for i in range(n):
+    return usual == 3 * n or place_unusual(poses, heading, x, y, c, s)
+
+
+@kernel
+def place_unusual(poses: Floats, heading: Floats, x: Singles, y: Singles, c: Singles, s: Singles) -> bool:
+    """Do as `place` for the directions of large headings and for poses that are not finite."""
+    all_finite = True
+    for i in range(x.size):
+        if math.isfinite(poses[i, 0]) and math.isfinite(poses[i, 1]) and math.isfinite(heading[i]):
             s[i], c[i] = np.float32(math.sin(heading[i])), np.float32(math.cos(heading[i]))
+        else:
+            all_finite = False
+            x[i], y[i], s[i], c[i] = FAR_OFF, FAR_OFF, 0.0, 1.0
+    return all_finite
 
 
 @fast_kernel
@@ -235,10 +251,11 @@ def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: float, acr
 
 @kernel
 def fill_scan_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes, low: float, step: float, out: Floats
-                   ) -> None:  # fmt: skip
+                   ) -> bool:  # fmt: skip
     """Fill out (n,) with the sum over beams of the table's values, for end points (2, k) in the robot frame, in cells.
 
-    The codes are added as integers: exactly, whatever the order. No code may be IMPOSSIBLE.
+    The codes are added as integers: exactly, whatever the order. No code may be IMPOSSIBLE. Return whether all poses
+    are finite; the sums of others mean nothing.
     """
     x, y = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     c, s = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
@@ -246,10 +263,10 @@ def fill_scan_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes,
     cells, total = np.zeros((GROUP, BLOCK), np.uint32), np.empty(BLOCK, np.int64)
     pairs = cells.view(np.uint64)
     flat, limits, k = codes.ravel(), codes.shape, ends.shape[1]
-    grouped = k - k % GROUP
+    grouped, all_finite = k - k % GROUP, True
     for start in range(0, poses.shape[0], BLOCK):
         n = min(BLOCK, poses.shape[0] - start)
-        place(poses[start : start + n], frame, x[:n], y[:n], c[:n], s[:n])
+        all_finite &= place(poses[start : start + n], frame, x[:n], y[:n], c[:n], s[:n])
         total[:] = 0
         for j in range(0, grouped, GROUP):
             for g in range(GROUP):
@@ -262,11 +279,12 @@ def fill_scan_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes,
                 total[i] += np.int64(flat[cells[0, i]])
         for i in range(n):
             out[start + i] = k * low + step * total[i]
+    return all_finite
 
 
 @kernel
 def fill_range_sums(poses: Floats, packed: Floats, ranges: Floats, mounts: Floats, shortest: float, longest: float,
-                    codes: Codes, out: Floats) -> None:  # fmt: skip
+                    codes: Codes, out: Floats) -> bool:  # fmt: skip
     """Do as `fill_scan_sums` for ranges (k,) and mounts (k, 3); frame, low and step come in one array (9,).
 
     All in one kernel, and few arguments: for 2000 poses handing over takes a tenth of the time otherwise.
@@ -274,7 +292,7 @@ def fill_range_sums(poses: Floats, packed: Floats, ranges: Floats, mounts: Float
     frame = FrameView(packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6])
     singles = np.empty((2, ranges.size), np.float32)
     n = fill_single_ends(ranges, mounts, shortest, longest, frame.cells_per_metre, singles)
-    fill_scan_sums(poses, frame, singles[:, :n], codes, packed[7], packed[8], out)
+    return fill_scan_sums(poses, frame, singles[:, :n], codes, packed[7], packed[8], out)
 
 
 @kernel
@@ -297,6 +315,7 @@ def write_range_sums_job(poses: Floats, packed: Floats, ranges: Floats, mounts: 
     job[0], job[1], job[2] = poses.ctypes.data, poses.shape[0], packed.ctypes.data
     job[3], job[4], job[5] = singles.ctypes.data, singles.shape[1], n
     job[6], job[7], job[8], job[9] = codes.ctypes.data, codes.shape[0], codes.shape[1], out.ctypes.data
+    job[ALL_FINITE] = 1
 
 
 def _range_sums_job(job: Any, start: int, stop: int) -> None:
@@ -308,7 +327,9 @@ def _range_sums_job(job: Any, start: int, stop: int) -> None:
     codes = carray(pointer(words[6]), (words[7], words[8]), np.int32)
     out = carray(pointer(words[9]), (words[1],), np.float64)
     frame = FrameView(packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6])
-    fill_scan_sums(poses[start:stop], frame, singles[:, : words[5]], codes, packed[7], packed[8], out[start:stop])
+    ends = singles[:, : words[5]]
+    if not fill_scan_sums(poses[start:stop], frame, ends, codes, packed[7], packed[8], out[start:stop]):
+        words[ALL_FINITE] = 0
 
 
 @functools.cache

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses
 from beamfield.kernels import crew
 from beamfield.kernels import field as kernels
 from beamfield.kernels.threads import run_in_slices, threads_that_pay
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
-from beamfield.models.field_tables import FieldTables
+from beamfield.models.field_tables import FieldTables, Table
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.thread_count import check_threads
 
@@ -219,11 +219,14 @@ class LikelihoodFieldModel:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
+        if self.interpolation == "nearest":
+            table = self._tables.table(z.finder.max_range)
+            if not table.has_impossible:
+                total = self._table_sums(z, table, poses)
+                return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
         robot = as_poses(poses)
-        total: FloatArray = np.empty(robot.shape[:-1])
-        flat, out = robot.reshape(-1, 3), total.reshape(-1)
-        if self.threads == 1 or not self._sum_together(z, flat, out):
-            self._run(self._sums(z), flat, out, z.finder.n_beams)
+        total = np.empty(robot.shape[:-1])
+        self._run(self._sums(z), robot.reshape(-1, 3), total.reshape(-1), z.finder.n_beams)
         return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
 
     def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
@@ -352,21 +355,42 @@ class LikelihoodFieldModel:
         )
         return values
 
+    def _table_sums(self, scan: Scan, table: Table, poses: ArrayLike) -> FloatArray:
+        """Return the sums over beams by a table without impossible cells: few steps, as short calls take 50 us."""
+        robot = as_unchecked_poses(poses)
+        # Kernels on other threads get addresses, which know nothing of gaps between rows.
+        flat = np.ascontiguousarray(robot.reshape(-1, 3))
+        n, finder = len(flat), scan.finder
+        out = np.empty(n)
+        ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
+        threads = threads_that_pay(
+            n, threads=self.threads, work_per_row=finder.n_beams, work_per_thread=BEAMS_PER_THREAD
+        )
+        if threads == 1 or not crew.is_possible():
+            all_finite = kernels.fill_range_sums(
+                flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out
+            )
+        else:
+            job = np.empty(kernels.JOB_WORDS + finder.n_beams, np.int64)
+            kernels.write_range_sums_job(
+                flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out, job
+            )
+            rows = min(kernels.BLOCK, -(-n // threads))
+            crew.run_together(kernels.range_sums_job(), job, n, rows, threads=threads)
+            all_finite = job[kernels.ALL_FINITE]
+        if not all_finite:
+            as_poses(robot)  # says which
+        return out.reshape(robot.shape[:-1])
+
     def _sums(self, scan: Scan) -> Any:
-        """Return the function (poses (n, 3), out (n,)) that adds up the beams."""
+        """Return the function (poses (n, 3), out (n,)) that adds up the beams, but where `_table_sums` does."""
         finder = scan.finder
+        _, ends = self._end_points(scan)
         if self.interpolation == "nearest":
-            table = self._tables.table(finder.max_range)
-            if not table.has_impossible:
-                ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
-                return lambda flat, out: kernels.fill_range_sums(
-                    flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out
-                )
-            singles, border = self._end_points(scan)[1].astype(np.float32), self._tables.framed
+            table, border, singles = self._tables.table(finder.max_range), self._tables.framed, ends.astype(np.float32)
             return lambda flat, out: kernels.fill_careful_sums(
                 flat, border, singles, table.codes, table.low, table.step, out
             )
-        _, ends = self._end_points(scan)
         frame, view, distance, far = self._tables.smooth_arguments(finder.max_range)
         uniform, log_uniform = self._tables.uniform, -math.log(finder.max_range)
         return lambda flat, out: kernels.fill_smooth_sums(
@@ -402,27 +426,6 @@ class LikelihoodFieldModel:
             threads=self.threads,
             work_per_row=_work_per_pose(n_ends),
         )
-
-    def _sum_together(self, scan: Scan, flat: FloatArray, out: FloatArray) -> bool:
-        """Do `_sums` with threads that wait awake, if that is possible and pays; return whether it was done."""
-        finder = scan.finder
-        threads = threads_that_pay(
-            len(flat), threads=self.threads, work_per_row=finder.n_beams, work_per_thread=BEAMS_PER_THREAD
-        )
-        if threads == 1 or self.interpolation != "nearest" or not crew.is_possible():
-            return False
-        table = self._tables.table(finder.max_range)
-        if table.has_impossible:
-            return False
-        # Addresses know nothing of gaps between rows.
-        flat = np.ascontiguousarray(flat)
-        job = np.empty(kernels.JOB_WORDS + finder.n_beams, np.int64)
-        ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
-        kernels.write_range_sums_job(
-            flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out, job
-        )
-        rows = min(kernels.BLOCK, -(-len(flat) // threads))
-        return crew.run_together(kernels.range_sums_job(), job, len(flat), rows, threads=threads)
 
     def _make_tables(self) -> None:
         tables = FieldTables(

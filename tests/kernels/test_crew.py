@@ -27,13 +27,13 @@ def _count_rows(job, start, stop):
 
 @functools.cache
 def count_rows():
-    return int(numba.cfunc("void(CPointer(int64), int64, int64)")(_count_rows).address)
+    return numba.cfunc("void(CPointer(int64), int64, int64)")(_count_rows)
 
 
 def counted(n_rows, block, threads, amount=1):
     rows = np.zeros(n_rows, np.int64)
     job = np.array([rows.ctypes.data, n_rows, amount], np.int64)
-    crew.run_together(count_rows(), job, n_rows, block, threads=threads)
+    crew.run_together(count_rows().address, job, n_rows, block, threads=threads)
     return rows
 
 
@@ -95,10 +95,10 @@ def test_others_do_share_the_work():
                 break
         add(inside, 0, -1)
 
-    address = int(numba.cfunc("void(CPointer(int64), int64, int64)")(meet).address)
+    compiled = numba.cfunc("void(CPointer(int64), int64, int64)")(meet)
     inside = np.zeros(2, np.int64)
     for _ in range(100):
-        crew.run_together(address, np.array([inside.ctypes.data, 10**7], np.int64), 2, 1, threads=2)
+        crew.run_together(compiled.address, np.array([inside.ctypes.data, 10**7], np.int64), 2, 1, threads=2)
         if inside[1]:
             return
     pytest.fail("no two threads were ever at work at once")

@@ -333,10 +333,12 @@ def _range_sums_job(job: Any, start: int, stop: int) -> None:
 
 
 @functools.cache
-def range_sums_job() -> int:
-    """Return the address of the compiled function that does `fill_range_sums` for a part of a job's poses."""
-    compiled: Any = numba.cfunc("void(CPointer(int64), int64, int64)", cache=True)(_range_sums_job)
-    return int(compiled.address)
+def range_sums_job() -> Any:
+    """Return the compiled function, with its address, that does `fill_range_sums` for a part of a job's poses.
+
+    Kept, because whoever holds the address alone does not keep the code.
+    """
+    return numba.cfunc("void(CPointer(int64), int64, int64)", cache=True)(_range_sums_job)
 
 
 @kernel

@@ -376,7 +376,7 @@ class LikelihoodFieldModel:
                 flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out, job
             )
             rows = min(kernels.BLOCK, -(-n // threads))
-            crew.run_together(kernels.range_sums_job(), job, n, rows, threads=threads)
+            crew.run_together(kernels.range_sums_job().address, job, n, rows, threads=threads)
             all_finite = job[kernels.ALL_FINITE]
         if not all_finite:
             as_poses(robot)  # says which

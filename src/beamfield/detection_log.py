@@ -32,6 +32,13 @@ class DetectionLog:
     ------
     InvalidInputError
         If numbers of rows differ, a pose is partly NaN or infinite, or a stamp falls or is not finite.
+
+    Examples
+    --------
+    >>> seen = Detections([2.1], [0.3], ids=[7])
+    >>> log = DetectionLog([[0.0, 0.0, 0.0]], (seen,))
+    >>> len(log), log.n_detections
+    (1, 1)
     """
 
     poses: FloatArray
@@ -76,7 +83,17 @@ class DetectionLog:
         return sum(len(seen) for seen in self.detections)
 
     def subset(self, observations: ArrayLike) -> DetectionLog:
-        """Return only the given observations (indices or mask), in the log's order."""
+        """Return only the given observations, in the log's order.
+
+        Parameters
+        ----------
+        observations
+            Indices, or a mask (t,).
+
+        Returns
+        -------
+        The log with the same notes.
+        """
         chosen = np.sort(np.arange(len(self))[np.asarray(observations)])
         return replace(
             self,
@@ -99,6 +116,10 @@ def group_detections(
         (t,) seconds, one per observation; those without a feature get an empty one.
     ranges, bearings, ids
         (n,) as in `Detections`.
+
+    Returns
+    -------
+    t observations.
 
     Raises
     ------

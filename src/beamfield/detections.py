@@ -39,6 +39,14 @@ class Detections:
     ------
     InvalidInputError
         If shapes differ, a value is infinite, a vector is partly NaN, or an id is below `UNKNOWN`.
+
+    Examples
+    --------
+    Two features, one seen by its bearing alone:
+
+    >>> seen = Detections([2.1, np.nan], [0.3, -1.2], ids=[7, UNKNOWN])
+    >>> len(seen), seen.subset([0]).ids.tolist()
+    (2, [7])
     """
 
     ranges: FloatArray
@@ -65,7 +73,17 @@ class Detections:
         return len(self.ranges)
 
     def subset(self, features: ArrayLike) -> Detections:
-        """Return only the given features (indices or mask)."""
+        """Return only the given features, in the given order.
+
+        Parameters
+        ----------
+        features
+            Indices, or a mask (k,).
+
+        Returns
+        -------
+        The detections with the same stamp.
+        """
         # An empty list would become an array of floats, which selects nothing.
         chosen = np.arange(len(self))[np.asarray(features, dtype=None if np.size(features) else np.int64)]
         return replace(
@@ -101,6 +119,19 @@ class Detections:
 def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
     """Return n ids as read-only integers, or say what is wrong with them.
 
+    Parameters
+    ----------
+    ids
+        (n,) whole numbers.
+    n
+        How many there must be.
+    lowest
+        The lowest that is allowed.
+
+    Returns
+    -------
+    (n,) a copy.
+
     Raises
     ------
     InvalidInputError
@@ -121,6 +152,17 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
 def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
     """Return the ids of a map's n things as read-only integers; None numbers them from 1.
 
+    Parameters
+    ----------
+    ids
+        (n,) whole numbers, or None.
+    n
+        How many things the map has.
+
+    Returns
+    -------
+    (n,) a copy, in the order given.
+
     Raises
     ------
     InvalidInputError
@@ -134,7 +176,18 @@ def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
 
 
 def indices_of_ids(map_ids: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int64]:
-    """Return where in a map each id (k,) is.
+    """Return where in a map each id is.
+
+    Parameters
+    ----------
+    map_ids
+        (N,) each id once, N >= 1.
+    ids
+        Whole numbers, of any shape.
+
+    Returns
+    -------
+    Indices in [0, N), of the shape of `ids`.
 
     Raises
     ------
@@ -154,10 +207,21 @@ def indices_of_ids(map_ids: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int
 def finite_copy(values: ArrayLike, name: str) -> FloatArray:
     """Return numbers as a read-only copy that nobody else can change.
 
+    Parameters
+    ----------
+    values
+        Of any shape.
+    name
+        How to call them in the error.
+
+    Returns
+    -------
+    Doubles of the same shape.
+
     Raises
     ------
     InvalidInputError
-        If one is not finite; it is named.
+        If one is not finite; it is named with its index.
     """
     array = np.array(values, dtype=np.float64)
     if not np.isfinite(array).all():

@@ -25,10 +25,22 @@ def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
     name
         How to call them in the error.
 
+    Returns
+    -------
+    (..., 3) the numbers given, unchanged: headings are not wrapped. No copy of an array of doubles.
+
     Raises
     ------
     InvalidInputError
         If the last axis is not 3 long or a value is not finite.
+
+    Examples
+    --------
+    >>> as_poses([[0, 1, 0.5]]).shape
+    (1, 3)
+    >>> as_poses([0.0, np.nan, 0.0])
+    Traceback (most recent call last):
+    beamfield.errors.InvalidInputError: poses: expected finite numbers, got nan at index (1,)
     """
     array = as_unchecked_poses(poses, name)
     if not math.isfinite(_sum_of_something(array)) and not np.isfinite(array).all():
@@ -40,7 +52,13 @@ def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
 
 
 def as_unchecked_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
-    """Do as `as_poses` where a kernel tells whether the numbers are finite: looking twice takes 3 us for 2000 poses."""
+    """Do as `as_poses` where a kernel tells whether the numbers are finite: looking twice takes 3 us for 2000 poses.
+
+    Raises
+    ------
+    InvalidInputError
+        If the last axis is not 3 long.
+    """
     array = np.asarray(poses, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InvalidInputError(f"{name}: expected shape (..., 3), got {array.shape}")
@@ -60,6 +78,15 @@ def _sum_of_something(array: FloatArray) -> float:
 def wrap_angle(angle: ArrayLike) -> FloatArray:
     """Return the angle in (-pi, pi].
 
+    Parameters
+    ----------
+    angle
+        Radians, of any shape.
+
+    Returns
+    -------
+    Radians, of the same shape; NaN where the angle is NaN or infinite.
+
     Examples
     --------
     >>> float(wrap_angle(-np.pi)) == np.pi
@@ -77,6 +104,10 @@ def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> FloatArray:
     ----------
     a_from_b, b_from_c
         (..., 3) poses, metres and radians.
+
+    Returns
+    -------
+    (..., 3) poses, the heading in (-pi, pi]; NaN where an argument is.
 
     Examples
     --------
@@ -96,7 +127,23 @@ def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> FloatArray:
 
 
 def invert(a_from_b: ArrayLike) -> FloatArray:
-    """Return b_from_a, the inverse of each pose; shape (..., 3)."""
+    """Return b_from_a, the inverse of each pose.
+
+    Parameters
+    ----------
+    a_from_b
+        (..., 3) poses, metres and radians.
+
+    Returns
+    -------
+    (..., 3) poses, the heading in (-pi, pi]; NaN where the argument is.
+
+    Examples
+    --------
+    >>> a_from_b = [1.0, 2.0, np.pi / 2]
+    >>> compose(a_from_b, invert(a_from_b)).round(12).tolist()
+    [0.0, 0.0, 0.0]
+    """
     a = np.asarray(a_from_b, dtype=np.float64)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(
@@ -106,12 +153,44 @@ def invert(a_from_b: ArrayLike) -> FloatArray:
 
 
 def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
-    """Return the pose of b seen from a, both given in one frame; shape (..., 3)."""
+    """Return the pose of b seen from a.
+
+    Parameters
+    ----------
+    a, b
+        (..., 3) poses in one frame, metres and radians; they broadcast.
+
+    Returns
+    -------
+    (..., 3) a_from_b, the heading in (-pi, pi]; NaN where an argument is.
+
+    Examples
+    --------
+    >>> between([1.0, 1.0, np.pi / 2], [1.0, 3.0, np.pi / 2]).round(12).tolist()
+    [2.0, 0.0, 0.0]
+    """
     return compose(invert(a), b)
 
 
 def transform_points(a_from_b: ArrayLike, points: ArrayLike) -> FloatArray:
-    """Return points (..., 2) of frame b in frame a; the arguments broadcast."""
+    """Return points of frame b in frame a; the arguments broadcast.
+
+    Parameters
+    ----------
+    a_from_b
+        (..., 3) poses, metres and radians.
+    points
+        (..., 2) metres, in frame b.
+
+    Returns
+    -------
+    (..., 2) metres, in frame a; NaN where an argument is.
+
+    Examples
+    --------
+    >>> transform_points([1.0, 0.0, np.pi / 2], [2.0, 0.0]).round(12).tolist()
+    [1.0, 2.0]
+    """
     a, p = np.asarray(a_from_b, dtype=np.float64), np.asarray(points, dtype=np.float64)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(
@@ -160,6 +239,16 @@ def interpolate_poses(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike, *, max
 
 
 def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> FloatArray:
-    """Return the heading (rotation about z, radians) of quaternions, scalar part last."""
+    """Return the heading of quaternions: what their rotation turns about z.
+
+    Parameters
+    ----------
+    x, y, z, w
+        Of one shape, w the scalar part. They need not have length 1; all zeros give 0.
+
+    Returns
+    -------
+    Radians in [-pi, pi], of that shape.
+    """
     x, y, z, w = (np.asarray(v, dtype=np.float64) for v in (x, y, z, w))
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

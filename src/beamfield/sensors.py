@@ -36,7 +36,17 @@ class RangeFinder:
     Raises
     ------
     InvalidInputError
-        If the mounts are not finite (k, 3) or the limits are not 0 <= min_range < max_range < inf.
+        If the mounts are not finite (k, 3), the limits are not 0 <= min_range < max_range < inf, or the opening angle
+        is not in [0, pi).
+
+    Examples
+    --------
+    A laser 0.25 m before the robot's centre, with 181 beams over a half circle:
+
+    >>> bearings = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    >>> laser = RangeFinder.from_bearings(bearings, max_range=12.0, mount=(0.25, 0.0, 0.0))
+    >>> laser.n_beams, laser.mounts[90].tolist()
+    (181, [0.25, 0.0, 0.0])
     """
 
     mounts: FloatArray
@@ -74,6 +84,15 @@ class RangeFinder:
             (3,) the sensor's pose in the robot frame.
         **limits
             `min_range`, `opening_angle`, `name`.
+
+        Returns
+        -------
+        A finder with k beams; `bearings` are then in the robot frame, in (-pi, pi].
+
+        Raises
+        ------
+        InvalidInputError
+            If the bearings are not finite (k,), the mount is not a finite pose, or as for the class.
         """
         angles = np.asarray(bearings, dtype=np.float64)
         if angles.ndim != 1:
@@ -92,7 +111,17 @@ class RangeFinder:
         return self.mounts[:, 2]
 
     def subset(self, beams: ArrayLike) -> RangeFinder:
-        """Return the finder with only the given beams (indices, slice or mask)."""
+        """Return the finder with only the given beams, in the given order.
+
+        Parameters
+        ----------
+        beams
+            Indices, or a mask (k,).
+
+        Returns
+        -------
+        The finder with the same limits and name.
+        """
         return replace(self, mounts=self.mounts[np.asarray(beams)])
 
 
@@ -109,6 +138,18 @@ class Scan:
         The sensor; one range per beam.
     stamp
         Seconds.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is not one range per beam.
+
+    Examples
+    --------
+    >>> laser = RangeFinder.from_bearings([-0.1, 0.0, 0.1], max_range=12.0)
+    >>> scan = Scan([2.5, np.inf, np.nan], laser)  # an obstacle, no return, no measurement
+    >>> usable_ranges(scan.ranges, laser).tolist()
+    [2.5, 12.0, nan]
     """
 
     ranges: FloatArray
@@ -123,12 +164,43 @@ class Scan:
         object.__setattr__(self, "ranges", ranges)
 
     def subset(self, beams: ArrayLike) -> Scan:
-        """Return the scan with only the given beams (indices or mask)."""
+        """Return the scan with only the given beams, in the given order.
+
+        Parameters
+        ----------
+        beams
+            Indices, or a mask (k,).
+
+        Returns
+        -------
+        The scan with the same stamp, and the finder of these beams.
+        """
         chosen = np.asarray(beams)
         return Scan(self.ranges[chosen], self.finder.subset(chosen), self.stamp)
 
     def every(self, n_beams: int) -> Scan:
-        """Return about equally spaced beams, `n_beams` of them, or all if there are fewer (6.3.4)."""
+        """Return about equally spaced beams (6.3.4), whether they carry a measurement or not.
+
+        `n_beams` of a model thins beams that carry one.
+
+        Parameters
+        ----------
+        n_beams
+            How many to keep, at least 1.
+
+        Returns
+        -------
+        A scan with `n_beams` beams, or the scan itself if it has no more.
+
+        Raises
+        ------
+        InvalidInputError
+            If n_beams < 1.
+
+        References
+        ----------
+        Probabilistic Robotics, section 6.3.4.
+        """
         if n_beams < 1:
             raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
         k = self.finder.n_beams
@@ -146,6 +218,11 @@ def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
         (..., k) metres, in the conventions of `Scan`.
     finder
         The sensor.
+
+    Returns
+    -------
+    (..., k) metres: max_range where nothing came back (+inf, or z >= max_range); NaN where there is no measurement
+    (NaN, -inf, or z < min_range).
     """
     z = np.array(ranges, dtype=np.float64)
     with np.errstate(invalid="ignore"):
@@ -194,6 +271,11 @@ class SensorLog:
         (t, 3) pose of the robot in the odometry frame per scan; NaN where the log has none.
     no_return
         What was done about the sensor's "no return" values.
+
+    Raises
+    ------
+    InvalidInputError
+        If an array has another shape.
     """
 
     finder: RangeFinder
@@ -219,11 +301,36 @@ class SensorLog:
         return (self.scan(i) for i in range(len(self)))
 
     def scan(self, index: int) -> Scan:
-        """Return one scan."""
+        """Return one scan.
+
+        Parameters
+        ----------
+        index
+            Its number; negative ones count from the end.
+
+        Returns
+        -------
+        A scan with its stamp.
+
+        Raises
+        ------
+        IndexError
+            If the log has no scan of that number.
+        """
         return Scan(self.ranges[index], self.finder, float(self.stamps[index]))
 
     def select(self, scans: ArrayLike) -> SensorLog:
-        """Return the log with only the given scans (indices or mask)."""
+        """Return the log with only the given scans, in the given order.
+
+        Parameters
+        ----------
+        scans
+            Indices, or a mask (t,).
+
+        Returns
+        -------
+        The log with the same finder.
+        """
         # An empty list would become an array of floats, which selects nothing.
         chosen = np.arange(len(self))[np.asarray(scans, dtype=None if np.size(scans) else np.int64)]
         return replace(
@@ -235,7 +342,22 @@ class SensorLog:
         )
 
     def with_poses(self, poses: ArrayLike) -> SensorLog:
-        """Return the log with other reference poses, (t, 3)."""
+        """Return the log with other reference poses.
+
+        Parameters
+        ----------
+        poses
+            (t, 3) metres and radians, in the map frame; NaN where there is none.
+
+        Returns
+        -------
+        The log with everything else as it was.
+
+        Raises
+        ------
+        InvalidInputError
+            If the shape is not (t, 3).
+        """
         return replace(self, poses=np.asarray(poses, dtype=np.float64))
 
     @property
@@ -294,6 +416,15 @@ class ScanLog:
 
     def only_sensor(self, name: str | None = None) -> SensorLog:
         """Return the sensor of that name, or the only one there is.
+
+        Parameters
+        ----------
+        name
+            Topic or message name; None if the log has one sensor.
+
+        Returns
+        -------
+        The scans of that sensor.
 
         Raises
         ------

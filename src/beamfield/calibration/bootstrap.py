@@ -109,7 +109,7 @@ def bootstrap_intervals(
     seed
         For the samples.
     threads
-        Number of threads; None uses every processor. It changes no bit of the result.
+        Number of threads; None uses what pays. It changes no bit of the result.
     progress
         Called with the number of finished replicates and their total.
 

@@ -132,7 +132,7 @@ def learn_intrinsic_parameters(
     weights
         How often each beam counts, shape (n,), >= 0; None for once.
     threads
-        Number of threads; None uses every processor. It changes no bit of the result.
+        Number of threads; None uses what pays. It changes no bit of the result.
     progress
         Called with the stage (``"screening"``, ``"climbing"``) and a count.
 

@@ -69,7 +69,7 @@ class IntrinsicLikelihood:
     weights
         How often each beam counts, shape (n,); None for once.
     threads
-        Number of threads; None uses every processor.
+        Number of threads; None uses what pays.
 
     Notes
     -----

@@ -28,8 +28,8 @@ def run_in_slices(work: Work, n_rows: int, *, threads: int | None = None, work_p
     n_rows
         Number of rows.
     threads
-        Number of threads; None uses every processor that this process may use. Threads that are busy with another
-        call are not waited for: the others share the rows.
+        Number of threads; None uses as many as pay, at most one per processor that this process may use. Threads that
+        are busy with another call are not waited for: the others share the rows.
     work_per_row
         Units of work in a row, to decide whether threads pay.
     """

@@ -115,7 +115,7 @@ class GlobalSearch:
 
     The score of a pose is the mean, over the end points of the scan's hits, of the field exp(-d^2 / (2 sigma^2)) in the
     cell where the end point falls, with d the distance of the cell's centre to that of the nearest occupied cell; 0 off
-    the map. It is the hit term of a likelihood field (6.4), averaged instead of multiplied, so that one wrong reading
+    the map. It is the hit term of a likelihood field (6.33), averaged instead of multiplied, so that one wrong reading
     costs one share and a bound exists. Free space and missing returns do not count: judge the results with a full model
     where that matters.
 
@@ -135,7 +135,7 @@ class GlobalSearch:
         Step of the heading in radians; made a little smaller where all headings are searched and it does not divide
         2 pi.
     threads
-        Number of threads; None uses every processor. It changes no result.
+        Number of threads; None uses what pays. It changes no result.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Smoothing of occupancy maps with a Gaussian kernel (6.5)."""
+"""Smoothing of occupancy maps with a Gaussian kernel (section 6.5)."""
 
 from __future__ import annotations
 

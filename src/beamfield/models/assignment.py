@@ -19,7 +19,8 @@ def assign_exclusively(each: FloatArray, none: FloatArray, values: FloatArray, c
     none
         (k,) the same given no landmark.
     values, chosen
-        (n, k) results; -inf and N + 1 where there is no such correspondence.
+        (n, k) results: log values, and indices of landmarks, N for none; -inf and N + 1 for all k features of a row
+        that has no such correspondence.
     """
     k, n_landmarks = each.shape[1:]
     # Every feature has its own way of being spurious, so that they do not compete for it.

@@ -22,7 +22,24 @@ class MeasurementModel(Protocol[Z_contra]):
         ...
 
     def log_likelihood(self, z: Z_contra, poses: ArrayLike) -> FloatArray:
-        """Return log p(z | x, m) in nats for robot poses (..., 3), shape (...); -inf where impossible, never NaN."""
+        """Return log p(z | x, m) of one measurement at many poses.
+
+        Parameters
+        ----------
+        z
+            The measurement: a scan, a local map, detections.
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (...) nats, up to a constant where the model is not normalised; -inf where impossible, never NaN.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3), or the measurement is not what the model needs.
+        """
         ...
 
 
@@ -30,5 +47,17 @@ class GenerativeModel(MeasurementModel[Z], Protocol[Z]):
     """A model that can also draw measurements."""
 
     def sample(self, poses: ArrayLike, rng: np.random.Generator) -> list[Z]:
-        """Return one measurement per pose of (n, 3)."""
+        """Draw one measurement at each pose.
+
+        Parameters
+        ----------
+        poses
+            (n, 3) robot poses, metres and radians.
+        rng
+            Source of randomness; the same state gives the same measurements.
+
+        Returns
+        -------
+        n measurements.
+        """
         ...

@@ -34,12 +34,11 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class BeamModel(RangeMixtureModel):
-    """p(z | x, m) of a range scan by ray casting (6.3): the product over beams of a mixture of four causes.
+    """p(z | x, m) of a range scan by ray casting: the product over beams of a mixture of four causes.
 
     For each beam, the expected range z* comes from casting the ray in the map; the reading is a hit of that obstacle,
     an unexpected object before it, no return, or random (6.12). Beams are taken as independent given pose and map
-    (6.2).
-    It is a proper density over scans, so values can be compared between parameters and with other models.
+    (6.2). It is a proper density over scans, so values can be compared between parameters and with other models.
 
     Use it when wrong readings have physical causes that matter, for calibration, and where rays must not see through
     walls. It is not smooth in the pose: a likelihood field is the better choice for climbing hills and for scan
@@ -62,7 +61,7 @@ class BeamModel(RangeMixtureModel):
     finder
         The sensor, for `sample` and `expected`; scans bring their own.
     threads
-        Number of threads; None uses every processor. It changes no bit of any result.
+        Number of threads; None uses what pays. It changes no bit of any result.
 
     Raises
     ------
@@ -80,7 +79,7 @@ class BeamModel(RangeMixtureModel):
 
     References
     ----------
-    Probabilistic Robotics, section 6.3: (6.2), (6.4) to (6.12), Table 6.1, and 6.3.4 for exponent and n_beams.
+    Probabilistic Robotics, section 6.1, (6.2); 6.3.1, (6.4) to (6.12), Table 6.1; 6.3.4 for exponent and n_beams.
 
     Examples
     --------

@@ -34,8 +34,17 @@ class BeamParameters:
     Raises
     ------
     InvalidInputError
-        If a weight is outside [0, 1], the weights do not sum to 1, sigma_hit <= 0 or another value is negative or not
-        finite.
+        If a weight is outside [0, 1], the weights do not sum to 1 within 1e-6, sigma_hit <= 0, lambda_short or
+        sigma_slope is negative, or a value is not finite.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.3.2.
+
+    Examples
+    --------
+    >>> BeamParameters(z_hit=0.8, z_short=0.1, z_max=0.05, z_rand=0.05, sigma_hit=0.1, lambda_short=0.5).weights
+    (0.8, 0.1, 0.05, 0.05)
     """
 
     z_hit: float

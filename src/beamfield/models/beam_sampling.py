@@ -55,6 +55,12 @@ def sample_beams(
     References
     ----------
     Probabilistic Robotics, section 6.3.1: the generative reading of (6.12).
+
+    Examples
+    --------
+    >>> parameters = BeamParameters(z_hit=0.0, z_short=0.0, z_max=1.0, z_rand=0.0, sigma_hit=0.1, lambda_short=0.5)
+    >>> sample_beams([1.0, 2.0], 8.0, parameters, np.random.default_rng(0)).tolist()
+    [8.0, 8.0]
     """
     view = as_view(parameters, max_range, min_range)
     expected = np.minimum(expected_from(min_range, as_expected_ranges(expected_ranges)), view.max_range)
@@ -87,6 +93,15 @@ def beams_from_uniforms(
         Numbers in [0, 1) that choose the cause, and the range given the cause; of one shape with the expected ranges.
     expected_ranges, max_range, parameters, min_range
         As for `sample_beams`.
+
+    Returns
+    -------
+    Metres, as from `sample_beams`.
+
+    Raises
+    ------
+    InvalidInputError
+        As for `sample_beams`, or if the shapes differ.
     """
     view = as_view(parameters, max_range, min_range)
     expected = np.minimum(expected_from(min_range, as_expected_ranges(expected_ranges)), view.max_range)

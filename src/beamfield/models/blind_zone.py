@@ -17,6 +17,11 @@ from beamfield.geometry import FloatArray
 def check_limits(max_range: float, min_range: float) -> None:
     """Say which of a sensor's limits is impossible: 0 <= min_range < max_range < inf, metres.
 
+    Parameters
+    ----------
+    max_range, min_range
+        Metres.
+
     Raises
     ------
     InvalidInputError
@@ -29,16 +34,34 @@ def check_limits(max_range: float, min_range: float) -> None:
 
 
 def counted_from(min_range: float, ranges: FloatArray) -> FloatArray:
-    """Return measured ranges counted from min_range, metres; negative where nothing can be measured.
+    """Return measured ranges counted from min_range; the array itself, if there is no blind zone.
 
-    The array itself, if there is no blind zone.
+    Parameters
+    ----------
+    min_range
+        Metres.
+    ranges
+        Metres, of any shape.
+
+    Returns
+    -------
+    Metres, of that shape; negative where nothing can be measured, NaN where the range is.
     """
     return ranges if min_range == 0.0 else np.asarray(ranges - min_range)
 
 
 def expected_from(min_range: float, expected_ranges: FloatArray) -> FloatArray:
-    """Return expected ranges z* counted from min_range, metres; 0 where the obstacle is in the blind zone.
+    """Return expected ranges z* counted from min_range; the array itself, if there is no blind zone.
 
-    NaN stays NaN. The array itself, if there is no blind zone.
+    Parameters
+    ----------
+    min_range
+        Metres.
+    expected_ranges
+        Metres, of any shape.
+
+    Returns
+    -------
+    Metres, of that shape; 0 where the obstacle is in the blind zone, NaN where the range is.
     """
     return expected_ranges if min_range == 0.0 else np.asarray(np.maximum(expected_ranges - min_range, 0.0))

@@ -79,6 +79,15 @@ class CameraIntrinsics:
         ----------
         height, mount
             As for `CeilingCamera`.
+
+        Returns
+        -------
+        A camera with fx as its focal length, and the principal point and the image size of this one.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `CeilingCamera`.
         """
         principal_point = np.array(self.matrix[:2, 2])
         return CeilingCamera(
@@ -93,6 +102,10 @@ class CameraIntrinsics:
         ----------
         pixels
             (..., 2) u, v in the image as the camera delivers it.
+
+        Returns
+        -------
+        (..., 2) u, v in pixels; they may lie outside of the image.
 
         Raises
         ------

@@ -194,11 +194,41 @@ class CeilingCamera:
         return compose(map_from_camera, invert(self.mount))
 
     def map_from_camera(self, poses: ArrayLike) -> FloatArray:
-        """Return the camera's poses (..., 3) in the map for robot poses (..., 3)."""
+        """Return where the camera is in the map, and where its +u points.
+
+        Parameters
+        ----------
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (..., 3) metres and radians in (-pi, pi].
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
+        """
         return compose(as_poses(poses), self.mount)
 
     def sees(self, image: ArrayLike) -> np.ndarray:
-        """Return whether image coordinates (..., 3) lie in the image, [0, width) x [0, height); shape (...)."""
+        """Return whether image coordinates lie in the image, [0, width) x [0, height); all do if it has no bounds.
+
+        Parameters
+        ----------
+        image
+            (..., 3) u, v in pixels and theta_i in radians.
+
+        Returns
+        -------
+        (...) bool.
+
+        Raises
+        ------
+        InvalidInputError
+            If the coordinates are not finite (..., 3).
+        """
         place = as_poses(image, "image")[..., :2]
         if self.image_size is None:
             return np.ones(place.shape[:-1], dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Matching maps by the squared differences of their cells, an older relative of map matching (6.5)."""
+"""Matching maps by the squared differences of their cells, an older relative of map matching (section 6.5)."""
 
 from __future__ import annotations
 
@@ -72,12 +72,19 @@ class CellDifferenceModel:
         object.__setattr__(self, "_table", value_table(self.grid))
 
     def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
-        """Return -D / (2 sigma^2) at robot poses (..., 3), shape (...).
+        """Return -D / (2 sigma^2) at many poses.
+
+        Parameters
+        ----------
+        z
+            A scan, or a local map in the robot's frame.
+        poses
+            (..., 3) robot poses, metres and radians.
 
         Returns
         -------
-        Nats up to a constant, at most 0; -inf where fewer than `min_overlap` of the local map's cells are defined in
-        the map; 0 everywhere for a measurement without any defined cell.
+        (...) nats up to a constant, at most 0; -inf where fewer than `min_overlap` of the local map's cells are defined
+        in the map; 0 everywhere for a measurement without any defined cell.
 
         Raises
         ------

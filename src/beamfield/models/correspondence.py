@@ -47,7 +47,17 @@ class FeatureMap(Protocol):
         ...
 
     def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
-        """Return the index of the thing with each id."""
+        """Return where in the map the thing with each id is.
+
+        Parameters
+        ----------
+        ids
+            (k,) ids of the map.
+
+        Returns
+        -------
+        (k,) indices in [0, N).
+        """
         ...
 
     def __len__(self) -> int: ...
@@ -171,23 +181,43 @@ class CorrespondenceModel(ABC, Generic[Z]):
         return total
 
     def detection_log_likelihood(self, z: Z, poses: ArrayLike) -> FloatArray:
-        """Return what each feature contributes to `log_likelihood`, (..., k).
+        """Return what each feature contributes to `log_likelihood`; its sum over features is that value.
 
         Parameters
         ----------
         z, poses
             As for `log_likelihood`.
+
+        Returns
+        -------
+        (..., k) nats; -inf where nothing explains the feature or, with correspondence "assignment", there is no
+        assignment.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `log_likelihood`.
         """
         return self._evaluate(z, poses)[0]
 
     def correspondences(self, z: Z, poses: ArrayLike) -> NDArray[np.int64]:
-        """Return the id of the thing that each feature is taken for, or `SPURIOUS`, (..., k).
+        """Return the id of the thing that each feature is taken for.
 
         Parameters
         ----------
         z, poses
-            As for `log_likelihood`. With correspondence "sum" it is the most probable thing of each feature. Where
-            nothing explains a feature (a type that no landmark can show, no room for an assignment), `UNKNOWN`.
+            As for `log_likelihood`.
+
+        Returns
+        -------
+        (..., k) ids; `SPURIOUS` for nothing in the map. With correspondence "sum" it is the most probable thing of each
+        feature. Where nothing explains a feature (a type that no landmark can show, no room for an assignment),
+        `UNKNOWN`.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `log_likelihood`.
         """
         return self._evaluate(z, poses)[1]
 

@@ -1,4 +1,4 @@
-"""The intrinsic parameters of the likelihood field model (6.4)."""
+"""The intrinsic parameters of the likelihood field model (section 6.4)."""
 
 from __future__ import annotations
 
@@ -26,6 +26,16 @@ class LikelihoodFieldParameters:
     ------
     InvalidInputError
         If a weight is outside [0, 1], both are 0, their sum exceeds 1, or sigma_hit is not positive and finite.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.4.1, Table 6.3.
+
+    Examples
+    --------
+    >>> beam = BeamParameters(z_hit=0.8, z_short=0.1, z_max=0.05, z_rand=0.05, sigma_hit=0.1, lambda_short=0.5)
+    >>> LikelihoodFieldParameters.from_beam_parameters(beam)
+    LikelihoodFieldParameters(z_hit=0.8, z_rand=0.05, sigma_hit=0.1)
     """
 
     z_hit: float
@@ -50,5 +60,20 @@ class LikelihoodFieldParameters:
 
     @classmethod
     def from_beam_parameters(cls, parameters: BeamParameters) -> LikelihoodFieldParameters:
-        """Take over z_hit, z_rand and sigma_hit of a beam model."""
+        """Take over z_hit, z_rand and sigma_hit of a beam model.
+
+        Parameters
+        ----------
+        parameters
+            The weights are taken as they are: the rest to 1 stays with causes that this model does not score.
+
+        Returns
+        -------
+        Parameters of a likelihood field.
+
+        Raises
+        ------
+        InvalidInputError
+            If z_hit and z_rand are both 0.
+        """
         return cls(parameters.z_hit, parameters.z_rand, parameters.sigma_hit)

@@ -44,7 +44,17 @@ class HeadingDensity:
     n_turns: int
 
     def log(self, theta: FloatArray) -> FloatArray:
-        """Return the logarithm at angles of any shape, up to a constant."""
+        """Return the logarithm, up to a constant.
+
+        Parameters
+        ----------
+        theta
+            Radians, of any shape.
+
+        Returns
+        -------
+        Nats, of that shape.
+        """
         # cos(a) - 1 without its cancellation: kappa may be 1e17.
         value = -2.0 * abs(self.moment) * np.sin((theta - np.angle(self.moment)) / 2.0) ** 2
         for mean in self.turns:
@@ -54,7 +64,19 @@ class HeadingDensity:
         return np.asarray(value)
 
     def sample(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw n angles, radians; not wrapped."""
+        """Draw headings by rejection.
+
+        Parameters
+        ----------
+        n
+            How many.
+        rng
+            Source of randomness; the same state gives the same headings.
+
+        Returns
+        -------
+        (n,) radians, not wrapped.
+        """
         starts, width, log_height = self._histogram()
         mass = np.cumsum(np.exp(log_height - log_height.max()))
         parts: list[FloatArray] = []

@@ -1,4 +1,4 @@
-"""Matching histograms of occupancy, an older relative of map matching (6.5)."""
+"""Matching histograms of occupancy, an older relative of map matching (section 6.5)."""
 
 from __future__ import annotations
 
@@ -76,12 +76,19 @@ class HistogramMatchingModel:
         object.__setattr__(self, "_table", table.reshape(-1))
 
     def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
-        """Return the log of the common share at robot poses (..., 3), shape (...).
+        """Return the log of the common share at many poses.
+
+        Parameters
+        ----------
+        z
+            A scan, or a local map in the robot's frame.
+        poses
+            (..., 3) robot poses, metres and radians.
 
         Returns
         -------
-        Nats, at most 0; -inf where the histograms share nothing or fewer than `min_overlap` of the local map's cells
-        are defined in the map; 0 everywhere for a measurement without any defined cell.
+        (...) nats, at most 0; -inf where the histograms share nothing or fewer than `min_overlap` of the local map's
+        cells are defined in the map; 0 everywhere for a measurement without any defined cell.
 
         Raises
         ------

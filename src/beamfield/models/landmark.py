@@ -99,12 +99,21 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         return self.correspondence in ("known", "sum")
 
     def expected(self, poses: ArrayLike) -> FloatArray:
-        """Return range and bearing (6.40) without noise, biases included, of every landmark, (..., N, 2).
+        """Return range and bearing (6.40) of every landmark without noise, biases included.
 
         Parameters
         ----------
         poses
-            (..., 3) robot poses.
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (..., N, 2) metres, and radians in (-pi, pi]; the bearing of a landmark right at the sensor is the bias alone.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
         """
         sensor = compose(as_poses(poses), self.mount)[..., None, :]
         away = self.landmarks.positions - sensor[..., :2]
@@ -132,6 +141,10 @@ class LandmarkModel(CorrespondenceModel[Detections]):
             Source of randomness; the same state gives the same features.
         ids
             (k,) ids of the landmarks that are seen, any number of times; None sees every landmark once, however far.
+
+        Returns
+        -------
+        n observations for n poses; a range is negative where the noise makes it so.
 
         Raises
         ------

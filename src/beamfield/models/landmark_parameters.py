@@ -43,8 +43,20 @@ class LandmarkParameters:
     Raises
     ------
     InvalidInputError
-        If a standard deviation or the scale is not positive, the covariance is not symmetric and positive definite, a
-        row of the confusion matrix does not sum to 1 or has an entry outside [0, 1], or a value is not finite.
+        If a standard deviation, the scale or max_range is not positive and finite, spurious_rate is not in [0, 1), it
+        is positive without a max_range for a sensor that measures ranges, the covariance is not symmetric and positive
+        definite, a row of the confusion matrix does not sum to 1 or has an entry outside [0, 1], or a bias is not
+        finite.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.6.2, (6.40); 6.6.3 for c = N + 1.
+
+    Examples
+    --------
+    >>> noise = LandmarkParameters(sigma_range=0.1, sigma_bearing=0.02, spurious_rate=0.05, max_range=10.0)
+    >>> noise.range_bias
+    0.0
     """
 
     sigma_range: float | None

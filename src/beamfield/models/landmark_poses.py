@@ -87,6 +87,10 @@ def sample_poses(
     grid
         Poses outside of this map's free cells are drawn again: the prior is then uniform over free space.
 
+    Returns
+    -------
+    Poses with normalised weights; -inf is the log weight of a pose that does not explain all features.
+
     Raises
     ------
     InvalidInputError

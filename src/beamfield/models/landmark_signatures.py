@@ -16,6 +16,13 @@ NEEDED = {"number": "sigma_signature", "vector": "signature_covariance", "type":
 def check_signature_noise(landmarks: LandmarkMap, parameters: LandmarkParameters) -> None:
     """Refuse parameters that do not fit the map's signatures.
 
+    Parameters
+    ----------
+    landmarks
+        The map, with signatures or without.
+    parameters
+        The sensor's noise.
+
     Raises
     ------
     InvalidInputError
@@ -44,6 +51,21 @@ def signature_log_density(
     A feature of no landmark shows any type with the same probability. Its number or vector is normal with the mean of
     the map's signatures, and the covariance of the map's signatures plus the noise. A missing signature gives 0.
 
+    Parameters
+    ----------
+    signatures
+        (n,) numbers or types, or (n, d) vectors, NaN where none was measured; None if no feature has one.
+    n
+        Number of features.
+    landmarks
+        The map of N landmarks.
+    parameters
+        The sensor's noise, as `check_signature_noise` allows it.
+
+    Returns
+    -------
+    (n, N + 1) nats; -inf where a landmark cannot show that type.
+
     Raises
     ------
     InvalidInputError
@@ -64,7 +86,7 @@ def signature_log_density(
         result[seen] = _type_log_mass(signatures[seen], landmarks.signatures, np.asarray(parameters.confusion))
         return result
     shown, of_map = signatures[seen].reshape(int(seen.sum()), -1), landmarks.signatures.reshape(len(landmarks), -1)
-    noise = signature_noise(parameters, landmarks)
+    noise = _signature_noise(parameters, landmarks)
     mean = of_map.mean(axis=0)
     spread = (of_map - mean).T @ (of_map - mean) / len(of_map)
     result[seen, :-1] = _normal_log_density(shown[:, None] - of_map, noise)
@@ -72,7 +94,7 @@ def signature_log_density(
     return result
 
 
-def signature_noise(parameters: LandmarkParameters, landmarks: LandmarkMap) -> FloatArray:
+def _signature_noise(parameters: LandmarkParameters, landmarks: LandmarkMap) -> FloatArray:
     """Return the covariance of a number, (1, 1), or vector, (d, d)."""
     if landmarks.kind == "number":
         return np.array([[float(parameters.sigma_signature or np.nan) ** 2]])
@@ -99,7 +121,7 @@ def sample_signatures(
     if landmarks.kind == "type":
         edges = np.cumsum(np.asarray(parameters.confusion), axis=1)[:, :-1][true.astype(np.int64)]
         return np.asarray((rng.random(true.shape)[..., None] >= edges).sum(axis=-1), dtype=np.float64)
-    noise = np.linalg.cholesky(signature_noise(parameters, landmarks))
+    noise = np.linalg.cholesky(_signature_noise(parameters, landmarks))
     flat = true.reshape(-1, len(noise))
     return np.asarray((flat + rng.standard_normal(flat.shape) @ noise.T).reshape(true.shape))
 

@@ -139,12 +139,21 @@ class LineModel(CorrespondenceModel[LineDetections]):
         return self.correspondence == "known" or (self.correspondence == "sum" and self.min_overlap is None)
 
     def expected(self, poses: ArrayLike) -> FloatArray:
-        """Return rho and alpha, without noise, of every mapped line in the sensor's frame, (..., N, 2).
+        """Return rho and alpha of every mapped line in the sensor's frame, without noise.
 
         Parameters
         ----------
         poses
-            (..., 3) robot poses.
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (..., N, 2) metres >= 0, and radians in (-pi, pi].
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
         """
         sensor = compose(as_poses(poses), self.mount)[..., None, :]
         rho, alpha = self.lines.lines[:, 0], self.lines.lines[:, 1]
@@ -171,6 +180,10 @@ class LineModel(CorrespondenceModel[LineDetections]):
             (k,) ids of the mapped lines that are seen, any number of times; None sees every one once, however far.
         covariances
             (k, 2, 2) or (2, 2) that the detections bring; None leaves the parameters' noise alone.
+
+        Returns
+        -------
+        n observations for n poses, without segments.
 
         Raises
         ------

@@ -64,6 +64,13 @@ class LineDetections:
     InvalidInputError
         If shapes differ, a value is not finite, a covariance is not symmetric and positive definite, or an id is below
         `UNKNOWN`.
+
+    Examples
+    --------
+    The same wall, given with either sign of rho:
+
+    >>> LineDetections([[2.0, 0.0], [-2.0, np.pi]]).lines.round(12).tolist()
+    [[2.0, 0.0], [2.0, 0.0]]
     """
 
     lines: FloatArray
@@ -110,6 +117,15 @@ class LineDetections:
             Lines of one scan, perhaps none.
         ids, stamp
             As for the class.
+
+        Returns
+        -------
+        Detections with covariances and segments.
+
+        Raises
+        ------
+        InvalidInputError
+            As for the class.
         """
         found = list(lines)
         return cls(
@@ -124,7 +140,17 @@ class LineDetections:
         return len(self.lines)
 
     def subset(self, features: ArrayLike) -> LineDetections:
-        """Return only the given lines (indices or mask)."""
+        """Return only the given lines, in the given order.
+
+        Parameters
+        ----------
+        features
+            Indices, or a mask (k,).
+
+        Returns
+        -------
+        The detections with the same stamp.
+        """
         # An empty list would become an array of floats, which selects nothing.
         chosen = np.arange(len(self))[np.asarray(features, dtype=None if np.size(features) else np.int64)]
         return replace(

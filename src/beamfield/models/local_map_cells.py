@@ -47,7 +47,21 @@ class OverlapSums(NamedTuple):
 
 
 def local_cells(z: LocalMap, resolution: float, inverse_model: InverseSensorModel) -> LocalCells:
-    """Return the defined cells of a measurement; a scan is turned into a map of that resolution first."""
+    """Return the defined cells of a measurement; a scan is turned into a map first.
+
+    Parameters
+    ----------
+    z
+        A scan, or a local map in the robot's frame.
+    resolution
+        Metres per cell of the global map.
+    inverse_model
+        How a scan becomes a map.
+
+    Returns
+    -------
+    L cells, perhaps none; cells without a probability (NaN) are left out.
+    """
     local = scan_map(z, resolution=resolution, inverse_model=inverse_model) if isinstance(z, Scan) else z
     rows, cols = np.nonzero(~np.isnan(local.probability))
     centres = local.to_map(np.column_stack([cols, rows]) + 0.5) / resolution
@@ -55,7 +69,17 @@ def local_cells(z: LocalMap, resolution: float, inverse_model: InverseSensorMode
 
 
 def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
-    """Return ((rows + 2) * (cols + 2),) probabilities less 0.5, in a frame of undefined cells, as kernels take them."""
+    """Return a map's probabilities less 0.5, in a frame of undefined cells, as kernels take them.
+
+    Parameters
+    ----------
+    grid
+        The global map.
+
+    Returns
+    -------
+    ((rows + 2) * (cols + 2),) read-only; `kernels.correlation.UNDEFINED` where the map has no probability.
+    """
     values = np.full((grid.shape[0] + 2, grid.shape[1] + 2), kernels.UNDEFINED, np.float32)
     defined = ~np.isnan(grid.probability)
     values[1:-1, 1:-1][defined] = grid.probability[defined] - np.float32(0.5)
@@ -64,7 +88,19 @@ def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
 
 
 def poses_in_cells(grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
-    """Return (n, 4) x, y in cells and cos, sin of the heading of poses (n, 3), in the grid's frame."""
+    """Return poses in the grid's frame, in cells.
+
+    Parameters
+    ----------
+    grid
+        The global map.
+    poses
+        (n, 3) robot poses, metres and radians.
+
+    Returns
+    -------
+    (n, 4) x, y in cells, and cos and sin of the heading.
+    """
     heading = poses[:, 2] - grid.origin[2]
     return np.column_stack([grid.to_cells(poses[:, :2]), np.cos(heading), np.sin(heading)])
 
@@ -72,7 +108,25 @@ def poses_in_cells(grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
 def overlap_sums(
     grid: OccupancyGrid, table: NDArray[np.float32], cells: LocalCells, poses: FloatArray, threads: int | None
 ) -> OverlapSums:
-    """Return the sums over the cells that both maps define, at poses (n, 3)."""
+    """Return the sums over the cells that both maps define.
+
+    Parameters
+    ----------
+    grid
+        The global map.
+    table
+        Its `value_table`.
+    cells
+        The L cells of the local map.
+    poses
+        (n, 3) robot poses, metres and radians.
+    threads
+        Number of threads; None uses what pays.
+
+    Returns
+    -------
+    Sums, each (n,); all 0 where no cell is common.
+    """
     starts = poses_in_cells(grid, poses)
     values = cells.probability - np.float32(0.5)
     sums = np.empty((len(poses), 6))
@@ -86,6 +140,12 @@ def overlap_sums(
 
 
 def check_min_overlap(min_overlap: float) -> None:
-    """Refuse a least share of common cells that is none."""
+    """Refuse a least share of common cells that is none.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is not in (0, 1].
+    """
     if not 0.0 < min_overlap <= 1.0:
         raise InvalidInputError(f"min_overlap: expected a share in (0, 1], got {min_overlap}")

@@ -117,7 +117,7 @@ class MapMatchingModel:
         object.__setattr__(self, "_table", value_table(grid))
 
     def match(self, z: LocalMap, poses: ArrayLike) -> MapMatch:
-        """Return the correlation at poses (..., 3), with the overlap and whether it is determined.
+        """Return the correlation at many poses, with the overlap and whether it is determined.
 
         Parameters
         ----------
@@ -125,6 +125,10 @@ class MapMatchingModel:
             A scan, or a local map in the robot's frame.
         poses
             (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        Arrays (...); a measurement without any defined cell is determined nowhere.
 
         Raises
         ------
@@ -134,16 +138,36 @@ class MapMatchingModel:
         return self._match(self._cells(z), as_poses(poses))
 
     def correlation(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
-        """Return rho of (6.35) in [-1, 1] at poses (..., 3), 0 where it is not determined; see `match`."""
-        return self.match(z, poses).correlation
+        """Return rho of (6.35) alone; see `match`.
 
-    def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
-        """Return log max(rho, 0) of (6.37) at poses (..., 3), shape (...).
+        Parameters
+        ----------
+        z, poses
+            As for `match`.
 
         Returns
         -------
-        Nats, at most 0; -inf where the correlation is not positive or not determined; 0 everywhere for a measurement
-        without any defined cell, because it says nothing.
+        (...) in [-1, 1], 0 where it is not determined.
+        """
+        return self.match(z, poses).correlation
+
+    def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
+        """Return log max(rho, 0) of (6.37) at many poses.
+
+        Parameters
+        ----------
+        z, poses
+            As for `match`.
+
+        Returns
+        -------
+        (...) nats, at most 0; -inf where the correlation is not positive or not determined; 0 everywhere for a
+        measurement without any defined cell, because it says nothing.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
         """
         robots, cells = as_poses(poses), self._cells(z)
         if len(cells.x) == 0:
@@ -157,7 +181,7 @@ class MapMatchingModel:
     def _match(self, cells: LocalCells, robots: FloatArray) -> MapMatch:
         sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3), self.threads)
         overlap = sums.n / max(len(cells.x), 1)
-        rho, varies = correlation_of_sums(sums)
+        rho, varies = _correlation_of_sums(sums)
         determined = varies & (overlap >= self.min_overlap)
         shape = robots.shape[:-1]
         return MapMatch(
@@ -165,7 +189,7 @@ class MapMatchingModel:
         )
 
 
-def correlation_of_sums(sums: OverlapSums) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _correlation_of_sums(sums: OverlapSums) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return rho of (6.35) with the mean of (6.36), and whether it is defined; 0 where it is not.
 
     With the common mean, the numerator is sum(m l) - N mean^2.

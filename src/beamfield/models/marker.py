@@ -214,7 +214,22 @@ class MarkerModel:
         return total.reshape(robot.shape[:-1])
 
     def detection_log_likelihood(self, z: MarkerDetections, poses: ArrayLike) -> FloatArray:
-        """Return what each detection contributes to `log_likelihood`, (..., k); parameters and errors as there."""
+        """Return what each detection contributes to `log_likelihood`; its sum over detections is that value.
+
+        Parameters
+        ----------
+        z, poses
+            As for `log_likelihood`.
+
+        Returns
+        -------
+        (..., k) nats; never NaN, and -inf only where float64 ends.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `log_likelihood`.
+        """
         robot = as_poses(poses)
         rows = np.ascontiguousarray(robot.reshape(-1, 3))
         image, seen, view = self._relative_image(z), self._seen(z), self._view()
@@ -228,7 +243,22 @@ class MarkerModel:
         return result.reshape(*robot.shape[:-1], len(z))
 
     def expected(self, poses: ArrayLike) -> FloatArray:
-        """Return the image coordinates (..., j, 3) of all markers of the map at poses (..., 3), in view or not."""
+        """Return where the image shows all markers of the map, in view or not.
+
+        Parameters
+        ----------
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (..., N, 3) u, v in pixels and theta_i in radians, without noise.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
+        """
         return self.camera.image_of(self.markers.poses, as_poses(poses)[..., None, :])
 
     def sample(self, poses: ArrayLike, rng: np.random.Generator) -> list[MarkerDetections]:

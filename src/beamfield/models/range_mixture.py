@@ -27,7 +27,21 @@ class RangeSource(Protocol):
     """Where expected ranges come from: rays or cones in a grid, the nearest landmark in a cone."""
 
     def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
-        """Return z* (..., k) in metres, in [0, finder.max_range], of a sensor at robot poses (..., 3)."""
+        """Return the expected ranges z* of a sensor.
+
+        Parameters
+        ----------
+        poses
+            (..., 3) robot poses, metres and radians.
+        finder
+            The sensor, of k beams.
+        threads
+            Number of threads; None uses what pays.
+
+        Returns
+        -------
+        (..., k) metres in [0, finder.max_range].
+        """
         ...
 
 
@@ -60,7 +74,17 @@ class RangeMixtureModel(ABC):
         object.__setattr__(self, "_source", self._make_source())
 
     def with_parameters(self, parameters: BeamParameters) -> Self:
-        """Return the model with other intrinsic parameters and the same map, options and tables."""
+        """Return the model with other intrinsic parameters and the same map, options and tables.
+
+        Parameters
+        ----------
+        parameters
+            The new ones.
+
+        Returns
+        -------
+        A model of the same class; nothing is built again.
+        """
         other = object.__new__(type(self))
         for name, value in {**self.__dict__, "parameters": parameters}.items():
             object.__setattr__(other, name, value)
@@ -104,7 +128,13 @@ class RangeMixtureModel(ABC):
 
         Returns
         -------
-        (..., k) nats, times the exponent; 0 for beams that carry no measurement or are left out by n_beams.
+        (..., k) nats, times the exponent; 0 for beams that carry no measurement or are left out by n_beams, -inf where
+        the parameters make a reading impossible.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
         """
         robot = as_poses(poses)
         beams = self.used_beams(z)
@@ -123,7 +153,17 @@ class RangeMixtureModel(ABC):
         return result
 
     def used_beams(self, scan: Scan) -> NDArray[np.int64]:
-        """Return the indices of the beams that count: those with a measurement, thinned to n_beams."""
+        """Return which beams count: those with a measurement, thinned to n_beams.
+
+        Parameters
+        ----------
+        scan
+            A scan of k beams.
+
+        Returns
+        -------
+        Indices in [0, k), rising: about equally spaced among the beams with a measurement, perhaps none.
+        """
         valid = np.flatnonzero(~np.isnan(usable_ranges(scan.ranges, scan.finder)))
         if self.n_beams is None or self.n_beams >= len(valid):
             return valid
@@ -140,6 +180,11 @@ class RangeMixtureModel(ABC):
         Returns
         -------
         (..., k, 4) probabilities that sum to 1; all 0 for beams that carry no measurement and for impossible readings.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
         """
         expected = self.expected(poses, z.finder)
         ranges = usable_ranges(z.ranges, z.finder)
@@ -153,7 +198,7 @@ class RangeMixtureModel(ABC):
         )
 
     def expected(self, poses: ArrayLike, finder: RangeFinder | None = None) -> FloatArray:
-        """Return the expected ranges z* in metres, (..., k), of a sensor at robot poses (..., 3).
+        """Return the expected ranges z* of a sensor, blind zone or not.
 
         Parameters
         ----------
@@ -161,6 +206,15 @@ class RangeMixtureModel(ABC):
             (..., 3) robot poses, metres and radians.
         finder
             The sensor; by default the model's own.
+
+        Returns
+        -------
+        (..., k) metres in [0, max_range].
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3), or neither the call nor the model has a finder.
         """
         return self._source.expected_ranges(as_poses(poses), self._finder(finder), threads=self.threads)
 

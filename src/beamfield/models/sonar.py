@@ -20,7 +20,7 @@ from beamfield.sensors import RangeFinder
 
 @dataclass(frozen=True, eq=False)
 class SonarModel(RangeMixtureModel):
-    """p(z | x, m) of a scan of sonars, each of which hears the nearest thing in its cone (6.3).
+    """p(z | x, m) of a scan of sonars, each of which hears the nearest thing in its cone.
 
     The mixture (6.12) is that of `BeamModel`, and so are all methods. The expected range z* of each sensor is the
     distance to the nearest visible point of an obstacle within half of `finder.opening_angle` to either side of its
@@ -58,7 +58,8 @@ class SonarModel(RangeMixtureModel):
 
     References
     ----------
-    Probabilistic Robotics, section 6.3: (6.2), (6.4) to (6.12), Table 6.1; 6.3.1 for cones and feature-based maps.
+    Probabilistic Robotics, section 6.1, (6.2); 6.3 for cones; 6.3.1, (6.4) to (6.12), Table 6.1, and for feature-based
+    maps.
 
     Examples
     --------

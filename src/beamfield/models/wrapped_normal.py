@@ -11,7 +11,21 @@ from beamfield.geometry import FloatArray
 
 
 def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    """Draw angles of a normal with mean 0, cut off at -pi and pi."""
+    """Draw angles of a normal with mean 0, cut off at -pi and pi.
+
+    Parameters
+    ----------
+    sigma
+        Standard deviation before it is cut, radians.
+    shape
+        Shape of the draws.
+    rng
+        Source of randomness.
+
+    Returns
+    -------
+    Radians in [-pi, pi], of that shape.
+    """
     below = float(ndtr(-np.pi / sigma))
     # The lower half alone, with a random sign: ndtri is exact there.
     lower = below + rng.random(shape) * (0.5 - below)
@@ -21,5 +35,15 @@ def sample_wrapped(sigma: float, shape: tuple[int, ...], rng: np.random.Generato
 
 
 def log_share_on_circle(sigma: float) -> float:
-    """Return the log of the share of a normal of mean 0 that lies in (-pi, pi]."""
+    """Return the log of the share of a normal of mean 0 that lies in (-pi, pi].
+
+    Parameters
+    ----------
+    sigma
+        Standard deviation, radians.
+
+    Returns
+    -------
+    Nats, at most 0.
+    """
     return math.log(math.erf(math.pi / (sigma * math.sqrt(2.0))))

@@ -58,7 +58,7 @@ TAKERS = {name: taker for name, taker in sorted(takers()) if name not in UNCHECK
 def test_the_search_finds_them():
     assert not UNCHECKED - {name for name, _ in takers()}
     assert {
-        "beamfield.calibration.calibrate.CalibrationOptions",
+        "beamfield.calibration.calibration_options.CalibrationOptions",
         "beamfield.localization.global_search.GlobalSearch",
         "beamfield.maps.raycast.RayCaster.expected_ranges",
         "beamfield.models.beam.BeamModel",

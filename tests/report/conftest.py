@@ -11,7 +11,7 @@ import pytest
 
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.bootstrap import IntervalResult
-from beamfield.calibration.calibrate import Calibration, CalibrationOptions, Candidate
+from beamfield.calibration.calibrate import Calibration, CalibrationOptions
 from beamfield.calibration.em import LearningResult
 from beamfield.calibration.evaluation import (
     DEFAULTS,
@@ -23,6 +23,7 @@ from beamfield.calibration.evaluation import (
     uniform_parameters,
 )
 from beamfield.calibration.finding import Finding
+from beamfield.calibration.hit_forms import Candidate
 from beamfield.calibration.opposite_beams import opposite_beams
 from beamfield.calibration.pose_refinement import PoseRefinement
 from beamfield.calibration.selection import REASONS, Selection

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from beamfield import __version__
-from beamfield.calibration.calibrate import Calibration, Candidate
+from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.hit_forms import Candidate
 from beamfield.calibration.selection import Selection
 from beamfield.models.beam_density import CAUSES
 from beamfield.models.beam_parameters import BeamParameters

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from beamfield.calibration.calibrate import LEAST_GAIN, Calibration
+from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.evaluation import Timeline, block_standard_error
+from beamfield.calibration.hit_forms import LEAST_GAIN
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
 from beamfield.report.drawing import (

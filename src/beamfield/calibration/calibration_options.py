@@ -1,0 +1,66 @@
+"""What a calibration may be told: which scans, which parameters, how much time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from beamfield.calibration.beam_table import UnknownRule
+from beamfield.calibration.selection import SelectionOptions
+from beamfield.errors import InvalidInputError
+from beamfield.thread_count import check_threads
+
+Choice = Literal["auto", "on", "off"]
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """Everything that changes the result besides the data.
+
+    Parameters
+    ----------
+    selection
+        Which scans are used.
+    unknown
+        What rays do in unknown cells, see `build_beam_table`.
+    block_s
+        Length of the time blocks that are held out or fitted whole, seconds; None chooses 20 s or less.
+    range_offset
+        Whether hits may be centred beside the expected range: "auto" keeps it if held-out likelihood asks for it.
+    sigma_slope
+        Whether sigma may grow with the expected range: likewise.
+    hold
+        Parameters held at given values.
+    n_bootstrap
+        Replicates for the intervals.
+    refine
+        Whether to refine reference poses to see their share in sigma_hit.
+    seed
+        For the bootstrap and the randomised PIT.
+    threads
+        None uses all processors.
+    """
+
+    selection: SelectionOptions = field(default_factory=SelectionOptions)
+    unknown: UnknownRule = "skip"
+    block_s: float | None = None
+    range_offset: Choice = "auto"
+    sigma_slope: Choice = "auto"
+    hold: Mapping[str, float] = field(default_factory=dict)
+    n_bootstrap: int = 200
+    refine: bool = True
+    seed: int = 0
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        check_threads(self.threads)
+        for name, allowed in (
+            ("unknown", ("skip", "free", "occupied")),
+            ("range_offset", ("auto", "on", "off")),
+            ("sigma_slope", ("auto", "on", "off")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise InvalidInputError(f"{name}: expected one of {allowed}, got {getattr(self, name)!r}")
+        if self.n_bootstrap < 20:
+            raise InvalidInputError(f"n_bootstrap: expected at least 20, got {self.n_bootstrap}")

@@ -1,0 +1,141 @@
+"""The forms that the hit component may have: fitted one by one, chosen by held-out likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.calibration.beam_table import BeamTable
+from beamfield.calibration.calibration_options import CalibrationOptions, Choice
+from beamfield.calibration.em import LearningResult, learn_intrinsic_parameters
+from beamfield.calibration.evaluation import block_standard_error
+from beamfield.geometry import FloatArray
+from beamfield.models.beam_density import beam_log_density
+
+Progress = Callable[[str, int, int], None]
+
+# An extra parameter must gain this much per held-out beam (nats), and twice its standard error.
+LEAST_GAIN = 0.005
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One form of the hit component, fitted on the fit blocks and scored on the held-out ones.
+
+    Parameters
+    ----------
+    name
+        "chapter", "range offset", "sigma slope" or "range offset + sigma slope".
+    result
+        The fit.
+    held_out
+        Mean log-likelihood per held-out beam, nats.
+    gain, gain_se
+        Gain over the simplest candidate per held-out beam, nats, and its standard error from blocks of time.
+    chosen
+        Whether it is the result.
+    """
+
+    name: str
+    result: LearningResult
+    held_out: float
+    gain: float
+    gain_se: float
+    chosen: bool = False
+
+
+def fit_candidates(
+    table: BeamTable,
+    blocks: NDArray[np.int64],
+    held_out: NDArray[np.bool_],
+    options: CalibrationOptions,
+    progress: Progress,
+) -> tuple[Candidate, ...]:
+    """Fit every form of the hit component that the options allow, and mark the one to keep.
+
+    Parameters
+    ----------
+    table
+        All beams; those whose ray hits nothing are left out.
+    blocks
+        (n,) time block of each beam.
+    held_out
+        (n,) which beams judge the forms; they are fitted to the others.
+    options
+        Which forms are allowed, what is held, how many threads.
+    progress
+        Called with ("learning", done, total).
+
+    Returns
+    -------
+    One per form, from the simplest to the richest; one of them is chosen.
+    """
+    fitted, judged = table.select(~held_out & ~table.hits_nothing), table.select(held_out & ~table.hits_nothing)
+    judged_blocks = blocks[held_out & ~table.hits_nothing]
+    forms = [
+        (offset, slope)
+        for offset in (False, True)
+        for slope in (False, True)
+        if _allowed(offset, options.range_offset) and _allowed(slope, options.sigma_slope)
+    ]
+    results: list[LearningResult] = []
+    for number, (offset, slope) in enumerate(forms):
+        progress("learning", number, len(forms))
+        results.append(_learn(fitted, options, offset=offset, slope=slope))
+    progress("learning", len(forms), len(forms))
+    densities = [_log_density(judged, result) for result in results]
+    gains = [density - densities[0] for density in densities]
+    best = _choose(densities, judged_blocks)
+    return tuple(
+        Candidate(
+            _form_name(*forms[i]),
+            results[i],
+            float(densities[i].mean()),
+            float(gains[i].mean()),
+            block_standard_error(gains[i], judged_blocks),
+            chosen=i == best,
+        )
+        for i in range(len(forms))
+    )
+
+
+def _learn(table: BeamTable, options: CalibrationOptions, *, offset: bool, slope: bool) -> LearningResult:
+    return learn_intrinsic_parameters(
+        table.ranges,
+        table.expected_ranges,
+        table.max_range,
+        min_range=table.min_range,
+        fit_offset=offset,
+        fit_sigma_slope=slope,
+        hold=options.hold,
+        threads=options.threads,
+    )
+
+
+def _log_density(table: BeamTable, result: LearningResult) -> FloatArray:
+    return beam_log_density(
+        table.ranges, table.expected_ranges, table.max_range, result.parameters, min_range=table.min_range
+    )
+
+
+def _allowed(present: bool, choice: Choice) -> bool:
+    return choice == "auto" or present == (choice == "on")
+
+
+def _form_name(offset: bool, slope: bool) -> str:
+    parts = [name for name, present in (("range offset", offset), ("sigma slope", slope)) if present]
+    return " + ".join(parts) or "chapter"
+
+
+def _choose(densities: list[FloatArray], blocks: NDArray[np.int64]) -> int:
+    """Start with the simplest form; move to another only for a gain that is more than noise."""
+    best = 0
+    for i, density in enumerate(densities):
+        gain = density - densities[best]
+        noise = block_standard_error(gain, blocks)
+        if gain.mean() > max(LEAST_GAIN, 2.0 * noise if np.isfinite(noise) else 0.0):
+            best = i
+    return best

@@ -48,6 +48,12 @@ class SearchWindow:
     ------
     InvalidInputError
         If the centre is no pose or an extent is negative or not finite.
+
+    Examples
+    --------
+    >>> window = SearchWindow.whole_map(OccupancyGrid([[0.0, 0.0, 0.0, 1.0]], resolution=0.5))
+    >>> window.center.tolist(), window.width, window.height
+    ([1.0, 0.25, 0.0], 2.0, 0.5)
     """
 
     center: FloatArray
@@ -67,7 +73,17 @@ class SearchWindow:
 
     @classmethod
     def whole_map(cls, grid: OccupancyGrid) -> SearchWindow:
-        """Return the window that covers a map, at all headings."""
+        """Return the window that covers a map, at all headings.
+
+        Parameters
+        ----------
+        grid
+            The map.
+
+        Returns
+        -------
+        A window around the middle of the map.
+        """
         rows, cols = grid.shape
         x, y = grid.to_map([cols / 2.0, rows / 2.0])
         return cls(np.array([x, y, 0.0]), cols * grid.resolution, rows * grid.resolution)
@@ -193,6 +209,11 @@ class GlobalSearch:
         apart
             The runner-up is farther than this from the best pose: in metres, or in radians of the heading.
 
+        Returns
+        -------
+        The best pose and the runner-up. Without points, or where no candidate scores more than 0, nothing is found: the
+        best pose is then the window's centre with score 0, and there is no runner-up.
+
         Raises
         ------
         InvalidInputError
@@ -215,7 +236,18 @@ class GlobalSearch:
         return SearchResult(best, runner_up, True, len(points), lattice.n_candidates, n_scored + more)
 
     def score(self, z: Scan | OccupancyGrid, poses: ArrayLike) -> FloatArray:
-        """Return the score at any poses (..., 3): in [0, 1], 0 for a measurement without points.
+        """Return the score at any poses, on the lattice or off it.
+
+        Parameters
+        ----------
+        z
+            A scan, or a local map in the robot's frame.
+        poses
+            (..., 3) robot poses, metres and radians.
+
+        Returns
+        -------
+        (...) in [0, 1]; 0 for a measurement without points.
 
         Raises
         ------

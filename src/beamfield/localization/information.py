@@ -72,6 +72,10 @@ def information_of_features(
     lattice
         The poses that are compared; its steps must be narrower than the peaks of both posteriors.
 
+    Returns
+    -------
+    Both posteriors, and what they differ by.
+
     Raises
     ------
     TooLittleDataError

@@ -31,10 +31,21 @@ def widened_for_lattice(parameters: BeamParameters, *, resolution: float, headin
     headings
         Number of headings over the circle.
 
+    Returns
+    -------
+    The parameters with sigma_hit and sigma_slope grown.
+
     Raises
     ------
     InvalidInputError
         If a number is not positive.
+
+    Examples
+    --------
+    >>> calibrated = BeamParameters(0.8, 0.1, 0.05, 0.05, sigma_hit=0.03, lambda_short=0.5)
+    >>> widened = widened_for_lattice(calibrated, resolution=0.1, headings=72)
+    >>> round(widened.sigma_hit, 3), round(widened.sigma_slope, 3)
+    (0.051, 0.025)
     """
     step = _heading_step(resolution, headings)
     return replace(
@@ -57,6 +68,15 @@ def widened_field_for_lattice(
         The scan; readings without return do not count.
     resolution, headings
         As for `widened_for_lattice`.
+
+    Returns
+    -------
+    The parameters with sigma_hit grown.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is not positive.
     """
     step = _heading_step(resolution, headings)
     z = usable_ranges(scan.ranges, scan.finder)

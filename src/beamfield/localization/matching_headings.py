@@ -139,7 +139,17 @@ def matching_headings(
 
 
 def simple_ratio(resolution: float, cell: float) -> Fraction | None:
-    """Return a lattice's step in cells of a map if it is p / q with a small q, else None."""
+    """Return a lattice's step in cells of a map if it is p / q with a small q, else None.
+
+    Parameters
+    ----------
+    resolution, cell
+        Sides of the lattice's and of the map's cells, metres.
+
+    Returns
+    -------
+    Cells per step, with q at most `LARGEST_DIVISOR`; None if no such ratio is near enough.
+    """
     ratio = Fraction(resolution / cell).limit_denominator(LARGEST_DIVISOR)
     return ratio if abs(float(ratio) * cell - resolution) <= SAME_RATIO * resolution else None
 

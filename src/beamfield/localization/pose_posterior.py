@@ -43,6 +43,12 @@ class PoseLattice:
     ------
     InvalidInputError
         If a number is out of range, or there is no cell, or more than 200 million poses.
+
+    Examples
+    --------
+    >>> lattice = PoseLattice.around([2.0, 1.0, 0.0], reach=0.1, resolution=0.1, heading_reach=0.02, heading_step=0.01)
+    >>> lattice.n_poses, lattice.centres()[4].round(12).tolist()
+    (45, [2.0, 1.0])
     """
 
     corner: FloatArray
@@ -86,6 +92,10 @@ class PoseLattice:
         where
             "free": the cells whose centre is free in the map; "all" of them.
 
+        Returns
+        -------
+        A lattice in the map's own frame, whose corner is the map's origin.
+
         Raises
         ------
         InvalidInputError
@@ -117,6 +127,10 @@ class PoseLattice:
             Half the side of the box and the side of a cell, metres.
         heading_reach, heading_step
             Half the range of headings and the width of a cell, radians; pi and more is a full turn.
+
+        Returns
+        -------
+        A lattice of an odd number of cells a side; of headings too, unless they cover the full turn.
 
         Raises
         ------
@@ -151,12 +165,27 @@ class PoseLattice:
         return self.resolution**2 * self.heading_step
 
     def centres(self) -> FloatArray:
-        """Return the middles (c, 2) of the cells that are inside, row by row, in the map frame."""
+        """Return the middles of the cells that are inside, row by row.
+
+        Returns
+        -------
+        (c, 2) metres in the map frame.
+        """
         rows, cols = np.nonzero(self.inside)
         return transform_points(self.corner, (np.column_stack([cols, rows]) + 0.5) * self.resolution)
 
     def halved(self) -> PoseLattice:
-        """Return the same region in steps half as wide: eight cells for each one."""
+        """Return the same region in steps half as wide.
+
+        Returns
+        -------
+        A lattice with eight cells for each one.
+
+        Raises
+        ------
+        InvalidInputError
+            If these are too many, as for the class.
+        """
         quarter = 0.25 * self.heading_step
         return PoseLattice(
             self.corner,
@@ -211,9 +240,16 @@ class PosePosterior:
         return self.entropy + float(np.log(self.lattice.cell_volume))
 
     def divergence_from(self, other: PosePosterior) -> float:
-        """Return the Kullback-Leibler divergence sum p log(p / q) to another posterior q on the same lattice, nats.
+        """Return the Kullback-Leibler divergence sum p log(p / q) to another posterior q on the same lattice.
 
-        inf where q excludes a cell that p allows.
+        Parameters
+        ----------
+        other
+            The posterior q.
+
+        Returns
+        -------
+        Nats, >= 0; inf where q excludes a cell that p allows.
 
         Raises
         ------
@@ -228,13 +264,23 @@ class PosePosterior:
             return max(0.0, float(np.where(p > 0.0, p * difference, 0.0).sum()))
 
     def position_mass(self) -> FloatArray:
-        """Return the probability of each position, headings summed, (rows, cols); NaN where there is no cell."""
+        """Return the probability of each position, headings summed.
+
+        Returns
+        -------
+        (rows, cols); NaN where there is no cell.
+        """
         mass: FloatArray = np.full(self.lattice.inside.shape, np.nan)
         mass[self.lattice.inside] = np.exp(self.log_mass).sum(axis=1)
         return mass
 
     def best_pose(self) -> FloatArray:
-        """Return the most probable cell's pose, (3,) metres and radians."""
+        """Return the middle of the most probable cell; of equal ones the first.
+
+        Returns
+        -------
+        (3,) metres and radians.
+        """
         cell, heading = np.unravel_index(int(np.argmax(self.log_mass)), self.log_mass.shape)
         return np.array([*self.lattice.centres()[cell], self.lattice.headings[heading]])
 
@@ -258,6 +304,10 @@ def pose_posterior(
     progress
         Called with the number of poses done and in total.
 
+    Returns
+    -------
+    The posterior; -inf is the log mass of a cell where the measurement is impossible.
+
     Raises
     ------
     TooLittleDataError
@@ -278,14 +328,18 @@ def pose_posterior(
 
 
 def posterior_of(log_likelihood: FloatArray, lattice: PoseLattice) -> PosePosterior:
-    """Normalise log-likelihoods (c, h) of a lattice's poses.
+    """Normalise the log-likelihoods of a lattice's poses.
 
     Parameters
     ----------
     log_likelihood
-        Nats; -inf where impossible.
+        (c, h) nats; -inf where impossible.
     lattice
         Its poses, cells in the order of `PoseLattice.centres`.
+
+    Returns
+    -------
+    The posterior under a uniform prior.
 
     Raises
     ------

@@ -40,7 +40,12 @@ class SharedFan:
     direction_error: float
 
     def headings_by_offset(self) -> list[tuple[tuple[int, int], NDArray[np.int64]]]:
-        """Return the headings that share an offset, for each offset."""
+        """Return the headings that share an offset, for each offset.
+
+        Returns
+        -------
+        (row, col) in cells, and indices of headings.
+        """
         distinct, group = np.unique(self.offsets, axis=0, return_inverse=True)
         group = group.reshape(-1)
         return [((int(row), int(col)), np.flatnonzero(group == g)) for g, (row, col) in enumerate(distinct)]

@@ -87,6 +87,10 @@ def turned_template(cells: LocalCells, values: FloatArray, heading: float, phase
         Radians in the map's own frame.
     phase
         (row, col) in [0, 1): where the robot stands in its cell. Cells are assigned as by `kernels.correlation`.
+
+    Returns
+    -------
+    The smallest picture with all cells of the turned map.
     """
     c, s = np.cos(heading), np.sin(heading)
     cols = np.floor(phase[1] + SNAP + c * cells.x - s * cells.y).astype(np.int64)
@@ -117,6 +121,10 @@ def map_spectra(
         reaches past the places, along either axis.
     precision
         float32 or float64.
+
+    Returns
+    -------
+    The transforms, complex of the same precision.
     """
     known = np.where(defined, values, 0.0)
     layers = np.stack([defined, known, known**2]).astype(precision)
@@ -129,6 +137,19 @@ def translation_sums(part: MapSpectra, template: Template, places: Places) -> Ov
 
     Each is a correlation of two pictures: sum_d K(d) M(p + d) over the cells d of the template, p the robot's cell.
     Counts are whole numbers again.
+
+    Parameters
+    ----------
+    part
+        The map's transforms; they hold all cells that the template reaches from the places.
+    template
+        The local map.
+    places
+        Where the robot stands.
+
+    Returns
+    -------
+    Sums, each (n,), rounded as the precision of the transforms has it.
     """
     rows, cols = part.shape
     dtype = part.spectra.dtype

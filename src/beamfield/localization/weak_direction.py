@@ -64,6 +64,10 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
         Number of beams that are worth one independent beam: scores are divided by a quarter of it.
     window
         Half-width of the window that the caller searches, metres: how far off `start` may be.
+
+    Returns
+    -------
+    The best pose that was found, and how far the poses that fit about as well are spread along the line.
     """
     deviation, dependence = max(START_DEVIATION, window), max(dependence / MORE_INDEPENDENT, 1.0)
     offsets = float(direction[:2] @ (start - pose)[:2]) + _steps(field.sigma_hit)

@@ -160,6 +160,15 @@ class DistanceField:
             As for `distance_to_obstacles`.
         margin
             How far the field extends past the map's edges, metres, rounded up to whole cells.
+
+        Returns
+        -------
+        The field, with the map's distances and the margin.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `distance_to_obstacles`, or if the margin is negative or not finite.
         """
         if not 0.0 <= margin < np.inf:
             raise InvalidInputError(f"margin: expected a finite number of metres >= 0, got {margin}")

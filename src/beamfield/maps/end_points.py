@@ -35,12 +35,22 @@ def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike | None =
 
 
 def hit_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike | None = None) -> FloatArray:
-    """Return the end points (n, 2) of the readings below max_range alone, scan by scan.
+    """Return the end points of the readings below max_range alone, scan by scan.
 
     Parameters
     ----------
     ranges, finder, poses
         As for `end_points`; a pose of NaN leaves a scan out.
+
+    Returns
+    -------
+    (n, 2) metres in the frame of the poses, none of them NaN.
+
+    Examples
+    --------
+    >>> finder = RangeFinder.from_bearings([0.0, np.pi / 2], max_range=8.0)
+    >>> hit_points([2.0, np.inf], finder, [1.0, 0.0, 0.0]).tolist()
+    [[3.0, 0.0]]
     """
     points = end_points(ranges, finder, poses)
     return np.asarray(points[np.isfinite(points).all(axis=-1)])

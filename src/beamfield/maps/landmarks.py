@@ -74,6 +74,10 @@ class LandmarkMap:
         ids
             (k,) ids of landmarks.
 
+        Returns
+        -------
+        (k,) indices in [0, n).
+
         Raises
         ------
         InvalidInputError

@@ -81,10 +81,19 @@ class LineMap:
         ids
             (n,) as for the class.
 
+        Returns
+        -------
+        A map of n lines with end points.
+
         Raises
         ------
         InvalidInputError
             As for the class.
+
+        Examples
+        --------
+        >>> LineMap.from_segments([[2.0, -1.0, 2.0, 3.0]]).lines.tolist()
+        [[2.0, 0.0]]
         """
         ends = _checked_segments(segments)
         along = ends[:, 2:] - ends[:, :2]
@@ -105,6 +114,10 @@ class LineMap:
         ids
             (k,) ids of lines.
 
+        Returns
+        -------
+        (k,) indices in [0, n).
+
         Raises
         ------
         InvalidInputError
@@ -113,9 +126,13 @@ class LineMap:
         return indices_of_ids(self.ids, ids)
 
     def extents(self) -> FloatArray:
-        """Return from where to where each segment goes along its line, (n, 2) metres; -inf to inf without end points.
+        """Return from where to where each segment goes along its line.
 
         Places along a line are measured from its point nearest to the origin, towards alpha + pi / 2.
+
+        Returns
+        -------
+        (n, 2) metres, the lower first; -inf and inf without end points.
         """
         if self.segments is None:
             return np.tile([-np.inf, np.inf], (len(self), 1))
@@ -125,12 +142,16 @@ class LineMap:
 
 
 def normal_form(lines: FloatArray) -> FloatArray:
-    """Return lines (..., 2) with rho >= 0 and alpha in (-pi, pi]; a line through the origin keeps its direction.
+    """Return lines with rho >= 0 and alpha in (-pi, pi]; a line through the origin keeps its direction.
 
     Parameters
     ----------
     lines
-        rho in metres with either sign, and alpha in radians.
+        (..., 2) rho in metres with either sign, and alpha in radians.
+
+    Returns
+    -------
+    (..., 2) the same lines.
     """
     rho, alpha = lines[..., 0], lines[..., 1]
     # abs also turns -0 into 0.

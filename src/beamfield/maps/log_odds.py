@@ -16,7 +16,7 @@ from beamfield.sensors import RangeFinder, usable_ranges
 def lengths_and_kinds(
     ranges: ArrayLike, finder: RangeFinder, model: InverseSensorModel
 ) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """Return how far each reading is followed, metres, and what its last cell is: hit, passed, or skip the reading.
+    """Return how far each reading is followed, and what its last cell is.
 
     Parameters
     ----------
@@ -26,6 +26,10 @@ def lengths_and_kinds(
         The sensor.
     model
         What a reading says about cells.
+
+    Returns
+    -------
+    (..., k) metres, and (..., k) `kernels.mapping.HIT`, `PASS` or `SKIP`: no measurement, of length 0.
     """
     z = usable_ranges(ranges, finder)
     kinds = np.full(z.shape, kernels.HIT, np.uint8)
@@ -92,6 +96,10 @@ def grid_of_log_odds(
         (col, row) of the first cell, in cells from the map's zero.
     resolution
         Side of a cell, metres.
+
+    Returns
+    -------
+    The map without yaw; cells that were not seen are NaN.
     """
     rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if len(rows) == 0:

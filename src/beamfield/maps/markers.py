@@ -61,10 +61,19 @@ class MarkerMap:
     def index_of(self, ids: Iterable[MarkerId]) -> NDArray[np.int64]:
         """Return the rows of markers in `poses`.
 
+        Parameters
+        ----------
+        ids
+            Numbers or names, any number of times.
+
+        Returns
+        -------
+        One row each.
+
         Raises
         ------
         InvalidInputError
-            If the map has no marker of that id.
+            If the map has no marker of that id, or an id is neither an integer nor a string.
         """
         wanted = as_ids(ids)
         for name in wanted:
@@ -79,6 +88,15 @@ class MarkerMap:
 
 def as_ids(ids: Iterable[MarkerId]) -> tuple[MarkerId, ...]:
     """Return ids as plain Python numbers and strings.
+
+    Parameters
+    ----------
+    ids
+        Integers, NumPy's too, and strings.
+
+    Returns
+    -------
+    As many ids.
 
     Raises
     ------

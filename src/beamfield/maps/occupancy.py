@@ -37,6 +37,16 @@ class OccupancyGrid:
     ------
     InvalidInputError
         If a value is outside its range or the grid is empty.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.2: a location-based map. The third category, unknown: section 6.4.2.
+
+    Examples
+    --------
+    >>> grid = OccupancyGrid([[0.0, np.nan, 1.0]], resolution=0.5, origin=(1.0, 0.0, 0.0))
+    >>> grid.free.tolist(), grid.occupied.tolist()
+    ([[True, False, False]], [[False, False, True]])
     """
 
     probability: NDArray[np.float32]
@@ -82,6 +92,20 @@ class OccupancyGrid:
             (rows, cols) integers: -1 unknown, 0 to 100 percent occupied; row 0 has the lowest y.
         resolution, origin
             As for the class.
+
+        Returns
+        -------
+        A grid with the class's thresholds.
+
+        Raises
+        ------
+        InvalidInputError
+            If a value is below -1 or above 100, or as for the class.
+
+        Examples
+        --------
+        >>> OccupancyGrid.from_ros([[0, -1, 100]], resolution=0.05).probability.tolist()
+        [[0.0, nan, 1.0]]
         """
         values = np.asarray(data)
         if values.ndim == 2 and values.size and (values.min() < -1 or values.max() > 100):
@@ -114,15 +138,54 @@ class OccupancyGrid:
         return ~(self.occupied | self.free)
 
     def to_cells(self, points: ArrayLike) -> FloatArray:
-        """Return map points (..., 2) in metres as fractional (col, row): the cell is their floor."""
+        """Return where points of the map are in the grid, in cells.
+
+        Parameters
+        ----------
+        points
+            (..., 2) metres.
+
+        Returns
+        -------
+        (..., 2) fractional (col, row): the cell is their floor. Points off the map are negative or past its last cell.
+
+        Examples
+        --------
+        >>> OccupancyGrid([[0.0, 1.0]], resolution=0.5, origin=(1.0, 0.0, 0.0)).to_cells([1.75, 0.25]).tolist()
+        [1.5, 0.5]
+        """
         return transform_points(invert(self.origin), points) / self.resolution
 
     def to_map(self, cells: ArrayLike) -> FloatArray:
-        """Return fractional (col, row) as map points (..., 2) in metres; inverse of `to_cells`."""
+        """Return where places of the grid are in the map; inverse of `to_cells`.
+
+        Parameters
+        ----------
+        cells
+            (..., 2) fractional (col, row); the middle of a cell is half a cell on.
+
+        Returns
+        -------
+        (..., 2) metres.
+        """
         return transform_points(self.origin, np.asarray(cells, dtype=np.float64) * self.resolution)
 
     def look_up(self, mask: BoolArray, points: ArrayLike, *, outside: bool = False) -> BoolArray:
-        """Return the mask's value at map points (..., 2); `outside` for points off the map."""
+        """Return the value of a mask at points of the map.
+
+        Parameters
+        ----------
+        mask
+            (rows, cols), such as `free` or `occupied`.
+        points
+            (..., 2) finite, metres.
+        outside
+            The value of points off the map.
+
+        Returns
+        -------
+        (...) bool.
+        """
         cells = np.floor(self.to_cells(points)).astype(np.int64)
         col, row = cells[..., 0], cells[..., 1]
         inside = (col >= 0) & (row >= 0) & (col < self.shape[1]) & (row < self.shape[0])

@@ -88,11 +88,27 @@ class OccupancyMapper:
         self.n_scans += len(starts)
 
     def make_room(self, ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> None:
-        """Grow so that these scans fit, without entering them; parameters and errors as for `add`."""
+        """Grow so that these scans fit, without entering them.
+
+        Parameters
+        ----------
+        ranges, finder, poses
+            As for `add`.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `add`.
+        """
         self._grow(self._follow(ranges, finder, poses))
 
     def to_grid(self) -> OccupancyGrid:
-        """Return the map so far: the smallest grid with all cells that were seen, or one unknown cell."""
+        """Return the map so far.
+
+        Returns
+        -------
+        The smallest grid with all cells that were seen, NaN where none was; one unknown cell if there is none.
+        """
         return grid_of_log_odds(self._log_odds, self._stamps >= 0, self._first, self.resolution)
 
     def _follow(self, ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> _Beams:

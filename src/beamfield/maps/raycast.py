@@ -57,6 +57,10 @@ class RayCaster:
     Construction builds four tables of two bytes per cell (see `table_bytes`). A caster never changes; any number of
     threads may use one. It pickles together with its tables.
 
+    References
+    ----------
+    Probabilistic Robotics, section 6.3.1 and Table 6.1, line 4: z* by ray casting.
+
     Examples
     --------
     >>> grid = OccupancyGrid([[0.0, 0.0, 0.0, 1.0]], resolution=0.5)
@@ -104,7 +108,7 @@ class RayCaster:
         Raises
         ------
         InvalidInputError
-            If the poses are not finite (..., 3).
+            If the poses are not finite (..., 3) or threads < 1.
 
         Examples
         --------
@@ -129,12 +133,22 @@ class RayCaster:
         return ranges
 
     def expected_hits(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> IntArray:
-        """Return which cell every beam hits; parameters as for `expected_ranges`.
+        """Return which cell every beam hits.
+
+        Parameters
+        ----------
+        poses, finder, threads
+            As for `expected_ranges`.
 
         Returns
         -------
         (..., k, 2) row and column; -1 where nothing is hit before max_range. For a ray that is blocked at a corner, one
         of the two cells that block it.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `expected_ranges`.
         """
         check_threads(threads)
         robots = as_poses(poses)
@@ -170,7 +184,7 @@ class RayCaster:
         Raises
         ------
         InvalidInputError
-            If the origins are not finite (..., 3) or max_range is not positive and finite.
+            If the origins are not finite (..., 3), max_range is not positive and finite, or threads < 1.
         """
         check_threads(threads)
         rays = as_poses(origins, "origins")
@@ -185,7 +199,22 @@ class RayCaster:
         return ranges
 
     def cast_hits(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> IntArray:
-        """Return which cell each single ray hits: (..., 2) row and column, -1 for none; parameters as for `cast`."""
+        """Return which cell each single ray hits.
+
+        Parameters
+        ----------
+        origins, max_range, threads
+            As for `cast`.
+
+        Returns
+        -------
+        (..., 2) row and column; -1 where nothing is hit before max_range.
+
+        Raises
+        ------
+        InvalidInputError
+            As for `cast`.
+        """
         check_threads(threads)
         rays = as_poses(origins, "origins")
         cells = np.empty((*rays.shape[:-1], 2), np.int32)
@@ -213,12 +242,12 @@ class RayCaster:
 
 
 def pose_rows(poses: FloatArray) -> FloatArray:
-    """Return poses as writeable rows (n, 3): one array type, so that kernels are compiled once."""
+    """Return poses (..., 3) as writeable rows (n, 3): one array type, so that kernels are compiled once."""
     return np.require(poses.reshape(-1, 3), requirements=["C", "W"])
 
 
 def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:
-    """Return a map's origin (x, y, yaw) as kernels take it."""
+    """Return a map's origin as kernels take it: x and y in metres, yaw in radians."""
     x, y, yaw = grid.origin.tolist()
     return x, y, yaw
 

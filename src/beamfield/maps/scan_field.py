@@ -81,7 +81,7 @@ class ScanField:
 
     References
     ----------
-    Section 6.4.2, Figure 6.11; (6.32) to (6.34).
+    Probabilistic Robotics, section 6.4.2, Figure 6.11; 6.4.1, (6.32) to (6.34).
     """
 
     is_normalized: ClassVar[bool] = False
@@ -109,6 +109,10 @@ class ScanField:
         no_return
             Whether a beam without return saw nothing ("unseen"; dark and shiny surfaces return nothing either) or free
             space up to its limit ("free").
+
+        Returns
+        -------
+        The field, with the sensor's max_range.
 
         Raises
         ------
@@ -145,6 +149,10 @@ class ScanField:
             (n, 3) the robot's pose in the field's frame for each scan.
         z_hit, z_rand, sigma_hit, no_return
             As for `from_scan`. The limit is the longest of the sensors'.
+
+        Returns
+        -------
+        The field, with the longest max_range of the sensors.
 
         Raises
         ------
@@ -202,12 +210,42 @@ class ScanField:
         return np.log(density)
 
     def distance(self, points: ArrayLike) -> FloatArray:
-        """Return the distance to the nearest measured surface, (...) metres; inf beyond eight sigma."""
+        """Return the distance to the nearest measured surface.
+
+        Parameters
+        ----------
+        points
+            (..., 2) metres, in the field's frame.
+
+        Returns
+        -------
+        (...) metres; inf beyond eight sigma.
+
+        Raises
+        ------
+        InvalidInputError
+            If the points are not finite (..., 2).
+        """
         _, distance, _ = self._look_up(points)
         return distance
 
     def category(self, points: ArrayLike) -> NDArray[np.int8]:
-        """Return what the scan says about places (..., 2): `Category` as integers (...)."""
+        """Return what the scan says about places.
+
+        Parameters
+        ----------
+        points
+            (..., 2) metres, in the field's frame.
+
+        Returns
+        -------
+        (...) values of `Category`.
+
+        Raises
+        ------
+        InvalidInputError
+            If the points are not finite (..., 2).
+        """
         _, distance, free = self._look_up(points)
         seen = np.where(free > 0.5, Category.FREE, Category.UNSEEN)
         return np.asarray(np.where(distance <= HIT_SIGMAS * self.sigma_hit, Category.HIT, seen), dtype=np.int8)

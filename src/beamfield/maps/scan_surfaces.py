@@ -44,7 +44,21 @@ class Fan:
 
 
 def measured_fans(scan: Scan, pose: FloatArray, free_without_return: bool) -> list[Fan]:
-    """Return the beams of a scan, fan by fan, in the frame of the pose (3,) of its robot."""
+    """Return the beams of a scan, fan by fan: those that start at one place, to a micrometre, are a fan.
+
+    Parameters
+    ----------
+    scan
+        The scan.
+    pose
+        (3,) of its robot in the frame of the result, metres and radians.
+    free_without_return
+        Whether a beam without return saw free space up to its limit.
+
+    Returns
+    -------
+    Fans in the frame of the pose; none for a sensor without beams.
+    """
     finder = scan.finder
     ranges = usable_ranges(scan.ranges, finder)
     mounts = compose(pose, finder.mounts)

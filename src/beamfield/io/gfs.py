@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, wrap_angle
-from beamfield.io.carmen import SICK_BEARINGS
+from beamfield.io.carmen_laser import SICK_BEARINGS
 from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
 from beamfield.io.text_scans import TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog

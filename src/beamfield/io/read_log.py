@@ -12,7 +12,8 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.carmen import CARMEN_SCANS, read_carmen
+from beamfield.io.carmen import read_carmen
+from beamfield.io.carmen_messages import CARMEN_SCANS
 from beamfield.io.coreslam import N_BEAMS, RANGES_FROM, read_coreslam
 from beamfield.io.g2o import read_g2o
 from beamfield.io.gfs import read_gfs

@@ -1,0 +1,207 @@
+"""The messages of a CARMEN log, line by line: what each says, unchecked against the others."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError
+from beamfield.geometry import FloatArray
+from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
+from beamfield.io.text_scans import TextScans, finite_pose, sorted_track
+from beamfield.sensors import Track
+
+CARMEN_SCANS = re.compile(r"(FLASER|RLASER|LASER[345]|ROBOTLASER\d|RAWLASER\d)$")
+OLD_STYLE = ("FLASER", "RLASER", "LASER3", "LASER4", "LASER5")
+ANGLE_LIMIT = 1e3  # radians, or degrees by mistake: anything beyond is no angle
+
+
+@dataclass(eq=False)
+class PoseLines:
+    """Poses of ODOM or TRUEPOS lines with both their stamps."""
+
+    poses: list[FloatArray] = field(default_factory=list)
+    stamps: list[FloatArray] = field(default_factory=list)
+
+    def track(self, name: str, column: int | None, notes: list[str]) -> Track | None:
+        """Return the track with the stamps of the column that scans have; None if there is none, noting why."""
+        if not self.poses:
+            return None
+        if column is None:
+            notes.append(f"{name}: left out, because scans are numbered and its times do not fit that")
+            return None
+        return sorted_track(np.stack(self.stamps)[:, column], np.stack(self.poses), name, notes)
+
+
+@dataclass(eq=False)
+class CarmenMessages:
+    """What the lines of a file say.
+
+    Parameters
+    ----------
+    path
+        The file.
+    scans
+        Scans by the name of the message, in the order of the file.
+    geometry
+        (start angle, resolution, field of view) of ROBOTLASERn and RAWLASERn, radians.
+    limits
+        Their longest ranges, metres.
+    odometry, truth
+        ODOM and TRUEPOS lines.
+    parameters
+        PARAM lines.
+    others
+        How many messages of other kinds there are.
+    notes
+        What was not read.
+    """
+
+    path: Path
+    scans: dict[str, TextScans] = field(default_factory=dict)
+    geometry: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    limits: dict[str, float] = field(default_factory=dict)
+    odometry: PoseLines = field(default_factory=PoseLines)
+    truth: PoseLines = field(default_factory=PoseLines)
+    parameters: dict[str, str] = field(default_factory=dict)
+    others: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
+
+    def number(self, parameter: str) -> float | None:
+        """Return a parameter of the log as a finite number, None if it is not there or something else."""
+        try:
+            value = float(self.parameters[parameter])
+        except (KeyError, ValueError):
+            return None
+        return value if np.isfinite(value) else None
+
+
+def read_carmen_messages(path: Path) -> CarmenMessages:
+    """Read all messages of a log.
+
+    Raises
+    ------
+    FormatError
+        If a line is cut off, a count disagrees with its words, a word is no number, a pose is not finite, the number of
+        beams changes, or there are no scans; the line is named.
+    """
+    content = CarmenMessages(path)
+    for line, text in read_lines(path):
+        words = text.split()
+        if not words or words[0].startswith("#"):
+            continue
+        kind = words[0]
+        if kind in OLD_STYLE:
+            _parse_old_laser(content, line, words)
+        elif CARMEN_SCANS.match(kind):
+            _parse_laser(content, line, words)
+        elif parser := _OTHER.get(kind):
+            parser(content, line, words)
+        elif kind.isascii() and kind[:1].isalpha():
+            content.others[kind] += 1
+        else:
+            raise FormatError(path, f"expected the name of a CARMEN message, got {kind[:40]!r}", line=line)
+    if not content.scans:
+        raise FormatError(path, "no scans: none of the messages FLASER, RLASER, ROBOTLASERn, RAWLASERn")
+    if content.others:
+        listed = ", ".join(f"{n} {kind[:40]}" for kind, n in content.others.most_common(10))
+        content.notes.append(f"messages of other kinds, not read: {listed}")
+    return content
+
+
+def _parse_old_laser(content: CarmenMessages, line: int, words: list[str]) -> None:
+    """FLASER n ranges, x y theta, odom_x odom_y odom_theta, ipc_timestamp ipc_hostname logger_timestamp."""
+    path, kind = content.path, words[0]
+    n = parse_count(path, line, _word(content, line, words, 1), kind)
+    _expect_words(content, line, words, 2 + n + 9, f"{n} readings, two poses and 3 words of time")
+    ranges = parse_numbers(path, line, words[2 : 2 + n], kind)
+    laser = finite_pose(path, line, parse_numbers(path, line, words[2 + n : 5 + n], kind), kind)
+    robot = finite_pose(path, line, parse_numbers(path, line, words[5 + n : 8 + n], kind), kind)
+    scans = content.scans.setdefault(kind, TextScans(path, kind))
+    scans.add(line, ranges, _stamps(content, line, words), laser, robot)
+
+
+def _parse_laser(content: CarmenMessages, line: int, words: list[str]) -> None:
+    """Parse ROBOTLASERn and RAWLASERn, which differ in what follows the remission values.
+
+    ``type start_angle field_of_view angular_resolution maximum_range accuracy remission_mode n ranges m remissions``;
+    ROBOTLASERn then has ``laser_x y theta robot_x y theta laser_tv laser_rv forward_safety side_safety turn_axis``;
+    both end with the three words of time.
+    """
+    path, kind = content.path, words[0]
+    n = parse_count(path, line, _word(content, line, words, 8), kind)
+    m = parse_count(path, line, _word(content, line, words, 9 + n), kind)
+    own = 11 if kind.startswith("ROBOT") else 0
+    _expect_words(content, line, words, 10 + n + m + own + 3, f"{n} readings, {m} remission values and {own + 3} more")
+    head = parse_numbers(path, line, words[2:6], kind)
+    geometry = (float(head[0]), float(head[2]), float(head[1]))
+    if content.geometry.setdefault(kind, geometry) != geometry or not (np.abs(head[:3]) < ANGLE_LIMIT).all():
+        raise FormatError(
+            path, f"start angle, resolution and field of view {geometry} differ from those of the first scan, "
+            f"{content.geometry[kind]}, or are no angles", line=line, field=kind,
+        )  # fmt: skip
+    if np.isfinite(head[3]) and head[3] > 0.0:
+        content.limits.setdefault(kind, float(head[3]))
+    ranges = parse_numbers(path, line, words[9 : 9 + n], kind)
+    scans = content.scans.setdefault(kind, TextScans(path, kind))
+    if not own:
+        scans.add(line, ranges, _stamps(content, line, words))
+        return
+    poses = parse_numbers(path, line, words[10 + n + m : 16 + n + m], kind)
+    laser, robot = finite_pose(path, line, poses[:3], kind), finite_pose(path, line, poses[3:], kind)
+    scans.add(line, ranges, _stamps(content, line, words), laser, robot)
+
+
+def _parse_odometry(content: CarmenMessages, line: int, words: list[str]) -> None:
+    """ODOM x y theta tv rv accel, and the three words of time."""
+    _expect_words(content, line, words, 10, "a pose, two velocities, an acceleration and 3 words of time")
+    pose = parse_numbers(content.path, line, words[1:4], "ODOM")
+    content.odometry.poses.append(finite_pose(content.path, line, pose, "ODOM"))
+    content.odometry.stamps.append(np.array(_stamps(content, line, words)))
+
+
+def _parse_truth(content: CarmenMessages, line: int, words: list[str]) -> None:
+    """TRUEPOS true_x y theta odom_x y theta, and the three words of time."""
+    _expect_words(content, line, words, 10, "two poses and 3 words of time")
+    pose = parse_numbers(content.path, line, words[1:4], "TRUEPOS")
+    content.truth.poses.append(finite_pose(content.path, line, pose, "TRUEPOS"))
+    content.truth.stamps.append(np.array(_stamps(content, line, words)))
+
+
+def _parse_parameter(content: CarmenMessages, line: int, words: list[str]) -> None:  # noqa: ARG001
+    """PARAM name value, with or without words of time."""
+    if len(words) >= 3:
+        content.parameters[words[1]] = words[2]
+
+
+_OTHER: dict[str, Callable[[CarmenMessages, int, list[str]], None]] = {
+    "ODOM": _parse_odometry,
+    "TRUEPOS": _parse_truth,
+    "PARAM": _parse_parameter,
+}
+
+
+def _word(content: CarmenMessages, line: int, words: list[str], index: int) -> str:
+    if index >= len(words):
+        raise FormatError(content.path, f"the line is cut off after {len(words)} words", line=line, field=words[0])
+    return words[index]
+
+
+def _expect_words(content: CarmenMessages, line: int, words: list[str], expected: int, what: str) -> None:
+    if len(words) != expected:
+        raise FormatError(
+            content.path,
+            f"expected {expected} words ({what}), got {len(words)}: the line is cut off, or its count is wrong",
+            line=line, field=words[0],
+        )  # fmt: skip
+
+
+def _stamps(content: CarmenMessages, line: int, words: list[str]) -> tuple[float, float]:
+    """Return the timestamps of the message and of the logger, the third and the first word from the end."""
+    pair = parse_numbers(content.path, line, (words[-3], words[-1]), f"{words[0]} timestamp")
+    return float(pair[0]), float(pair[1])

@@ -61,7 +61,17 @@ class BeamTable:
         return len(self.ranges)
 
     def select(self, rows: ArrayLike) -> BeamTable:
-        """Return the table with only the given rows (indices or mask)."""
+        """Return the table with only the given rows, in the given order.
+
+        Parameters
+        ----------
+        rows
+            Indices, or a mask (n,).
+
+        Returns
+        -------
+        The table with the same limits and the same numbers of beams left out.
+        """
         chosen = np.asarray(rows)
         return BeamTable(
             self.ranges[chosen],
@@ -103,14 +113,18 @@ def build_beam_table(
         (their expected range is not known); "free" passes through; "occupied" stops there. A cone is left out if its
         axis enters unknown space nearer than its expected range: some cell beside the axis nearly always is unknown.
     threads
-        For the ray caster; None uses all processors.
+        For the ray caster; None uses what pays.
     progress
         Called with (done, total) scans.
+
+    Returns
+    -------
+    One row per beam with a measurement and an expected range, scan by scan.
 
     Raises
     ------
     InvalidInputError
-        If the map has no obstacle.
+        If the map has no obstacle, a scan has no finite pose, or threads < 1.
     """
     check_threads(threads)
     if not grid.occupied.any():

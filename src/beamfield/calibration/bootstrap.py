@@ -113,6 +113,10 @@ def bootstrap_intervals(
     progress
         Called with the number of finished replicates and their total.
 
+    Returns
+    -------
+    Intervals and standard errors of what was learned, not of what was held; without intervals where there is one block.
+
     Raises
     ------
     InvalidInputError
@@ -301,7 +305,24 @@ def _is_free(name: str, problem: LearningProblem) -> bool:
 
 
 def expanded_tail(level: float, n_blocks: int) -> float:
-    """Return the share of the replicates beyond each end of an interval from so many blocks (Hesterberg)."""
+    """Return the share of the replicates beyond each end of an interval from so many blocks (Hesterberg).
+
+    Parameters
+    ----------
+    level
+        Share of intervals that are to hold the truth.
+    n_blocks
+        Number of blocks, at least 2.
+
+    Returns
+    -------
+    A share below (1 - level) / 2, which it approaches with more blocks.
+
+    Examples
+    --------
+    >>> round(expanded_tail(0.95, 10), 4), round(expanded_tail(0.95, 1000), 4)
+    (0.0086, 0.0248)
+    """
     quantile = stdtrit(n_blocks - 1, 0.5 * (1.0 - level))
     return float(ndtr(np.sqrt(n_blocks / (n_blocks - 1.0)) * quantile))
 

@@ -38,6 +38,10 @@ def newton_step(
     summed
         Which coordinates keep their sum (the weights of a mixture), bool (n,).
 
+    Returns
+    -------
+    (n,) 0 where a coordinate may not move; all 0 if none can.
+
     Notes
     -----
     Coordinates at a bound whose derivative points outwards stay there (active set). A coordinate that the step would

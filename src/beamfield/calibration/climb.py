@@ -87,6 +87,10 @@ def climb(
         Log-likelihood, gradient and Hessian at the start if known already; saves the first passes.
     report
         Called with the number of each iteration.
+
+    Returns
+    -------
+    The end of the climb, converged or not.
     """
     climber = _Climber(likelihood, problem, problem.apply(start), known)
     em_left = em_steps_first

@@ -56,6 +56,10 @@ def learn_from_known_causes(
     fit_offset, fit_sigma_slope
         Learn the hits' offset and the growth of their noise too; not with `closed_form`.
 
+    Returns
+    -------
+    Weights and shapes; range_offset and sigma_slope are 0 unless they were to be learned.
+
     Raises
     ------
     InvalidInputError
@@ -67,6 +71,10 @@ def learn_from_known_causes(
     Notes
     -----
     Without shorts every lambda_short is as likely; it is then 0.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.3.3: (6.14), (6.19) and (6.23).
 
     Examples
     --------

@@ -58,6 +58,10 @@ def build_cross_fit_maps(
     progress
         Called with (stage, done, total).
 
+    Returns
+    -------
+    The two maps, the half of each scan, and a map of all scans.
+
     Raises
     ------
     InvalidInputError
@@ -99,7 +103,26 @@ def cross_fit_table(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> BeamTable:
-    """Cast each scan's beams in the map of the other half; parameters as for `build_beam_table`."""
+    """Cast each scan's beams in the map of the other half.
+
+    Parameters
+    ----------
+    log, maps
+        The log, and what `build_cross_fit_maps` made of it.
+    scans
+        (t,) mask of the scans to use.
+    unknown, threads, progress
+        As for `build_beam_table`.
+
+    Returns
+    -------
+    One row per beam, in the order of the scans.
+
+    Raises
+    ------
+    InvalidInputError
+        As for `build_beam_table`.
+    """
     check_threads(threads)
     total = int(scans.sum())
     parts: list[BeamTable] = []
@@ -137,7 +160,7 @@ def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:
 
 
 def cross_fit_finding(maps: CrossFitMaps, table: BeamTable) -> Finding:
-    """Say that the map comes from the log itself, and what that means."""
+    """Say that the map comes from the log itself, and what that means; `table` is what `cross_fit_table` returned."""
     known = len(table) / max(1, len(table) + table.n_unknown)
     return Finding(
         "cross-fitted-map",

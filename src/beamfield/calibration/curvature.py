@@ -16,10 +16,21 @@ _LEAST_INFORMATION = 1e-20
 
 
 def naive_covariance(likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray) -> FloatArray:
-    """Inverse of the observed information, shape (8, 8), as if beams were independent.
+    """Return the inverse of the observed information, as if beams were independent.
 
-    Parameters on a bound or held have variance 0. Real beams depend on their neighbours: standard errors from this are
-    4 to 24 times too small; it serves to compare directions, not to report.
+    Real beams depend on their neighbours: standard errors from this are 4 to 24 times too small; it serves to compare
+    directions, not to report.
+
+    Parameters
+    ----------
+    likelihood, problem
+        The beams, and what is free.
+    theta
+        (8,) working vector at the maximum.
+
+    Returns
+    -------
+    (8, 8) covariance of the working vector; 0 for what is held or sits on a bound.
     """
     basis, inverse = _inverse_information(likelihood, problem, theta)
     return np.asarray(basis @ inverse @ basis.T)
@@ -28,7 +39,18 @@ def naive_covariance(likelihood: IntrinsicLikelihood, problem: LearningProblem, 
 def clustered_covariance(
     likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray, groups: NDArray[np.int64]
 ) -> FloatArray:
-    """Sandwich covariance, shape (8, 8), for beams that depend on each other within `groups`, shape (n,).
+    """Return the sandwich covariance for beams that depend on each other within groups.
+
+    Parameters
+    ----------
+    likelihood, problem, theta
+        As for `naive_covariance`.
+    groups
+        (n,) number of each beam's group, from 0 on, in the caller's order of beams.
+
+    Returns
+    -------
+    (8, 8) covariance of the working vector; 0 for what is held or sits on a bound.
 
     References
     ----------

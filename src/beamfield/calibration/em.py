@@ -136,6 +136,11 @@ def learn_intrinsic_parameters(
     progress
         Called with the stage (``"screening"``, ``"climbing"``) and a count.
 
+    Returns
+    -------
+    The parameters, the trace of the climb, and findings that say what the beams leave open. Where `converged` is False
+    they are the best that was found.
+
     Raises
     ------
     InvalidInputError

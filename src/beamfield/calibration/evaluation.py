@@ -33,6 +33,10 @@ def uniform_parameters(max_share: float) -> BeamParameters:
     ----------
     max_share
         Share of "no return" readings in the data the fit has seen.
+
+    Returns
+    -------
+    Parameters with z_max and z_rand alone, both above 0.
     """
     # Half a reading more or less keeps log(z_max) finite if the fit blocks have no "no return" at all.
     share = min(max(max_share, 1e-6), 1.0 - 1e-6)
@@ -78,6 +82,10 @@ def score_models(
         Held-out beams; those whose ray hits nothing are left out.
     blocks
         (n,) time block of each beam.
+
+    Returns
+    -------
+    One score per model, in their order; -inf where a model makes a reading impossible.
     """
     rows = ~table.hits_nothing
     z, expected, block = table.ranges[rows], table.expected_ranges[rows], blocks[rows]
@@ -110,6 +118,10 @@ def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float
         (n,) terms.
     blocks
         (n,) block of each.
+
+    Returns
+    -------
+    In the unit of the values.
     """
     _, index = np.unique(blocks, return_inverse=True)
     n_blocks = int(index.max()) + 1 if len(index) else 0
@@ -132,6 +144,10 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
         The model.
     rng
         For the randomisation.
+
+    Returns
+    -------
+    (m,) in [0, 1], of the beams whose ray hits something.
     """
     rows = ~table.hits_nothing
     return beam_pit(
@@ -140,7 +156,22 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
 
 
 def pit_deviation(pit: FloatArray) -> float:
-    """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic)."""
+    """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic).
+
+    Parameters
+    ----------
+    pit
+        (n,) numbers in [0, 1].
+
+    Returns
+    -------
+    In [0, 1]; NaN without numbers.
+
+    Examples
+    --------
+    >>> pit_deviation(np.array([0.25, 0.5, 0.75, 1.0]))
+    0.25
+    """
     n = len(pit)
     if n == 0:
         return float("nan")
@@ -150,7 +181,19 @@ def pit_deviation(pit: FloatArray) -> float:
 
 
 def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.int8]:
-    """Return the most likely cause of each beam: 0 hit, 1 short, 2 max, 3 rand."""
+    """Return the most likely cause of each beam, as its position in `beamfield.models.beam_density.CAUSES`.
+
+    Parameters
+    ----------
+    table
+        Beams.
+    parameters
+        The model.
+
+    Returns
+    -------
+    (n,) 0 hit, 1 short, 2 max, 3 rand; 0 too where the model makes the reading impossible.
+    """
     share = beam_responsibilities(
         table.ranges, table.expected_ranges, table.max_range, parameters, min_range=table.min_range
     )
@@ -190,6 +233,10 @@ def timeline(table: BeamTable, parameters: BeamParameters, held_out: NDArray[np.
         The model.
     held_out
         (n,) whether each beam was held out.
+
+    Returns
+    -------
+    One entry per scan with a beam whose ray hits something, in the order of the log.
     """
     rows = ~table.hits_nothing
     density = beam_log_density(

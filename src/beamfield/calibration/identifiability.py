@@ -65,6 +65,19 @@ def identifiability_findings(
     ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``, ``noise-all-slope``, ``sigma-confounded``,
     ``offset-at-limit``, ``hits-and-shorts-confounded``, ``hits-and-random-confounded``,
     ``shorts-and-random-confounded``, ``several-modes``.
+
+    Parameters
+    ----------
+    likelihood, problem
+        The beams, and what is free.
+    theta
+        (8,) working vector at the maximum.
+    modes
+        The maxima that were found, the best first.
+
+    Returns
+    -------
+    Findings; none if the beams determine everything.
     """
     if likelihood.n_returned == 0.0:
         return (

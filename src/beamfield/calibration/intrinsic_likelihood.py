@@ -118,13 +118,34 @@ class IntrinsicLikelihood:
         return self.n_returned + self.n_max
 
     def reweighted(self, weights: FloatArray) -> IntrinsicLikelihood:
-        """The same beams, each counted as often as `weights`, shape (n,) in the caller's order, says."""
+        """Return the same beams, counted differently.
+
+        Parameters
+        ----------
+        weights
+            (n,) how often each beam counts, in the caller's order.
+
+        Returns
+        -------
+        A likelihood that shares the beams with this one.
+        """
         other = self._shallow_copy()
         other._set_weights(weights, n_max=0.0)
         return other
 
     def thinned(self, n: int) -> IntrinsicLikelihood:
-        """About `n` of the beams, evenly spread over the expected ranges; self if there are no more than that."""
+        """Return some of the beams, evenly spread over the expected ranges.
+
+        Parameters
+        ----------
+        n
+            About how many; never fewer.
+
+        Returns
+        -------
+        A likelihood whose readings at maximum range count in proportion; self where there are fewer than 2 n beams with
+        a return.
+        """
         stride = int(self.ranges.size // max(n, 1))
         if stride < 2:
             return self
@@ -145,7 +166,19 @@ class IntrinsicLikelihood:
         return other
 
     def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
-        """E-step: one pass over the beams at `theta`, shape (8,)."""
+        """Do the E-step: one pass over the beams.
+
+        Parameters
+        ----------
+        theta
+            (8,) working vector.
+        slope_is_free
+            Whether the M-step will need the moments for a slope though it is 0 here.
+
+        Returns
+        -------
+        Statistics; the log-likelihood is -inf where readings at maximum range have weight 0.
+        """
         bins = self._cut(theta)
         n_bins = bins.starts.size
         all_moments = bool(slope_is_free or theta[SLOPE] > 0.0)
@@ -173,7 +206,17 @@ class IntrinsicLikelihood:
         )
 
     def derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Log-likelihood, its gradient (8,) and Hessian (8, 8) at `theta`, the weights taken as independent."""
+        """Return the log-likelihood and its derivatives, the weights taken as independent.
+
+        Parameters
+        ----------
+        theta
+            (8,) working vector.
+
+        Returns
+        -------
+        Nats, summed over beams; gradient (8,); Hessian (8, 8).
+        """
         bins = self._cut(theta)
         n = kernels.N_DERIVATIVES
         out = np.zeros((bins.starts.size, 1 + n + n * (n + 1) // 2))
@@ -200,7 +243,17 @@ class IntrinsicLikelihood:
         return log_likelihood, gradient, hessian
 
     def scores(self, theta: FloatArray) -> FloatArray:
-        """First derivatives of each beam's log-density, shape (n, 8), in the caller's order of beams."""
+        """Return the first derivatives of each beam's log-density.
+
+        Parameters
+        ----------
+        theta
+            (8,) working vector.
+
+        Returns
+        -------
+        (n, 8) in the caller's order of beams; weights do not count.
+        """
         bins = self._cut(theta)
         out = np.zeros((self.ranges.size, kernels.N_DERIVATIVES))
         mixture = self._mixture(theta)
@@ -261,7 +314,7 @@ class IntrinsicLikelihood:
 
 
 def theta_of(parameters: BeamParameters) -> FloatArray:
-    """The working vector of parameters."""
+    """Return the working vector (8,) of parameters: weights, squares of sigma_hit and sigma_slope, offset, rate."""
     return np.array(
         [
             *parameters.weights,
@@ -274,7 +327,7 @@ def theta_of(parameters: BeamParameters) -> FloatArray:
 
 
 def parameters_of(theta: FloatArray) -> BeamParameters:
-    """The parameters of a working vector."""
+    """Return the parameters of a working vector (8,), its weights scaled to sum to 1."""
     weights = theta[:4] / theta[:4].sum()
     return BeamParameters(
         z_hit=float(weights[W_HIT]),

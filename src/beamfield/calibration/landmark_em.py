@@ -20,7 +20,7 @@ _LOG_2PI = math.log(2.0 * math.pi)
 
 
 class NoiseTheta(NamedTuple):
-    """Where the climb is; sigmas are NaN for what was never measured."""
+    """Where the climb is, in metres and radians; sigmas are NaN for what was never measured."""
 
     range_bias: float
     range_scale: float
@@ -101,7 +101,7 @@ class NoiseLikelihood:
         return len(self.ranges)
 
     def log_landmark(self, theta: NoiseTheta) -> FloatArray:
-        """Return log p(r, phi | the landmark), (n,); -inf for features known to be of none."""
+        """Return log p(r, phi | the landmark) of each sighting, (n,) nats; -inf for features known to be of none."""
         total: FloatArray = np.where(self.real, 0.0, -np.inf)
         cut_range, cut_bearing = self.problem.truncated_at
         if self.has_range.any():
@@ -127,11 +127,11 @@ class NoiseLikelihood:
         return total
 
     def log_likelihood_each(self, theta: NoiseTheta) -> FloatArray:
-        """Return each sighting's log density, (n,)."""
+        """Return each sighting's log density, (n,) nats."""
         return self.e_step(theta)[0]
 
     def e_step(self, theta: NoiseTheta) -> tuple[FloatArray, FloatArray]:
-        """Return log densities, and how probably each sighting is of its landmark, both (n,)."""
+        """Return log densities in nats, and how probably each sighting is of its landmark, both (n,)."""
         landmark = self.log_landmark(theta)
         if theta.spurious_rate == 0.0:
             return landmark, np.where(self.real, 1.0, 0.0)
@@ -150,6 +150,10 @@ class NoiseLikelihood:
             (n,) responsibilities of the landmarks, from `e_step`.
         weights
             (n,) how often each sighting counts.
+
+        Returns
+        -------
+        The new parameters; what is held stays.
         """
         w = of_landmark * weights
         bias, scale, sigma_range = self._range_step(theta, w)
@@ -253,6 +257,10 @@ def climb_noise(
         Nats per sighting that all further iterations together may promise, judged from how fast gains shrink.
     max_iterations
         Most iterations.
+
+    Returns
+    -------
+    The end of the climb, converged or not.
     """
     counts = np.ones(len(likelihood)) if weights is None else weights
     theta = best = start
@@ -275,7 +283,17 @@ def climb_noise(
 
 
 def noise_starts(likelihood: NoiseLikelihood) -> list[NoiseTheta]:
-    """Return where to begin: one start trusts the middle half of the residuals, one all of them."""
+    """Return where to begin: one start trusts the middle half of the residuals, one all of them.
+
+    Parameters
+    ----------
+    likelihood
+        The sightings.
+
+    Returns
+    -------
+    Two starts; sigmas are NaN for what was never measured.
+    """
     real, fits = likelihood.real, likelihood.problem
     e, b = likelihood.ranges[real & likelihood.has_range], likelihood.bearings[real & likelihood.has_bearing]
     centre = _circular_centre(b)

@@ -65,6 +65,10 @@ def noise_findings(
         (n,).
     groups
         Residuals per landmark and by distance.
+
+    Returns
+    -------
+    Findings; none if there is nothing to say.
     """
     theta, problem = climb.theta, likelihood.problem
     values = {"range": residuals[0], "bearing": residuals[1]}

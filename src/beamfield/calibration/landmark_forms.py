@@ -109,6 +109,10 @@ def fit_noise(likelihood: NoiseLikelihood, **options: float) -> NoiseClimb:
         What is climbed.
     **options
         As `climb_noise`.
+
+    Returns
+    -------
+    The end of the highest climb.
     """
     climbs = [climb_noise(likelihood, start, **options) for start in noise_starts(likelihood)]  # type: ignore[arg-type]
     return max(climbs, key=lambda climb: climb.trace[-1])

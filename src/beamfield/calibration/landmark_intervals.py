@@ -72,6 +72,10 @@ def noise_intervals(
     progress
         Called with the number of finished replicates and their total.
 
+    Returns
+    -------
+    Intervals and standard errors of what was learned; none where there is one block.
+
     Raises
     ------
     InvalidInputError

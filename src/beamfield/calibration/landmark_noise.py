@@ -142,6 +142,10 @@ def learn_landmark_parameters(
     progress
         Called with the number of finished replicates and their total.
 
+    Returns
+    -------
+    The parameters with intervals, residuals and findings. Where `converged` is False they are the best that was found.
+
     Raises
     ------
     InvalidInputError

@@ -59,6 +59,10 @@ def groups_by_landmark(
         (n,) residuals, bias and scale taken out; NaN where not measured.
     weights
         (n,) how probably each sighting is of its landmark.
+
+    Returns
+    -------
+    Groups named by the landmarks' ids.
     """
     return tuple(
         _group(str(which), table.landmarks == j, table.blocks, ranges, bearings, weights)
@@ -76,6 +80,10 @@ def groups_by_distance(
     ----------
     table, ranges, bearings, weights
         As for `groups_by_landmark`.
+
+    Returns
+    -------
+    At most four groups, named by their distances in metres; none with too few sightings.
     """
     real = table.landmarks >= 0
     distances = table.expected_ranges[real]

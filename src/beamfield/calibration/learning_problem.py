@@ -71,11 +71,21 @@ class LearningProblem:
 
     @staticmethod
     def position(name: str) -> int:
-        """Where a parameter of `BeamParameters` stands in the working vector."""
+        """Return where a parameter of `BeamParameters` stands in the working vector; its name must be one of them."""
         return _POSITIONS[name]
 
     def apply(self, theta: FloatArray) -> FloatArray:
-        """Return `theta` with held values in place, inside the bounds, the free weights sharing the rest."""
+        """Make a working vector valid.
+
+        Parameters
+        ----------
+        theta
+            (8,) any numbers.
+
+        Returns
+        -------
+        (8,) held values in place, the rest inside the bounds, the free weights sharing what held ones leave of 1.
+        """
         new = np.clip(np.where(self.free, theta, self.held), self.lower, self.upper)
         free = self.free[:4]
         rest = 1.0 - new[:4][~free].sum()
@@ -96,6 +106,21 @@ def learning_problem(
     fit_sigma_slope: bool = False,
 ) -> LearningProblem:
     """Check what is to be held and lay out the problem.
+
+    Parameters
+    ----------
+    max_range, min_range
+        Limits of the sensor, metres.
+    hold
+        Parameters to keep at a value, by the names of `BeamParameters`.
+    priors
+        None says nothing.
+    fit_offset, fit_sigma_slope
+        Whether range_offset and sigma_slope are learned; else they are held, at 0 if `hold` has no other value.
+
+    Returns
+    -------
+    The problem.
 
     Raises
     ------

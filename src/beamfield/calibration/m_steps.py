@@ -21,7 +21,25 @@ _LEAST_COUNT = 1e-12
 
 
 def m_step(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> FloatArray:
-    """Return the working vector that maximises the expected log-likelihood plus log prior, held parameters kept."""
+    """Return the parameters that maximise the expected log-likelihood plus log prior.
+
+    Parameters
+    ----------
+    statistics
+        Of the E-step.
+    theta
+        (8,) working vector that it was done with.
+    problem
+        What is free.
+
+    Returns
+    -------
+    (8,) working vector: what is held stays, and so do shapes of causes that explain no beam.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.3.3: (6.26) and (6.29) to (6.31).
+    """
     new = theta.copy()
     new[:4] = _weights(statistics.counts + problem.priors.counts, theta, problem)
     if problem.free[[VARIANCE, SLOPE, OFFSET]].any() and statistics.counts[0] > _LEAST_COUNT:

@@ -161,6 +161,10 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
         Result of `opposite_beams`.
     resolution
         Side of a cell, metres.
+
+    Returns
+    -------
+    One warning or none.
     """
     if pairs is None:
         return []

@@ -24,6 +24,10 @@ def pose_findings(log: SensorLog, grid: OccupancyGrid) -> list[Finding]:
         All scans, with reference poses (NaN where there are none) and odometry.
     grid
         The map.
+
+    Returns
+    -------
+    Findings; none if the path is plausible.
     """
     return [*_inside_walls(log, grid), *_against_odometry(log)]
 

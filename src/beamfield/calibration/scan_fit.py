@@ -71,18 +71,50 @@ class ScanFits:
         return len(self.stamps)
 
     def share_that_fits(self, level: float = 0.05) -> float:
-        """Return the share of judged scans whose p-value is above the level; NaN if none could be judged."""
+        """Return the share of judged scans whose p-value is above a level.
+
+        Parameters
+        ----------
+        level
+            In (0, 1). Of good scans about this share lies at or below it.
+
+        Returns
+        -------
+        In [0, 1]; NaN if no scan could be judged.
+        """
         judged = self.p_value[~np.isnan(self.p_value)]
         return float((judged > level).mean()) if len(judged) else float("nan")
 
     def longest_lost(self, threshold: float = 0.5) -> tuple[float, float] | None:
-        """Return begin and end stamp of the longest stretch with lost probability above the threshold; None if none."""
+        """Return the longest stretch of scans at which the robot is probably lost.
+
+        Parameters
+        ----------
+        threshold
+            The lost probability from which on it is.
+
+        Returns
+        -------
+        Stamps of its first and last scan, seconds; None if there is none.
+        """
         edges = np.flatnonzero(np.diff(np.concatenate([[0], self.lost > threshold, [0]])))
         spans = [(float(self.stamps[a]), float(self.stamps[b - 1])) for a, b in edges.reshape(-1, 2)]
         return max(spans, key=lambda span: span[1] - span[0], default=None)
 
     def worst(self, n: int = 5, *, apart_s: float = 0.0) -> NDArray[np.int64]:
-        """Return the indices of the n worst scans, worst first, each further than `apart_s` from those before it."""
+        """Return the worst scans: those with the lowest p-value and, among equal ones, the largest misfit.
+
+        Parameters
+        ----------
+        n
+            At most so many.
+        apart_s
+            Each is further than this from those before it, seconds.
+
+        Returns
+        -------
+        Indices, worst first; scans that could not be judged are not among them.
+        """
         chosen: list[int] = []
         misfit = self.statistics.misfit
         order = np.lexsort((-np.nan_to_num(misfit, nan=-np.inf), self.p_value))
@@ -180,6 +212,10 @@ def judge_log(
         Statistics of all scans, if they are known already.
     progress
         Called with (done, total) scans.
+
+    Returns
+    -------
+    One judgement per scan.
 
     Raises
     ------

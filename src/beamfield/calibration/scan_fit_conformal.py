@@ -22,6 +22,10 @@ def conformal_p_values(values: ArrayLike, good: ArrayLike) -> FloatArray:
     good
         (n,) statistics of good scans; NaN are left out.
 
+    Returns
+    -------
+    (m,) in [1 / (n + 1), 1].
+
     Examples
     --------
     >>> conformal_p_values([0.0, 2.5, 9.0], [1.0, 2.0, 3.0]).tolist()

@@ -69,6 +69,10 @@ def learn_evidence(
         How many independent scans they are worth.
     correlation_s
         Seconds over which values depend on each other.
+
+    Returns
+    -------
+    The log ratio at the middles of the pooled bins, not falling.
     """
     ok, bad = (np.asarray(v, dtype=np.float64) for v in (good, lost))
     ok, bad = ok[~np.isnan(ok)], bad[~np.isnan(bad)]
@@ -107,6 +111,10 @@ def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:
         (t,) seconds.
     values
         (t,) NaN are left out.
+
+    Returns
+    -------
+    Seconds; 0 too for fewer than 3 values.
     """
     when, x = np.asarray(stamps, dtype=np.float64), np.asarray(values, dtype=np.float64)
     order = np.argsort(when, kind="stable")
@@ -134,7 +142,19 @@ def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:
 
 
 def effective_number(stamps: ArrayLike, correlation_s: float) -> float:
-    """Return how many independent values a series is worth, if correlation falls as exp(-dt / correlation_s)."""
+    """Return how many independent values a series is worth, if correlation falls as exp(-dt / correlation_s).
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds, in any order.
+    correlation_s
+        Seconds; 0 for independent values.
+
+    Returns
+    -------
+    In [1, t]; 0 without values.
+    """
     when = np.sort(np.asarray(stamps, dtype=np.float64))
     if len(when) == 0:
         return 0.0
@@ -142,10 +162,21 @@ def effective_number(stamps: ArrayLike, correlation_s: float) -> float:
 
 
 def evidence_weights(stamps: ArrayLike, correlation_s: float) -> FloatArray:
-    """Return the share of each scan that is new, in (0, 1]: tanh(dt / (2 correlation_s)), 1 for the first.
+    """Return the share of each scan that is new: tanh(dt / (2 correlation_s)), 1 for the first.
 
     The mean of n values with correlation exp(-dt / correlation_s) is worth n tanh(dt / (2 correlation_s)) independent
     ones; so each counts for that much.
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds, not decreasing.
+    correlation_s
+        Seconds; 0 for independent values.
+
+    Returns
+    -------
+    (t,) in [0, 1]; 0 only for a scan of the same time as the one before it.
     """
     when = np.asarray(stamps, dtype=np.float64)
     weights = np.ones(len(when))

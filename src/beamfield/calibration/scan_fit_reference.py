@@ -94,16 +94,51 @@ class ScanFitReference:
         return 1.0 / (len(self) + 1.0)
 
     def p_values(self, misfit: ArrayLike) -> FloatArray:
-        """Return conformal p-values of scans of another log; NaN for NaN."""
+        """Return conformal p-values of scans of another log.
+
+        Parameters
+        ----------
+        misfit
+            (m,) as in `FitStatistics`.
+
+        Returns
+        -------
+        (m,) in (0, 1]; NaN for NaN.
+        """
         return conformal_p_values(misfit, self.misfit)
 
     def own_p_values(self, misfit: ArrayLike, stamps: ArrayLike) -> FloatArray:
-        """Return p-values of scans of the same log: good scans near in time do not count."""
+        """Return p-values of scans of the same log: good scans near in time do not count.
+
+        Parameters
+        ----------
+        misfit
+            (m,) as in `FitStatistics`.
+        stamps
+            (m,) seconds.
+
+        Returns
+        -------
+        (m,) in (0, 1]; NaN for NaN.
+        """
         return cross_conformal_p_values(misfit, stamps, self.misfit, self.stamps, self.gap_s)
 
     def require_model(self, model: FitModel, max_range: float) -> None:
-        """Raise InvalidInputError if the reference was made with another model or sensor limit."""
-        mine, other = dict(self.model), model_identity(model, max_range)
+        """Refuse a model that the reference was not made with.
+
+        Parameters
+        ----------
+        model
+            The model.
+        max_range
+            The sensor's limit, metres.
+
+        Raises
+        ------
+        InvalidInputError
+            If its name, a parameter, what it does in unknown space or the limit differs; it is named.
+        """
+        mine, other = dict(self.model), _model_identity(model, max_range)
         different = sorted(name for name in {*mine, *other} if mine.get(name) != other.get(name))
         if different:
             name = different[0]
@@ -113,7 +148,17 @@ class ScanFitReference:
             )
 
     def to_json(self) -> str:
-        """Return everything as JSON text; `from_json` gives the same bits back."""
+        """Return everything as JSON text; `from_json` gives the same bits back.
+
+        Returns
+        -------
+        A document that ends with a line end.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite: JSON has none for it.
+        """
         document = {
             "schema": SCHEMA,
             "inputs": dict(self.inputs),
@@ -136,10 +181,21 @@ class ScanFitReference:
     def from_json(cls, text: str) -> ScanFitReference:
         """Read what `to_json` wrote.
 
+        Parameters
+        ----------
+        text
+            The document.
+
+        Returns
+        -------
+        The reference.
+
         Raises
         ------
         InvalidInputError
-            If the text is no such document, says what is wrong.
+            If the text is no such document; it says what is wrong.
+        TooLittleDataError
+            If the document has too few good scans.
         """
         try:
             document = json.loads(text)
@@ -163,7 +219,7 @@ class ScanFitReference:
             raise InvalidInputError(f"reference: {error}") from error
 
 
-def model_identity(model: FitModel, max_range: float) -> dict[str, Any]:
+def _model_identity(model: FitModel, max_range: float) -> dict[str, Any]:
     """Return name, parameters and options that statistics depend on, as plain values."""
     return {
         "name": type(model).__name__,
@@ -205,6 +261,10 @@ def calibrate_scan_fit(
     progress
         Called with (done, total) rounds.
 
+    Returns
+    -------
+    The reference, to be kept with the model.
+
     Raises
     ------
     InvalidInputError
@@ -232,7 +292,7 @@ def calibrate_scan_fit(
             progress(number + 1, N_LOST)
     evidence, reliability = _learn(mine.stamps, known.surprise, wrong, blocks, rng)
     return ScanFitReference(
-        model=model_identity(model, mine.finder.max_range),
+        model=_model_identity(model, mine.finder.max_range),
         stamps=mine.stamps,
         surprise=known.surprise,
         misfit=known.misfit,

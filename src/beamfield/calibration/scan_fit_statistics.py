@@ -59,7 +59,17 @@ class FitStatistics:
         return len(self.surprise)
 
     def select(self, scans: ArrayLike) -> FitStatistics:
-        """Return only the given scans (indices or mask)."""
+        """Return the statistics of the given scans, in the given order.
+
+        Parameters
+        ----------
+        scans
+            Indices, or a mask (t,).
+
+        Returns
+        -------
+        The statistics.
+        """
         i = np.asarray(scans)
         return FitStatistics(self.surprise[i], self.misfit[i], self.through[i], self.short[i], self.n_beams[i])
 
@@ -86,6 +96,10 @@ def fit_statistics(
         (t, 3) pose of the robot per scan; NaN: the scan says nothing.
     progress
         Called with (done, total) scans.
+
+    Returns
+    -------
+    Columns (t,); NaN where a scan says nothing.
 
     Raises
     ------
@@ -217,6 +231,10 @@ def known_expected_ranges(
         Casts rays that stop at unknown cells; None: there are none.
     poses, finder
         (t, 3) poses and the sensor.
+
+    Returns
+    -------
+    (t, k) metres.
     """
     expected = model.expected(poses, finder)
     if stopping is not None:

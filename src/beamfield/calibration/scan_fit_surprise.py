@@ -72,7 +72,11 @@ def beam_surprise(
     min_range
         Nearer readings are dropped, metres: expectations are those of the others.
     threads
-        None uses all processors.
+        None uses what pays.
+
+    Returns
+    -------
+    Arrays (..., k); 0 where a beam is left out.
 
     Notes
     -----
@@ -81,7 +85,7 @@ def beam_surprise(
 
     References
     ----------
-    Section 6.3.1, (6.12).
+    Probabilistic Robotics, section 6.3.1, (6.12).
     """
     check_threads(threads)
     used = np.isfinite(ranges) & np.isfinite(expected_ranges)
@@ -108,6 +112,10 @@ def beam_side(
     ----------
     ranges, expected_ranges, max_range, parameters
         As for `beam_surprise`. A missing return where the ray hits nothing counts as a hit: it agrees.
+
+    Returns
+    -------
+    (..., k) one number per reading.
     """
     used = np.isfinite(ranges) & np.isfinite(expected_ranges)
     z, z_star = np.where(used, ranges, 0.0), np.minimum(np.where(used, expected_ranges, 0.0), max_range)

@@ -43,6 +43,10 @@ def wrong_poses(
     share_near
         Share of stretches that stay near their place.
 
+    Returns
+    -------
+    (t, 3) metres and radians.
+
     Raises
     ------
     InvalidInputError

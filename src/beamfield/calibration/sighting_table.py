@@ -63,7 +63,17 @@ class SightingTable:
         return wrap_angle(self.bearings - self.expected_bearings)
 
     def subset(self, rows: ArrayLike) -> SightingTable:
-        """Return only the given rows (indices or mask)."""
+        """Return only the given rows, in the given order.
+
+        Parameters
+        ----------
+        rows
+            Indices, or a mask (n,).
+
+        Returns
+        -------
+        The table with the same numbers of features left out.
+        """
         chosen = np.asarray(rows)
         names = ("ranges", "bearings", "expected_ranges", "expected_bearings", "landmarks", "stamps", "blocks")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
@@ -84,6 +94,10 @@ def sighting_table(
         (3,) pose of the sensor on the robot, metres and radians.
     block_s
         Length of a block in seconds. None: the log's places where it has them, else a 24th of the log.
+
+    Returns
+    -------
+    One row per feature with a range or a bearing; what is of no landmark has NaN as its true range and bearing.
 
     Raises
     ------

@@ -22,6 +22,10 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     block_s
         Length of a block in seconds; None: 20 s, or shorter so that the log has at least 12 blocks.
 
+    Returns
+    -------
+    (n,) numbers; all 0 if no time passes.
+
     Raises
     ------
     InvalidInputError
@@ -52,6 +56,15 @@ def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 
         Length of a block, see `time_blocks`.
     every
         One block in this many is held out.
+
+    Returns
+    -------
+    (n,) bool; none is held out where there are too few blocks.
+
+    Raises
+    ------
+    InvalidInputError
+        If every < 2, or the length is not positive.
     """
     if every < 2:
         raise InvalidInputError(f"every: expected at least 2, got {every}")

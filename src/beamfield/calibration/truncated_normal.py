@@ -24,6 +24,10 @@ def log_window_mass(mean: FloatArray | float, sigma: float, half_window: float) 
         (...) means.
     sigma, half_window
         Positive numbers, in the same unit.
+
+    Returns
+    -------
+    (...) nats, at most 0; exact far outside of the window too.
     """
     # Below the window by symmetry, where the tails are small numbers and nothing cancels.
     centre = -np.abs(np.asarray(mean, dtype=np.float64))
@@ -61,6 +65,10 @@ def fit_window_normal(
         Half the width of the window.
     start
         Coefficients (p,) and sigma to begin with; what is returned is never less likely.
+
+    Returns
+    -------
+    Coefficients (p,) and sigma.
 
     Notes
     -----

@@ -40,7 +40,7 @@ def smooth_map(grid: OccupancyGrid, sigma: float) -> OccupancyGrid:
 
     References
     ----------
-    Probabilistic Robotics, section 6.5: "convolve the map m with a Gaussian smoothness kernel".
+    Probabilistic Robotics, section 6.5, after (6.37).
     """
     longest = max(grid.shape) * grid.resolution
     if not grid.resolution / CUT_OFF < sigma < longest / CUT_OFF:

@@ -22,7 +22,7 @@ class Box:
     y1: float
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """Return which points (..., 2) lie in the box, its lower edges included."""
+        """Return which points (..., 2), metres in the box's frame, lie in it, its lower edges included; shape (...)."""
         x, y = points[..., 0], points[..., 1]
         return np.asarray((x >= self.x0) & (x < self.x1) & (y >= self.y0) & (y < self.y1))
 
@@ -54,7 +54,7 @@ class Arc:
     stop: float = np.pi
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """Return which points (..., 2) lie in the part of the ring."""
+        """Return which points (..., 2), metres, lie in the part of the ring, its edges included; shape (...)."""
         dx, dy = points[..., 0] - self.x, points[..., 1] - self.y
         distance, angle = np.hypot(dx, dy), np.arctan2(dy, dx)
         in_ring = (distance >= self.inner) & (distance <= self.outer)
@@ -86,7 +86,7 @@ class Canvas:
     Parameters
     ----------
     width, height
-        Size in metres.
+        Size in metres; all of it is solid at first.
     resolution
         Side of a cell in metres.
     """
@@ -108,13 +108,28 @@ class Canvas:
         self.reserved[self._block(room)] = True
 
     def build(self, shape: Shape, pose: FloatArray | None = None) -> None:
-        """Add solid material, whatever is there; the pose (3,) is that of the shape's frame."""
+        """Add solid material, whatever is there.
+
+        Parameters
+        ----------
+        shape
+            What is solid.
+        pose
+            (3,) of the shape's frame on the canvas, metres and radians; None: the canvas's own frame.
+        """
         pose = np.zeros(3) if pose is None else pose
         window, points = self._window(shape, pose)
         self.solid[window] |= shape.contains(points)
 
     def put(self, thing: Thing, pose: FloatArray) -> bool:
-        """Put a thing where there is room for it.
+        """Put a thing where there is room for it: neither solid material nor a region kept free.
+
+        Parameters
+        ----------
+        thing
+            The thing; its footprint is kept free of others from then on.
+        pose
+            (3,) of its frame on the canvas, metres and radians.
 
         Returns
         -------

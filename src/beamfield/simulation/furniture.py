@@ -1,4 +1,7 @@
-"""Furniture as a range finder 20 to 30 cm above the floor sees it: legs, panels and bases rather than table tops."""
+"""Furniture as a range finder 20 to 30 cm above the floor sees it: legs, panels and bases rather than table tops.
+
+All lengths are metres, all angles radians; the frames are those of `Thing`.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,17 @@ LEG = 0.06
 
 
 def leg(x: float, y: float) -> Box:
-    """Return a table's or chair's leg around (x, y)."""
+    """Return a table's or chair's leg around (x, y), metres."""
     return Box(x - LEG / 2, y - LEG / 2, x + LEG / 2, y + LEG / 2)
 
 
 def chair(x: float, y: float) -> tuple[Shape, ...]:
-    """Return the four legs of a chair around (x, y)."""
+    """Return the four legs of a chair around (x, y), metres."""
     return tuple(leg(x + dx, y + dy) for dx in (-0.2, 0.2) for dy in (-0.2, 0.2))
 
 
 def desk(*, width: float = 1.6, drawers_left: bool = True) -> Thing:
-    """Return a desk with its panel at the back, drawers at one side and a swivel chair in front."""
+    """Return a desk with its panel at the back, drawers at one side and a swivel chair in front; `width` in metres."""
     side = -1.0 if drawers_left else 1.0
     inner, outer = side * (width / 2 - 0.45), side * width / 2
     return Thing(
@@ -66,7 +69,7 @@ def round_table(*, n_chairs: int = 3, turn: float = 0.0) -> Thing:
 
 
 def solid(width: float, depth: float) -> Thing:
-    """Return a closed box against a wall: cabinet, shelf, counter, copier."""
+    """Return a closed box of so many metres against a wall: cabinet, shelf, counter, copier."""
     box = Box(-width / 2, 0.0, width / 2, depth)
     return Thing((box,), box)
 

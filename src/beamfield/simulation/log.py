@@ -71,7 +71,7 @@ def simulate_log(
     unknown
         Whether rays pass unknown cells ("free") or stop there ("occupied").
     threads
-        For the ray caster; None uses all processors.
+        For the ray caster; None uses what pays.
     progress
         Called with (done, total) scans.
 
@@ -128,7 +128,24 @@ def simulate_log(
 
 
 def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
-    """Return the (t,) stamps of a log's scans, seconds; an InvalidInputError says which number is out of range."""
+    """Return the stamps of a log's scans.
+
+    Parameters
+    ----------
+    duration, start
+        Seconds.
+    scan_rate
+        Scans per second.
+
+    Returns
+    -------
+    (t,) seconds, evenly spaced from the start on.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range, or there would be no scan or too many; it is named.
+    """
     for name, value in (("duration", duration), ("scan_rate", scan_rate)):
         if not 0.0 < value < np.inf:
             raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")

@@ -121,6 +121,27 @@ class SonarPhysics:
 
         With `dropout` d and `phantoms` p the mixture then is z_hit = (1 - d)(1 - p), z_max = d (1 - p), z_rand = p, and
         sigma_hit = `sigma`.
+
+        Parameters
+        ----------
+        sigma
+            Standard deviation of the range, metres.
+        **changes
+            Other fields, such as `dropout` and `phantoms`, which are 0 here.
+
+        Returns
+        -------
+        Physics with roughness 1.
+
+        Raises
+        ------
+        InvalidInputError
+            As for the class.
+
+        Examples
+        --------
+        >>> SonarPhysics.diffuse(dropout=0.05).cross_talk
+        0.0
         """
         plain: dict[str, float] = {"dropout": 0.0, "cross_talk": 0.0, "phantoms": 0.0, "sigma_slope": 0.0}
         return cls(roughness=1.0, sigma=sigma, **{**plain, **changes})  # type: ignore[arg-type]
@@ -171,6 +192,10 @@ def sonar_ring(
         Where the first sensor looks, radians; the others follow counter-clockwise.
     name
         Of the sensor.
+
+    Returns
+    -------
+    A finder with `n_sensors` beams that are cones.
 
     Raises
     ------

@@ -73,6 +73,21 @@ class Surfaces:
             a thing that stands in it clockwise.
         closed
             Whether the last point of each is joined to the first.
+
+        Returns
+        -------
+        Walls in the order of the points.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is no outline, one is not (n, 2) with n > 1, or as for the class.
+
+        Examples
+        --------
+        >>> room = Surfaces.from_outlines([[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]]])
+        >>> len(room), room.following.tolist()
+        (4, [1, 2, 3, 0])
         """
         starts, ends, following = [], [], []
         n_walls = 0
@@ -100,7 +115,7 @@ class Surfaces:
         return np.where(self.following < 0, np.nan, np.arctan2(cross, (along * after).sum(axis=1)))
 
     def walls(self) -> kernels.Walls:
-        """Return the walls as the kernel wants them."""
+        """Return the walls, with their directions, lengths and ends, as the kernel wants them: columns (m,), metres."""
         along = self.ends - self.starts
         length = np.hypot(along[:, 0], along[:, 1])
         unit = along / length[:, None]

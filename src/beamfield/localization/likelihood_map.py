@@ -10,29 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
-from beamfield.kernels.heading_search import fill_heading_scores
-from beamfield.kernels.threads import run_in_slices
+from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
+from beamfield.localization.fan_headings import fan_headings
 from beamfield.localization.matching_headings import matching_headings, simple_ratio
 from beamfield.localization.shared_fan import SharedFan, shared_fan
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel
-from beamfield.models.beam import BeamModel, beam_log_density
+from beamfield.models.beam import BeamModel
 from beamfield.models.local_map_cells import LocalMap
 from beamfield.models.map_matching import MapMatchingModel
-from beamfield.sensors import Scan, usable_ranges
+from beamfield.sensors import Scan
 
 Progress = Callable[[int, int], None]
 
-# Poses per call of a model, and expected ranges in memory at a time (8 bytes each): progress moves, memory does not.
+# Poses per call of a model: progress moves, memory does not.
 POSES_PER_CHUNK = 200_000
-RANGES_PER_CHUNK = 2_000_000
-# Nodes of a beam's table within sigma_hit: interpolation then errs by 1 / 512 nats near the peak of p_hit. Tables
-# longer than MAX_NODES do not stay in the cache.
-NODES_PER_SIGMA, MAX_NODES = 8.0, 1 << 14
-# Stands for log 0 in the tables.
-LEAST = -1e30
-LOOK_UPS_PER_WORK_UNIT = 16
 # Two bytes for the best heading of each cell.
 MAX_HEADINGS = 3600
 MAX_CELLS = 100_000_000
@@ -268,13 +260,13 @@ def _pose_by_pose(
     progress: Progress | None,
 ) -> LikelihoodMap:
     """Ask the model for every pose."""
-    result = _empty_map(grid, mask, angles, resolution, np.zeros((len(angles), 2)), 0.0)
+    result = _empty_map(grid, mask, angles, resolution)
     rows, cols = np.nonzero(mask)
     step = max(1, POSES_PER_CHUNK // len(angles))
     for start in range(0, len(rows), step):
         row, col = rows[start : start + step], cols[start : start + step]
         poses = np.empty((len(row), len(angles), 3))
-        poses[..., :2] = _centres(grid.origin, row, col, resolution)[:, None]
+        poses[..., :2] = transform_points(grid.origin, (np.column_stack([col, row]) + 0.5) * resolution)[:, None]
         poses[..., 2] = angles
         values = model.log_likelihood(scan, poses)
         best = np.argmax(values, axis=1)
@@ -299,7 +291,7 @@ def _by_transforms(
     found = matching_headings(model, z, (rows, cols), angles, grid.origin, resolution, progress)
     if found is None:
         return _pose_by_pose(model, z, grid, mask, angles, resolution, progress)
-    result = _empty_map(grid, mask, angles, resolution, np.zeros((len(angles), 2)), 0.0)
+    result = _empty_map(grid, mask, angles, resolution)
     result.heading_index[rows, cols] = found.heading_index
     if found.is_exact:
         with np.errstate(divide="ignore"):
@@ -320,87 +312,15 @@ def _by_shared_fan(
     progress: Progress | None,
 ) -> LikelihoodMap:
     """Find the best heading of each cell from one fan of rays per place of the sensor; then ask the model."""
-    result = _empty_map(grid, mask, angles, resolution, fan.shifts, fan.direction_error)
-    tables, step_of_table = _beam_tables(model, scan)
-    # The sensor may stand outside the cells in which the robot may be, and off the map.
-    margin = int(np.abs(fan.offsets).max())
-    padded = np.pad(mask, margin)
-    groups = fan.headings_by_offset()
-    needed = np.zeros_like(padded)
-    for (d_row, d_col), _ in groups:
-        needed |= np.roll(padded, (d_row, d_col), axis=(0, 1))
-    rows, cols = np.nonzero(needed)
-    index = np.ascontiguousarray(fan.index.T)
-    step = max(1, RANGES_PER_CHUNK // fan.rays.n_beams)
-    for start in range(0, len(rows), step):
-        row, col = rows[start : start + step], cols[start : start + step]
-        places = np.zeros((len(row), 3))
-        places[:, :2] = _centres(grid.origin, row - margin, col - margin, resolution)
-        ranges = model.expected(places, fan.rays)
-        scores = np.empty((len(row), len(angles)))
-        run_in_slices(
-            lambda a, b, ranges=ranges, scores=scores: fill_heading_scores(  # type: ignore[misc]
-                ranges[a:b], index, tables, step_of_table, scores[a:b]
-            ),
-            len(row),
-            threads=model.threads,
-            work_per_row=fan.index.size // LOOK_UPS_PER_WORK_UNIT,
-        )
-        for (d_row, d_col), of_group in groups:
-            _keep_larger(result, scores[:, of_group], of_group, row - margin - d_row, col - margin - d_col)
-        if progress is not None:
-            progress(min(start + step, len(rows)), len(rows))
+    index = fan_headings(model, scan, fan, mask, grid.origin, resolution, progress)
+    values = np.full(mask.shape, -np.inf)
+    result = LikelihoodMap(values, mask, index, angles, fan.shifts, resolution, grid.origin, fan.direction_error)
     rows, cols = np.nonzero(mask)
-    result.log_likelihood[rows, cols] = model.log_likelihood(scan, result.poses(rows, cols))
+    values[rows, cols] = model.log_likelihood(scan, result.poses(rows, cols))
     return result
 
 
-def _beam_tables(model: BeamModel, scan: Scan) -> tuple[NDArray[np.float32], float]:
-    """Return log p(z^k | z*) for each beam at equally spaced expected ranges z*, and the spacing in metres."""
-    limit = scan.finder.max_range
-    n = int(np.clip(limit / (model.parameters.sigma_hit / NODES_PER_SIGMA), 2, MAX_NODES))
-    nodes = np.linspace(0.0, limit, n + 1)
-    ranges = usable_ranges(scan.ranges, scan.finder)
-    values = beam_log_density(
-        ranges[:, None], nodes, limit, model.parameters, min_range=scan.finder.min_range, threads=model.threads
-    )
-    # Differences of infinities would be NaN.
-    return np.maximum(values, LEAST).astype(np.float32), limit / n
-
-
-def _empty_map(
-    grid: OccupancyGrid,
-    mask: BoolArray,
-    angles: FloatArray,
-    resolution: float,
-    shifts: FloatArray,
-    direction_error: float,
-) -> LikelihoodMap:
+def _empty_map(grid: OccupancyGrid, mask: BoolArray, angles: FloatArray, resolution: float) -> LikelihoodMap:
     index = np.where(mask, 0, -1).astype(np.int16)
     values = np.full(mask.shape, -np.inf)
-    return LikelihoodMap(values, mask, index, angles, shifts, resolution, grid.origin, direction_error)
-
-
-def _keep_larger(
-    result: LikelihoodMap,
-    values: FloatArray,
-    headings: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    cols: NDArray[np.int64],
-) -> None:
-    """Enter the best of values (n, h) of these headings in cells (n,), where it is larger than what is there."""
-    inside = (rows >= 0) & (cols >= 0) & (rows < result.evaluated.shape[0]) & (cols < result.evaluated.shape[1])
-    inside[inside] = result.evaluated[rows[inside], cols[inside]]
-    rows, cols, values = rows[inside], cols[inside], values[inside]
-    best = np.argmax(values, axis=1)
-    largest = values[np.arange(len(rows)), best]
-    larger = largest > result.log_likelihood[rows, cols]
-    result.log_likelihood[rows[larger], cols[larger]] = largest[larger]
-    result.heading_index[rows[larger], cols[larger]] = headings[best[larger]]
-
-
-def _centres(origin: FloatArray, rows: NDArray[np.int64], cols: NDArray[np.int64], resolution: float) -> FloatArray:
-    """Return the centres (n, 2) of cells of a lattice in the map frame."""
-    centres = (np.column_stack([cols, rows]) + 0.5) * resolution
-    cos, sin = np.cos(origin[2]), np.sin(origin[2])
-    return np.asarray(origin[:2] + centres @ np.array([[cos, sin], [-sin, cos]]))
+    return LikelihoodMap(values, mask, index, angles, np.zeros((len(angles), 2)), resolution, grid.origin)

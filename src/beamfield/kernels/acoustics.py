@@ -62,27 +62,27 @@ def find_ways(sensors: Floats, walls: Walls, pulse: Pulse, out: Floats) -> None:
     from a sensor to itself are found.
     """
     for t in range(len(sensors)):
-        near = walls_near(sensors[t], walls, pulse.longest)
+        near = _walls_near(sensors[t], walls, pulse.longest)
         in_view = np.empty((sensors.shape[1], len(near.ax)), np.bool_)
         ends_in_view = np.empty_like(in_view)
-        find_views(sensors[t], near, pulse.half, in_view, ends_in_view)
+        _find_views(sensors[t], near, pulse.half, in_view, ends_in_view)
         for j in range(sensors.shape[1]):
-            ways_of_sensor(sensors[t], j, near, in_view, ends_in_view, pulse, out[t, j])
+            _ways_of_sensor(sensors[t], j, near, in_view, ends_in_view, pulse, out[t, j])
 
 
 @kernel
-def find_views(ring: Floats, walls: Walls, half: float, in_view: Bools, ends_in_view: Bools) -> None:
+def _find_views(ring: Floats, walls: Walls, half: float, in_view: Bools, ends_in_view: Bools) -> None:
     """Fill the (k, m) views: which walls have their front, and which their end, in the cone of each sensor."""
     for k in range(len(ring)):
         x, y, theta = ring[k, 0], ring[k, 1], ring[k, 2]
         for i in range(len(walls.ax)):
-            in_view[k, i] = nearest_on_wall(x, y, theta, walls, i, half) < math.inf
+            in_view[k, i] = _nearest_on_wall(x, y, theta, walls, i, half) < math.inf
             end_x, end_y = walls.ax[i] + walls.length[i] * walls.ux[i], walls.ay[i] + walls.length[i] * walls.uy[i]
-            ends_in_view[k, i] = walls.end[i] != PLAIN_END and in_cone(end_x - x, end_y - y, theta, half)
+            ends_in_view[k, i] = walls.end[i] != PLAIN_END and _in_cone(end_x - x, end_y - y, theta, half)
 
 
 @kernel
-def walls_near(ring: Floats, walls: Walls, longest: float) -> Walls:
+def _walls_near(ring: Floats, walls: Walls, longest: float) -> Walls:
     """Return the walls that a pulse of this ring can reach and come back from."""
     x, y = ring[:, 0].mean(), ring[:, 1].mean()
     radius = 0.0
@@ -111,7 +111,7 @@ def walls_near(ring: Floats, walls: Walls, longest: float) -> Walls:
 
 
 @kernel
-def ways_of_sensor(
+def _ways_of_sensor(
     ring: Floats, j: int, walls: Walls, in_view: Bools, ends_in_view: Bools, pulse: Pulse, out: Floats
 ) -> None:
     """Fill out (k, N_WAYS) with the ways of the pulse that sensor j sends; views are (k, m), per sensor and wall."""
@@ -123,23 +123,23 @@ def ways_of_sensor(
             chain[0] = i
             for k in range(first, last):
                 if in_view[k, i]:
-                    way = mirrored_way(ring, j, k, chain, 1, walls, pulse, out[k, MIRROR], images, turns)
+                    way = _mirrored_way(ring, j, k, chain, 1, walls, pulse, out[k, MIRROR], images, turns)
                     out[k, MIRROR] = min(out[k, MIRROR], way)
         if ends_in_view[j, i]:
             for k in range(first, last):
                 if ends_in_view[k, i]:
-                    kind, way = way_over_end(ring, j, k, i, walls, pulse, out[k])
+                    kind, way = _way_over_end(ring, j, k, i, walls, pulse, out[k])
                     if kind >= 0:
                         out[k, kind] = way
-    out[j, DIFFUSE] = 2.0 * nearest_in_cone(ring[j, 0], ring[j, 1], ring[j, 2], walls, pulse.half)
+    out[j, DIFFUSE] = 2.0 * _nearest_in_cone(ring[j, 0], ring[j, 1], ring[j, 2], walls, pulse.half)
     pairs = np.empty((MAX_PAIRS, 2), np.int64)
-    n_pairs = follow_rays(ring, j, walls, pulse, pairs, out)
+    n_pairs = _follow_rays(ring, j, walls, pulse, pairs, out)
     for p in range(n_pairs):
         chain[0], chain[1], chain[2] = pairs[p, 0], pairs[p, 1], pairs[p, 0]
         for k in range(first, last):
             for n in (2, 3):
                 if in_view[k, chain[n - 1]]:
-                    way = mirrored_way(ring, j, k, chain, n, walls, pulse, out[k, SECOND], images, turns)
+                    way = _mirrored_way(ring, j, k, chain, n, walls, pulse, out[k, SECOND], images, turns)
                     out[k, SECOND] = min(out[k, SECOND], way)
     for k in range(first, last):
         for kind in range(N_WAYS):
@@ -148,7 +148,7 @@ def ways_of_sensor(
 
 
 @kernel
-def mirrored_way(
+def _mirrored_way(
     ring: Floats, j: int, k: int, chain: Ints, n: int, walls: Walls, pulse: Pulse, shortest: float,
     images: Floats, turns: Floats,
 ) -> float:  # fmt: skip
@@ -159,7 +159,7 @@ def mirrored_way(
     images[0, 0], images[0, 1] = ring[j, 0], ring[j, 1]
     for i in range(n):
         w = chain[i]
-        side = height_over(images[i, 0], images[i, 1], walls, w)
+        side = _height_over(images[i, 0], images[i, 1], walls, w)
         if side <= 0.0:
             return math.inf
         images[i + 1, 0] = images[i, 0] + 2.0 * side * walls.uy[w]
@@ -169,13 +169,13 @@ def mirrored_way(
     if way >= shortest or way > pulse.longest:
         return math.inf
     # Backwards from the hearing sensor; its echo comes from the direction of the last image.
-    if not in_cone(images[n, 0] - x, images[n, 1] - y, ring[k, 2], pulse.half):
+    if not _in_cone(images[n, 0] - x, images[n, 1] - y, ring[k, 2], pulse.half):
         return math.inf
     turns[0, 0], turns[0, 1] = x, y
     for i in range(n - 1, -1, -1):
         w = chain[i]
-        height = height_over(x, y, walls, w)
-        below = -height_over(images[i + 1, 0], images[i + 1, 1], walls, w)
+        height = _height_over(x, y, walls, w)
+        below = -_height_over(images[i + 1, 0], images[i + 1, 1], walls, w)
         if height < 0.0 or height + below <= 0.0:
             return math.inf
         share = height / (height + below)
@@ -189,16 +189,18 @@ def mirrored_way(
         if n > 1 and math.hypot(x - turns[n - i - 1, 0], y - turns[n - i - 1, 1]) < 1e-6:
             return math.inf
     turns[n + 1, 0], turns[n + 1, 1] = ring[j, 0], ring[j, 1]
-    if not in_cone(x - ring[j, 0], y - ring[j, 1], ring[j, 2], pulse.half):
+    if not _in_cone(x - ring[j, 0], y - ring[j, 1], ring[j, 2], pulse.half):
         return math.inf
     for i in range(n + 1):
-        if is_blocked(turns[i, 0], turns[i, 1], turns[i + 1, 0], turns[i + 1, 1], walls):
+        if _is_blocked(turns[i, 0], turns[i, 1], turns[i + 1, 0], turns[i + 1, 1], walls):
             return math.inf
     return way
 
 
 @kernel
-def way_over_end(ring: Floats, j: int, k: int, i: int, walls: Walls, pulse: Pulse, so_far: Floats) -> tuple[int, float]:
+def _way_over_end(
+    ring: Floats, j: int, k: int, i: int, walls: Walls, pulse: Pulse, so_far: Floats
+) -> tuple[int, float]:
     """Return kind and length of the way j -> end of wall i -> k; kind -1 if there is none shorter than so far."""
     what = walls.end[i]
     if what == PLAIN_END:
@@ -211,10 +213,10 @@ def way_over_end(ring: Floats, j: int, k: int, i: int, walls: Walls, pulse: Puls
     way = far_j + far_k
     if way >= so_far[kind] or way > pulse.longest or far_j == 0.0 or far_k == 0.0:
         return -1, math.inf
-    if not (in_cone(-to_j_x, -to_j_y, ring[j, 2], pulse.half) and in_cone(-to_k_x, -to_k_y, ring[k, 2], pulse.half)):
+    if not (_in_cone(-to_j_x, -to_j_y, ring[j, 2], pulse.half) and _in_cone(-to_k_x, -to_k_y, ring[k, 2], pulse.half)):
         return -1, math.inf
-    before_j, after_j = is_before(to_j_x, to_j_y, i, walls)
-    before_k, after_k = is_before(to_k_x, to_k_y, i, walls)
+    before_j, after_j = _is_before(to_j_x, to_j_y, i, walls)
+    before_k, after_k = _is_before(to_k_x, to_k_y, i, walls)
     if what == INNER_CORNER:
         if not (before_j and after_j and before_k and after_k):
             return -1, math.inf
@@ -226,13 +228,13 @@ def way_over_end(ring: Floats, j: int, k: int, i: int, walls: Walls, pulse: Puls
         along = middle_x * walls.ux[i] + middle_y * walls.uy[i]
         if along < 0.0 or middle_x * walls.after_x[i] + middle_y * walls.after_y[i] > 0.0:
             return -1, math.inf
-    if is_blocked(ring[j, 0], ring[j, 1], x, y, walls) or is_blocked(x, y, ring[k, 0], ring[k, 1], walls):
+    if _is_blocked(ring[j, 0], ring[j, 1], x, y, walls) or _is_blocked(x, y, ring[k, 0], ring[k, 1], walls):
         return -1, math.inf
     return kind, way
 
 
 @kernel
-def is_before(dx: float, dy: float, i: int, walls: Walls) -> tuple[bool, bool]:
+def _is_before(dx: float, dy: float, i: int, walls: Walls) -> tuple[bool, bool]:
     """Whether a place, seen from the end of wall i, is in front of it and of the wall that goes on there."""
     first = dy * walls.ux[i] - dx * walls.uy[i] > 0.0
     second = dy * walls.after_x[i] - dx * walls.after_y[i] > 0.0
@@ -240,7 +242,7 @@ def is_before(dx: float, dy: float, i: int, walls: Walls) -> tuple[bool, bool]:
 
 
 @kernel
-def follow_rays(ring: Floats, j: int, walls: Walls, pulse: Pulse, pairs: Ints, out: Floats) -> int:
+def _follow_rays(ring: Floats, j: int, walls: Walls, pulse: Pulse, pairs: Ints, out: Floats) -> int:
     """Send rays through the cone of sensor j; list the pairs of walls that they meet first and second.
 
     Where a ray meets a wall that scatters, the sensors that look there hear it: into out[:, DIFFUSE].
@@ -251,16 +253,16 @@ def follow_rays(ring: Floats, j: int, walls: Walls, pulse: Pulse, pairs: Ints, o
         share = r / (pulse.n_rays - 1) if pulse.n_rays > 1 else 0.5
         angle = ring[j, 2] + (2.0 * share - 1.0) * pulse.half
         dx, dy = math.cos(angle), math.sin(angle)
-        first, way = first_wall(x, y, dx, dy, -1, walls)
+        first, way = _first_wall(x, y, dx, dy, -1, walls)
         if first < 0 or way > pulse.longest:
             continue
         hit_x, hit_y = x + way * dx, y + way * dy
         if pulse.cross_talk:
-            hear_scattered(ring, j, hit_x, hit_y, way, walls, pulse, out)
+            _hear_scattered(ring, j, hit_x, hit_y, way, walls, pulse, out)
         # Mirrored: the part along the normal turns round.
         across = 2.0 * (dy * walls.ux[first] - dx * walls.uy[first])
         dx, dy = dx + across * walls.uy[first], dy - across * walls.ux[first]
-        second, more = first_wall(hit_x, hit_y, dx, dy, first, walls)
+        second, more = _first_wall(hit_x, hit_y, dx, dy, first, walls)
         if second < 0 or way + more > pulse.longest:
             continue
         known = False
@@ -273,7 +275,7 @@ def follow_rays(ring: Floats, j: int, walls: Walls, pulse: Pulse, pairs: Ints, o
 
 
 @kernel
-def hear_scattered(
+def _hear_scattered(
     ring: Floats, j: int, x: float, y: float, way: float, walls: Walls, pulse: Pulse, out: Floats
 ) -> None:
     """Shorten the scattered ways from sensor j to the others by one over (x, y)."""
@@ -284,21 +286,21 @@ def hear_scattered(
         total = way + math.hypot(dx, dy)
         if (
             total < out[k, DIFFUSE]
-            and in_cone(dx, dy, ring[k, 2], pulse.half)
-            and not is_blocked(ring[k, 0], ring[k, 1], x, y, walls)
+            and _in_cone(dx, dy, ring[k, 2], pulse.half)
+            and not _is_blocked(ring[k, 0], ring[k, 1], x, y, walls)
         ):
             out[k, DIFFUSE] = total
 
 
 @kernel
-def first_wall(x: float, y: float, dx: float, dy: float, without: int, walls: Walls) -> tuple[int, float]:
+def _first_wall(x: float, y: float, dx: float, dy: float, without: int, walls: Walls) -> tuple[int, float]:
     """Return the first wall that a ray meets from its front, and how far that is; -1, inf if there is none."""
     found, nearest = -1, math.inf
     for i in range(len(walls.ax)):
         facing = dy * walls.ux[i] - dx * walls.uy[i]
         if i == without or facing >= 0.0:
             continue
-        way = -height_over(x, y, walls, i) / facing
+        way = -_height_over(x, y, walls, i) / facing
         if 0.0 <= way < nearest:
             along = (x + way * dx - walls.ax[i]) * walls.ux[i] + (y + way * dy - walls.ay[i]) * walls.uy[i]
             if -SLACK <= along <= walls.length[i] + SLACK:
@@ -307,22 +309,22 @@ def first_wall(x: float, y: float, dx: float, dy: float, without: int, walls: Wa
 
 
 @kernel
-def nearest_in_cone(x: float, y: float, theta: float, walls: Walls, half: float) -> float:
+def _nearest_in_cone(x: float, y: float, theta: float, walls: Walls, half: float) -> float:
     """Return the distance to the nearest point of any wall in a cone, inf if there is none.
 
     No wall can hide it: a cone is convex, so that what hides a point lies in the cone, and nearer.
     """
     nearest = math.inf
     for i in range(len(walls.ax)):
-        if height_over(x, y, walls, i) < nearest:
-            nearest = min(nearest, nearest_on_wall(x, y, theta, walls, i, half))
+        if _height_over(x, y, walls, i) < nearest:
+            nearest = min(nearest, _nearest_on_wall(x, y, theta, walls, i, half))
     return nearest
 
 
 @kernel
-def nearest_on_wall(x: float, y: float, theta: float, walls: Walls, i: int, half: float) -> float:
+def _nearest_on_wall(x: float, y: float, theta: float, walls: Walls, i: int, half: float) -> float:
     """Return the distance to the nearest point of wall i in a cone, inf if there is none or it is seen from behind."""
-    height = height_over(x, y, walls, i)
+    height = _height_over(x, y, walls, i)
     if height <= 0.0:
         return math.inf
     # From its foot, the perpendicular on the wall, the wall spans angles: those to its end counter-clockwise. The
@@ -338,14 +340,14 @@ def nearest_on_wall(x: float, y: float, theta: float, walls: Walls, i: int, half
 
 
 @kernel
-def is_blocked(ax: float, ay: float, bx: float, by: float, walls: Walls) -> bool:
+def _is_blocked(ax: float, ay: float, bx: float, by: float, walls: Walls) -> bool:
     """Whether a wall crosses the line between two places; one that only its ends touch does not."""
     dx, dy = bx - ax, by - ay
     for i in range(len(walls.ax)):
         speed = dy * walls.ux[i] - dx * walls.uy[i]
         if speed == 0.0:
             continue
-        share = -height_over(ax, ay, walls, i) / speed
+        share = -_height_over(ax, ay, walls, i) / speed
         if TOUCH < share < 1.0 - TOUCH:
             along = (ax + share * dx - walls.ax[i]) * walls.ux[i] + (ay + share * dy - walls.ay[i]) * walls.uy[i]
             if -SLACK <= along <= walls.length[i] + SLACK:
@@ -354,14 +356,14 @@ def is_blocked(ax: float, ay: float, bx: float, by: float, walls: Walls) -> bool
 
 
 @kernel
-def height_over(x: float, y: float, walls: Walls, i: int) -> float:
+def _height_over(x: float, y: float, walls: Walls, i: int) -> float:
     """Return the distance of a place from the line of wall i, positive in front of it."""
     height: float = (y - walls.ay[i]) * walls.ux[i] - (x - walls.ax[i]) * walls.uy[i]
     return height
 
 
 @kernel
-def in_cone(dx: float, dy: float, theta: float, half: float) -> bool:
+def _in_cone(dx: float, dy: float, theta: float, half: float) -> bool:
     """Whether a direction lies in the cone around theta."""
     turn = math.atan2(dy, dx) - theta
     return abs(math.atan2(math.sin(turn), math.cos(turn))) <= half + SLACK

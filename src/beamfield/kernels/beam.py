@@ -99,7 +99,7 @@ def normal_interval(low: float, high: float) -> tuple[float, float]:
 
 
 @kernel
-def hit_sigma(z_star: float, view: BeamView) -> float:
+def _hit_sigma(z_star: float, view: BeamView) -> float:
     """Return the standard deviation of a hit; it may grow with the expected range."""
     if view.sigma_slope == 0.0:
         return view.sigma_hit
@@ -120,7 +120,7 @@ def hit_density(z: float, z_star: float, view: BeamView) -> float:
     """Return p_hit (6.4), a density on [0, max_range); its mean is the expected range plus the range offset."""
     if not 0.0 <= z < view.max_range:
         return 0.0
-    sigma = hit_sigma(z_star, view)
+    sigma = _hit_sigma(z_star, view)
     mean = z_star + view.range_offset
     factor, edge = hit_normaliser(mean, sigma, view.max_range)
     u = (z - mean) / sigma
@@ -170,46 +170,46 @@ def mixture(z: float, z_star: float, view: BeamView) -> float:
 
 
 @kernel
-def is_measurement(z: float, z_star: float) -> bool:
+def _is_measurement(z: float, z_star: float) -> bool:
     """Whether a beam says anything: its range is not NaN, not negative, and its expected range is known."""
     return z >= 0.0 and z_star >= 0.0
 
 
 @kernel
-def log_or_minus_infinity(x: float) -> float:
+def _log_or_minus_infinity(x: float) -> float:
     """Return log x, and -inf for 0."""
     return math.log(x) if x > 0.0 else -math.inf
 
 
 @kernel
-def log_parts(z: float, z_star: float, view: BeamView) -> tuple[float, float, float, float]:
+def _log_parts(z: float, z_star: float, view: BeamView) -> tuple[float, float, float, float]:
     """Return the logarithms of the four weighted parts of (6.12), which do not underflow."""
     if z >= view.max_range:
-        return -math.inf, -math.inf, log_or_minus_infinity(view.z_max), -math.inf
-    sigma = hit_sigma(z_star, view)
+        return -math.inf, -math.inf, _log_or_minus_infinity(view.z_max), -math.inf
+    sigma = _hit_sigma(z_star, view)
     mean = z_star + view.range_offset
     factor, edge = hit_normaliser(mean, sigma, view.max_range)
     u = (z - mean) / sigma
-    log_hit = log_or_minus_infinity(view.z_hit) + math.log(factor) - 0.5 * (u - edge) * (u + edge)
+    log_hit = _log_or_minus_infinity(view.z_hit) + math.log(factor) - 0.5 * (u - edge) * (u + edge)
     log_short = -math.inf
     if z <= max(z_star, SHORTEST_SUPPORT):
         log_short = (
-            log_or_minus_infinity(view.z_short)
+            _log_or_minus_infinity(view.z_short)
             + math.log(short_factor(z_star, view.lambda_short))
             - view.lambda_short * z
         )
-    return log_hit, log_short, -math.inf, log_or_minus_infinity(view.z_rand / view.max_range)
+    return log_hit, log_short, -math.inf, _log_or_minus_infinity(view.z_rand / view.max_range)
 
 
 @kernel
 def log_mixture(z: float, z_star: float, view: BeamView) -> float:
     """Return the logarithm of (6.12); 0 where there is no measurement, -inf only where the range is impossible."""
-    if not is_measurement(z, z_star):
+    if not _is_measurement(z, z_star):
         return 0.0
     p = mixture(z, z_star, view)
     if p > SMALL_DENSITY:
         return math.log(p)
-    return log_sum(log_parts(z, z_star, view))
+    return log_sum(_log_parts(z, z_star, view))
 
 
 @kernel
@@ -230,7 +230,7 @@ def responsibilities(z: float, z_star: float, view: BeamView) -> tuple[float, fl
 
     All four are 0 where there is no measurement and where the range is impossible.
     """
-    if not is_measurement(z, z_star):
+    if not _is_measurement(z, z_star):
         return 0.0, 0.0, 0.0, 0.0
     if z >= view.max_range:
         return 0.0, 0.0, (1.0 if view.z_max > 0.0 else 0.0), 0.0
@@ -240,7 +240,7 @@ def responsibilities(z: float, z_star: float, view: BeamView) -> tuple[float, fl
     p = hit + short + rand
     if p > SMALL_DENSITY:
         return hit / p, short / p, 0.0, rand / p
-    logs = log_parts(z, z_star, view)
+    logs = _log_parts(z, z_star, view)
     total = log_sum(logs)
     if total == -math.inf:
         return 0.0, 0.0, 0.0, 0.0
@@ -248,13 +248,13 @@ def responsibilities(z: float, z_star: float, view: BeamView) -> tuple[float, fl
 
 
 @kernel
-def hit_cdf(z: float, z_star: float, view: BeamView) -> float:
+def _hit_cdf(z: float, z_star: float, view: BeamView) -> float:
     """Return the integral of p_hit from 0 to z."""
     if z <= 0.0:
         return 0.0
     if z >= view.max_range:
         return 1.0
-    sigma = hit_sigma(z_star, view)
+    sigma = _hit_sigma(z_star, view)
     mean = z_star + view.range_offset
     low = -mean / sigma
     part, part_edge = normal_interval(low, (z - mean) / sigma)
@@ -279,12 +279,12 @@ def short_cdf(z: float, z_star: float, view: BeamView) -> float:
 @kernel
 def mixture_cdf(z: float, z_star: float, view: BeamView) -> float:
     """Return P(range <= z): continuous on [0, max_range), then a step of z_max to 1; NaN without measurement."""
-    if not is_measurement(z, z_star):
+    if not _is_measurement(z, z_star):
         return math.nan
     if z >= view.max_range:
         return 1.0
     return (
-        view.z_hit * hit_cdf(z, z_star, view)
+        view.z_hit * _hit_cdf(z, z_star, view)
         + view.z_short * short_cdf(z, z_star, view)
         + view.z_rand * z / view.max_range
     )
@@ -340,15 +340,15 @@ def quick_normal_below(t: float) -> float:
 
 
 @kernel
-def limit_factor(view: BeamView) -> float:
+def _limit_factor(view: BeamView) -> float:
     """Return the factor of `hit_normaliser` for z* = max_range (rays that hit nothing); -1 if it has an edge."""
-    sigma = hit_sigma(view.max_range, view)
+    sigma = _hit_sigma(view.max_range, view)
     factor, edge = hit_normaliser(view.max_range + view.range_offset, sigma, view.max_range)
     return factor if edge == 0.0 else -1.0
 
 
 @inlined_kernel
-def quick_hit(z: float, z_star: float, at_limit: float, view: BeamView) -> float:
+def _quick_hit(z: float, z_star: float, at_limit: float, view: BeamView) -> float:
     """Return p_hit for 0 <= z < max_range; negative or NaN where it needs `hit_density`."""
     slope = view.sigma_slope * (view.min_range + z_star)
     scale = 1.0 / math.sqrt(view.sigma_hit * view.sigma_hit + slope * slope)
@@ -366,7 +366,7 @@ def quick_hit(z: float, z_star: float, at_limit: float, view: BeamView) -> float
 
 
 @inlined_kernel
-def quick_short(z: float, z_star: float, view: BeamView) -> float:
+def _quick_short(z: float, z_star: float, view: BeamView) -> float:
     """Return p_short for 0 <= z < max_range."""
     support = z_star if z_star > SHORTEST_SUPPORT else SHORTEST_SUPPORT
     x = view.lambda_short * support
@@ -380,15 +380,15 @@ def quick_short(z: float, z_star: float, view: BeamView) -> float:
 
 
 @kernel
-def fill_quick(ranges: Floats, expected: Floats, at_limit: float, view: BeamView, out: Floats) -> None:
+def _fill_quick(ranges: Floats, expected: Floats, at_limit: float, view: BeamView, out: Floats) -> None:
     """Fill out (n,) with `mixture`, and with a negative number or NaN for the few beams that need the full formulas."""
     rand = view.z_rand / view.max_range
     for i in range(ranges.size):
         z, z_star = ranges[i], expected[i]
         known = (z >= 0.0) & (z_star >= 0.0)
         z_star = z_star if z_star < view.max_range else view.max_range
-        hit = quick_hit(z, z_star, at_limit, view)
-        p = view.z_hit * hit + view.z_short * quick_short(z, z_star, view) + rand
+        hit = _quick_hit(z, z_star, at_limit, view)
+        p = view.z_hit * hit + view.z_short * _quick_short(z, z_star, view) + rand
         p = p if hit >= 0.0 else -1.0
         p = p if z < view.max_range else view.z_max
         out[i] = p if known else -1.0
@@ -397,10 +397,10 @@ def fill_quick(ranges: Floats, expected: Floats, at_limit: float, view: BeamView
 @kernel
 def fill_log_density(ranges: Floats, expected: Floats, view: BeamView, out: Floats) -> None:
     """Fill out (n,) with `log_mixture` of ranges (n,) and expected (n,)."""
-    at_limit = limit_factor(view)
+    at_limit = _limit_factor(view)
     for start in range(0, ranges.size, BLOCK):
         stop = min(start + BLOCK, ranges.size)
-        fill_quick(ranges[start:stop], expected[start:stop], at_limit, view, out[start:stop])
+        _fill_quick(ranges[start:stop], expected[start:stop], at_limit, view, out[start:stop])
         for i in range(start, stop):
             if out[i] > SMALL_DENSITY:
                 out[i] = math.log(out[i])
@@ -423,17 +423,17 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
     for i in range(tiled.size):
         tiled[i] = ranges[i % k]
     density = np.empty(tiled.size)
-    at_limit = limit_factor(view)
+    at_limit = _limit_factor(view)
     for start in range(0, expected.shape[0], n_together):
         n = min(n_together, expected.shape[0] - start)
-        fill_quick(tiled[: n * k], expected[start : start + n].reshape(-1), at_limit, view, density[: n * k])
+        _fill_quick(tiled[: n * k], expected[start : start + n].reshape(-1), at_limit, view, density[: n * k])
         for i in range(n):
-            out[start + i] = sum_of_logs(density[i * k : (i + 1) * k], ranges, expected[start + i], view)
+            out[start + i] = _sum_of_logs(density[i * k : (i + 1) * k], ranges, expected[start + i], view)
 
 
 @kernel
-def sum_of_logs(density: Floats, ranges: Floats, expected: Floats, view: BeamView) -> float:
-    """Return the sum of the logarithms of what `fill_quick` found, and `log_mixture` where it found none."""
+def _sum_of_logs(density: Floats, ranges: Floats, expected: Floats, view: BeamView) -> float:
+    """Return the sum of the logarithms of what `_fill_quick` found, and `log_mixture` where it found none."""
     total, product = 0.0, 1.0
     for j in range(ranges.size):
         p = density[j]
@@ -459,7 +459,7 @@ def fill_components(ranges: Floats, expected: Floats, view: BeamView, out: Float
     """Fill out (n, 4) with p_hit, p_short, p_max and p_rand, without weights."""
     for i in range(ranges.size):
         z, z_star = ranges[i], min(expected[i], view.max_range)
-        if is_measurement(z, z_star):
+        if _is_measurement(z, z_star):
             out[i, 0] = hit_density(z, z_star, view)
             out[i, 1] = short_density(z, z_star, view)
             out[i, 2] = max_mass(z, view.max_range)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import threading
+from contextlib import suppress
 
 import numpy as np
 from numba.core import config
@@ -21,7 +22,7 @@ from beamfield.kernels.processors import keep_off, n_processors, processor_in_us
 Words = NDArray[np.int64]
 
 # The words of a board, each on a cache line of its own.
-TICKET, FINISHED, JOB = 0, 8, 16
+TICKET, FINISHED, TAKEN, JOB = 0, 8, 16, 24
 # In the words from JOB on: addresses of the function and its arguments, rows, rows of a block, blocks, threads that may
 # help.
 FUNCTION, ARGUMENTS, N_ROWS, ROWS, N_BLOCKS, HELPERS, WORDS = range(JOB, JOB + 7)
@@ -51,14 +52,8 @@ def run_together(function: int, arguments: Words, n_rows: int, rows: int, *, thr
     While another caller's job is being done, the caller works alone, so that nobody waits.
     """
     board = _board
-    if not board.taken.acquire(False):
-        work_alone(function, arguments, n_rows)
-        return
-    try:
-        board.wake(threads - 1)
-        lead(board.words, function, arguments, n_rows, rows, threads - 1)
-    finally:
-        board.taken.release()
+    board.wake(threads - 1)
+    lead(board.words, function, arguments, n_rows, rows, threads - 1)
 
 
 def is_possible() -> bool:
@@ -72,22 +67,32 @@ class _Board:
     def __init__(self) -> None:
         self.words: Words = np.zeros(WORDS, np.int64)
         self.words[TICKET] = BLOCKS - 1
-        self.taken = threading.Lock()
         self._helpers: list[_Helper] = []
+        self._starting = threading.Lock()
 
     def wake(self, n: int) -> None:
         """Have n threads awake, no more than there are processors beside the caller's."""
         for i in range(n):
-            if i == len(self._helpers):
+            if i >= len(self._helpers):
                 if i >= n_processors() - 1:
                     return
-                self._helpers.append(_Helper(self.words, i))
+                self._start(i)
             if self._helpers[i].asleep:
                 self._helpers[i].wake()
 
+    def _start(self, i: int) -> None:
+        """Start the thread of this number, unless another caller just has."""
+        with self._starting:
+            if i == len(self._helpers):
+                self._helpers.append(_Helper(self.words, i))
+
 
 class _Helper(threading.Thread):
-    """A thread that looks at the board, and sleeps when nothing has been there for a while."""
+    """A thread that looks at the board, and sleeps when nothing has been there for a while.
+
+    Nothing that a caller does leaves it asleep for good: a signal (Ctrl-C) may end the caller's Python code between any
+    two steps, so that only the thread itself says whether it is asleep.
+    """
 
     def __init__(self, words: Words, number: int) -> None:
         super().__init__(name="beamfield awake", daemon=True)
@@ -96,13 +101,14 @@ class _Helper(threading.Thread):
         self._woken.acquire()
         self._kept_off = -1
         # Compiled here, not beside the first jobs.
-        help_out(words, number, 0)
+        _help_out(words, number, 0)
         self.start()
 
     def run(self) -> None:
         while True:
             self._woken.acquire()
-            help_out(self._words, self._number, LOOKS)
+            self.asleep = False
+            _help_out(self._words, self._number, LOOKS)
             self.asleep = True
 
     def wake(self) -> None:
@@ -110,8 +116,9 @@ class _Helper(threading.Thread):
         here = processor_in_use()
         if here != self._kept_off and keep_off(self.native_id, here):
             self._kept_off = here
-        self.asleep = False
-        self._woken.release()
+        # Released already: someone has woken it, and it has not come to say so.
+        with suppress(RuntimeError):
+            self._woken.release()
 
 
 def _start_anew() -> None:
@@ -127,7 +134,13 @@ if hasattr(os, "register_at_fork"):
 
 @kernel
 def lead(board: Words, function: int, arguments: Words, n_rows: int, rows: int, helpers: int) -> None:
-    """Announce a job, work on it, and wait for the blocks that others have taken."""
+    """Announce a job, work on it, and wait for the blocks that others have taken; alone if another job is there.
+
+    All of it here, where no signal can end it half way.
+    """
+    if not replace(board, TAKEN, 0, 1):
+        call(function, arguments.ctypes.data, 0, n_rows)
+        return
     rows = max(rows, (n_rows + BLOCKS - 2) // (BLOCKS - 1))
     n_blocks = (n_rows + rows - 1) // rows
     board[FUNCTION], board[ARGUMENTS] = function, arguments.ctypes.data
@@ -136,22 +149,17 @@ def lead(board: Words, function: int, arguments: Words, n_rows: int, rows: int, 
     # Whoever takes a block from here on sees all of the above. One who read the number of blocks of another job cannot
     # take any: the ticket it saw with it has gone, and none comes back.
     store(board, TICKET, (load(board, TICKET) // BLOCKS + 1) * BLOCKS)
-    while take_block(board):
+    while _take_block(board):
         pass
     while load(board, FINISHED) < n_blocks:
         pause()
     # Closed: the words may change from here on.
     store(board, TICKET, load(board, TICKET) // BLOCKS * BLOCKS + BLOCKS - 1)
+    store(board, TAKEN, 0)
 
 
 @kernel
-def work_alone(function: int, arguments: Words, n_rows: int) -> None:
-    """Do a job without announcing it."""
-    call(function, arguments.ctypes.data, 0, n_rows)
-
-
-@kernel
-def take_block(board: Words) -> bool:
+def _take_block(board: Words) -> bool:
     """Do the next block of the job, if any is left; whether one was, or may have been."""
     ticket = load(board, TICKET)
     block = ticket % BLOCKS
@@ -165,11 +173,11 @@ def take_block(board: Words) -> bool:
 
 
 @kernel
-def help_out(board: Words, number: int, most_looks: int) -> None:
+def _help_out(board: Words, number: int, most_looks: int) -> None:
     """Take blocks of the jobs that are announced, until there has been none for so many looks."""
     looks = 0
     while looks < most_looks:
-        if number < load(board, HELPERS) and take_block(board):
+        if number < load(board, HELPERS) and _take_block(board):
             looks = 0
         else:
             pause()

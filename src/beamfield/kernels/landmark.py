@@ -23,7 +23,7 @@ TAN_PI_8 = 0.41421356237309503
 
 
 @inlined_kernel
-def arc_tangent_2(v: float, u: float) -> float:
+def _arc_tangent_2(v: float, u: float) -> float:
     """Return atan2(v, u) by arithmetic alone, which LLVM can vectorise; NaN for (0, 0).
 
     The ratio is reduced to |t| <= tan(pi / 8). There atan(t) / t is a polynomial in t^2 that interpolates its series at
@@ -75,7 +75,7 @@ def log_value(
     dx = cos if square == 0.0 else dx
     dy = sin if square == 0.0 else dy
     ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-    bearing_error = arc_tangent_2(left * cos_phi - ahead * sin_phi, ahead * cos_phi + left * sin_phi)
+    bearing_error = _arc_tangent_2(left * cos_phi - ahead * sin_phi, ahead * cos_phi + left * sin_phi)
     a = (math.sqrt(square) - r) * range_weight
     b = bearing_error * bearing_weight
     return base - 0.5 * (a * a + b * b)

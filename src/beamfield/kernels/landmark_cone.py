@@ -45,12 +45,12 @@ def nearest_in_cones(
                 dx, dy = landmarks[m, 0] - apex_x, landmarks[m, 1] - apex_y
                 # Along the axis, and beside it; the cone is the same on both sides.
                 along, beside = axis_x * dx + axis_y * dy, abs(axis_x * dy - axis_y * dx)
-                best = min(best, cone_range(along, beside, landmarks[m, 2], half_cos, half_sin))
+                best = min(best, _cone_range(along, beside, landmarks[m, 2], half_cos, half_sin))
             ranges[i, b] = best
 
 
 @kernel
-def cone_range(along: float, beside: float, radius: float, half_cos: float, half_sin: float) -> float:
+def _cone_range(along: float, beside: float, radius: float, half_cos: float, half_sin: float) -> float:
     """Return the distance from the apex to the part of a disc that is in the cone; inf if none is.
 
     `along` and `beside` >= 0 place the disc's centre along the cone's axis and beside it.

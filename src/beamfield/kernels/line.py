@@ -24,7 +24,7 @@ NEGLIGIBLE = 40.0
 
 
 @inlined_kernel
-def both_squares(d: float, turn: float, rho: float, w_rr: float, two_w_ra: float, w_aa: float) -> tuple[float, float]:
+def _both_squares(d: float, turn: float, rho: float, w_rr: float, two_w_ra: float, w_aa: float) -> tuple[float, float]:
     """Return the squared Mahalanobis distances to (d, direction) and to (-d, direction + pi).
 
     `turn` is the measured minus the expected direction, radians, not wrapped.
@@ -36,7 +36,7 @@ def both_squares(d: float, turn: float, rho: float, w_rr: float, two_w_ra: float
 
 
 @kernel
-def for_poses(
+def _for_poses(
     x: Floats,
     y: Floats,
     heading: Floats,
@@ -54,13 +54,13 @@ def for_poses(
     """Fill in the larger exponent of the two pairs, and how much smaller the other is, for one line and many poses."""
     for i in range(x.size):
         d = r - x[i] * cos - y[i] * sin
-        one, other = both_squares(d, alpha + heading[i], rho, w_rr, two_w_ra, w_aa)
+        one, other = _both_squares(d, alpha + heading[i], rho, w_rr, two_w_ra, w_aa)
         best[i] = -0.5 * (one if one < other else other)
         gap[i] = 0.5 * abs(one - other)
 
 
 @kernel
-def for_lines(
+def _for_lines(
     d: Floats,
     a: Floats,
     rho: float,
@@ -73,13 +73,13 @@ def for_lines(
 ) -> None:
     """Fill in the same for one pose and many mapped lines."""
     for j in range(d.size):
-        one, other = both_squares(d[j], alpha - a[j], rho, w_rr, two_w_ra, w_aa)
+        one, other = _both_squares(d[j], alpha - a[j], rho, w_rr, two_w_ra, w_aa)
         best[j] = -0.5 * (one if one < other else other)
         gap[j] = 0.5 * abs(one - other)
 
 
 @kernel
-def add_other_pair(best: Floats, gap: Floats) -> None:
+def _add_other_pair(best: Floats, gap: Floats) -> None:
     """Add the smaller of the two densities where it counts, which is rare."""
     for i in range(best.size):
         if gap[i] < NEGLIGIBLE:
@@ -119,8 +119,8 @@ def fill_known(
             cos, sin, r, a = lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3]
             rho, alpha = features[k, 0], features[k, 1] - a
             w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
-            for_poses(x[:m], y[:m], heading[:m], cos, sin, r, rho, alpha, w_rr, two_w_ra, w_aa, best[:m], gap[:m])
-            add_other_pair(best[:m], gap[:m])
+            _for_poses(x[:m], y[:m], heading[:m], cos, sin, r, rho, alpha, w_rr, two_w_ra, w_aa, best[:m], gap[:m])
+            _add_other_pair(best[:m], gap[:m])
             for i in range(m):
                 best[i] += constant
             if first >= 0:
@@ -154,8 +154,8 @@ def fill_candidates(poses: Floats, mount: Floats, features: Floats, lines: Float
             rho, alpha = features[k, 0], features[k, 1] + heading
             w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
             row = out[i, k]
-            for_lines(d, a, rho, alpha, w_rr, two_w_ra, w_aa, row, gap)
-            add_other_pair(row, gap)
+            _for_lines(d, a, rho, alpha, w_rr, two_w_ra, w_aa, row, gap)
+            _add_other_pair(row, gap)
             for j in range(n_lines):
                 row[j] = _never_nan(row[j] + constant)
 

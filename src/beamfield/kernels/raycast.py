@@ -6,9 +6,9 @@ edge Y at ty(Y) = (Y - y) / sin. The cells of the ray are the merge of these two
 on the ray alone and not on how it is followed. Two edges within `TIE` of each other are a corner.
 
 `free_rectangles` stores for every cell and direction quadrant a large free rectangle that starts there; a ray that
-enters a cell may jump to the exit of its rectangle. `trace_ray` follows one ray so, in float64. `_cast_block` follows
+enters a cell may jump to the exit of its rectangle. `_trace_ray` follows one ray so, in float64. `_cast_block` follows
 many at once in float32, keeps for each how close it came to a corner, and leaves every ray for which float32 cannot
-decide where it went to `trace_ray`. The range is computed in float64 from the edges of the cell that was hit, so it
+decide where it went to `_trace_ray`. The range is computed in float64 from the edges of the cell that was hit, so it
 does not depend on which of the two found that cell.
 """
 
@@ -229,7 +229,7 @@ def trace_rays(
 
 
 @kernel
-def trace_ray(
+def _trace_ray(
     cell_x: float, cell_y: float, offset_x: float, offset_y: float, c: float, s: float, terrain: Terrain
 ) -> tuple[float, int, int]:
     """Follow one ray in float64 from cell and offset in direction c, s; return range in metres and (row, col)."""
@@ -317,7 +317,7 @@ def _settle_fan(
         cell_x, offset_x = _split(x + (c * fan_x[b] - s * fan_y[b]))
         cell_y, offset_y = _split(y + (s * fan_x[b] + c * fan_y[b]))
         beam_c, beam_s = c * fan_c[b] - s * fan_s[b], s * fan_c[b] + c * fan_s[b]
-        ranges[r], row, col = trace_ray(cell_x, cell_y, offset_x, offset_y, beam_c, beam_s, terrain)
+        ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, beam_c, beam_s, terrain)
         if not only_doubtful:
             cells[r, 0], cells[r, 1] = row, col
 
@@ -340,7 +340,7 @@ def _settle_rays(
         cell_x, offset_x = _split(placed[0])
         cell_y, offset_y = _split(placed[STRIDE])
         c, s = placed[2 * STRIDE], placed[3 * STRIDE]
-        ranges[r], row, col = trace_ray(cell_x, cell_y, offset_x, offset_y, c, s, terrain)
+        ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, c, s, terrain)
         if not only_doubtful:
             cells[r, 0], cells[r, 1] = row, col
 

@@ -149,7 +149,7 @@ def _passed(bearing: float, first: int, stop: int, view: FieldView) -> float:
 
 
 @kernel
-def point_density(square: float, free: float, sigma: float, view: FieldView) -> tuple[float, float]:
+def _point_density(square: float, free: float, sigma: float, view: FieldView) -> tuple[float, float]:
     """Return the density at a point and the share in it of the nearest surface."""
     hit = view.z_hit * INV_SQRT_2PI / sigma * math.exp(-0.5 * square / (sigma * sigma)) if square < math.inf else 0.0
     p = hit + free * view.random_density + (1.0 - free) * view.unseen_density
@@ -163,7 +163,7 @@ def fill_field(points: Floats, reach: float, width: float, sigma: float, view: F
     for i in range(points.shape[0]):
         _, square = nearest_element(points[i, 0], points[i, 1], reach, view)
         free[i] = free_share(points[i, 0], points[i, 1], width, view)
-        density[i], _ = point_density(square, free[i], sigma, view)
+        density[i], _ = _point_density(square, free[i], sigma, view)
         distance[i] = math.sqrt(square)
 
 
@@ -178,7 +178,7 @@ def fill_scores(points: Floats, poses: Floats, reach: float, width: float, sigma
             x = poses[i, 0] + cos * points[j, 0] - sin * points[j, 1]
             y = poses[i, 1] + sin * points[j, 0] + cos * points[j, 1]
             _, square = nearest_element(x, y, reach, view)
-            p, _ = point_density(square, free_share(x, y, width, view), sigma, view)
+            p, _ = _point_density(square, free_share(x, y, width, view), sigma, view)
             total += math.log(p)
         out[i] = total
 
@@ -192,9 +192,9 @@ def linearise(points: Floats, pose: Floats, stride: int, sigma: float, reach: fl
     """Fill gradient (3,) and Gauss-Newton information (3, 3) of the score at a pose, both times sigma squared.
 
     Only every stride-th end point counts. The score is the sum of log(density / unseen density): an end point in unseen
-    space adds nothing. Each end point's pull on its nearest element has the weight of `point_density`'s share. The free
-    share is taken to be constant. Returns the score, the sum of the weights, the weighted sum of squared distances and
-    the number of end points in seen space.
+    space adds nothing. Each end point's pull on its nearest element has the weight of `_point_density`'s share. The
+    free share is taken to be constant. Returns the score, the sum of the weights, the weighted sum of squared distances
+    and the number of end points in seen space.
     """
     gradient[:] = 0.0
     information[:] = 0.0
@@ -206,7 +206,7 @@ def linearise(points: Floats, pose: Floats, stride: int, sigma: float, reach: fl
         x, y = pose[0] + rx, pose[1] + ry
         i, square = nearest_element(x, y, reach, view)
         free = free_share(x, y, 2.0 * sigma, view)
-        p, share = point_density(square, free, sigma, view)
+        p, share = _point_density(square, free, sigma, view)
         score += math.log(p / view.unseen_density)
         seen += max(share, free)
         if i < 0 or view.elements[i, PULL] == NONE:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
+import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -83,8 +85,46 @@ def test_threads_sleep_when_nothing_comes_and_wake_again():
     assert (counted(1000, 1, 4) == 1).all()
 
 
+class Interrupt(Exception):
+    """What a signal's handler raises, as Ctrl-C does."""
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
+@pytest.mark.usefixtures("processors")
+def test_a_signal_at_any_moment_leaves_the_threads_at_work():
+    def raise_interrupt(*_):
+        raise Interrupt
+
+    counted(100, 1, 3)
+    before = signal.signal(signal.SIGALRM, raise_interrupt)
+    rng = np.random.default_rng(6)
+    rows, job = np.zeros(100, np.int64), np.zeros(3, np.int64)
+    job[:] = rows.ctypes.data, 100, 1
+    try:
+        for _ in range(2000):
+            # Not within numba's cfunc or a test's own arrays: only while the call is under way.
+            with contextlib.suppress(Interrupt):
+                signal.setitimer(signal.ITIMER_REAL, rng.uniform(1e-6, 6e-5))
+                crew.run_together(count_rows().address, job, 100, 1, threads=3)
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert load_word(crew._board.words, crew.TAKEN) == 0
+    assert_others_share_the_work()
+
+
+@numba.njit
+def load_word(words, i):
+    return load(words, i)
+
+
 @pytest.mark.usefixtures("processors")
 def test_others_do_share_the_work():
+    assert_others_share_the_work()
+
+
+def assert_others_share_the_work():
     def meet(job, _start, _stop):
         words = numba.carray(job, (2,))
         inside = numba.carray(pointer(words[0]), (2,), np.int64)

@@ -144,5 +144,5 @@ def test_parameters_without_meaning_are_refused(name, value):
 
 
 def test_map_modes_that_do_not_exist_are_refused():
-    with pytest.raises(InvalidInputError, match="map_mode: expected 'trinary' or 'raw'"):
+    with pytest.raises(InvalidInputError, match="map_mode: expected one of 'trinary', 'raw', got"):
         F1tenthTable(small_room(), PARAMETERS, map_mode="scale")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, Self, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -17,12 +15,13 @@ from beamfield.sensors import Scan
 from beamfield.stacks.amcl_scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.beam_selection import Indices, floor_step_beams
 from beamfield.stacks.emulator import RayEvidence, StackModel
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.nav2_parameters import AmclParameters
+from beamfield.stacks.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.stack_map import MapMode
-from beamfield.stacks.stack_rays import AMCL_LINE, RayChoice, bresenham_ranges, check_rays, exact_ranges, walled
+from beamfield.stacks.stack_rays import AMCL_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges, walled
 from beamfield.thread_count import check_threads
 
-P = TypeVar("P")
+P = TypeVar("P", bound=AmclParameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,30 +70,21 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
-        check_rays(self.rays)
-        check_no_return(self.no_return)
+        check_choice(self, "rays", RAYS)
+        check_choice(self, "no_return", NO_RETURNS)
         seen = amcl_grid(self.grid, self.map_mode)
         object.__setattr__(self, "_seen", seen)
         caster = RayCaster(walled(seen), unknown="occupied") if self.rays == "exact" else None
         object.__setattr__(self, "_caster", caster)
 
-    @staticmethod
-    @abstractmethod
-    def as_nav2(parameters: P) -> Nav2Parameters:
-        """Return the parameters under nav2's names."""
-
-    def with_parameters(self, parameters: P) -> Self:
-        """Return the model with other parameters and the same map, options and tables."""
-        return self._sharing(parameters=parameters)
-
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return floor_step_beams(n_beams, self.as_nav2(self.parameters).max_beams, least_step=self.least_step)
+        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=self.least_step)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
-        parameters = self.as_nav2(self.parameters)
+        parameters = self.parameters.as_nav2()
         _, range_max = range_limits(z.finder, parameters)
         ranges = amcl_ranges(z, parameters)
         if self.no_return == "range_max":
@@ -113,7 +103,7 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
 
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""
-        values = self.as_nav2(self._parameters_for(evidence, parameters))
+        values = self._parameters_for(evidence, parameters).as_nav2()
         z, z_star = evidence.ranges, evidence.expected_ranges
         p = z_star - z
         with np.errstate(over="ignore"):
@@ -130,9 +120,3 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         """Return log(1 + sum p^3), (n,); see `StackModel.log_weights`."""
         p = self.beam_values(evidence, parameters)
         return np.asarray(np.log1p((p * p * p).sum(axis=1)))
-
-
-def check_no_return(no_return: str) -> None:
-    """Raise InvalidInputError if there is no such report of a missing return."""
-    if no_return not in ("inf", "range_max"):
-        raise InvalidInputError(f"no_return: expected 'inf' or 'range_max', got {no_return!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -16,11 +15,11 @@ from beamfield.stacks.amcl_scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.beam_selection import Indices, floor_step_beams
 from beamfield.stacks.emulator import FieldEvidence, FieldModel
 from beamfield.stacks.field_table import AMCL_FIRE, DistanceChoice, FieldTable, end_points, field_table
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.nav2_parameters import AmclParameters, Nav2Parameters
 from beamfield.stacks.stack_map import MapMode
 from beamfield.thread_count import check_threads
 
-P = TypeVar("P")
+P = TypeVar("P", bound=AmclParameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,6 @@ class AmclField(FieldModel[P], Generic[P]):
 
     model: ClassVar[str] = "likelihood_field"
     least_step: ClassVar[int]
-    max_distance_name: ClassVar[str] = "laser_likelihood_max_dist"
 
     grid: OccupancyGrid
     parameters: P
@@ -59,29 +57,24 @@ class AmclField(FieldModel[P], Generic[P]):
     def __post_init__(self) -> None:
         check_threads(self.threads)
         seen = amcl_grid(self.grid, self.map_mode)
-        max_distance = self.as_nav2(self.parameters).laser_likelihood_max_dist
+        max_distance = self.parameters.as_nav2().laser_likelihood_max_dist
         object.__setattr__(self, "_table", field_table(seen, seen.occupied, self.distance, AMCL_FIRE, max_distance))
-
-    @staticmethod
-    @abstractmethod
-    def as_nav2(parameters: P) -> Nav2Parameters:
-        """Return the parameters under nav2's names."""
 
     def with_parameters(self, parameters: P) -> Self:
         """Return the model with other parameters; a brushfire burns anew if its end changes."""
-        name = self.max_distance_name
-        if self.distance == "brushfire" and getattr(parameters, name) != getattr(self.parameters, name):
+        end, end_before = (p.as_nav2().laser_likelihood_max_dist for p in (parameters, self.parameters))
+        if self.distance == "brushfire" and end != end_before:
             return replace(self, parameters=parameters)
-        return self._sharing(parameters=parameters)
+        return super().with_parameters(parameters)
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return floor_step_beams(n_beams, self.as_nav2(self.parameters).max_beams, least_step=self.least_step)
+        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=self.least_step)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
         """Return distances of end points; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
-        parameters = self.as_nav2(self.parameters)
+        parameters = self.parameters.as_nav2()
         _, range_max = range_limits(z.finder, parameters)
         ranges = amcl_ranges(z, parameters)
         beams = self.selected_beams(len(ranges))
@@ -91,7 +84,7 @@ class AmclField(FieldModel[P], Generic[P]):
 
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""
-        return field_values(evidence, self.as_nav2(self._parameters_for(evidence, parameters)))
+        return field_values(evidence, self._parameters_for(evidence, parameters).as_nav2())
 
     def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return p^3 of each beam that counts, (n, k)."""
@@ -105,7 +98,7 @@ class AmclField(FieldModel[P], Generic[P]):
     def _settings(self) -> dict[str, Any]:
         settings = super()._settings()
         if self.distance == "brushfire":
-            settings[self.max_distance_name] = getattr(self.parameters, self.max_distance_name)
+            settings["laser_likelihood_max_dist"] = self.parameters.as_nav2().laser_likelihood_max_dist
         return settings
 
 

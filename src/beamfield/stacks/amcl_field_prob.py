@@ -12,9 +12,9 @@ from beamfield.geometry import FloatArray
 from beamfield.stacks.amcl_field import AmclField
 from beamfield.stacks.beam_selection import Indices, ceil_step_beams
 from beamfield.stacks.emulator import OFF_MAP, FieldEvidence
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.nav2_parameters import AmclParameters, Nav2Parameters
 
-P = TypeVar("P")
+P = TypeVar("P", bound=AmclParameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class AmclFieldProb(AmclField[P]):
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return ceil_step_beams(n_beams, self.as_nav2(self.parameters).max_beams)
+        return ceil_step_beams(n_beams, self.parameters.as_nav2().max_beams)
 
     def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return log p of each beam that counts without beam skipping, (n, k)."""
@@ -58,14 +58,14 @@ class AmclFieldProb(AmclField[P]):
     def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the sum of log p over the beams that count, (n,); see `StackModel.log_weights`."""
         terms = self.beam_terms(evidence, parameters)
-        values = self.as_nav2(self.parameters if parameters is None else parameters)
+        values = (self.parameters if parameters is None else parameters).as_nav2()
         if values.do_beamskip:
             terms = terms[:, counted_beams(evidence, values)]
         return np.asarray(terms.sum(axis=1))
 
     def weighs_alone(self, parameters: P | None = None) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for: not with beam skipping."""
-        return not self.as_nav2(self.parameters if parameters is None else parameters).do_beamskip
+        return not (self.parameters if parameters is None else parameters).as_nav2().do_beamskip
 
 
 def counted_beams(evidence: FieldEvidence, parameters: Nav2Parameters) -> slice | Indices:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,11 +14,12 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.beluga_scan import SCAN_SETTINGS, beluga_beams, beluga_grid, check_no_return
+from beamfield.stacks.beluga_scan import SCAN_SETTINGS, beluga_beams, beluga_grid
 from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.field_table import end_points
+from beamfield.stacks.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.stack_map import MapMode
-from beamfield.stacks.stack_rays import BELUGA_LINE, RayChoice, bresenham_ranges, check_rays, exact_ranges
+from beamfield.stacks.stack_rays import BELUGA_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges
 from beamfield.thread_count import check_threads
 
 
@@ -65,15 +66,11 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
-        check_rays(self.rays)
-        check_no_return(self.no_return)
+        check_choice(self, "rays", RAYS)
+        check_choice(self, "no_return", NO_RETURNS)
         seen = beluga_grid(self.grid, self.map_mode)
         object.__setattr__(self, "_seen", seen)
         object.__setattr__(self, "_caster", RayCaster(seen, unknown="occupied") if self.rays == "exact" else None)
-
-    def with_parameters(self, parameters: BelugaParameters) -> Self:
-        """Return the model with other parameters and the same map, options and tables."""
-        return self._sharing(parameters=parameters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges from the robot's centre; see `StackModel.evidence`."""

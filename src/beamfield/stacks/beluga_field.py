@@ -13,9 +13,10 @@ from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.beluga_scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries, check_no_return
+from beamfield.stacks.beluga_scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries
 from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
 from beamfield.stacks.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.stack_map import MapMode
 from beamfield.thread_count import check_threads
 
@@ -68,7 +69,7 @@ class BelugaField(FieldModel[BelugaParameters]):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
-        check_no_return(self.no_return)
+        check_choice(self, "no_return", NO_RETURNS)
         seen = beluga_grid(self.grid, self.map_mode)
         only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
         obstacles = boundaries(seen) if only_boundaries else seen.occupied
@@ -85,7 +86,7 @@ class BelugaField(FieldModel[BelugaParameters]):
         names = self._table_settings()
         if any(getattr(parameters, name) != getattr(self.parameters, name) for name in names):
             return replace(self, parameters=parameters)
-        return self._sharing(parameters=parameters)
+        return super().with_parameters(parameters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
         """Return distances of end points; see `StackModel.evidence`."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.sensors import Scan
@@ -30,12 +29,6 @@ def beluga_beams(scan: Scan, parameters: BelugaParameters, no_return: str) -> tu
     beams = even_beams(len(ranges), parameters.max_beams)
     beams = beams[(ranges[beams] >= low) & (ranges[beams] <= high)]
     return beams, ranges[beams]
-
-
-def check_no_return(no_return: str) -> None:
-    """Raise InvalidInputError if there is no such report of a missing return."""
-    if no_return not in ("inf", "range_max"):
-        raise InvalidInputError(f"no_return: expected 'inf' or 'range_max', got {no_return!r}")
 
 
 def beluga_grid(grid: OccupancyGrid, map_mode: MapMode) -> OccupancyGrid:

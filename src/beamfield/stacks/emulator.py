@@ -107,9 +107,9 @@ class StackModel(ABC, Generic[P, E]):
 
     parameters: P
 
-    @abstractmethod
     def with_parameters(self, parameters: P) -> Self:
         """Return the model with other parameters and the same map, options and tables."""
+        return self._sharing(parameters=parameters)
 
     @abstractmethod
     def evidence(self, z: Scan, poses: ArrayLike) -> E:

@@ -16,6 +16,7 @@ from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan
 from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.f1tenth_parameters import F1tenthParameters
+from beamfield.stacks.parameter_checks import check_choice
 from beamfield.stacks.stack_rays import exact_ranges
 from beamfield.thread_count import check_threads
 
@@ -71,8 +72,7 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
-        if self.map_mode not in ("trinary", "raw"):
-            raise InvalidInputError(f"map_mode: expected 'trinary' or 'raw', got {self.map_mode!r}")
+        check_choice(self, "map_mode", ("trinary", "raw"))
         stops = self.grid.occupied
         if self.map_mode == "raw":
             stops = np.nan_to_num(self.grid.probability, nan=0.0) > OCCUPIED_FROM
@@ -83,7 +83,7 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
     def with_parameters(self, parameters: F1tenthParameters) -> Self:
         """Return the model with other parameters and the same map, options and tables."""
         pixels(parameters.max_range, self.grid.resolution)
-        return self._sharing(parameters=parameters)
+        return super().with_parameters(parameters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges, metres; see `StackModel.evidence`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldMode
 from beamfield.stacks.field_table import FieldTable, end_points
 from beamfield.stacks.mrpt_parameters import MrptFieldParameters
 from beamfield.stacks.mrpt_scan import LEAST_SPACING, mrpt_grid, scan_points
+from beamfield.stacks.parameter_checks import check_choice
 from beamfield.stacks.stack_map import MapMode
 from beamfield.thread_count import check_threads
 
@@ -75,15 +76,10 @@ class MrptField(FieldModel[MrptFieldParameters]):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
-        if self.precision not in ("double", "single"):
-            raise InvalidInputError(f"precision: expected 'double' or 'single', got {self.precision!r}")
+        check_choice(self, "precision", ("double", "single"))
         if not 0.0 <= self.least_spacing < np.inf:
             raise InvalidInputError(f"least_spacing: expected a number >= 0, got {self.least_spacing!r}")
         object.__setattr__(self, "_table", _table(mrpt_grid(self.grid, self.map_mode)))
-
-    def with_parameters(self, parameters: MrptFieldParameters) -> Self:
-        """Return the model with other parameters and the same map, options and tables."""
-        return self._sharing(parameters=parameters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
         """Return distances of end points; see `StackModel.evidence`."""

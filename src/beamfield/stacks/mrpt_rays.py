@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.kernels.marching import march
 from beamfield.kernels.threads import run_in_slices
@@ -19,6 +18,7 @@ from beamfield.sensors import RangeFinder, Scan
 from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.mrpt_parameters import MrptRayParameters
 from beamfield.stacks.mrpt_scan import mrpt_grid, valid_readings
+from beamfield.stacks.parameter_checks import check_choice
 from beamfield.stacks.stack_map import MapMode
 from beamfield.stacks.stack_rays import WORK_PER_RAY
 from beamfield.thread_count import check_threads
@@ -70,18 +70,13 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
-        if self.rays not in ("marching", "exact"):
-            raise InvalidInputError(f"rays: expected 'marching' or 'exact', got {self.rays!r}")
+        check_choice(self, "rays", ("marching", "exact"))
         seen = mrpt_grid(self.grid, self.map_mode)
         casters = None
         if self.rays == "exact":
             casters = RayCaster(seen, unknown="occupied"), RayCaster(seen, unknown="free")
         object.__setattr__(self, "_seen", seen)
         object.__setattr__(self, "_casters", casters)
-
-    def with_parameters(self, parameters: MrptRayParameters) -> Self:
-        """Return the model with other parameters and the same map, options and tables."""
-        return self._sharing(parameters=parameters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges; see `StackModel.evidence`."""

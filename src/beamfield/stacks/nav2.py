@@ -12,6 +12,8 @@ from beamfield.stacks.nav2_parameters import Nav2Parameters
 __all__ = ["Nav2Beam", "Nav2Field", "Nav2FieldProb"]
 
 SETTINGS = ("max_beams", "laser_max_range", "laser_min_range")
+FIELD = ("z_hit", "z_rand", "sigma_hit")
+BEAM = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
 
 
 class Nav2Field(AmclField[Nav2Parameters]):
@@ -31,13 +33,8 @@ class Nav2Field(AmclField[Nav2Parameters]):
 
     stack: ClassVar[str] = "nav2"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
-    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
+    fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
     least_step: ClassVar[int] = 0
-
-    @staticmethod
-    def as_nav2(parameters: Nav2Parameters) -> Nav2Parameters:
-        """Return the parameters: they have nav2's names."""
-        return parameters
 
 
 class Nav2FieldProb(AmclFieldProb[Nav2Parameters]):
@@ -45,13 +42,8 @@ class Nav2FieldProb(AmclFieldProb[Nav2Parameters]):
 
     stack: ClassVar[str] = "nav2"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
-    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
+    fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
     least_step: ClassVar[int] = 0
-
-    @staticmethod
-    def as_nav2(parameters: Nav2Parameters) -> Nav2Parameters:
-        """Return the parameters: they have nav2's names."""
-        return parameters
 
 
 class Nav2Beam(AmclBeam[Nav2Parameters]):
@@ -59,10 +51,5 @@ class Nav2Beam(AmclBeam[Nav2Parameters]):
 
     stack: ClassVar[str] = "nav2"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
-    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
+    fitted_parameters: ClassVar[tuple[str, ...]] = BEAM
     least_step: ClassVar[int] = 0
-
-    @staticmethod
-    def as_nav2(parameters: Nav2Parameters) -> Nav2Parameters:
-        """Return the parameters: they have nav2's names."""
-        return parameters

@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from beamfield.stacks.parameter_checks import check_choice, check_counts, check_numbers, check_switches
 
 MODEL_TYPES = ("likelihood_field", "likelihood_field_prob", "beam")
+
+
+class AmclParameters(Protocol):
+    """Parameters of nav2's AMCL or of the program that it was ported from, under that program's names."""
+
+    def as_nav2(self) -> Nav2Parameters:
+        """Return the same values under nav2's names."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -86,3 +95,7 @@ class Nav2Parameters:
         )
         check_counts(self, max_beams=2)
         check_switches(self, "do_beamskip")
+
+    def as_nav2(self) -> Nav2Parameters:
+        """Return the parameters: they have nav2's names."""
+        return self

@@ -1,4 +1,4 @@
-"""Checks of stacks' parameters: what a program accepts is accepted, what it cannot compute with is not."""
+"""Checks of stacks' parameters and emulators' options: accepted is what a program accepts and can compute with."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 
 from beamfield.errors import InvalidInputError
+
+# What the driver of a robot may report for a missing return.
+NO_RETURNS = ("inf", "range_max")
 
 
 def check_numbers(

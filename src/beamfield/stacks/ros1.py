@@ -10,7 +10,6 @@ from typing import ClassVar
 from beamfield.stacks.amcl_beam import AmclBeam
 from beamfield.stacks.amcl_field import AmclField
 from beamfield.stacks.amcl_field_prob import AmclFieldProb
-from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.ros1_parameters import Ros1Parameters
 
 __all__ = ["Ros1Beam", "Ros1Field", "Ros1FieldProb"]
@@ -28,11 +27,6 @@ class Ros1Field(AmclField[Ros1Parameters]):
     fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
     least_step: ClassVar[int] = 1
 
-    @staticmethod
-    def as_nav2(parameters: Ros1Parameters) -> Nav2Parameters:
-        """Return the parameters under nav2's names."""
-        return parameters.as_nav2()
-
 
 class Ros1FieldProb(AmclFieldProb[Ros1Parameters]):
     """ROS 1 amcl's likelihood_field_prob; see `AmclFieldProb`."""
@@ -42,11 +36,6 @@ class Ros1FieldProb(AmclFieldProb[Ros1Parameters]):
     fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
     least_step: ClassVar[int] = 1
 
-    @staticmethod
-    def as_nav2(parameters: Ros1Parameters) -> Nav2Parameters:
-        """Return the parameters under nav2's names."""
-        return parameters.as_nav2()
-
 
 class Ros1Beam(AmclBeam[Ros1Parameters]):
     """ROS 1 amcl's beam model; see `AmclBeam`."""
@@ -55,8 +44,3 @@ class Ros1Beam(AmclBeam[Ros1Parameters]):
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
     fitted_parameters: ClassVar[tuple[str, ...]] = BEAM
     least_step: ClassVar[int] = 1
-
-    @staticmethod
-    def as_nav2(parameters: Ros1Parameters) -> Nav2Parameters:
-        """Return the parameters under nav2's names."""
-        return parameters.as_nav2()

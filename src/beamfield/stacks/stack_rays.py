@@ -6,7 +6,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose, transform_points
 from beamfield.kernels import stacks as kernels
 from beamfield.kernels.threads import run_in_slices
@@ -15,6 +14,7 @@ from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
 
 RayChoice = Literal["bresenham", "exact"]
+RAYS = ("bresenham", "exact")
 # A step along Bresenham's line costs about as much as a ray's share of a unit of work.
 WORK_PER_RAY = 10
 
@@ -32,12 +32,6 @@ class Line(NamedTuple):
 
 AMCL_LINE = Line(edge_stops=True, overshoot=1, ties_turn=True)
 BELUGA_LINE = Line(edge_stops=False, overshoot=0, ties_turn=False)
-
-
-def check_rays(rays: str) -> None:
-    """Raise InvalidInputError if there is no such way to cast rays."""
-    if rays not in ("bresenham", "exact"):
-        raise InvalidInputError(f"rays: expected 'bresenham' or 'exact', got {rays!r}")
 
 
 def bresenham_ranges(

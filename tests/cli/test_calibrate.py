@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -256,10 +258,34 @@ def test_wrong_usage_has_exit_code_two(capsys):
     assert "LOG" in capsys.readouterr().err
 
 
+def test_a_file_name_that_is_no_text_comes_through(copy, tmp_path):
+    log = copy / os.fsdecode(b"l\xe4uf$x_{.log")
+    (copy / "log.carmen").rename(log)
+    words = [str(log), "--map", str(copy / "map.yaml")]
+    out = tmp_path / "out"
+    assert main(["calibrate", *words, "--out", str(out), "--quiet", "--bootstrap", "20", "--no-refine"]) == 0
+    for name in FILES:
+        assert r"l\xe4uf$x_{.log" in (out / name).read_text().replace("\\\\", "\\")
+    # Nor is a name with dollar signs a formula in a picture's title.
+    assert main(["inspect", str(log), "--out", str(tmp_path / "a.png")]) == 0
+    assert main(["inspect", str(log), "--json"]) == 0
+
+
+def test_a_stream_without_a_character_shows_its_number_instead(monkeypatch, world):
+    words = ["inspect", str(world / "log.carmen")]
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", stream)
+    monkeypatch.setattr("beamfield.cli.inspect._text", lambda *_: "\xb1")
+    assert main(words) == 0
+    stream.flush()
+    assert stream.buffer.getvalue() == b"\\xb1\n"
+
+
 def test_an_output_that_cannot_be_written_is_one_line(world, tmp_path, capsys):
     (tmp_path / "file").write_text("in the way")
-    line = fails(capsys, calibrate(world, tmp_path / "file"))
-    assert "file" in line
+    # Before any work: not even the map is read.
+    line = fails(capsys, calibrate(world / "none", tmp_path / "file"))
+    assert line.endswith("file: Not a directory")
     assert (tmp_path / "file").read_text() == "in the way"
 
 

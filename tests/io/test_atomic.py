@@ -11,7 +11,14 @@ from pathlib import Path
 import pytest
 
 from beamfield.errors import InvalidInputError
-from beamfield.io.atomic import atomic_file, atomic_files, atomic_folder, check_writable, write_file
+from beamfield.io.atomic import (
+    atomic_file,
+    atomic_files,
+    atomic_folder,
+    check_folder_writable,
+    check_writable,
+    write_file,
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -117,6 +124,30 @@ def test_a_folder_a_device_or_a_missing_folder_is_refused_before_anything_is_wri
         check_writable(tmp_path / "none" / "a.txt")
     check_writable(tmp_path / "a.txt")
     assert names(tmp_path) == []
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("in the way")
+    for path in (tmp_path / "file", tmp_path / "file" / "below" / "it"):
+        with pytest.raises(NotADirectoryError, match="file"):
+            check_folder_writable(path)
+    check_folder_writable(tmp_path)
+    check_folder_writable(tmp_path / "new" / "folder")
+    assert names(tmp_path) == ["file"]
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(PermissionError, match=str(tmp_path)):
+        check_folder_writable(tmp_path / "new" / "folder")
+    with pytest.raises(PermissionError, match=str(tmp_path)):
+        check_writable(tmp_path / "file")
+
+
+def test_a_folder_that_exists_is_written_without_touching_its_parent(tmp_path):
+    out = tmp_path / "mounted"
+    out.mkdir()
+    with atomic_folder(out) as part:
+        assert names(tmp_path) == ["mounted"]
+        (part / "a.txt").write_text("new")
+    assert names(out) == ["a.txt"]
 
 
 def test_files_that_belong_together_come_together_or_not_at_all(tmp_path):

@@ -114,13 +114,14 @@ def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
 def run(arguments: argparse.Namespace) -> int:
     """Parse, read, calibrate, write."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.io.atomic import atomic_folder
+    from beamfield.io.atomic import atomic_folder, check_folder_writable
     from beamfield.io.read_log import read_log
     from beamfield.io.read_map import read_map
     from beamfield.io.trajectory import attach_poses, read_trajectory
 
     if arguments.odometry and (arguments.map is not None or arguments.poses is not None):
         raise InvalidInputError("--odometry: only without --map and --poses: odometry is not in the map's frame")
+    check_folder_writable(arguments.out)
     options = _options(arguments)
     patched = read_stack_request(arguments)
     outputs: dict[str, dict[str, str]] = {}

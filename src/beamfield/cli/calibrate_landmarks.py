@@ -48,10 +48,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, learn, write, say."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.calibration.landmark_noise import learn_landmark_parameters
-    from beamfield.io.atomic import write_file
+    from beamfield.io.atomic import check_writable, write_file
     from beamfield.io.landmark_model_file import landmark_model_text
     from beamfield.io.read_sightings_log import read_sightings_log
 
+    if arguments.out is not None:
+        check_writable(arguments.out)
     with StageProgress(quiet=arguments.quiet) as progress:
         progress("reading", 0, 1)
         landmarks, log = read_sightings_log(arguments.sightings, arguments.map)

@@ -80,10 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.calibration.scan_fit import judge_log
     from beamfield.calibration.scan_fit_lost import LostRates
-    from beamfield.io.atomic import atomic_folder
+    from beamfield.io.atomic import atomic_folder, check_folder_writable
     from beamfield.report.scan_fit_page import fit_table
 
     _check(arguments)
+    check_folder_writable(arguments.out)
     rates = LostRates(arguments.lose_rate, arguments.find_rate)
     with StageProgress(quiet=arguments.quiet) as progress:
         given = _read(arguments, progress)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
+from beamfield.cli.provenance import file_name
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read the file, print what is in it, draw it."""
     _check(arguments)
     content = _read(arguments)
-    facts = {"source": arguments.path.name, **_facts(content, arguments.path)}
+    facts = {"source": file_name(arguments.path), **_facts(content, arguments.path)}
     grid = None if arguments.map is None else _read_background(content, arguments)
     # The picture first: if it fails, nothing was said either.
     if arguments.out is not None:
@@ -138,7 +139,8 @@ def _write_picture(content: OccupancyGrid | ScanLog, grid: OccupancyGrid | None,
     from beamfield.io.atomic import atomic_file
     from beamfield.sensors import ScanLog
 
-    title = arguments.path.name
+    # Two dollar signs in a name would make a formula of what is between them.
+    title = file_name(arguments.path).replace("$", r"\$")
     figure = log_picture(content, title, grid) if isinstance(content, ScanLog) else map_picture(content, title)
     with atomic_file(arguments.out) as part:
         figure.savefig(part, dpi=150, facecolor="white")
@@ -150,4 +152,4 @@ def _text(facts: dict[str, Any], arguments: argparse.Namespace) -> str:
     text = map_text(facts) if facts["kind"] == "map" else log_text(facts)
     if arguments.out is not None:
         return f"{facts['source']}: {text}\n\nwrote {arguments.out}"
-    return f"{facts['source']}: {text}\n\nto see it, add --out {arguments.path.name.split('.')[0]}.png"
+    return f"{facts['source']}: {text}\n\nto see it, add --out {facts['source'].split('.')[0] or 'log'}.png"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 import warnings
@@ -61,6 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments
         Words of the command line without the program's name; None takes them from the process.
     """
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that has no "±", or a file name that is no text, must not end a finished job with a traceback.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     parser = build_parser()
     parsed = parser.parse_args(arguments)
     threads = getattr(parsed, "threads", None)

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from beamfield import __version__
+
+
+def file_name(path: str | Path) -> str:
+    r"""Return a file's name as text that any output can hold: bytes that are no UTF-8 become ``\xe4``."""
+    name = Path(path).name or Path(path).resolve().name
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
 def file_hash(path: str | Path) -> str:
@@ -16,7 +23,7 @@ def file_hash(path: str | Path) -> str:
     digest = hashlib.sha256()
     if path.is_dir():
         for item in sorted(p for p in path.rglob("*") if p.is_file()):
-            digest.update(f"{item.relative_to(path).as_posix()} {file_hash(item)}\n".encode())
+            digest.update(f"{item.relative_to(path).as_posix()} {file_hash(item)}\n".encode(errors="surrogateescape"))
         return digest.hexdigest()
     with path.open("rb") as file:
         while chunk := file.read(1 << 20):
@@ -38,7 +45,7 @@ def provenance(inputs: Iterable[tuple[str, str | Path]], options: Mapping[str, A
     """
     return {
         "program": f"beamfield {__version__}",
-        "inputs": {role: {"name": Path(path).name, "sha256": file_hash(path)} for role, path in inputs},
+        "inputs": {role: {"name": file_name(path), "sha256": file_hash(path)} for role, path in inputs},
         "options": dict(options),
         "seed": seed,
     }

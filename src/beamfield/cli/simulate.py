@@ -95,8 +95,9 @@ def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Parse, simulate, write."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.io.atomic import atomic_folder
+    from beamfield.io.atomic import atomic_folder, check_folder_writable
 
+    check_folder_writable(arguments.out)
     _require_empty(arguments.out, overwrite=arguments.overwrite)
     if arguments.seed < 0:
         raise InvalidInputError(f"--seed: expected a number >= 0, got {arguments.seed}")

@@ -100,9 +100,31 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     InvalidInputError
         If `path` exists and is no regular file.
     OSError
-        If it is a folder, or its folder does not exist.
+        If it is a folder, or its folder does not exist or nothing can be created in it.
     """
-    _replaceable(Path(path))
+    _require_access(_replaceable(Path(path)).parent)
+
+
+def check_folder_writable(path: str | os.PathLike[str]) -> None:
+    """Raise now what `atomic_folder` would raise after the work is done.
+
+    Parameters
+    ----------
+    path
+        The folder that is to be written; it and its parents need not exist.
+
+    Raises
+    ------
+    NotADirectoryError
+        If it, or the nearest of its parents that exists, is no folder.
+    PermissionError
+        If nothing can be created where it is to be.
+    """
+    target = Path(os.path.realpath(path))
+    nearest = next(folder for folder in (target, *target.parents) if folder.exists())
+    if not nearest.is_dir():
+        raise NotADirectoryError(20, "Not a directory", str(path if nearest == target else nearest))
+    _require_access(nearest)
 
 
 @contextmanager
@@ -117,7 +139,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Yields
     ------
-    An empty folder beside it to create files in; folders inside it are allowed.
+    An empty folder beside it, or in it if it exists, to create files in; folders inside that are allowed.
 
     Raises
     ------
@@ -130,7 +152,8 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     if target.exists() and not target.is_dir():
         raise NotADirectoryError(20, "Not a directory", str(path))
     created = _create_parents(target)
-    part = _beside(target)
+    # In a folder that exists, for its parent may be another disk (a mount point) or not ours to write (a home).
+    part = _beside(target / target.name if target.exists() else target)
     try:
         part.mkdir()
         yield part
@@ -176,6 +199,11 @@ def _replaceable(path: Path) -> Path:
     if not target.parent.is_dir():
         raise FileNotFoundError(2, "No such folder to write into", str(target.parent))
     return target
+
+
+def _require_access(folder: Path) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(13, "Permission denied", str(folder))
 
 
 def _beside(target: Path) -> Path:

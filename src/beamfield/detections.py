@@ -95,7 +95,12 @@ class Detections:
         )
 
     def without_ids(self) -> Detections:
-        """Return the same features with all correspondences unknown."""
+        """Return the same features with all correspondences unknown.
+
+        Returns
+        -------
+        The detections with `ids` None.
+        """
         return replace(self, ids=None)
 
     def _checked_signatures(self, values: ArrayLike) -> FloatArray:

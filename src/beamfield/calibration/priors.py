@@ -33,6 +33,13 @@ class IntrinsicPriors:
     ------
     InvalidInputError
         If a name is unknown, a count negative, or a length not positive.
+
+    Examples
+    --------
+    As if 20 readings had been seen before whose unexpected objects were 2 m away on average:
+
+    >>> IntrinsicPriors({"z_short": 20.0}, mean_short=2.0, short_beams=20.0).counts.tolist()
+    [0.0, 20.0, 0.0, 0.0]
     """
 
     weight_counts: Mapping[str, float] = field(default_factory=dict)

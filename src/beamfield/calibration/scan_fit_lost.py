@@ -70,6 +70,16 @@ def lost_probability(
     ------
     InvalidInputError
         If the shapes differ or the stamps decrease or are not finite.
+
+    Examples
+    --------
+    Evidence that favours "lost" by e^3 for surprising scans, and "ok" for others; the robot is kidnapped after a
+    second:
+
+    >>> from beamfield.calibration.scan_fit_evidence import LostEvidence
+    >>> evidence = LostEvidence([0.0, 1.0], [-3.0, 3.0], correlation_s=0.0)
+    >>> lost_probability([0.0, 0.0, 1.0, 1.0], [0.0, 0.5, 1.0, 1.5], evidence).round(2).tolist()
+    [0.0, 0.0, 0.02, 0.32]
     """
     rates = rates or LostRates()
     values, when = np.asarray(surprise, dtype=np.float64), np.asarray(stamps, dtype=np.float64)

@@ -80,7 +80,12 @@ class Selection:
         return {name: int(n) for name, n in zip(REASONS, counts, strict=True) if n}
 
     def describe(self) -> str:
-        """Return one line for people: how many scans are used, and why the others are not."""
+        """Return one line for people: how many scans are used, and why the others are not.
+
+        Returns
+        -------
+        For example "80 of 100 scans used; dropped: 20 standing still".
+        """
         why = ", ".join(f"{n} {name}" for name, n in self.dropped.items())
         return f"{int(self.used.sum())} of {len(self.used)} scans used" + (f"; dropped: {why}" if why else "")
 

@@ -1,4 +1,4 @@
-"""What every feature has: the vector f = (r, phi, s) of 6.6.1 and its covariance."""
+"""What every feature has: the vector f = (r, phi, s) of (6.38) and its covariance."""
 
 from __future__ import annotations
 

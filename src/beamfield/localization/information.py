@@ -90,6 +90,23 @@ def information_of_features(
     References
     ----------
     Probabilistic Robotics, section 6.6.5, (6.42).
+
+    Examples
+    --------
+    Of two landmarks, the features keep one:
+
+    >>> from math import pi
+    >>> from beamfield.detections import Detections
+    >>> from beamfield.maps.landmarks import LandmarkMap
+    >>> from beamfield.models.landmark import LandmarkModel
+    >>> from beamfield.models.landmark_parameters import LandmarkParameters
+    >>> noise = LandmarkParameters(sigma_range=0.2, sigma_bearing=0.1)
+    >>> model = LandmarkModel(LandmarkMap([[3.0, 1.0], [1.0, 3.0]]), noise, correspondence="known")
+    >>> both = Detections([2.0, 2.0], [0.0, pi / 2], ids=[1, 2])
+    >>> lattice = PoseLattice.around([1.0, 1.0, 0.0], reach=0.6, resolution=0.1, heading_reach=0.4, heading_step=0.05)
+    >>> kept = information_of_features(model, both, model, both.subset([0]), lattice)
+    >>> kept.lost > 0.0, 0.0 < kept.share_kept < 1.0
+    (True, True)
     """
     return FeatureInformation(
         pose_posterior(scan_model, scan, lattice), pose_posterior(feature_model, features, lattice)

@@ -312,6 +312,23 @@ def pose_posterior(
     ------
     TooLittleDataError
         If the measurement is impossible at every pose of the lattice: there is no posterior.
+
+    Examples
+    --------
+    A landmark seen 2 m ahead: the robot knows how far away it is, and little else.
+
+    >>> from beamfield.detections import Detections
+    >>> from beamfield.maps.landmarks import LandmarkMap
+    >>> from beamfield.models.landmark import LandmarkModel
+    >>> from beamfield.models.landmark_parameters import LandmarkParameters
+    >>> noise = LandmarkParameters(sigma_range=0.2, sigma_bearing=0.1)
+    >>> model = LandmarkModel(LandmarkMap([[3.0, 1.0]]), noise, correspondence="known")
+    >>> lattice = PoseLattice.around([1.0, 1.0, 0.0], reach=1.0, resolution=0.1, heading_reach=0.4, heading_step=0.05)
+    >>> posterior = pose_posterior(model, Detections([2.0], [0.0], ids=[1]), lattice)
+    >>> posterior.best_pose().round(12).tolist()
+    [1.0, 1.0, 0.0]
+    >>> 0.0 < posterior.entropy < posterior.prior_entropy
+    True
     """
     centres, h = lattice.centres(), len(lattice.headings)
     values: FloatArray = np.empty((len(centres), h))

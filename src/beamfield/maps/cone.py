@@ -56,7 +56,7 @@ class ConeCaster:
 
     References
     ----------
-    Probabilistic Robotics, section 6.3.1: "the closest feature within a measurement cone"; sections 6.1 and 6.3.
+    Probabilistic Robotics, sections 6.1 and 6.3, and 6.3.1 for cones in feature-based maps.
 
     Examples
     --------

@@ -40,6 +40,15 @@ class InverseSensorModel:
     ------
     InvalidInputError
         If a value is outside its range.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.5, which takes maps from scans for given.
+
+    Examples
+    --------
+    >>> np.round(log_odds_steps(InverseSensorModel(hit=0.8, passed=0.4)).astype(float), 2).tolist()
+    [1.39, -0.41, -3.48, 3.48]
     """
 
     hit: float = 0.7
@@ -73,6 +82,11 @@ CONFIDENT = InverseSensorModel(hit=0.97, passed=0.03)
 
 def log_odds_steps(model: InverseSensorModel) -> NDArray[np.float32]:
     """Return what a hit and a pass add to the log-odds, and their bounds.
+
+    Parameters
+    ----------
+    model
+        Probabilities.
 
     Returns
     -------

@@ -49,6 +49,11 @@ def lengths_and_kinds(
 def check_resolution(resolution: float) -> None:
     """Refuse a side of cells that is none.
 
+    Parameters
+    ----------
+    resolution
+        Metres.
+
     Raises
     ------
     InvalidInputError

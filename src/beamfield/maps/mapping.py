@@ -74,6 +74,17 @@ def build_map(
     ----------
     Probabilistic Robotics, 6.5: local maps from scans, and the warning of maps that see "through walls". The update in
     log-odds is that of Moravec and Elfes (1985).
+
+    Examples
+    --------
+    A robot drives towards a wall and sees it twice with one beam:
+
+    >>> from beamfield.sensors import RangeFinder
+    >>> finder = RangeFinder.from_bearings([0.0], max_range=8.0)
+    >>> poses = [[0.25, 0.25, 0.0], [0.75, 0.25, 0.0]]
+    >>> log = SensorLog(finder, [0.0, 1.0], [[1.5], [1.0]], poses, np.full((2, 3), np.nan))
+    >>> build_map(log, resolution=0.5).probability.round(2).tolist()
+    [[0.4..., 0.3..., 0.3..., 0.8...]]
     """
     track = _poses_of(log, poses)
     chosen = np.arange(len(log))[slice(None) if scans is None else np.asarray(scans)]
@@ -136,6 +147,15 @@ def local_map(
         If there is no such scan, or n < 1.
     TooLittleDataError
         If the scan has no pose. Earlier scans without pose are left out.
+
+    Examples
+    --------
+    >>> from beamfield.sensors import RangeFinder
+    >>> finder = RangeFinder.from_bearings([0.0], max_range=8.0)
+    >>> poses = [[0.25, 0.25, 0.0], [0.75, 0.25, 0.0]]
+    >>> log = SensorLog(finder, [0.0, 1.0], [[1.6], [1.1]], poses, np.full((2, 3), np.nan))
+    >>> local_map(log, 1, n=2, resolution=0.5).occupied.tolist()
+    [[False, False, False, True]]
     """
     if n < 1:
         raise InvalidInputError(f"n: expected at least 1 scan, got {n}")
@@ -169,6 +189,18 @@ def scan_map(scan: Scan, *, resolution: float, inverse_model: InverseSensorModel
     -------
     OccupancyGrid
         One unknown cell if no reading of the scan says anything.
+
+    Raises
+    ------
+    InvalidInputError
+        If the resolution is not positive.
+
+    Examples
+    --------
+    >>> from beamfield.sensors import RangeFinder
+    >>> scan = Scan([1.1], RangeFinder.from_bearings([0.0], max_range=8.0))
+    >>> scan_map(scan, resolution=0.5).occupied.tolist()
+    [[False, False, True]]
     """
     mapper = OccupancyMapper(resolution, inverse_model=CONFIDENT if inverse_model is None else inverse_model)
     mapper.add(scan.ranges[None], scan.finder, np.zeros((1, 3)))

@@ -154,6 +154,10 @@ def sample_distances(mean: float, sigma: float, n: int, rng: np.random.Generator
         How many.
     rng
         Source of randomness.
+
+    Returns
+    -------
+    (n,) metres.
     """
     a = mean / sigma
     propose = _propose_beyond if a < 0.0 else _propose_around
@@ -167,7 +171,17 @@ def sample_distances(mean: float, sigma: float, n: int, rng: np.random.Generator
 
 
 def log_distance_mass(mean: float, sigma: float) -> float:
-    """Return the log of the integral of r' N(r'; mean, sigma) over r' > 0."""
+    """Return the log of the integral of r' N(r'; mean, sigma) over r' > 0.
+
+    Parameters
+    ----------
+    mean, sigma
+        Metres; the mean may be negative.
+
+    Returns
+    -------
+    Finite, however far below 0 the mean lies.
+    """
     a = mean / sigma
     # sigma (density(a) + a share below a); far negative means would cancel to 0 unless the density is taken out.
     if a < 0.0:

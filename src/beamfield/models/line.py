@@ -39,6 +39,11 @@ class LineParameters:
     ------
     InvalidInputError
         If a value is out of its range, or `max_range` is missing where spurious_rate > 0.
+
+    Examples
+    --------
+    >>> LineParameters(sigma_rho=0.02, sigma_alpha=0.01).spurious_rate
+    0.0
     """
 
     sigma_rho: float

@@ -162,7 +162,12 @@ class LineDetections:
         )
 
     def without_ids(self) -> LineDetections:
-        """Return the same lines with all correspondences unknown."""
+        """Return the same lines with all correspondences unknown.
+
+        Returns
+        -------
+        The detections with `ids` None.
+        """
         return replace(self, ids=None)
 
 

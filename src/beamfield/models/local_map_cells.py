@@ -142,6 +142,11 @@ def overlap_sums(
 def check_min_overlap(min_overlap: float) -> None:
     """Refuse a least share of common cells that is none.
 
+    Parameters
+    ----------
+    min_overlap
+        A share.
+
     Raises
     ------
     InvalidInputError

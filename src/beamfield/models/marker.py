@@ -39,6 +39,13 @@ class MarkerDetections:
     ------
     InvalidInputError
         If there are not as many ids as rows, a place is not finite or an angle is infinite.
+
+    Examples
+    --------
+    Two markers, one of unknown direction:
+
+    >>> len(MarkerDetections([7, "door"], [[372.2, 349.3, -1.971], [120.0, 80.5, np.nan]]))
+    2
     """
 
     ids: Sequence[MarkerId]

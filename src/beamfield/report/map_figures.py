@@ -115,7 +115,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         "One dot per scan where the robot stood, dark where its beams fit badly, with the worst on top. Dark dots "
         "that come back at one place speak against the map there; dark dots along one stretch of the path only once "
         "speak against the reference poses.",
-        "Section 6.3.1, (6.2)",
+        "Section 6.1, (6.2); Table 6.1",
     )
 
 

@@ -42,7 +42,7 @@ SIDE_COLOURS = (CAUSE_COLOURS[0], CAUSE_COLOURS[1], "#7A0177", CAUSE_COLOURS[2])
 
 
 def fit_over_time(
-    fits: ScanFits, reference: ScanFitReference, *, own: bool, source: str = "Section 6.3.1, (6.2)"
+    fits: ScanFits, reference: ScanFitReference, *, own: bool, source: str = "Section 6.1, (6.2); Table 6.1"
 ) -> ReportFigure | None:
     """Draw p-value and lost probability over the log; None if no scan could be judged.
 

@@ -177,7 +177,7 @@ def likelihood_over_time(calibration: Calibration) -> ReportFigure:
         "the others; if they lie lower, the fit does not carry over. A dip is a stretch where people stood around, the "
         "map is out of date, or the reference poses are off. The opposite is not true: wrong poses along a corridor "
         "hardly show.",
-        "Section 6.3.1, (6.2)",
+        "Section 6.1, (6.2); Table 6.1",
     )
 
 

@@ -86,6 +86,11 @@ class SonarPhysics:
     ------
     InvalidInputError
         If a share is outside [0, 1], or another number negative, zero where it may not be, or not finite.
+
+    Examples
+    --------
+    >>> SonarPhysics(roughness=0.1, phantoms=0.0).corner_echo
+    0.9
     """
 
     roughness: float = 0.3

@@ -233,8 +233,8 @@ def _multiply(p: FloatArray, q: FloatArray) -> FloatArray:
     return np.column_stack([vector, scalar])
 
 
-def _shortened(names: Iterable[str], limit: int = 12) -> str:
-    listed = [repr(name) for name in names]
+def _shortened(names: Iterable[str]) -> str:
+    listed, limit = [repr(name) for name in names], 12
     return ", ".join(listed[:limit]) + (f" and {len(listed) - limit} more" if len(listed) > limit else "")
 
 

@@ -165,10 +165,10 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
     return YamlFile(source, values, lines, text, spans)
 
 
-def shorten(value: object, limit: int = 60) -> str:
+def shorten(value: object) -> str:
     """Return a value as one short line for an error message."""
     shown = repr(value)
-    return shown if len(shown) <= limit else f"{shown[:limit]}..."
+    return shown if len(shown) <= 60 else f"{shown[:60]}..."
 
 
 def _read_text(path: Path, max_bytes: int) -> str:

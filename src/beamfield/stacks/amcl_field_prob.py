@@ -63,9 +63,9 @@ class AmclFieldProb(AmclField[P]):
             terms = terms[:, counted_beams(evidence, values)]
         return np.asarray(terms.sum(axis=1))
 
-    def weighs_alone(self, parameters: P | None = None) -> bool:
+    def weighs_alone(self) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for: not with beam skipping."""
-        return not (self.parameters if parameters is None else parameters).as_nav2().do_beamskip
+        return not self.parameters.as_nav2().do_beamskip
 
 
 def counted_beams(evidence: FieldEvidence, parameters: Nav2Parameters) -> slice | Indices:

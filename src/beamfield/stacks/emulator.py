@@ -149,7 +149,7 @@ class StackModel(ABC, Generic[P, E]):
             If the parameters differ in one that the evidence depends on.
         """
 
-    def weighs_alone(self, parameters: P | None = None) -> bool:  # noqa: ARG002
+    def weighs_alone(self) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for (not so with beam skipping)."""
         return True
 

@@ -10,6 +10,13 @@ from beamfield.stacks.parameter_text import Value, value_text
 
 # MRPT's name for the first occupancy grid of a map.
 MRPT_SECTION = "MetricMap_occupancyGrid_00_likelihoodOpts"
+# The lines above the parameters, each one level deeper.
+YAML_SECTIONS: Mapping[str, tuple[str, ...]] = {
+    "nav2": ("amcl:", "  ros__parameters:"),
+    "beluga": ("amcl:", "  ros__parameters:"),
+    "ros1": ("amcl:",),
+    "f1tenth": (),
+}
 
 
 def new_file_text(
@@ -17,7 +24,6 @@ def new_file_text(
     values: Mapping[str, Value],
     *,
     comments: Sequence[str] = (),
-    notes: Mapping[str, str] | None = None,
     launch: bool = False,
 ) -> str:
     """Return a parameter file.
@@ -31,8 +37,6 @@ def new_file_text(
         By the stack's own names.
     comments
         Lines at the top.
-    notes
-        A remark behind a value, by its name; left out in launch files.
     launch
         For ros1: lines for the node of a launch file instead of YAML.
 
@@ -48,16 +52,10 @@ def new_file_text(
         head = [f"<!-- {line.replace('--', '- -')} -->" for line in comments]
         lines = [f'<param name="{name}" value="{value_text(value, "launch")}"/>' for name, value in values.items()]
         return "\n".join([*head, *lines]) + "\n"
-    mark, syntax = ("//", "ini") if stack == "mrpt" else ("#", "yaml")
-    head = [f"{mark} {line}" for line in comments]
-    above, indent = {
-        "nav2": (["amcl:", "  ros__parameters:"], "    "), "beluga": (["amcl:", "  ros__parameters:"], "    "),
-        "ros1": (["amcl:"], "  "), "mrpt": ([f"[{MRPT_SECTION}]"], ""), "f1tenth": ([], ""),
-    }[stack]  # fmt: skip
-    assign = " = " if stack == "mrpt" else ": "
-    body = []
-    for name, value in values.items():
-        written = value_text(value, "ini") if syntax == "ini" else value_text(value, "yaml")
-        note = (notes or {}).get(name, "")
-        body.append(f"{indent}{name}{assign}{written}" + (f"  {mark} {note}" if note else ""))
-    return "\n".join([*head, *above, *body]) + "\n"
+    if stack == "mrpt":
+        head = [*(f"// {line}" for line in comments), f"[{MRPT_SECTION}]"]
+        body = [f"{name} = {value_text(value, 'ini')}" for name, value in values.items()]
+    else:
+        head, indent = [*(f"# {line}" for line in comments), *YAML_SECTIONS[stack]], "  " * len(YAML_SECTIONS[stack])
+        body = [f"{indent}{name}: {value_text(value, 'yaml')}" for name, value in values.items()]
+    return "\n".join([*head, *body]) + "\n"

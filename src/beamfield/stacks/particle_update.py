@@ -39,7 +39,7 @@ class ParticleUpdate:
 
 
 def update_particles(
-    model: StackModel[Any, Any], log: SensorLog, scans: Sequence[int], *, n_particles: int = N_PARTICLES, seed: int = 0
+    model: StackModel[Any, Any], log: SensorLog, scans: Sequence[int], *, n_particles: int = N_PARTICLES
 ) -> ParticleUpdate:
     """Weigh particles around the reference poses by one scan each.
 
@@ -54,8 +54,8 @@ def update_particles(
         Scans with reference poses.
     scans
         Which of them.
-    n_particles, seed
-        Of the particles; the same offsets for all scans.
+    n_particles
+        How many; their offsets are the same for all scans and all calls.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def update_particles(
     """
     if n_particles < 2 or len(scans) == 0:
         raise InvalidInputError(f"expected scans and at least 2 particles, got {len(scans)} and {n_particles}")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     sigma = START_ERROR / np.sqrt(np.pi / 2.0)  # the mean of a Rayleigh distribution
     offsets = rng.normal(0.0, (sigma, sigma, START_TURN), (n_particles, 3))
     distance = np.hypot(offsets[:, 0], offsets[:, 1])

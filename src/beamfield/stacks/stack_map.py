@@ -19,7 +19,6 @@ def read_as_stack(
     *,
     ignore_yaw: bool = False,
     shift_cells: float = 0.0,
-    scale_top: int = 100,
 ) -> OccupancyGrid:
     """Return the map as a localisation program sees it: occupied where the map message says 100, free where it says 0.
 
@@ -38,8 +37,6 @@ def read_as_stack(
     shift_cells
         The program places cells so far from where the map has them, in x and y; nav2 -1/2: its cell (0, 0) is centred
         on the origin.
-    scale_top
-        What the ratio between the thresholds is multiplied by in "scale".
 
     Returns
     -------
@@ -61,7 +58,7 @@ def read_as_stack(
         occupied, free = grid.occupied, grid.free
         if mode == "scale":
             ratio = (probability - grid.free_thresh) / (grid.occupied_thresh - grid.free_thresh)
-            value = np.round(scale_top * ratio)
+            value = np.round(100.0 * ratio)
             between = grid.unknown & ~np.isnan(probability)
             occupied, free = occupied | (between & (value == 100.0)), free | (between & (value == 0.0))
     has_value = np.zeros(grid.shape, np.bool_) if mode == "trinary" else ~np.isnan(probability)

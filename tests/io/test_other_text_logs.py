@@ -105,7 +105,7 @@ def test_g2o_vertices_are_the_reference_and_edges_are_left(tmp_path):
         ((g2o_scan(0),), r":1: ROBOTLASER1: the scan has no line VERTEX_SE2"),
         (("VERTEX_SE2 0 1 2",), r":1: VERTEX_SE2: expected 5 words"),
         (("VERTEX_SE2 0 1 2 nan",), r":1: VERTEX_SE2: expected a finite pose"),
-        (("VERTEX_SE2 0 1 2 3", g2o_scan(0).rsplit(" ", 1)[0]), r":2: ROBOTLASER1: expected 27 words, got 26"),
+        (("VERTEX_SE2 0 1 2 3", g2o_scan(0).rsplit(" ", 1)[0]), r":2: ROBOTLASER1: expected 27 words \(3 .*\), got 26"),
         (("VERTEX_SE2 0 1 2 3", g2o_scan(0), "VERTEX_SE2 1 1 2 3", g2o_scan(1, n=4)), r":4: .*4 beams, the first"),
         (("VERTEX_SE2 0 1 2 3",), "no scans"),
     ],

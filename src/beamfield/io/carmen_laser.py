@@ -19,7 +19,7 @@ def bearings(content: CarmenMessages, name: str, n_beams: int, notes: list[str])
     """Return the directions of the beams on the laser, (n_beams,) radians; notes say what had to be assumed."""
     index = np.arange(n_beams, dtype=np.float64)
     if name in content.geometry:
-        start, step, span = content.geometry[name]
+        start, span, step = content.geometry[name]
         if n_beams > 1 and not 0.0 < abs(step) * (n_beams - 1) < 2.1 * np.pi:
             step = span / (n_beams - 1)
             notes.append(

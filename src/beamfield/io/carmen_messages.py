@@ -7,14 +7,15 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
-from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
+from beamfield.io.text_lines import expect_words, parse_count, parse_numbers, read_lines
 from beamfield.io.text_scans import TextScans, finite_pose, sorted_track
-from beamfield.sensors import Track
+from beamfield.sensors import NO_POSE, Track
 
 CARMEN_SCANS = re.compile(r"(FLASER|RLASER|LASER[345]|ROBOTLASER\d|RAWLASER\d)$")
 OLD_STYLE = ("FLASER", "RLASER", "LASER3", "LASER4", "LASER5")
@@ -49,7 +50,7 @@ class CarmenMessages:
     scans
         Scans by the name of the message, in the order of the file.
     geometry
-        (start angle, resolution, field of view) of ROBOTLASERn and RAWLASERn, radians.
+        Where the beams of ROBOTLASERn and RAWLASERn point.
     limits
         Their longest ranges, metres.
     odometry, truth
@@ -64,7 +65,7 @@ class CarmenMessages:
 
     path: Path
     scans: dict[str, TextScans] = field(default_factory=dict)
-    geometry: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    geometry: dict[str, LaserGeometry] = field(default_factory=dict)
     limits: dict[str, float] = field(default_factory=dict)
     odometry: PoseLines = field(default_factory=PoseLines)
     truth: PoseLines = field(default_factory=PoseLines)
@@ -117,60 +118,99 @@ def read_carmen_messages(path: Path) -> CarmenMessages:
 def _parse_old_laser(content: CarmenMessages, line: int, words: list[str]) -> None:
     """FLASER n ranges, x y theta, odom_x odom_y odom_theta, ipc_timestamp ipc_hostname logger_timestamp."""
     path, kind = content.path, words[0]
-    n = parse_count(path, line, _word(content, line, words, 1), kind)
-    _expect_words(content, line, words, 2 + n + 9, f"{n} readings, two poses and 3 words of time")
+    n = parse_count(path, line, _word(path, line, words, 1), kind)
+    expect_words(path, line, words, 2 + n + 9, f"{n} readings, two poses and 3 words of time")
     ranges = parse_numbers(path, line, words[2 : 2 + n], kind)
     laser = finite_pose(path, line, parse_numbers(path, line, words[2 + n : 5 + n], kind), kind)
     robot = finite_pose(path, line, parse_numbers(path, line, words[5 + n : 8 + n], kind), kind)
     scans = content.scans.setdefault(kind, TextScans(path, kind))
-    scans.add(line, ranges, _stamps(content, line, words), laser, robot)
+    scans.add(line, ranges, _stamps(path, line, words), laser, robot)
 
 
 def _parse_laser(content: CarmenMessages, line: int, words: list[str]) -> None:
+    """Add a ROBOTLASERn or RAWLASERn message, whose geometry may not change."""
+    kind = words[0]
+    message = parse_laser_message(content.path, line, words)
+    scans = content.scans.setdefault(kind, TextScans(content.path, kind))
+    require_same_geometry(scans, line, message.geometry, content.geometry.setdefault(kind, message.geometry))
+    if np.isfinite(message.max_range) and message.max_range > 0.0:
+        content.limits.setdefault(kind, message.max_range)
+    scans.add(line, message.ranges, message.stamps, message.laser, message.robot)
+
+
+class LaserGeometry(NamedTuple):
+    """Start angle, field of view and resolution of a ROBOTLASERn or RAWLASERn message, radians."""
+
+    start: float
+    field_of_view: float
+    resolution: float
+
+
+class LaserMessage(NamedTuple):
+    """What a ROBOTLASERn or RAWLASERn message says; poses (3,) are NaN in the latter."""
+
+    geometry: LaserGeometry
+    max_range: float
+    ranges: FloatArray
+    stamps: tuple[float, float]
+    laser: FloatArray = NO_POSE
+    robot: FloatArray = NO_POSE
+
+
+def parse_laser_message(path: Path, line: int, words: list[str]) -> LaserMessage:
     """Parse ROBOTLASERn and RAWLASERn, which differ in what follows the remission values.
 
     ``type start_angle field_of_view angular_resolution maximum_range accuracy remission_mode n ranges m remissions``;
     ROBOTLASERn then has ``laser_x y theta robot_x y theta laser_tv laser_rv forward_safety side_safety turn_axis``;
     both end with the three words of time.
+
+    Raises
+    ------
+    FormatError
+        If the line is cut off, a count disagrees with its words, a word is no number, an angle is no angle, or a pose
+        is not finite; line and value are named.
     """
-    path, kind = content.path, words[0]
-    n = parse_count(path, line, _word(content, line, words, 8), kind)
-    m = parse_count(path, line, _word(content, line, words, 9 + n), kind)
+    kind = words[0]
+    n = parse_count(path, line, _word(path, line, words, 8), kind)
+    m = parse_count(path, line, _word(path, line, words, 9 + n), kind)
     own = 11 if kind.startswith("ROBOT") else 0
-    _expect_words(content, line, words, 10 + n + m + own + 3, f"{n} readings, {m} remission values and {own + 3} more")
-    head = parse_numbers(path, line, words[2:6], kind)
-    geometry = (float(head[0]), float(head[2]), float(head[1]))
-    if content.geometry.setdefault(kind, geometry) != geometry or not (np.abs(head[:3]) < ANGLE_LIMIT).all():
-        raise FormatError(
-            path, f"start angle, resolution and field of view {geometry} differ from those of the first scan, "
-            f"{content.geometry[kind]}, or are no angles", line=line, field=kind,
-        )  # fmt: skip
-    if np.isfinite(head[3]) and head[3] > 0.0:
-        content.limits.setdefault(kind, float(head[3]))
+    expect_words(path, line, words, 10 + n + m + own + 3, f"{n} readings, {m} remission values and {own + 3} more")
+    *angles, max_range = parse_numbers(path, line, words[2:6], kind).tolist()
+    if not all(abs(angle) < ANGLE_LIMIT for angle in angles):
+        raise FormatError(path, f"expected angles in radians, got {angles}", line=line, field=kind)
     ranges = parse_numbers(path, line, words[9 : 9 + n], kind)
-    scans = content.scans.setdefault(kind, TextScans(path, kind))
+    message = LaserMessage(LaserGeometry(*angles), max_range, ranges, _stamps(path, line, words))
     if not own:
-        scans.add(line, ranges, _stamps(content, line, words))
-        return
+        return message
     poses = parse_numbers(path, line, words[10 + n + m : 16 + n + m], kind)
     laser, robot = finite_pose(path, line, poses[:3], kind), finite_pose(path, line, poses[3:], kind)
-    scans.add(line, ranges, _stamps(content, line, words), laser, robot)
+    return message._replace(laser=laser, robot=robot)
+
+
+def require_same_geometry(scans: TextScans, line: int, geometry: LaserGeometry, first: LaserGeometry) -> None:
+    """Raise the FormatError of a scan whose beams do not point where those of the first one do."""
+    if geometry != first:
+        raise scans.error(
+            line,
+            f"start angle, field of view and resolution {list(geometry)} differ from those of the first scan, "
+            f"{list(first)}",
+        )
 
 
 def _parse_odometry(content: CarmenMessages, line: int, words: list[str]) -> None:
     """ODOM x y theta tv rv accel, and the three words of time."""
-    _expect_words(content, line, words, 10, "a pose, two velocities, an acceleration and 3 words of time")
+    expect_words(content.path, line, words, 10, "a pose, two velocities, an acceleration and 3 words of time")
     pose = parse_numbers(content.path, line, words[1:4], "ODOM")
     content.odometry.poses.append(finite_pose(content.path, line, pose, "ODOM"))
-    content.odometry.stamps.append(np.array(_stamps(content, line, words)))
+    content.odometry.stamps.append(np.array(_stamps(content.path, line, words)))
 
 
 def _parse_truth(content: CarmenMessages, line: int, words: list[str]) -> None:
     """TRUEPOS true_x y theta odom_x y theta, and the three words of time."""
-    _expect_words(content, line, words, 10, "two poses and 3 words of time")
+    expect_words(content.path, line, words, 10, "two poses and 3 words of time")
     pose = parse_numbers(content.path, line, words[1:4], "TRUEPOS")
     content.truth.poses.append(finite_pose(content.path, line, pose, "TRUEPOS"))
-    content.truth.stamps.append(np.array(_stamps(content, line, words)))
+    content.truth.stamps.append(np.array(_stamps(content.path, line, words)))
 
 
 def _parse_parameter(content: CarmenMessages, line: int, words: list[str]) -> None:  # noqa: ARG001
@@ -186,22 +226,13 @@ _OTHER: dict[str, Callable[[CarmenMessages, int, list[str]], None]] = {
 }
 
 
-def _word(content: CarmenMessages, line: int, words: list[str], index: int) -> str:
+def _word(path: Path, line: int, words: list[str], index: int) -> str:
     if index >= len(words):
-        raise FormatError(content.path, f"the line is cut off after {len(words)} words", line=line, field=words[0])
+        raise FormatError(path, f"the line is cut off after {len(words)} words", line=line, field=words[0])
     return words[index]
 
 
-def _expect_words(content: CarmenMessages, line: int, words: list[str], expected: int, what: str) -> None:
-    if len(words) != expected:
-        raise FormatError(
-            content.path,
-            f"expected {expected} words ({what}), got {len(words)}: the line is cut off, or its count is wrong",
-            line=line, field=words[0],
-        )  # fmt: skip
-
-
-def _stamps(content: CarmenMessages, line: int, words: list[str]) -> tuple[float, float]:
+def _stamps(path: Path, line: int, words: list[str]) -> tuple[float, float]:
     """Return the timestamps of the message and of the logger, the third and the first word from the end."""
-    pair = parse_numbers(content.path, line, (words[-3], words[-1]), f"{words[0]} timestamp")
+    pair = parse_numbers(path, line, (words[-3], words[-1]), f"{words[0]} timestamp")
     return float(pair[0]), float(pair[1])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.io.carmen_laser import SICK_BEARINGS
-from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
+from beamfield.io.text_lines import expect_words, parse_count, parse_numbers, read_lines
 from beamfield.io.text_scans import TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog
 
@@ -56,7 +56,7 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
         if kind == "PARAM":
             parameters[words[1] if len(words) > 1 else ""] = " ".join(words[2:])
         elif kind == "ODOM":
-            _expect(source, line, words, 5)
+            expect_words(source, line, words, 5)
             numbers = parse_numbers(source, line, words[1:], kind)
             odometry.append(finite_pose(source, line, numbers[:3], kind))
             odometry_stamps.append(numbers[3])
@@ -95,18 +95,10 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
     return ScanLog({"LASER_READING": sensor}, track, str(source), tuple(notes), parameters)
 
 
-def _expect(path: Path, line: int, words: list[str], expected: int) -> None:
-    if len(words) != expected:
-        raise FormatError(
-            path, f"expected {expected} words, got {len(words)}: the line is cut off, or its count is wrong",
-            line=line, field=words[0],
-        )  # fmt: skip
-
-
 def _counted(path: Path, line: int, words: list[str], words_each: int, words_more: int) -> int:
     """Return the count in the second word, after checking that the line has as many words as that makes."""
     n = parse_count(path, line, words[1] if len(words) > 1 else "", words[0])
-    _expect(path, line, words, 2 + n * words_each + words_more)
+    expect_words(path, line, words, 2 + n * words_each + words_more)
     return n
 
 

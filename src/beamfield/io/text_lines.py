@@ -99,6 +99,35 @@ def parse_numbers(path: Path, line: int, words: Sequence[str], what: str) -> Flo
         raise FormatError(path, f"expected a number, got {bad[:40]!r}", line=line, field=what) from None
 
 
+def expect_words(path: Path, line: int, words: Sequence[str], expected: int, what: str = "") -> None:
+    """Say if a message has not as many words as its counts make.
+
+    Parameters
+    ----------
+    path, line
+        For the error.
+    words
+        All words of the line; the first is the message's name.
+    expected
+        How many there should be.
+    what
+        What they are, for the error.
+
+    Raises
+    ------
+    FormatError
+        If there are more or fewer.
+    """
+    if len(words) != expected:
+        listed = f" ({what})" if what else ""
+        raise FormatError(
+            path,
+            f"expected {expected} words{listed}, got {len(words)}: the line is cut off, or its count is wrong",
+            line=line,
+            field=words[0],
+        )
+
+
 def parse_count(path: Path, line: int, word: str, what: str) -> int:
     """Return a word as a count of readings.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, wrap_angle
+from beamfield.geometry import FloatArray, as_poses, between, wrap_angle
 from beamfield.io.no_return import NoReturnRule, resolve_no_return
 from beamfield.io.scan_stamps import ScanStamps, StampRule, resolve_stamps
 from beamfield.sensors import NO_POSE, RangeFinder, SensorLog, Track
@@ -113,6 +113,32 @@ class TextScans:
     def error(self, line: int | None, text: str) -> FormatError:
         """Return the error for a line of this sensor."""
         return FormatError(self.path, text, line=line, field=self.name)
+
+    def constant_mount(self, mounts: FloatArray, tolerance: float) -> FloatArray:
+        """Return the sensor's pose on the robot, (3,): the median of what the scans say.
+
+        Parameters
+        ----------
+        mounts
+            (t, 3) pose of the sensor seen from the robot, metres and radians.
+        tolerance
+            How far a scan's may be from the median, metres and radians.
+
+        Raises
+        ------
+        FormatError
+            If one is further away; line and poses are named.
+        """
+        mount: FloatArray = np.median(mounts, axis=0)
+        off = np.abs(between(mount, mounts)).max(axis=1)
+        if off.max() > tolerance:
+            worst = int(np.argmax(off))
+            raise self.error(
+                self.lines[worst],
+                f"the laser moves on the robot: its mount is {mounts[worst].round(4).tolist()}, elsewhere "
+                f"{mount.round(4).tolist()}",
+            )
+        return mount
 
     def resolve_stamps(self, rule: StampRule) -> ScanStamps:
         """Return stamps that do not decrease; see `beamfield.io.scan_stamps.resolve_stamps`."""

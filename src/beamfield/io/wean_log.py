@@ -8,7 +8,7 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import between, compose
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_lines import expect_words, parse_numbers, read_lines
 from beamfield.io.text_scans import TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog
 
@@ -48,10 +48,7 @@ def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanL
         kind, expected = words[0], {"O": 5, "L": 8 + N_BEAMS}.get(words[0])
         if expected is None:
             raise FormatError(source, f"expected a line O or L, got {kind[:40]!r}", line=line)
-        if len(words) != expected:
-            raise FormatError(
-                source, f"expected {expected} words, got {len(words)}: the line is cut off?", line=line, field=kind
-            )
+        expect_words(source, line, words, expected)
         numbers = parse_numbers(source, line, words[1:], kind)
         pose = finite_pose(source, line, numbers[:3] * CENTIMETRES, kind)
         if kind == "O":
@@ -62,15 +59,7 @@ def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanL
             scans.add(line, numbers[6:-1] / 100.0, (float(numbers[-1]),), odometry=pose)
     if not len(scans):
         raise FormatError(source, f"no scans: no line L among {len(odometry)} lines O")
-    seen = between(np.stack(scans.odometry), np.stack(lasers))
-    mount = np.median(seen, axis=0)
-    off = np.abs(between(mount, seen)).max(axis=1)
-    if off.max() > MOUNT_TOLERANCE:
-        worst = int(np.argmax(off))
-        raise FormatError(
-            source, f"the laser moves on the robot: its mount is {seen[worst].round(4).tolist()}, elsewhere "
-            f"{mount.round(4).tolist()}", line=scans.lines[worst], field="L",
-        )  # fmt: skip
+    mount = scans.constant_mount(between(np.stack(scans.odometry), np.stack(lasers)), MOUNT_TOLERANCE)
     bearings = np.radians(-90.0 + np.arange(N_BEAMS))
     beams = np.column_stack([np.zeros(N_BEAMS), np.zeros(N_BEAMS), bearings])
     sensor, notes = scans.finish(compose(mount.round(4), beams), chosen)

@@ -38,6 +38,25 @@ def test_a_log_of_ones_own_is_drawn(tmp_path, capsys):
     assert not (tmp_path / "none").exists()
 
 
+def test_a_short_log_gives_what_it_can_and_says_what_not(tmp_path, capsys):
+    world, out = tmp_path / "world", tmp_path / "pictures"
+    assert main(["simulate", str(world), "--duration", "1", "--scan-rate", "5", "--beams", "60", "--quiet"]) == 0
+    words = ["figures", str(world / "log.carmen"), "--map", str(world / "map.yaml"), "--quiet", "--out", str(out)]
+    assert main([*words, "--only", "6.3", "6.7", "6.10"]) == 3
+    said = capsys.readouterr()
+    assert "wrote 1 figure and" in said.out
+    assert said.err.count("\n") == 1
+    assert "not drawn: Figure 6.3, Figure 6.7: the log does not teach a beam model" in said.err
+    assert sorted(file.name for file in out.iterdir()) == ["figure_6_10.svg", "gallery.md"]
+    page = (out / "gallery.md").read_text()
+    assert page.count("does not teach a beam model") == 2
+    assert "- Figure 6.7, " in page
+    # Nothing to draw is an error, with nothing written.
+    assert main([*words[:-1], str(tmp_path / "none"), "--only", "6.7"]) == 3
+    assert "error: Figure 6.7: the log does not teach" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
-from beamfield.errors import InvalidInputError
+from beamfield.cli.provenance import file_name
+from beamfield.errors import InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.figures.gallery import ChapterFigure
     from beamfield.figures.world import FigureWorld
 
 DESCRIPTION = """
 Draw the figures of the chapter on measurement models (6.1 to 6.13) from a simulated office, or from your own log and
-map, and write them with their captions (gallery.md) into a folder, all of them or none.
+map, and write them with their captions (gallery.md) into a folder, all at once. A figure that your log is too short for
+or that does not go with it is left out, with the reason; the exit code is 3 then.
 """
 
 
@@ -48,18 +52,34 @@ def run(arguments: argparse.Namespace) -> int:
         print("\n".join(f"{figure.number:<5} {figure.title}" for figure in figures))
         return 0
     _check(arguments)
+    drawn: list[ChapterFigure] = []
+    missing: dict[ChapterFigure, InvalidInputError | TooLittleDataError] = {}
     with StageProgress(quiet=arguments.quiet) as progress, atomic_folder(arguments.out) as folder:
         world = _world(arguments, progress)
-        for done, figure in enumerate(figures):
-            progress("drawing", done, len(figures))
-            save_figure(figure.draw(world), folder / f"{figure.stem}.{arguments.format}")
-        page = gallery_page(figures, world.name, suffix=arguments.format)
+        source = world.name if arguments.log is None else file_name(arguments.log)
+        for number, figure in enumerate(figures, 1):
+            progress(f"drawing {figure.name} ({number} of {len(figures)})", 0, 1)
+            try:
+                picture = figure.draw(world)
+            except (InvalidInputError, TooLittleDataError) as error:
+                missing[figure] = error
+                continue
+            save_figure(picture, folder / f"{figure.stem}.{arguments.format}")
+            drawn.append(figure)
+        if not drawn:
+            figure, why = next(iter(missing.items()))
+            raise type(why)(f"{figure.name}: {why}") from why
+        reasons = {figure: str(why) for figure, why in missing.items()}
+        page = gallery_page(drawn, source, suffix=arguments.format, missing=reasons)
         (folder / "gallery.md").write_text(page, encoding="utf-8")
-    for figure in figures:
+    for figure in drawn:
         print(f"{figure.name}: {figure.title}. {figure.caption}")
-    count = "1 figure" if len(figures) == 1 else f"{len(figures)} figures"
-    print(f"\nwrote {count} and gallery.md into {arguments.out}, drawn from: {world.name}")
-    return 0
+    count = "1 figure" if len(drawn) == 1 else f"{len(drawn)} figures"
+    print(f"\nwrote {count} and gallery.md into {arguments.out}, drawn from: {source}")
+    for reason in dict.fromkeys(reasons.values()):
+        names = [figure.name for figure in reasons if reasons[figure] == reason]
+        print(f"beamfield: warning: not drawn: {', '.join(names)}: {reason}", file=sys.stderr)
+    return 3 if missing else 0
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -39,7 +39,7 @@ def readings_figure(world: FigureWorld) -> Figure:
     figure = new_figure(WIDE, 3.2 * len(world.calibrations))
     parts = figure.subfigures(len(world.calibrations), 1, squeeze=False)[:, 0]
     for letter, part, (name, calibration) in zip(LETTERS, parts, world.calibrations.items(), strict=False):
-        part.suptitle(f"({letter}) {name}", fontsize=11, fontweight="bold", x=0.01, ha="left")
+        part.suptitle(_panel_name(letter, name, world), fontsize=11, fontweight="bold", x=0.01, ha="left")
         draw_readings(part.add_subplot(), calibration, _group(calibration))
     return figure
 
@@ -49,11 +49,15 @@ def histograms_figure(world: FigureWorld) -> Figure:
     figure = new_figure(2 * NARROW, 4.6 * len(world.calibrations))
     rows = figure.subfigures(len(world.calibrations), 1, squeeze=False)[:, 0]
     for letter, row, (name, calibration) in zip(LETTERS, rows, world.calibrations.items(), strict=False):
-        row.suptitle(f"({letter}) {name}", fontsize=11, fontweight="bold", x=0.01, ha="left")
+        row.suptitle(_panel_name(letter, name, world), fontsize=11, fontweight="bold", x=0.01, ha="left")
         near_and_far = _near_and_far(calibration)
         for part, group in zip(row.subfigures(1, 2), near_and_far, strict=False):
             draw_histogram(part, calibration, group)
     return figure
+
+
+def _panel_name(letter: str, sensor: str, world: FigureWorld) -> str:
+    return f"({letter}) {sensor}" if len(world.calibrations) > 1 else sensor
 
 
 def _first(world: FigureWorld) -> Calibration:

@@ -93,7 +93,8 @@ _ALL = (
         "6.5",
         "Readings for one expected range",
         "Every reading whose expected range lies near one value (dashed), in the order of the log, coloured by "
-        "its most likely cause. A sonar has much more noise, and far more readings without return, than a laser.",
+        "its most likely cause. Where a sonar is beside a laser scanner, it has much more noise and far more readings "
+        "without return.",
         "6.3.2",
         beam_model_figures.readings_figure,
     ),
@@ -221,7 +222,14 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(path, dpi=DPI, format=kind, metadata=without_date, facecolor="white")
 
 
-def gallery_page(figures: Sequence[ChapterFigure], world_name: str, folder: str = ".", suffix: str = "svg") -> str:
+def gallery_page(
+    figures: Sequence[ChapterFigure],
+    world_name: str,
+    folder: str = ".",
+    suffix: str = "svg",
+    *,
+    missing: Mapping[ChapterFigure, str] | None = None,
+) -> str:
     """Return the gallery as Markdown.
 
     Parameters
@@ -234,12 +242,13 @@ def gallery_page(figures: Sequence[ChapterFigure], world_name: str, folder: str 
         Where the pictures are, seen from the page.
     suffix
         Of the pictures.
+    missing
+        Figures that could not be drawn, and why.
     """
     again = "`beamfield figures` draws them; `beamfield figures LOG --map MAP` from a log and a map of your own."
     lines = ["# Figures of the chapter", "", f"Drawn from: {world_name}. {again}", ""]
     for figure in figures:
-        # Two of z* would make what is between them italic.
-        caption = figure.caption.replace("*", r"\*")
+        caption = _plain(figure.caption)
         lines += [
             f"## {figure.name}: {figure.title}",
             "",
@@ -248,4 +257,13 @@ def gallery_page(figures: Sequence[ChapterFigure], world_name: str, folder: str 
             f"{caption} (section {figure.section})",
             "",
         ]
+    if missing:
+        lines += ["## Not drawn", ""]
+        lines += [f"- {figure.name}, {figure.title}: {_plain(reason)}" for figure, reason in missing.items()]
+        lines.append("")
     return "\n".join(lines)
+
+
+def _plain(text: str) -> str:
+    """Two of z* would make what is between them italic."""
+    return text.replace("*", r"\*")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
-from beamfield.errors import InvalidInputError
+from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.figures.obstacle_scene import ObstacleScene, scene_of_scan, three_obstacles
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
@@ -81,9 +81,18 @@ class FigureWorld:
 
     @cached_property
     def calibrations(self) -> Mapping[str, Calibration]:
-        """The beam model learned from each log; learned when it is first asked for."""
+        """The beam model learned from each log; learned when it is first asked for.
+
+        Raises
+        ------
+        InvalidInputError, TooLittleDataError
+            If a log does not teach it; says why.
+        """
         options = CalibrationOptions(n_bootstrap=20, refine=False)
-        return {name: calibrate(log, self.grid, options) for name, log in self.sensors.items()}
+        try:
+            return {name: calibrate(log, self.grid, options) for name, log in self.sensors.items()}
+        except (InvalidInputError, TooLittleDataError) as error:
+            raise type(error)(f"the log does not teach a beam model: {error}") from error
 
     @property
     def parameters(self) -> BeamParameters:

@@ -1,0 +1,253 @@
+"""The Python in README.md and docs/ runs, the commands there are commands, and links lead to files.
+
+Blocks of one document run one after the other, as a reader would type them. Most begin with things a user has: a log, a
+map, particles. `STAND_INS` gives them small ones and thereby says what a document takes for granted; a document that is
+not in it must run as it stands.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from beamfield.cli.main import build_parser
+from beamfield.detection_log import DetectionLog
+from beamfield.detections import Detections
+from beamfield.io.landmark_files import write_landmarks
+from beamfield.io.line_files import write_line_map
+from beamfield.io.ros_map import save_map
+from beamfield.io.sightings import write_sightings
+from beamfield.maps.landmarks import LandmarkMap
+from beamfield.maps.lines import LineMap
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.landmark import LandmarkModel
+from beamfield.models.landmark_parameters import LandmarkParameters
+from beamfield.models.line import LineModel, LineParameters
+from beamfield.sensors import RangeFinder, Scan, SensorLog
+from beamfield.stacks.nav2_parameters import Nav2Parameters
+from tests.io.mini_bag import MiniBag, quaternion
+from tests.io.test_fiducial_detections import CameraBag
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"^(?: {4}|\$ )?(beamfield [a-z].*?)(?:\s+#.*)?$", re.MULTILINE)
+
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+
+
+class World:
+    """A room of 6 x 4 m with a box in it, and a robot that drives round the box."""
+
+    def __init__(self) -> None:
+        cells = np.zeros((40, 60))
+        cells[[0, -1]] = cells[:, [0, -1]] = cells[16:24, 24:36] = 100
+        self.grid = OccupancyGrid.from_ros(cells, resolution=0.1)
+        self.parameters = BeamParameters(0.85, 0.05, 0.05, 0.05, sigma_hit=0.03, lambda_short=0.5)
+        self.finder = RangeFinder.from_bearings(np.linspace(-2.0, 2.0, 91), max_range=8.0, name="/scan")
+        self.model = BeamModel(self.grid, self.parameters, finder=self.finder)
+        corners = [(0.1, 0.1), (5.9, 0.1), (5.9, 3.9), (0.1, 3.9)]
+        self.walls = LineMap.from_segments([[*a, *b] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)])
+        self.rng = np.random.default_rng(20260101)
+
+    @cached_property
+    def log(self) -> SensorLog:
+        angle = np.linspace(0.0, 4.0 * np.pi, 200)
+        poses = np.column_stack([3.0 + 1.9 * np.cos(angle), 2.0 + 1.3 * np.sin(angle), angle + 0.5 * np.pi])
+        ranges = np.array([scan.ranges for scan in self.model.sample(poses, self.rng)])
+        return SensorLog(self.finder, 0.2 * np.arange(len(poses)), ranges, poses, poses)
+
+    @property
+    def scan(self) -> Scan:
+        return self.log.scan(10)
+
+    @property
+    def particles(self) -> np.ndarray:
+        return self.log.poses[10] + self.rng.normal(0.0, 0.05, (50, 3))
+
+    def write_map(self) -> None:
+        save_map(self.grid, "map.yaml")
+
+    def write_log(self) -> None:
+        bag = MiniBag("ros1").tf("base_link", "laser", 0.0, static=True)
+        first, step = float(self.finder.bearings[0]), float(np.diff(self.finder.bearings)[0])
+        for scan, (x, y, theta) in zip(self.log, self.log.poses.tolist(), strict=True):
+            bag.scan(scan.stamp, scan.ranges, angle_min=first, increment=step, range_max=self.finder.max_range)
+            bag.tf("map", "base_link", scan.stamp, (x, y, 0.0), quaternion(yaw=theta))
+        bag.write(Path.cwd(), "run")
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World()
+
+
+def readme(world: World) -> dict[str, Any]:
+    world.write_map()
+    return {"ranges": np.full(180, 1.0), "particles": world.particles}
+
+
+def alignment(world: World) -> dict[str, Any]:
+    return {"scan": world.log.scan(11), "previous_scan": world.scan, "odometry_step": [0.05, 0.0, 0.05]}
+
+
+def calibrate(world: World) -> dict[str, Any]:
+    world.write_map()
+    world.write_log()
+    return {}
+
+
+def calibrate_stack(world: World) -> dict[str, Any]:
+    return {"log": world.log, "grid": world.grid}
+
+
+def features(world: World) -> dict[str, Any]:
+    parameters = LineParameters(0.03, 0.02, spurious_rate=0.1, max_range=8.0)
+    line_model = LineModel(world.walls, parameters, correspondence="sum")
+    return {"scan": world.scan, "pose": world.log.poses[10], "beam_model": world.model, "line_model": line_model}
+
+
+def landmark_learning(world: World) -> dict[str, Any]:
+    landmarks = LandmarkMap([[0.0, 0.0], [6.0, 0.0], [3.0, 4.0]])
+    noise = LandmarkParameters(sigma_range=0.1, sigma_bearing=0.02)
+    model = LandmarkModel(landmarks, noise, correspondence="known", mount=(0.2, 0.0, 0.0))
+    seen = model.sample(world.log.poses, world.rng)
+    stamps = world.log.stamps.tolist()
+    log = DetectionLog(
+        world.log.poses,
+        tuple(Detections(z.ranges, z.bearings, ids=z.ids, stamp=t) for z, t in zip(seen, stamps, strict=True)),
+    )
+    write_landmarks("tags.csv", landmarks)
+    write_sightings("seen.csv", log)
+    return {}
+
+
+def landmarks(world: World) -> dict[str, Any]:
+    write_landmarks("tags.csv", LandmarkMap([[3.0, 1.0], [1.0, 4.0]], ids=[7, 9]))
+    return {"particles": world.particles, "rng": world.rng}
+
+
+def likelihood_field(world: World) -> dict[str, Any]:
+    return {"grid": world.grid, "scan": world.scan, "poses": world.particles}
+
+
+def lines(world: World) -> dict[str, Any]:
+    write_line_map("walls.csv", world.walls)
+    return {"scan": world.scan, "particles": world.particles}
+
+
+def marker(world: World) -> dict[str, Any]:
+    del world
+    bag = CameraBag().camera().corners(1.0, (7, [300.0, 200.0, 340.0, 200.0, 340.0, 240.0, 300.0, 240.0]))
+    bag.write(Path.cwd(), "both").rename("camera.bag")
+    Path("markers.bag").write_bytes(Path("camera.bag").read_bytes())
+    return {}
+
+
+def raycasting(world: World) -> dict[str, Any]:
+    return {"grid": world.grid, "poses": world.particles, "finder": world.finder, "origins": world.particles}
+
+
+def scan_fit(world: World) -> dict[str, Any]:
+    return {"model": world.model, "good_log": world.log, "scan": world.scan, "pose": world.log.poses[10],
+            "log": world.log}  # fmt: skip
+
+
+def stacks(world: World) -> dict[str, Any]:
+    candidates = [Nav2Parameters(sigma_hit=sigma, max_beams=90) for sigma in (0.05, 0.2)]
+    return {"grid": world.grid, "scan": world.scan, "poses": world.particles, "candidates": candidates}
+
+
+STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
+    "README": readme,
+    "alignment": alignment,
+    "calibrate": calibrate,
+    "calibrate_stack": calibrate_stack,
+    "features": features,
+    "landmark_learning": landmark_learning,
+    "landmarks": landmarks,
+    "likelihood_field": likelihood_field,
+    "lines": lines,
+    "marker": marker,
+    "raycasting": raycasting,
+    "scan_fit": scan_fit,
+    "stacks": stacks,
+}
+
+
+@dataclass(frozen=True)
+class Block:
+    """Python of a document, from a line on."""
+
+    path: Path
+    line: int
+    text: str
+
+    def run(self, names: dict[str, Any]) -> None:
+        # Blank lines in front, so that a traceback shows the line of the document.
+        exec(compile("\n" * (self.line - 1) + self.text, str(self.path), "exec"), names)
+
+
+def blocks_of(path: Path) -> list[Block]:
+    text = path.read_text(encoding="utf-8")
+    return [Block(path, text.count("\n", 0, found.start(1)) + 1, found[1]) for found in PYTHON.finditer(text)]
+
+
+def commands_of(path: Path) -> list[str]:
+    """Return the command lines of a document, those that go on in the next line as one."""
+    return COMMAND.findall(path.read_text(encoding="utf-8").replace("\\\n", " "))
+
+
+WITH_PYTHON = [path for path in DOCUMENTS if blocks_of(path)]
+COMMANDS = sorted({command for path in DOCUMENTS for command in commands_of(path)})
+
+
+@pytest.mark.parametrize("path", WITH_PYTHON, ids=lambda path: path.stem)
+def test_the_python_of_a_document_runs(path: Path, world: World, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = STAND_INS[path.stem](world) if path.stem in STAND_INS else {}
+    for block in blocks_of(path):
+        block.run(names)
+
+
+@pytest.mark.parametrize("name", STAND_INS)
+def test_a_document_gets_nothing_that_it_does_not_use(name: str, world: World, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = STAND_INS[name](world)
+    text = "\n".join(block.text for path in WITH_PYTHON if path.stem == name for block in blocks_of(path))
+    files = [path.name for path in tmp_path.iterdir() if path.suffix in {".yaml", ".csv", ".bag"}]
+    assert given or files
+    assert [word for word in given if not re.search(rf"\b{word}\b", text)] == []
+    assert [file for file in files if f'"{file}"' not in text] == []
+
+
+def test_documents_have_commands_and_python():
+    assert len(WITH_PYTHON) >= 17
+    assert len(COMMANDS) >= 25
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_of_a_document_is_one(command: str, capsys):
+    # What may be left out is there, of alternatives the first; letters stand for numbers.
+    whole = re.sub(r"\s\|[^\]]*", "", command).replace("[", "").replace("]", "")
+    words = [{"M": "5", "N": "5", "STACK": "nav2"}.get(word, word) for word in shlex.split(whole)[1:]]
+    try:
+        build_parser().parse_args(words)
+    except SystemExit:
+        pytest.fail(f"{command}: {capsys.readouterr().err}")
+
+
+@pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=lambda path: path.stem)
+def test_links_of_a_document_lead_to_files(path: Path):
+    links = [link for link in LINK.findall(path.read_text(encoding="utf-8")) if "://" not in link]
+    assert [link for link in links if not (path.parent / link).exists()] == []

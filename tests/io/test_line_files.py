@@ -58,10 +58,10 @@ def test_the_vector_map_of_a_building_is_read(data):
         ("id,rho,alpha\n", "no lines"),
         ("id,rho,alpha\n1,2\n", ":2: expected 3 values, got 2"),
         ("id,rho,alpha\n-1,2,3\n", "id: expected a whole number >= 0, got '-1'"),
-        ("id,rho,alpha\n1,2,3\n1,2,3\n", ":3: id: id 1 is also in line 2"),
+        ("id,rho,alpha\n1,2,3\n1,2,3\n", ":3: expected each id once, got 1 again after line 2"),
         ("id,rho,alpha\n1,inf,3\n", "expected a finite number, got 'inf'"),
         ("id,rho,alpha\n1,wide,3\n", "'wide'"),
-        ("id,x1,y1,x2,y2\n1,2,3,2,3\n", ":2: expected two different ends, got '2,3,2,3'"),
+        ("id,x1,y1,x2,y2\n1,2,3,2,3\n", r":2: expected two different ends, got \[2.0, 3.0, 2.0, 3.0\]"),
     ],
     ids=["empty", "header", "no rows", "short", "id", "twice", "infinite", "word", "point"],
 )

@@ -11,8 +11,8 @@ from beamfield.detections import Detections
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.text_lines import parse_numbers
-from beamfield.io.text_rows import csv_rows, finite_numbers, parse_id, word_rows, write_csv
-from beamfield.maps.landmarks import LandmarkMap
+from beamfield.io.text_rows import IdRows, csv_rows, expect_columns, finite_numbers, parse_id, word_rows, write_csv
+from beamfield.maps.landmarks import LandmarkMap, SignatureKind
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +56,21 @@ def read_landmarks(path: str | Path) -> LandmarkMap:
     source = Path(path)
     rows = csv_rows(source)
     line, header = next(rows, (None, []))
-    extra = [name.strip().lower() for name in header][3:]
-    vector = [f"signature_{i + 1}" for i in range(len(extra))]
-    if [name.strip().lower() for name in header][:3] != ["id", "x", "y"] or (
-        extra not in ([], ["signature"], ["type"]) and extra != vector
-    ):
+    names = [name.lower() for name in header]
+    kind = _kind_of(names[3:])
+    if names[:3] != ["id", "x", "y"] or kind is None:
         raise FormatError(
             source,
             f"expected the header id,x,y and then nothing, signature, type, or signature_1,signature_2,...; "
             f"got {','.join(header)[:80]!r}",
             line=line,
         )
-    table = _Table(source)
+    landmarks = IdRows(source, "landmark")
     for line, words in rows:
         if len(words) != len(header):
             raise FormatError(source, f"expected {len(header)} values, got {len(words)}", line=line)
-        table.add(line, words)
-    return table.to_map(n_columns=2 + len(extra), kind="type" if extra == ["type"] else None, vector=extra == vector)
+        landmarks.add(line, words)
+    return _as_map(landmarks, kind)
 
 
 def write_landmarks(path: str | Path, landmarks: LandmarkMap) -> None:
@@ -128,17 +126,16 @@ def read_mrclam_landmarks(path: str | Path) -> LandmarkMap:
         As the file system says.
     """
     source = Path(path)
-    table = _Table(source)
+    landmarks = IdRows(source, "landmark")
     for line, words in word_rows(source):
-        if len(words) != 5:
-            raise FormatError(source, f"expected subject, x, y, x_std, y_std, got {len(words)} values", line=line)
+        expect_columns(source, line, words, ("subject", "x", "y", "x_std", "y_std"))
         deviations = parse_numbers(source, line, words[3:], "standard deviation")
         if not (np.isfinite(deviations) & (deviations >= 0.0)).all():
             raise FormatError(
                 source, f"expected standard deviations >= 0, got {words[3]!r} and {words[4]!r}", line=line
             )
-        table.add(line, words[:3])
-    return table.to_map(n_columns=2)
+        landmarks.add(line, words[:3])
+    return _as_map(landmarks, "none")
 
 
 def read_course_world(path: str | Path) -> LandmarkMap:
@@ -157,12 +154,11 @@ def read_course_world(path: str | Path) -> LandmarkMap:
         As the file system says.
     """
     source = Path(path)
-    table = _Table(source)
+    landmarks = IdRows(source, "landmark")
     for line, words in word_rows(source):
-        if len(words) != 3:
-            raise FormatError(source, f"expected id, x, y, got {len(words)} values", line=line)
-        table.add(line, words)
-    return table.to_map(n_columns=2)
+        expect_columns(source, line, words, ("id", "x", "y"))
+        landmarks.add(line, words)
+    return _as_map(landmarks, "none")
 
 
 def read_course_log(path: str | Path) -> CourseLog:
@@ -206,36 +202,20 @@ def read_course_log(path: str | Path) -> CourseLog:
     return CourseLog(np.array(odometry), tuple(_as_detections(features) for features in seen))
 
 
-class _Table:
-    """Rows of a map, with the line of each for errors."""
+def _kind_of(columns: list[str]) -> SignatureKind | None:
+    """Return what the columns behind the position hold; None if they are none of those known."""
+    known: dict[tuple[str, ...], SignatureKind] = {(): "none", ("signature",): "number", ("type",): "type"}
+    is_vector = columns == [f"signature_{i + 1}" for i in range(len(columns))]
+    return known.get(tuple(columns), "vector" if is_vector else None)
 
-    def __init__(self, source: Path) -> None:
-        self.source = source
-        self.ids: dict[int, int] = {}
-        self.rows: list[FloatArray] = []
 
-    def add(self, line: int, words: list[str]) -> None:
-        which = parse_id(self.source, line, words[0])
-        if which in self.ids:
-            raise FormatError(
-                self.source, f"expected each id once, got {which} again after line {self.ids[which]}", line=line
-            )
-        self.ids[which] = line
-        self.rows.append(finite_numbers(self.source, line, words[1:], "landmark"))
-
-    def to_map(self, *, n_columns: int, kind: str | None = None, vector: bool = False) -> LandmarkMap:
-        if not self.rows:
-            raise FormatError(self.source, "no landmarks: the file has no rows")
-        values = np.array(self.rows)
-        signatures = values[:, 2:] if n_columns > 2 else None
-        if signatures is not None and not vector:
-            signatures = signatures[:, 0]
-        try:
-            if kind == "type":
-                return LandmarkMap(values[:, :2], np.array(list(self.ids)), signatures, "type")
-            return LandmarkMap(values[:, :2], np.array(list(self.ids)), signatures)
-        except InvalidInputError as error:
-            raise FormatError(self.source, str(error)) from error
+def _as_map(landmarks: IdRows, kind: SignatureKind) -> LandmarkMap:
+    ids, values = landmarks.table()
+    signatures = None if kind == "none" else values[:, 2:] if kind == "vector" else values[:, 2]
+    try:
+        return LandmarkMap(values[:, :2], ids, signatures, kind)
+    except InvalidInputError as error:
+        raise FormatError(landmarks.path, str(error)) from error
 
 
 def _as_detections(features: list[tuple[int, float, float]]) -> Detections:

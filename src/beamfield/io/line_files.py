@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.io.text_rows import csv_rows, finite_numbers, parse_id, write_csv
+from beamfield.io.text_rows import IdRows, csv_rows, expect_columns, finite_numbers, write_csv
 from beamfield.maps.lines import LineMap
 
 LINE_HEADER, SEGMENT_HEADER = ("id", "rho", "alpha"), ("id", "x1", "y1", "x2", "y2")
@@ -43,21 +41,16 @@ def read_line_map(path: str | Path) -> LineMap:
             f"expected the header {','.join(LINE_HEADER)} or {','.join(SEGMENT_HEADER)}; got {','.join(header)[:80]!r}",
             line=line,
         )
-    ids: dict[int, int] = {}
-    values = []
+    table = IdRows(source, "line")
     for line, words in rows:
         if len(words) != len(header):
             raise FormatError(source, f"expected {len(header)} values, got {len(words)}", line=line)
-        which = parse_id(source, line, words[0])
-        if which in ids:
-            raise FormatError(source, f"id {which} is also in line {ids[which]}", line=line, field="id")
-        ids[which] = line
-        values.append(_numbers(source, line, words[1:], is_segment=names == SEGMENT_HEADER))
-    if not values:
-        raise FormatError(source, "no lines: the file has no rows")
-    numbers = np.array(list(ids))
+        numbers = table.add(line, words)
+        if names == SEGMENT_HEADER:
+            _require_two_ends(source, line, numbers)
+    ids, values = table.table()
     try:
-        return LineMap.from_segments(values, numbers) if names == SEGMENT_HEADER else LineMap(np.array(values), numbers)
+        return LineMap.from_segments(values, ids) if names == SEGMENT_HEADER else LineMap(values, ids)
     except InvalidInputError as error:
         raise FormatError(source, str(error)) from error
 
@@ -102,16 +95,14 @@ def read_amrl_vector_map(path: str | Path) -> LineMap:
     source = Path(path)
     segments = []
     for line, words in csv_rows(source):
-        if len(words) != 4:
-            raise FormatError(source, f"expected x1, y1, x2, y2, got {len(words)} values", line=line)
-        segments.append(_numbers(source, line, words, is_segment=True))
+        expect_columns(source, line, words, ("x1", "y1", "x2", "y2"))
+        segments.append(finite_numbers(source, line, words, "line"))
+        _require_two_ends(source, line, segments[-1])
     if not segments:
         raise FormatError(source, "no lines: the file has no rows")
     return LineMap.from_segments(segments)
 
 
-def _numbers(path: Path, line: int, words: list[str], *, is_segment: bool) -> FloatArray:
-    numbers = finite_numbers(path, line, words, "line")
-    if is_segment and (numbers[:2] == numbers[2:]).all():
-        raise FormatError(path, f"expected two different ends, got {','.join(words)[:80]!r}", line=line)
-    return numbers
+def _require_two_ends(path: Path, line: int, segment: FloatArray) -> None:
+    if (segment[:2] == segment[2:]).all():
+        raise FormatError(path, f"expected two different ends, got {segment.tolist()}", line=line)

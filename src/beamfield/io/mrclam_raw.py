@@ -13,7 +13,7 @@ from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, interpolate_poses
 from beamfield.io.text_lines import parse_numbers
-from beamfield.io.text_rows import MAX_ID, word_rows
+from beamfield.io.text_rows import MAX_ID, expect_columns, word_rows
 from beamfield.maps.landmarks import LandmarkMap
 
 # Motion capture gives a pose a hundred times a second, but loses robots for seconds.
@@ -149,8 +149,7 @@ def _table(path: Path, columns: str) -> tuple[FloatArray, list[int]]:
     names = columns.split()
     rows, lines = [], []
     for line, words in word_rows(path):
-        if len(words) != len(names):
-            raise FormatError(path, f"expected {', '.join(names)}, got {len(words)} values", line=line)
+        expect_columns(path, line, words, names)
         numbers = parse_numbers(path, line, words, "row")
         if not np.isfinite(numbers).all():
             i = int((~np.isfinite(numbers)).argmax())

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
@@ -61,6 +62,73 @@ def finite_numbers(path: Path, line: int, words: Sequence[str], what: str) -> Fl
         bad = words[int((~np.isfinite(numbers)).argmax())]
         raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
     return numbers
+
+
+def expect_columns(path: Path, line: int, words: Sequence[str], columns: Sequence[str]) -> None:
+    """Say if a row has not one value per column.
+
+    Parameters
+    ----------
+    path, line
+        For the error.
+    words
+        The row.
+    columns
+        Names of the columns.
+
+    Raises
+    ------
+    FormatError
+        If there are more or fewer.
+    """
+    if len(words) != len(columns):
+        raise FormatError(path, f"expected {', '.join(columns)}, got {len(words)} values", line=line)
+
+
+class IdRows:
+    """Collects rows of an id and numbers, each id once, line by line.
+
+    Parameters
+    ----------
+    path
+        The file, for errors.
+    what
+        What a row is, for errors: "landmark".
+    """
+
+    def __init__(self, path: Path, what: str) -> None:
+        self.path, self.what = path, what
+        self._line_of: dict[int, int] = {}
+        self._rows: list[FloatArray] = []
+
+    def add(self, line: int, words: Sequence[str]) -> FloatArray:
+        """Add a row, its id first, and return its numbers.
+
+        Raises
+        ------
+        FormatError
+            If the id is none or came before, or another word is no finite number; line and value are named.
+        """
+        which = parse_id(self.path, line, words[0])
+        if which in self._line_of:
+            text = f"expected each id once, got {which} again after line {self._line_of[which]}"
+            raise FormatError(self.path, text, line=line)
+        numbers = finite_numbers(self.path, line, words[1:], self.what)
+        self._line_of[which] = line
+        self._rows.append(numbers)
+        return numbers
+
+    def table(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return the ids (n,) and the numbers (n, d).
+
+        Raises
+        ------
+        FormatError
+            If there is no row.
+        """
+        if not self._rows:
+            raise FormatError(self.path, f"no {self.what}s: the file has no rows")
+        return np.array(list(self._line_of)), np.array(self._rows)
 
 
 def is_id(word: str) -> bool:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
@@ -68,67 +67,6 @@ def read_mat_arrays(path: str | Path) -> dict[str, FloatArray]:
         if found is not None:
             arrays[found[0]] = found[1]
     return arrays
-
-
-def mat_table(path: Path, arrays: dict[str, FloatArray], name: str, columns: str) -> FloatArray:
-    """Return one array of finite numbers with the given columns.
-
-    Parameters
-    ----------
-    path
-        For errors.
-    arrays
-        As from `read_mat_arrays`.
-    name
-        The variable.
-    columns
-        Names of its columns, with blanks between.
-
-    Raises
-    ------
-    FormatError
-        If the variable is missing, has other columns or no row, or a number that is not finite; row and value are
-        named.
-    """
-    if name not in arrays:
-        found = ", ".join(sorted(arrays)) or "none"
-        raise FormatError(path, f"the variable is missing; arrays in the file: {found[:200]}", field=name)
-    table, names = arrays[name], columns.split()
-    if table.shape[1] != len(names) or not len(table):
-        raise FormatError(path, f"expected rows of {', '.join(names)}, got shape {table.shape}", field=name)
-    wrong = ~np.isfinite(table)
-    if wrong.any():
-        row, column = np.argwhere(wrong)[0]
-        raise FormatError(
-            path, f"row {row + 1}: expected a finite {names[column]}, got {str(table[row, column])!r}", field=name
-        )
-    return table
-
-
-def mat_ids(path: Path, table: FloatArray, column: int, name: str, what: str) -> NDArray[np.int64]:
-    """Return a column of a table as whole numbers >= 0.
-
-    Parameters
-    ----------
-    path, name
-        File and variable, for errors.
-    table, column
-        As from `mat_table`, and which of its columns.
-    what
-        Name of the column.
-
-    Raises
-    ------
-    FormatError
-        If a number is not whole, negative, or beyond 2^53; row and value are named.
-    """
-    values = table[:, column]
-    wrong = (values != np.floor(values)) | (values < 0) | (values > 2**53)
-    if wrong.any():
-        row = int(wrong.argmax())
-        text = f"row {row + 1}: expected a whole number >= 0 as {what}, got {str(values[row])!r}"
-        raise FormatError(path, text, field=name)
-    return np.asarray(values.astype(np.int64))
 
 
 def _byte_order(path: Path, content: bytes) -> str:

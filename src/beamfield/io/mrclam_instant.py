@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from beamfield.detection_log import DetectionLog, group_detections
-from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import FloatArray
-from beamfield.io.mat_file import mat_ids, mat_table, read_mat_arrays
+from beamfield.io.mat_file import read_mat_arrays
+from beamfield.io.mat_table import mat_ids, mat_landmarks, mat_table, require_known, require_rising
 from beamfield.maps.landmarks import LandmarkMap
 
 NOTE = "The file has no times: stamps are the numbers of the moments, and stretches of the run are missing."
@@ -51,28 +50,13 @@ def read_mrclam_instant(path: str | Path) -> tuple[LandmarkMap, DetectionLog]:
     """
     source = Path(path)
     arrays = read_mat_arrays(source)
-    landmarks = _landmarks(source, mat_table(source, arrays, "landmark", "id x y"))
+    landmarks = mat_landmarks(source, arrays, "landmark")
     truth = mat_table(source, arrays, "groundtruth", "moment x y theta")
     seen = mat_table(source, arrays, "measurement", "moment id range bearing")
     moments = mat_ids(source, truth, 0, "groundtruth", "moment")
-    falls = np.diff(moments) <= 0
-    if falls.any():
-        row = int(falls.argmax()) + 1
-        text = f"row {row + 1}: expected moments that rise, got {moments[row]} after {moments[row - 1]}"
-        raise FormatError(source, text, field="groundtruth")
+    require_rising(source, moments, "groundtruth", "moments")
     named, ids = (mat_ids(source, seen, i, "measurement", what) for i, what in enumerate(("moment", "id")))
-    for values, known, what in ((named, moments, "moment"), (ids, landmarks.ids, "landmark")):
-        missing = ~np.isin(values, known)
-        if missing.any():
-            row = int(missing.argmax())
-            text = f"row {row + 1}: expected a {what} of the file, got {values[row]}"
-            raise FormatError(source, text, field="measurement")
+    require_known(source, named, moments, "measurement", "moment of the file")
+    require_known(source, ids, landmarks.ids, "measurement", "landmark of the file")
     detections = group_detections(np.searchsorted(moments, named), moments, seen[:, 2], seen[:, 3], ids)
     return landmarks, DetectionLog(truth[:, 1:], detections, notes=(NOTE,))
-
-
-def _landmarks(path: Path, table: FloatArray) -> LandmarkMap:
-    try:
-        return LandmarkMap(table[:, 1:], mat_ids(path, table, 0, "landmark", "id"))
-    except InvalidInputError as error:
-        raise FormatError(path, str(error), field="landmark") from error

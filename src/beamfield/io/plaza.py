@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.detection_log import DetectionLog, group_detections
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import FormatError
 from beamfield.geometry import interpolate_poses
-from beamfield.io.mat_file import mat_ids, mat_table, read_mat_arrays
+from beamfield.io.mat_file import read_mat_arrays
+from beamfield.io.mat_table import mat_ids, mat_landmarks, mat_table, require_known, require_rising
 from beamfield.maps.landmarks import LandmarkMap
 
 # GPS poses come five or ten times a second; over longer gaps a mower's path is not a straight line.
@@ -53,23 +54,12 @@ def read_plaza(path: str | Path) -> tuple[LandmarkMap, DetectionLog]:
     """
     source = Path(path)
     arrays = read_mat_arrays(source)
-    beacons = mat_table(source, arrays, "TL", "id x y")
+    landmarks = mat_landmarks(source, arrays, "TL")
     heard = mat_table(source, arrays, "TD", "time sender receiver range")
     track = mat_table(source, arrays, "GT", "time x y heading")
-    try:
-        landmarks = LandmarkMap(beacons[:, 1:], mat_ids(source, beacons, 0, "TL", "id"))
-    except InvalidInputError as error:
-        raise FormatError(source, str(error), field="TL") from error
-    falls = np.diff(track[:, 0]) <= 0.0
-    if falls.any():
-        row = int(falls.argmax()) + 1
-        text = f"row {row + 1}: expected times that rise, got {track[row, 0]} after {track[row - 1, 0]}"
-        raise FormatError(source, text, field="GT")
+    require_rising(source, track[:, 0], "GT", "times")
     ids = mat_ids(source, heard, 2, "TD", "receiver")
-    missing = ~np.isin(ids, landmarks.ids)
-    if missing.any():
-        row = int(missing.argmax())
-        raise FormatError(source, f"row {row + 1}: expected a beacon of TL, got {ids[row]}", field="TD")
+    require_known(source, ids, landmarks.ids, "TD", "beacon of TL")
     if np.ptp(heard[:, 1]) > 0.0:
         row = int((heard[:, 1] != heard[0, 1]).argmax())
         text = f"row {row + 1}: expected one sender, the robot, got {heard[row, 1]:g} after {heard[0, 1]:g}"

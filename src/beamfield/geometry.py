@@ -215,7 +215,12 @@ def interpolate_poses(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike, *, max
 
     Returns
     -------
-    (n, 3) poses; NaN outside the stamps and in gaps longer than `max_gap`.
+    (n, 3) poses; NaN outside the stamps, in gaps longer than `max_gap`, and beside a pose that is NaN.
+
+    Examples
+    --------
+    >>> interpolate_poses([0.0, 1.0], [[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]], [0.5, 2.0]).round(3).tolist()
+    [[0.5, 1.0, 3.142], [nan, nan, nan]]
     """
     times = np.asarray(stamps, dtype=np.float64)
     track = np.asarray(poses, dtype=np.float64)
@@ -249,6 +254,11 @@ def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> FloatArray:
     Returns
     -------
     Radians in [-pi, pi], of that shape.
+
+    Examples
+    --------
+    >>> float(yaw_from_quaternion(0.0, 0.0, 1.0, 0.0)) == np.pi
+    True
     """
     x, y, z, w = (np.asarray(v, dtype=np.float64) for v in (x, y, z, w))
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -223,6 +223,12 @@ def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
     -------
     (..., k) metres: max_range where nothing came back (+inf, or z >= max_range); NaN where there is no measurement
     (NaN, -inf, or z < min_range).
+
+    Examples
+    --------
+    >>> laser = RangeFinder.from_bearings([0.0] * 5, max_range=8.0, min_range=0.1)
+    >>> usable_ranges([2.0, np.inf, np.nan, 0.05, 8.19], laser).tolist()
+    [2.0, 8.0, nan, nan, 8.0]
     """
     z = np.array(ranges, dtype=np.float64)
     with np.errstate(invalid="ignore"):
@@ -276,6 +282,16 @@ class SensorLog:
     ------
     InvalidInputError
         If an array has another shape.
+
+    Examples
+    --------
+    Two scans of two beams, the second without a reference pose:
+
+    >>> laser = RangeFinder.from_bearings([-0.1, 0.1], max_range=8.0)
+    >>> poses = [[0.0, 0.0, 0.0], NO_POSE]
+    >>> log = SensorLog(laser, [0.0, 0.1], [[1.0, 2.0], [1.1, np.inf]], poses, np.zeros((2, 3)))
+    >>> len(log), log.has_poses, log.select([1]).has_poses
+    (2, True, False)
     """
 
     finder: RangeFinder

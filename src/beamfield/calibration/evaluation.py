@@ -122,6 +122,14 @@ def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float
     Returns
     -------
     In the unit of the values.
+
+    Examples
+    --------
+    Four values that are really two, each counted twice:
+
+    >>> values = np.array([1.0, 1.0, 3.0, 3.0])
+    >>> block_standard_error(values, np.arange(4)) < block_standard_error(values, np.array([0, 0, 1, 1]))
+    True
     """
     _, index = np.unique(blocks, return_inverse=True)
     n_blocks = int(index.max()) + 1 if len(index) else 0

@@ -30,6 +30,11 @@ class LostEvidence:
     ------
     InvalidInputError
         If the knots do not increase, the ratios decrease or a number is not finite.
+
+    Examples
+    --------
+    >>> LostEvidence([0.0, 1.0], [-3.0, 3.0], correlation_s=0.0)([0.5, 9.0, np.nan]).tolist()
+    [0.0, 3.0, 0.0]
     """
 
     knots: FloatArray
@@ -154,6 +159,11 @@ def effective_number(stamps: ArrayLike, correlation_s: float) -> float:
     Returns
     -------
     In [1, t]; 0 without values.
+
+    Examples
+    --------
+    >>> effective_number([0.0, 1.0, 2.0], 0.0), round(effective_number([0.0, 1.0, 2.0], 10.0), 1)
+    (3.0, 1.1)
     """
     when = np.sort(np.asarray(stamps, dtype=np.float64))
     if len(when) == 0:

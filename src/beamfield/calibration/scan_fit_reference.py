@@ -56,6 +56,13 @@ class ScanFitReference:
         from.
     inputs
         Where it comes from: role -> name and hash.
+
+    Raises
+    ------
+    InvalidInputError
+        If a column has another length, or a number that is not finite.
+    TooLittleDataError
+        If there are fewer than 20 good scans.
     """
 
     model: Mapping[str, Any]

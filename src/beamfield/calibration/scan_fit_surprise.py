@@ -78,6 +78,11 @@ def beam_surprise(
     -------
     Arrays (..., k); 0 where a beam is left out.
 
+    Raises
+    ------
+    InvalidInputError
+        If threads < 1.
+
     Notes
     -----
     Where a ray hits nothing (z* = max_range) nothing can be hit: there z_hit is added to z_max, and a reading is short

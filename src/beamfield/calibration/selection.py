@@ -42,6 +42,11 @@ class SelectionOptions:
         radians); without odometry nothing is tested.
     min_scans
         Fewer scans than this are too little data.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is negative or NaN.
     """
 
     min_travel: float = 0.02

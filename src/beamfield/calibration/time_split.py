@@ -30,6 +30,11 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     ------
     InvalidInputError
         If the length is not positive.
+
+    Examples
+    --------
+    >>> time_blocks([0.0, 4.0, 11.0, 30.0], block_s=10.0).tolist()
+    [0, 0, 1, 2]
     """
     times = np.asarray(stamps, dtype=np.float64)
     if len(times) == 0:
@@ -65,6 +70,11 @@ def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 
     ------
     InvalidInputError
         If every < 2, or the length is not positive.
+
+    Examples
+    --------
+    >>> held_out_mask(np.arange(6) * 10.0, block_s=10.0).tolist()
+    [False, True, False, False, True, True]
     """
     if every < 2:
         raise InvalidInputError(f"every: expected at least 2, got {every}")

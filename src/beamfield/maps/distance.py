@@ -119,6 +119,12 @@ class DistanceField:
     ------
     InvalidInputError
         If the shape does not fit the map, a distance is negative or NaN, or max_distance is not positive.
+
+    Examples
+    --------
+    >>> field = DistanceField.from_grid(OccupancyGrid([[0.0, 0.0, 1.0]], resolution=0.5), margin=0.5)
+    >>> field.distance[1].tolist()
+    [1.5, 1.0, 0.5, 0.0, 0.5]
     """
 
     grid: OccupancyGrid

@@ -24,6 +24,12 @@ def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike | None =
     Returns
     -------
     (..., k, 2) metres in the frame of the poses; NaN where nothing was measured or the pose is unknown.
+
+    Examples
+    --------
+    >>> finder = RangeFinder.from_bearings([0.0, np.pi / 2], max_range=8.0)
+    >>> end_points([2.0, np.inf], finder, [1.0, 0.0, 0.0]).tolist()
+    [[3.0, 0.0], [nan, nan]]
     """
     z = usable_ranges(ranges, finder)
     z[z >= finder.max_range] = np.nan

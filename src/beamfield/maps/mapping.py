@@ -229,6 +229,11 @@ def share_of_hits_in_obstacles(
     Returns
     -------
     Share in [0, 1] of the readings below max_range; 0 if there are none.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is not one pose per scan.
     """
     radius = 1 if tolerance is None else int(np.ceil(tolerance / grid.resolution))
     near = _dilated(grid.occupied, radius)

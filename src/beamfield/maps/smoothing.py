@@ -41,6 +41,11 @@ def smooth_map(grid: OccupancyGrid, sigma: float) -> OccupancyGrid:
     References
     ----------
     Probabilistic Robotics, section 6.5, after (6.37).
+
+    Examples
+    --------
+    >>> smooth_map(OccupancyGrid([[0.0, 0.0, 1.0, np.nan]], resolution=0.1), 0.05).probability.round(2).tolist()
+    [[0.0, 0.1..., 0.8..., nan]]
     """
     longest = max(grid.shape) * grid.resolution
     if not grid.resolution / CUT_OFF < sigma < longest / CUT_OFF:

@@ -63,5 +63,10 @@ def expected_from(min_range: float, expected_ranges: FloatArray) -> FloatArray:
     Returns
     -------
     Metres, of that shape; 0 where the obstacle is in the blind zone, NaN where the range is.
+
+    Examples
+    --------
+    >>> expected_from(0.5, np.array([0.2, 2.0])).tolist()
+    [0.0, 1.5]
     """
     return expected_ranges if min_range == 0.0 else np.asarray(np.maximum(expected_ranges - min_range, 0.0))

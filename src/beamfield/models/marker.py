@@ -282,6 +282,11 @@ class MarkerModel:
         -------
         n measurements: every marker whose expected place is in the image, all markers if the camera has no
         `image_size`. Noise may carry a place over the image's edge.
+
+        Raises
+        ------
+        InvalidInputError
+            If the poses are not finite (..., 3).
         """
         expected = self.expected(as_poses(poses).reshape(-1, 3))
         noisy = self._add_noise(expected, rng)

@@ -238,7 +238,7 @@ class RangeMixtureModel(ABC):
         Raises
         ------
         InvalidInputError
-            If neither the call nor the model has a finder.
+            If neither the call nor the model has a finder, or the poses are not finite.
         """
         sensor = self._finder(finder)
         expected = self.expected(as_poses(poses).reshape(-1, 3), sensor)

@@ -45,5 +45,10 @@ def log_share_on_circle(sigma: float) -> float:
     Returns
     -------
     Nats, at most 0.
+
+    Examples
+    --------
+    >>> round(math.exp(log_share_on_circle(math.pi / 2)), 3)
+    0.954
     """
     return math.log(math.erf(math.pi / (sigma * math.sqrt(2.0))))

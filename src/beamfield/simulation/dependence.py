@@ -23,6 +23,11 @@ class Dependence:
         are independent.
     time
         The same over time, seconds; 0: scans are independent.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is negative or not finite.
     """
 
     angle: float = 0.0
@@ -63,6 +68,13 @@ def dependent_uniforms(
     Returns
     -------
     (t, k) numbers in (0, 1).
+
+    Examples
+    --------
+    >>> bearings = np.linspace(0.0, 1.0, 5)
+    >>> u = dependent_uniforms([0.0], bearings, Dependence(angle=100.0), np.random.default_rng(0))
+    >>> float(np.ptp(u)) < 0.1
+    True
     """
     times, angles = np.asarray(stamps, dtype=np.float64), np.asarray(bearings, dtype=np.float64)
     order = np.argsort(angles, kind="stable")

@@ -50,6 +50,11 @@ class DriveOptions:
         Fastest turn, rad/s.
     pause
         Time that the robot stands at each place it visits, seconds.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is not positive and finite; comfort and pause may be 0.
     """
 
     robot_radius: float = 0.25

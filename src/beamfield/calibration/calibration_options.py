@@ -39,7 +39,7 @@ class CalibrationOptions:
     seed
         For the bootstrap and the randomised PIT.
     threads
-        None uses all processors.
+        None uses what pays.
     """
 
     selection: SelectionOptions = field(default_factory=SelectionOptions)

@@ -62,7 +62,7 @@ def beam_log_density(
         Nearer readings are dropped, metres: each density is cut to [min_range, max_range], and the weights are shares
         of the readings that are left. 0: all readings are seen.
     threads
-        Number of threads; None uses every processor. It changes no bit of the result.
+        Number of threads; None uses what pays. It changes no bit of the result.
 
     Returns
     -------

@@ -87,8 +87,6 @@ def test_derivatives_are_those_of_the_log_likelihood(theta):
     z = np.where(np.abs(z - expected) > 0.5, np.minimum(z, expected), z)  # no outliers that only underflow explains
     likelihood = IntrinsicLikelihood(z, expected, MAX_RANGE)
     _, gradient, hessian = likelihood.derivatives(theta)
-    scores = likelihood.scores(theta)
-    assert scores.sum(axis=0) == pytest.approx(gradient, rel=1e-10, abs=1e-8)
     for i in range(8):
         step = 1e-5 * (theta[i] if theta[i] > 0.0 else 1e-3)
         if theta[i] == 0.0 and i != 6:
@@ -165,5 +163,5 @@ def test_any_number_of_threads_gives_the_same_bits():
     one = IntrinsicLikelihood(z, expected, MAX_RANGE, threads=1)
     many = IntrinsicLikelihood(z, expected, MAX_RANGE, threads=5)
     assert one.expected_statistics(theta).log_likelihood == many.expected_statistics(theta).log_likelihood
-    assert np.array_equal(one.derivatives(theta)[2], many.derivatives(theta)[2])
-    assert np.array_equal(one.scores(theta), many.scores(theta))
+    for values, same in zip(one.derivatives(theta)[1:], many.derivatives(theta)[1:], strict=True):
+        assert np.array_equal(values, same)

@@ -242,32 +242,6 @@ class IntrinsicLikelihood:
             hessian[W_MAX, W_MAX] = -self.n_max / max(share, 1e-150) ** 2
         return log_likelihood, gradient, hessian
 
-    def scores(self, theta: FloatArray) -> FloatArray:
-        """Return the first derivatives of each beam's log-density.
-
-        Parameters
-        ----------
-        theta
-            (8,) working vector.
-
-        Returns
-        -------
-        (n, 8) in the caller's order of beams; weights do not count.
-        """
-        bins = self._cut(theta)
-        out = np.zeros((self.ranges.size, kernels.N_DERIVATIVES))
-        mixture = self._mixture(theta)
-
-        def work(first: int, last: int) -> None:
-            kernels.score_pass(self._beams, mixture, bins, first, last, out)
-
-        self._over_bins(work, bins)
-        result = np.zeros((self.returned.size, N_PARAMETERS))
-        result[np.ix_(self.order, _KERNEL_ORDER)] = out
-        if theta[W_MAX] > 0.0:
-            result[~self.returned, W_MAX] = 1.0 / theta[W_MAX]
-        return result
-
     @property
     def _beams(self) -> kernels.Beams:
         return kernels.Beams(self.ranges, self.expected, self.weights)

@@ -204,23 +204,6 @@ def newton_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: in
 
 
 @kernel
-def score_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: int, out: FloatArray) -> None:
-    """First derivatives of each beam's log-density, ``out[beam]``, in the order of `newton_pass`."""
-    polynomials = np.empty((3, TERMS))
-    slopes = np.empty((7, TERMS))
-    scores = np.empty((N_DERIVATIVES, BIN_BEAMS))
-    totals = np.empty(1 + N_DERIVATIVES + N_DERIVATIVES * (N_DERIVATIVES + 1) // 2)
-    scratch = _scratch()
-    for j in range(first, last):
-        n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
-        _slopes(bins, j, mixture, slopes)
-        _derivatives(n, beams, bins.starts[j], mixture, scratch, polynomials, slopes, scores, totals)
-        for a in range(N_DERIVATIVES):
-            for i in range(n):
-                out[bins.starts[j] + i, a] = scores[a, i]
-
-
-@kernel
 def hit_objective(
     nodes: FloatArray, weights: FloatArray, max_range: float, origin: float, v: float, q: float, b: float,
     out: FloatArray,

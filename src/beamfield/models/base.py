@@ -1,15 +1,13 @@
-"""The one interface of all measurement models, and narrow extra abilities that some have."""
+"""The one interface of all measurement models."""
 
 from __future__ import annotations
 
 from typing import Protocol, TypeVar
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray
 
-Z = TypeVar("Z")
 Z_contra = TypeVar("Z_contra", contravariant=True)
 
 
@@ -39,25 +37,5 @@ class MeasurementModel(Protocol[Z_contra]):
         ------
         InvalidInputError
             If the poses are not finite (..., 3), or the measurement is not what the model needs.
-        """
-        ...
-
-
-class GenerativeModel(MeasurementModel[Z], Protocol[Z]):
-    """A model that can also draw measurements."""
-
-    def sample(self, poses: ArrayLike, rng: np.random.Generator) -> list[Z]:
-        """Draw one measurement at each pose.
-
-        Parameters
-        ----------
-        poses
-            (n, 3) robot poses, metres and radians.
-        rng
-            Source of randomness; the same state gives the same measurements.
-
-        Returns
-        -------
-        n measurements.
         """
         ...

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
+from beamfield.kernels import threads
 from beamfield.kernels.threads import run_in_slices
 
 
@@ -70,6 +73,42 @@ def test_threads_are_kept_between_calls():
     for _ in range(20):
         run_in_slices(lambda _a, _b: seen.add(threading.get_ident()), 2, threads=2)
     assert len(seen) <= 1 + max(1, (os.cpu_count() or 1) - 1)
+
+
+class Interrupt(Exception):
+    """What a signal's handler raises, as Ctrl-C does."""
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
+def test_a_wait_that_a_signal_ends_loses_no_thread(monkeypatch):
+    monkeypatch.setattr(threads, "n_processors", lambda: 2)
+    monkeypatch.setattr(threads, "_idle", [])
+    monkeypatch.setattr(threads, "_n_started", 0)
+    caller, go_on, seen = threading.get_ident(), threading.Event(), set()
+
+    def work(_start, _stop):
+        if threading.get_ident() != caller:
+            seen.add(threading.get_ident())
+            go_on.wait(30.0)
+
+    def raise_interrupt(*_):
+        raise Interrupt
+
+    before = signal.signal(signal.SIGALRM, raise_interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        with pytest.raises(Interrupt):
+            run_in_slices(work, 2, threads=2)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    go_on.set()
+    deadline = time.monotonic() + 30.0
+    while not threads._idle:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    run_in_slices(work, 2, threads=2)
+    assert len(seen) == 1
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from itertools import pairwise
+from contextlib import suppress
+from itertools import islice, pairwise
+from queue import SimpleQueue
 
 from beamfield.kernels.processors import keep_off, n_processors, processor_in_use
 
@@ -34,25 +36,37 @@ def run_in_slices(work: Work, n_rows: int, *, threads: int | None = None, work_p
         Units of work in a row, to decide whether threads pay.
     """
     threads = threads_that_pay(n_rows, threads=threads, work_per_row=work_per_row)
-    helpers = _borrow(threads - 1)
-    if not helpers:
+    if threads == 1:
         work(0, n_rows)
         return
-    parts = len(helpers) + 1
-    own, *others = pairwise(n_rows * i // parts for i in range(parts + 1))
-    here = processor_in_use()
-    for helper, (start, stop) in zip(helpers, others, strict=True):
-        helper.keep_off(here)
-        helper.begin(work, start, stop)
+    helpers: list[_Helper] = []
+    slices: list[_Slice] = []
+    begun: list[None] = []
+    # Ctrl-C may raise between any two lines, but not within a call of compiled code: helpers are taken in one such
+    # call, and begin in one, so that it is always known whose they are.
     try:
+        _borrow(threads - 1, helpers)
+        if not helpers:
+            work(0, n_rows)
+            return
+        parts = len(helpers) + 1
+        own, *others = pairwise(n_rows * i // parts for i in range(parts + 1))
+        slices += [_Slice(work, start, stop) for start, stop in others]
+        here = processor_in_use()
+        for helper in helpers:
+            helper.keep_off(here)
+        begun.extend(map(SimpleQueue.put, [helper.slices for helper in helpers], slices))
         work(*own)
     finally:
-        # Waited for even after an error: the slices write into the caller's arrays.
-        errors = [helper.wait() for helper in helpers]
-        _idle.extend(helpers)
-    for error in errors:
-        if error is not None:
-            raise error
+        if begun:
+            # Waited for even after an error: the slices write into the caller's arrays.
+            for part in slices:
+                part.done.acquire()
+        else:
+            _idle.extend(helpers)
+    for part in slices:
+        if part.error is not None:
+            raise part.error
 
 
 def threads_that_pay(
@@ -64,76 +78,69 @@ def threads_that_pay(
     return max(1, min(threads, n_rows))
 
 
+class _Slice:
+    """Rows for a helping thread, and what became of them."""
+
+    def __init__(self, work: Work, start: int, stop: int) -> None:
+        self._work, self._start, self._stop = work, start, stop
+        self.done = threading.Lock()
+        self.done.acquire()
+        self.error: BaseException | None = None
+
+    def do(self) -> None:
+        try:
+            self._work(self._start, self._stop)
+        except BaseException as error:
+            self.error = error
+
+
 class _Helper(threading.Thread):
     """A thread that waits for slices.
 
-    Two locks hand a slice over and back in 12 microseconds; the queue and the future of an executor take 30 to 50, as
-    long as a whole call of a likelihood field.
+    Not an executor's, whose queue a caller would wait in while others are at work; handing a slice over and back takes
+    as long. The thread itself says that it is idle again, as Ctrl-C may end the caller's wait.
     """
 
     def __init__(self) -> None:
         super().__init__(name="beamfield", daemon=True)
-        self._begun, self._done = threading.Lock(), threading.Lock()
-        self._begun.acquire()
-        self._done.acquire()
-        self._slice: tuple[Work, int, int] | None = None
+        self.slices: SimpleQueue[_Slice] = SimpleQueue()
         self._kept_off = -1
-        self._error: BaseException | None = None
         self.start()
 
     def run(self) -> None:
         while True:
-            self._begun.acquire()
-            if self._slice is not None:
-                work, start, stop = self._slice
-                try:
-                    work(start, stop)
-                except BaseException as error:
-                    self._error = error
-                # A thread that sleeps must not keep the caller's arrays alive.
-                del work
-            self._slice = None
-            self._done.release()
+            part = self.slices.get()
+            part.do()
+            done = part.done
+            # A thread that sleeps must not keep the caller's arrays alive.
+            del part
+            _idle.append(self)
+            done.release()
 
     def keep_off(self, processor: int) -> None:
         """Keep the thread off the processor that the calling thread runs on."""
         if processor != self._kept_off and keep_off(self.native_id, processor):
             self._kept_off = processor
 
-    def begin(self, work: Work, start: int, stop: int) -> None:
-        """Let the thread work on a slice."""
-        self._slice = work, start, stop
-        self._begun.release()
 
-    def wait(self) -> BaseException | None:
-        """Return the slice's error, if any, as soon as it is done."""
-        self._done.acquire()
-        error, self._error = self._error, None
-        return error
-
-
-# Threads without work, kept between calls. Lists are popped and extended by one thread at a time.
+# Threads without work, kept between calls. Lists are popped and appended to by one thread at a time.
 _idle: list[_Helper] = []
 _n_started = 0
 _start_lock = threading.Lock()
 
 
-def _borrow(n: int) -> list[_Helper]:
-    """Return up to n idle threads, no more than there are processors beside the calling thread's."""
+def _borrow(n: int, helpers: list[_Helper]) -> None:
+    """Fill in up to n idle threads, no more than there are processors beside the calling thread's."""
     global _n_started
-    helpers: list[_Helper] = []
     while len(helpers) < n:
-        try:
-            helpers.append(_idle.pop())
-            continue
-        except IndexError:
-            pass
+        with suppress(IndexError):
+            helpers.extend(islice(iter(_idle.pop, None), n - len(helpers)))
+            return
         with _start_lock:
             if _n_started >= max(1, n_processors() - 1):
-                break
+                return
             _n_started += 1
         helpers.append(_Helper())
-    return helpers
 
 
 def _forget_threads() -> None:

@@ -132,7 +132,13 @@ def test_a_held_parameter_and_a_fixed_form_are_respected(world: Path, tmp_path: 
 def test_without_a_map_one_is_drawn_and_the_report_says_so(world: Path, tmp_path: Path):
     log, out = str(world / "log.carmen"), tmp_path / "out"
     assert main(["calibrate", log, "--out", str(out), "--quiet", "--bootstrap", "40", "--resolution", "0.1"]) == 0
-    assert "No map was given" in (out / "report.html").read_text()
+    report = (out / "report.html").read_text()
+    assert "No map was given" in report
+    assert "map <b>drawn from the log</b>" in report
+    # Each scan is judged by the other half's map, and the caption says what that cannot show.
+    assert 'id="scan-fit"' in report
+    assert "The map is the log&#x27;s own" in report
+    assert "FLASER: the laser is at" in report.split("How the log was read")[1]
     document = json.loads((out / "calibration.json").read_text())
     assert set(document["provenance"]["inputs"]) == {"log"}
     assert "cross-fitted-map" in [finding["name"] for finding in document["findings"]]

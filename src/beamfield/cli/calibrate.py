@@ -18,6 +18,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import CalibrationOptions
+    from beamfield.calibration.cross_fit import CrossFitMaps
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import ScanLog, SensorLog
     from beamfield.stacks.parameter_file import StackFile
@@ -27,6 +28,7 @@ Learn the parameters of the beam model (z_hit, z_short, z_max, z_rand, sigma_hit
 reference poses and a map. Prints a table and writes beam_model.yaml, calibration.json and report.html into the output
 folder, whole or not at all.
 """
+ODOMETRY_NOTE = "reference poses: the odometry of the log, as asked for; its drift counts as noise of the sensor"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -140,6 +142,7 @@ def run(arguments: argparse.Namespace) -> int:
         log = read_log(arguments.log, **log_options(arguments))
         if arguments.poses is not None:
             log = attach_poses(log, read_trajectory(arguments.poses))
+        notes = (*log.notes, *([ODOMETRY_NOTE] if arguments.odometry else []))
         origin = _provenance(arguments)
         chosen = _chosen_sensors(log, arguments)
         if patched is not None and len(chosen) > 1:
@@ -149,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
         for name, logged in chosen.items():
             sensor = _with_poses(logged, arguments)
             files, table, good, stack = _calibrate_sensor(
-                arguments, sensor, grid, options, origin, log.notes, progress, patched
+                arguments, sensor, grid, options, origin, notes, progress, patched
             )
             # Several sensors: a folder each.
             outputs[_folder_name(name) if len(chosen) > 1 else "."] = files
@@ -160,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
             (folder / place).mkdir(exist_ok=True)
             for file_name, content in files.items():
                 (folder / place / file_name).write_text(content, encoding="utf-8")
-    for note in log.notes:
+    for note in notes:
         print(f"note: {note}")
     print("\n\n".join(text))
     print(f"\nwrote {', '.join(next(iter(outputs.values())))} into {arguments.out}")
@@ -243,10 +246,10 @@ def _with_poses(sensor: SensorLog, arguments: argparse.Namespace) -> SensorLog:
         if not sensor.has_odometry:
             raise TooLittleDataError(f"{arguments.log}: --odometry: the log has none")
         return sensor.with_poses(sensor.odometry)
-    if arguments.map is None and not sensor.has_poses and sensor.has_odometry:
-        raise InvalidInputError(
-            f"{arguments.log}: no scan has a reference pose; give --poses, or --odometry to trust the wheels"
-        )
+    if not sensor.has_poses:
+        wheels = arguments.map is None and sensor.has_odometry
+        hint = "--poses, or --odometry to trust the wheels" if wheels else "a TUM or CSV file with --poses"
+        raise InvalidInputError(f"{arguments.log}: no scan has a reference pose; give {hint}")
     return sensor
 
 
@@ -273,13 +276,14 @@ def _calibrate_sensor(
     from beamfield.report.text_table import parameter_table, score_table
 
     try:
+        maps: OccupancyGrid | CrossFitMaps
         if grid is None:
             maps = build_cross_fit_maps(sensor, resolution=arguments.resolution or 0.05, progress=progress)
-            grid, result = maps.whole, calibrate(sensor, maps, options, progress=progress)
         else:
-            result = calibrate(sensor, grid, options, progress=progress)
+            maps = grid
+        result = calibrate(sensor, maps, options, progress=progress)
         stack = None
-        if arguments.stack is not None:
+        if arguments.stack is not None and grid is not None:
             stack = fit_for_stack(arguments, sensor, grid, result, patched, progress)
     except (InvalidInputError, TooLittleDataError) as error:
         raise type(error)(f"{arguments.log}: {error}") from error
@@ -292,7 +296,9 @@ def _calibrate_sensor(
             result.parameters, sensor.finder, intervals=result.intervals.intervals, provenance=origin
         ),
         "calibration.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
-        "report.html": render_report(result, grid, sensor, origin, sections=[] if stack is None else [stack.section]),
+        "report.html": render_report(
+            result, maps, sensor, {**origin, "notes": notes}, sections=[] if stack is None else [stack.section]
+        ),
     }
     if stack is not None:
         files[stack.file_name] = stack.file_text

@@ -186,7 +186,7 @@ def _sensor(path: Path, poses: Path | None, arguments: argparse.Namespace) -> tu
         log = attach_poses(log, read_trajectory(poses))
     sensor = log.only_sensor(arguments.sensor[0] if arguments.sensor else None)
     if not sensor.has_poses:
-        raise InvalidInputError(f"{path}: no scan has a pose to judge; give them with a pose file or topic")
+        raise InvalidInputError(f"{path}: no scan has a pose to judge; give a TUM or CSV file with --poses")
     return sensor, log.notes
 
 

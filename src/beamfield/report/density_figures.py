@@ -57,17 +57,18 @@ def reading_series(calibration: Calibration) -> ReportFigure:
     """Raw readings for one expected range, in order: Figure 6.5."""
     table = calibration.table
     group = telling_bin(typical_bins(table))
-    rows = thinned(group.rows, MOST_IN_SERIES)
+    shown, known = len(thinned(group.rows, MOST_IN_SERIES)), len(group.rows)
+    count = f"All {known} readings" if shown == known else f"{shown} of the {known} readings"
     figure = new_figure(WIDE, 3.6)
     draw_readings(figure.add_subplot(), calibration, group)
     return ReportFigure(
         "readings",
         f"Readings one after the other, for an expected range of {group.centre:g} m",
         (png_panel(figure, _series_alt(calibration, group), wide=True),),
-        f"{len(rows)} of the {len(group.rows)} readings whose expected range is within {group.half_width:g} m of "
-        f"{group.centre:g} m, in the order of the log. Scattered dots are what the model is made for. Bands and "
-        "stripes are not: a block of readings away from the dashed line is one place where map and world disagree, or "
-        "a stretch where the reference poses are off.",
+        f"{count} whose expected range is within {group.half_width:g} m of {group.centre:g} m, in the order of "
+        "the log. Scattered dots are what the model is made for. Bands and stripes are not: a block of readings away "
+        "from the dashed line is one place where map and world disagree, or a stretch where the reference poses are "
+        "off.",
         "Section 6.3.2; Figure 6.5",
     )
 

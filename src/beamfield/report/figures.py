@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.cross_fit import CrossFitMaps
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report.check_figures import causes_by_bearing, noise_by_range, opposite_widths, pose_shifts
 from beamfield.report.density_figures import range_histograms, reading_series
@@ -14,7 +15,7 @@ from beamfield.report.score_figures import candidate_plot, likelihood_over_time,
 from beamfield.sensors import SensorLog
 
 
-def report_figures(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> list[ReportFigure]:
+def report_figures(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps, log: SensorLog) -> list[ReportFigure]:
     """Draw every figure for which the calibration has data.
 
     Parameters
@@ -22,15 +23,16 @@ def report_figures(calibration: Calibration, grid: OccupancyGrid, log: SensorLog
     calibration
         The result of `calibrate`.
     grid, log
-        The map and the log it was made from.
+        The map, or the two maps that the log drew itself, and the log it was made from.
     """
+    shown = grid.whole if isinstance(grid, CrossFitMaps) else grid
     drawn = [
         range_histograms(calibration),
         reading_series(calibration),
         mixture(calibration),
         pit_histogram(calibration),
-        cause_map(calibration, grid, log),
-        fit_map(calibration, grid, log),
+        cause_map(calibration, shown, log),
+        fit_map(calibration, shown, log),
         likelihood_over_time(calibration),
         calibration_fit(calibration, grid, log),
         noise_by_range(calibration),

@@ -11,6 +11,7 @@ import numpy as np
 
 from beamfield import __version__
 from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.cross_fit import CrossFitMaps
 from beamfield.calibration.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -28,8 +29,8 @@ from beamfield.sensors import SensorLog
 AMCL = (
     "AMCL's beam model (laser_model_type: beam) has the six parameters under these names, in ROS 1 with the prefix "
     "laser_, and laser_max_range. It leaves out the normalisers of (6.4) and (6.7) and sums cubes, so these "
-    "values are a start there, not an optimum. beamfield calibrate --stack nav2 (or ros1, beluga, mrpt, f1tenth) fits "
-    "the program's own model."
+    "values are a start there, not an optimum. <code>beamfield calibrate --stack nav2</code> (or ros1, beluga, mrpt, "
+    "f1tenth) fits the program's own model."
 )
 
 SECTIONS = {
@@ -43,7 +44,7 @@ SECTIONS = {
 
 def render_report(
     calibration: Calibration,
-    grid: OccupancyGrid,
+    grid: OccupancyGrid | CrossFitMaps,
     log: SensorLog,
     provenance: Mapping[str, Any] | None = None,
     *,
@@ -56,11 +57,12 @@ def render_report(
     calibration
         The result of `calibrate`.
     grid, log
-        The map and the log it was made from.
+        The map, or the two maps that the log drew itself, and the log it was made from.
     provenance
         Where the inputs come from. Used by name: "inputs" (role -> name, or mapping with "name" and "sha256"; the roles
         "log", "map" and "poses" go into the head of the page), "date", "program" (name and version), "notes" (sentences
-        on how the log was read). Everything is listed at the end of the page.
+        on how the log was read), "options" (with "odometry", if that is what the poses are). The rest is listed at
+        the end of the page.
     sections
         More sections, behind the score.
     """
@@ -74,7 +76,7 @@ def render_report(
             _parameters(calibration, log),
             _score(calibration),
             *(f'<h2 id="{part.anchor}">{_text(part.title)}</h2>\n{part.markup}' for part in sections),
-            _data(calibration, log),
+            _data(calibration, log, origin),
             _figures(figures),
             _origin(calibration, origin),
         ]
@@ -103,6 +105,10 @@ def _head(
     inputs = origin.get("inputs")
     named = {str(role): _input_name(entry) for role, entry in inputs.items()} if isinstance(inputs, Mapping) else {}
     facts = [f"{role} <b>{_text(named[role])}</b>" for role in ("log", "map", "poses") if role in named]
+    if "map" not in named and _drawn_by_the_log(calibration):
+        facts.append("map <b>drawn from the log</b>")
+    if _option(origin, "odometry"):
+        facts.append("poses <b>odometry of the log</b>")
     recorded = _recorded(log)
     if recorded:
         facts.append(f"recorded {recorded}")
@@ -117,6 +123,15 @@ def _head(
         f'<h1>{_text(title)}</h1>\n<p class="facts">{" · ".join(facts)}</p>\n'
         f'<p class="{css}">{_text(verdict(calibration))}</p>\n<nav>{links}</nav>'
     )
+
+
+def _drawn_by_the_log(calibration: Calibration) -> bool:
+    return any(finding.name == "cross-fitted-map" for finding in calibration.findings)
+
+
+def _option(origin: Mapping[str, Any], name: str) -> Any:
+    options = origin.get("options")
+    return options.get(name) if isinstance(options, Mapping) else None
 
 
 def _input_name(entry: object) -> str:
@@ -224,7 +239,7 @@ def _score(calibration: Calibration) -> str:
     )
 
 
-def _data(calibration: Calibration, log: SensorLog) -> str:
+def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -> str:
     selection, table = calibration.selection, calibration.table
     nothing = int(table.hits_nothing.sum())
     scans = [("scans in the log", len(selection.used)), ("used", int(selection.used.sum()))]
@@ -243,8 +258,14 @@ def _data(calibration: Calibration, log: SensorLog) -> str:
         f'<h2 id="data">Data used</h2>\n<div class="panels">{tables}</div>\n'
         f"<p>No return: {policy.share:.2%} of the log's readings were converted ({_text(policy.origin)}: "
         f"{_text(policy.explanation)}). The sensor's limit is {log.finder.max_range:g} m. "
-        f"{_duration(calibration)}</p>"
+        f"{_duration(calibration)}</p>{_notes(origin)}"
     )
+
+
+def _notes(origin: Mapping[str, Any]) -> str:
+    """How the log was read: what was assumed there decides what the numbers mean."""
+    notes = [f"<li>{_text(note)}</li>" for note in origin.get("notes", ())]
+    return f"\n<p>How the log was read:</p>\n<ul>{''.join(notes)}</ul>" if notes else ""
 
 
 def _duration(calibration: Calibration) -> str:
@@ -270,14 +291,16 @@ def _figure(figure: ReportFigure) -> str:
         f'<div class="{"wide" if panel.wide else "narrow"}">{panel.markup}</div>' for panel in figure.panels
     )
     caption = f'{_text(figure.caption)} <span class="source">[{_text(figure.source)}]</span>'
+    pictures = f'<div class="panels">{panels}</div>\n' if panels else ""
     return (
-        f'<figure id="{figure.name}">\n<h3>{_text(figure.title)}</h3>\n<div class="panels">{panels}</div>\n'
+        f'<figure id="{figure.name}">\n<h3>{_text(figure.title)}</h3>\n{pictures}'
         f"<figcaption>{caption}</figcaption>\n</figure>"
     )
 
 
 def _origin(calibration: Calibration, origin: Mapping[str, Any]) -> str:
-    given = _tree(plain(origin)) if origin else "<p>Not recorded.</p>"
+    rest = {name: value for name, value in origin.items() if name != "notes"}
+    given = _tree(plain(rest)) if rest else "<p>Not recorded.</p>"
     return (
         '<h2 id="origin">Origin</h2>\n'
         f"<details open><summary>Inputs and program</summary>{given}</details>\n"

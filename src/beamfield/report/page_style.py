@@ -14,6 +14,7 @@ h3 { font-size: 1rem; margin: 1.4rem 0 .4rem; }
 p { margin: .5rem 0; max-width: 75ch; }
 a { color: #005a9c; }
 code, pre { font-family: ui-monospace, "SF Mono", Menlo, Consolas, "DejaVu Sans Mono", monospace; font-size: .86rem; }
+p code { white-space: nowrap; }
 pre { background: #f5f7f9; border: 1px solid #d8dee4; padding: .7rem .9rem; overflow-x: auto; line-height: 1.45; }
 .facts { color: #47505a; margin: 0 0 1rem; max-width: none; overflow-wrap: anywhere; }
 .verdict { font-size: 1.2rem; line-height: 1.45; border-left: 5px solid #0072b2; background: #eff6fb;

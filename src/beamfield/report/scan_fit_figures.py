@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.cross_fit import CrossFitMaps
+from beamfield.calibration.cross_fit_statistics import cross_fit_statistics
 from beamfield.calibration.scan_fit import PROBLEMS, ScanFits, judge_log
 from beamfield.calibration.scan_fit_reference import ScanFitReference, calibrate_scan_fit
 from beamfield.calibration.scan_fit_statistics import fit_statistics, known_expected_ranges, stopping_rays
@@ -35,6 +39,8 @@ from beamfield.report.drawing import (
 from beamfield.report.map_figures import MARGIN, draw_map
 from beamfield.sensors import SensorLog, usable_ranges
 
+FIT_NAME, FIT_TITLE = "scan-fit", "Does each scan fit the map, and is the robot lost?"
+FIT_SOURCE = "Section 6.3.1, (6.2)"
 LEVEL = 0.05
 # How a beam disagrees, in the order of `beam_side`: hit, short, through the wall, no return.
 SIDE_NAMES = ("as mapped", "short", "through the wall", "no return")
@@ -89,9 +95,9 @@ def fit_over_time(
         f"lost probability at most {fits.lost.max():.2f}."
     )
     return ReportFigure(
-        "scan-fit",
-        "Does each scan fit the map, and is the robot lost?",
-        (svg_panel(figure, "scan-fit", alt, wide=True) if len(fits) < 1500 else png_panel(figure, alt, wide=True),),
+        FIT_NAME,
+        FIT_TITLE,
+        (svg_panel(figure, FIT_NAME, alt, wide=True) if len(fits) < 1500 else png_panel(figure, alt, wide=True),),
         f"Above: how many of {len(reference)} good scans ({compared}) fit as badly as this one; one good scan in "
         f"twenty has less than {LEVEL:g}. {share:.1%} of the scans fit at {LEVEL:.0%}. The good scans are worth about "
         f"{reference.n_effective:.0f} independent ones, so that a p-value of {LEVEL:g} is uncertain by "
@@ -102,31 +108,54 @@ def fit_over_time(
     )
 
 
-def calibration_fit(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> ReportFigure | None:
-    """Draw p-value and lost probability over the log of a calibration; None without a map of its own, or too few scans.
+def calibration_fit(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps, log: SensorLog) -> ReportFigure:
+    """Draw p-value and lost probability over the log of a calibration; a caption without picture says why it cannot.
 
     Parameters
     ----------
     calibration
         The result of `calibrate`.
     grid, log
-        The map and the log it was made from.
+        The map, or the two maps that the log drew itself, and the log it was made from.
     """
-    # A map that the scans drew themselves fits them whatever happens.
-    if any(finding.name == "cross-fitted-map" for finding in calibration.findings):
-        return None
+    crossed = any(finding.name == "cross-fitted-map" for finding in calibration.findings)
+    if crossed and not isinstance(grid, CrossFitMaps):
+        return _not_drawn("a map that the scans drew themselves fits them whatever happens, and the two maps of the "
+                          "halves were not given")  # fmt: skip
     kind = SonarModel if log.finder.opening_angle > 0.0 else BeamModel
-    model = kind(grid, calibration.parameters, threads=calibration.options.threads)
-    statistics = fit_statistics(model, log.ranges, log.finder, log.poses)
+
+    def model_on(grid: OccupancyGrid) -> RangeMixtureModel:
+        return kind(grid, calibration.parameters, threads=calibration.options.threads)
+
+    if isinstance(grid, CrossFitMaps):
+        # Wrong poses are scored in the map of all scans: what a scan drew itself is not where they are.
+        model, statistics = model_on(grid.whole), cross_fit_statistics(model_on, grid, log)
+    else:
+        model = model_on(grid)
+        statistics = fit_statistics(model, log.ranges, log.finder, log.poses)
     selection = calibration.options.selection
     try:
         reference = calibrate_scan_fit(
             model, log, selection=selection, block_s=calibration.options.block_s, statistics=statistics
         )
-    except (TooLittleDataError, InvalidInputError):
+    except (TooLittleDataError, InvalidInputError) as error:
         # The calibration itself is sound with ten scans, and a map without free cells is no error there.
-        return None
-    return fit_over_time(judge_log(model, log, reference, is_own=True, statistics=statistics), reference, own=True)
+        return _not_drawn(str(error))
+    fits = judge_log(model, log, reference, is_own=True, statistics=statistics)
+    figure = fit_over_time(fits, reference, own=True)
+    if figure is None:
+        return _not_drawn("no scan could be judged")
+    if not crossed:
+        return figure
+    note = (
+        " The map is the log's own: each scan is judged by what the other half of the scans drew, so that an error of "
+        "the poses shows where single scans are off or where a place is seen again, and not where both halves share it."
+    )
+    return replace(figure, caption=figure.caption + note)
+
+
+def _not_drawn(reason: str) -> ReportFigure:
+    return ReportFigure(FIT_NAME, FIT_TITLE, (), f"Not drawn: {reason}.", FIT_SOURCE)
 
 
 def worst_scans(

@@ -12,6 +12,9 @@ from beamfield.report.parameter_rows import parameter_rows
 # Rivals that the verdict names, and what to call them; the uniform is in the table.
 RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
 
+# An interval whose ends differ by more than this factor tells next to nothing.
+VAGUE = 10.0
+
 
 def verdict(calibration: Calibration) -> str:
     """Return whether the fit beats the defaults, by how much, and how noisy the sensor is in this map."""
@@ -54,13 +57,18 @@ def _nats(gain: float) -> str:
 def _noise(calibration: Calibration) -> str:
     parameters, rows = calibration.parameters, parameter_rows(calibration)
     sigma = next(row for row in rows if row.name == "sigma_hit")
-    text = f"{sigma.name} is {sigma.value} m {sigma.interval_text}"
+    text = f"{sigma.name} is {sigma.value} m {sigma.interval_text}{_doubt(calibration)}"
     expected = calibration.table.expected_ranges[~calibration.table.hits_nothing]
     if parameters.sigma_slope == 0.0 or len(expected) == 0:
-        return f"{text}."
+        return f"{text.rstrip(',')}."
     typical = float(np.median(expected))
     spread = math.hypot(parameters.sigma_hit, parameters.sigma_slope * typical)
     return f"{text} and grows with range, to a noise of {spread:.3f} m at {typical:.1f} m, the median expected range."
+
+
+def _doubt(calibration: Calibration) -> str:
+    interval = calibration.intervals.intervals.get("sigma_hit")
+    return ", hardly determined by this log," if interval is not None and interval[1] > VAGUE * interval[0] else ""
 
 
 def _warnings(calibration: Calibration) -> str:

@@ -204,6 +204,17 @@ def test_a_scan_without_beams(tmp_path):
     refuse(MiniBag().scan(1.0).scan(2.0, []).write(tmp_path), "/scan, message 2: the scan has no beams")
 
 
+def test_signalling_nans_of_damaged_scans_are_no_measurements(tmp_path):
+    signalling = np.array([0x7FA00000, 0x3F800000, 0x3F800000], np.uint32).view(np.float32)
+    log = read_bag(MiniBag().scan(1.0, signalling).write(tmp_path), mount=(0.0, 0.0, 0.0))
+    assert np.isnan(log.only_sensor().ranges[0]).tolist() == [True, False, False]
+
+
+def test_signalling_nans_of_damaged_rangers_are_refused(tmp_path):
+    signalling = np.array([0x7FA00000] * 4, np.uint32).view(np.float32)
+    refuse(MiniBag().raw(1.0, signalling, "/cf/state_ranger_qxyzw").write(tmp_path), "finite numbers, got .*nan")
+
+
 def test_scans_of_nothing_but_nan(tmp_path):
     path = MiniBag().scan(1.0, [np.nan] * 3).scan(2.0, [np.nan] * 3).write(tmp_path)
     refuse(path, "/scan: every range of all 2 scans is NaN")

@@ -103,7 +103,9 @@ class LaserScanCollector:
         """
         if self._geometry is None:
             raise FormatError(self.path, "the topic holds no scans", field=self.topic)
-        ranges = np.stack(self._ranges).astype(np.float64)
+        # Damaged messages may hold signalling NaNs, of which NumPy would warn.
+        with np.errstate(invalid="ignore"):
+            ranges = np.stack(self._ranges).astype(np.float64)
         if np.isnan(ranges).all():
             raise FormatError(
                 self.path, f"every range of all {len(ranges)} scans is NaN (no measurement)", field=self.topic

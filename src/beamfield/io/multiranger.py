@@ -52,7 +52,9 @@ class RawDataCollector:
         FormatError
             If it holds too few numbers, or one that is not finite.
         """
-        raw = np.asarray(message.content.raw, dtype=np.float64)[: self.width]
+        # Damaged messages may hold signalling NaNs, of which NumPy would warn.
+        with np.errstate(invalid="ignore"):
+            raw = np.asarray(message.content.raw, dtype=np.float64)[: self.width]
         if len(raw) < self.width or not np.isfinite(raw).all():
             raise FormatError(
                 self.path, f"expected {self.width} finite numbers, got {raw.tolist()}", field=message.place

@@ -15,6 +15,7 @@ from beamfield.io.yaml_file import shorten
 from beamfield.stacks.ini_sections import ini_sections
 from beamfield.stacks.launch_sections import launch_sections
 from beamfield.stacks.parameter_text import ParameterSection, Value
+from beamfield.stacks.ros1_parameters import PREFIXED, ros1_name
 from beamfield.stacks.yaml_sections import ROS_2_KEY, yaml_sections
 
 Stack = Literal["nav2", "ros1", "beluga", "mrpt", "f1tenth"]
@@ -36,9 +37,7 @@ _SIGNS: Mapping[Stack, frozenset[str]] = {
          "spatial_resolution_y", "spatial_resolution_theta", "selective_resampling", "point_cloud_topic")
     ),
     "f1tenth": frozenset(("squash_factor", "range_method", "theta_discretization", "angle_step")),
-    "ros1": frozenset(
-        f"laser_{name}" for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
-    ),
+    "ros1": frozenset(map(ros1_name, PREFIXED)),
     "mrpt": frozenset(
         ("likelihoodMethod", "LF_stdHit", "LF_zHit", "LF_zRandom", "LF_maxRange", "LF_decimation",
          "LF_maxCorrsDistance", "LF_useSquareDist", "LF_alternateAverageMethod", "rayTracing_stdHit",
@@ -46,11 +45,10 @@ _SIGNS: Mapping[Stack, frozenset[str]] = {
     ),
 }  # fmt: skip
 _SHARED = frozenset(
-    ("laser_model_type", "z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams",
-     "laser_likelihood_max_dist", "laser_max_range", "laser_min_range", "do_beamskip", "beam_skip_distance")
+    ("laser_model_type", *PREFIXED, "laser_likelihood_max_dist", "laser_max_range", "laser_min_range", "do_beamskip",
+     "beam_skip_distance")
 )  # fmt: skip
-# ROS 1's have a prefix.
-_NAV2_ONLY = frozenset(("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams"))
+_NAV2_ONLY = frozenset(PREFIXED)
 _KNOWN = _SHARED.union(*_SIGNS.values())
 # MRPT numbers its models, or spells them with "lm" in front.
 _MRPT_MODELS = {

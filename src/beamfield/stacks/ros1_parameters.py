@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields
 from beamfield.stacks.nav2_parameters import MODEL_TYPES, Nav2Parameters
 from beamfield.stacks.parameter_checks import check_choice, check_counts, check_numbers, check_switches
 
-# nav2 dropped the prefix of these names.
-_PREFIXED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
+# Names of nav2's that have the prefix laser_ in ROS 1.
+PREFIXED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
 
 
 @dataclass(frozen=True)
@@ -79,4 +79,9 @@ class Ros1Parameters:
 def nav2_name(name: str) -> str:
     """Return what nav2 calls a parameter of ROS 1's amcl."""
     short = name.removeprefix("laser_")
-    return short if short in _PREFIXED else name
+    return short if short in PREFIXED else name
+
+
+def ros1_name(name: str) -> str:
+    """Return what ROS 1's amcl calls a parameter of nav2's."""
+    return f"laser_{name}" if name in PREFIXED else name

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from beamfield.errors import InvalidInputError
+from beamfield.stacks.mrpt_parameters import MrptFieldParameters
 from beamfield.stacks.parameter_file import Stack, StackFile, check_model, check_stack
 from beamfield.stacks.parameter_text import Value
+from beamfield.stacks.ros1_parameters import Ros1Parameters, ros1_name
 from beamfield.stacks.typed_values import checked_values
 
 # amcl and its port see walls half a cell off.
@@ -36,7 +38,6 @@ _MRPT_SWITCHES = {
     "LF_useSquareDist": "the exponent takes the fourth power of the distance",
     "LF_alternateAverageMethod": "the weight is the mean over beams",
 }
-_PREFIXED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
 
 
 @dataclass(frozen=True)
@@ -105,14 +106,18 @@ def translate(
         raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
     target = _target(file, to, model)
     parameters = checked_values(file)
-    if target[0] == file.stack or {target[0], file.stack} == {"nav2", "ros1"}:
-        return _renamed(file, target, parameters)
+    if target[0] == file.stack:
+        return Translation(*target, asdict(parameters), True, ())
+    if (file.stack, target[0]) == ("ros1", "nav2"):
+        return Translation(*target, asdict(parameters.as_nav2()), True, ())
+    if (file.stack, target[0]) == ("nav2", "ros1"):
+        return Translation(*target, asdict(Ros1Parameters.from_nav2(parameters)), True, ())
     if file.model == "beam":
         return _beam(file, target, parameters, max_range)
     notes: list[str] = []
     source = _field(file, parameters, max_range, n_beams, notes)
-    values, exact = _field_values(target, source, max_range, n_beams, notes)
-    exact = exact and not any("assumed" in note for note in notes)
+    values = _field_values(target, source, max_range, n_beams, notes)
+    exact = not any("assumed" in note for note in notes)
     return Translation(*target, values, exact, tuple(notes + _map_notes(file.stack, target[0])))
 
 
@@ -138,20 +143,8 @@ def _target(file: StackFile, to: str, model: str | None) -> tuple[str, str]:
     return same[0]
 
 
-def _renamed(file: StackFile, target: tuple[str, str], parameters: Any) -> Translation:
-    """Translate between nav2 and ROS 1, which compute the same under other names."""
-    values = {
-        _name(target[0], nav2): getattr(parameters, _name(file.stack, nav2))
-        for nav2 in ("laser_model_type", *_PREFIXED, "laser_likelihood_max_dist", "laser_max_range", "laser_min_range",
-                     "do_beamskip", "beam_skip_distance", "beam_skip_threshold", "beam_skip_error_threshold")
-    } if file.stack in ("nav2", "ros1") else {
-        name: value for name, value in vars(parameters).items() if not name.startswith("_")
-    }  # fmt: skip
-    return Translation(*target, values, True, ())
-
-
 def _name(stack: str, nav2: str) -> str:
-    return f"laser_{nav2}" if stack == "ros1" and nav2 in _PREFIXED else nav2
+    return ros1_name(nav2) if stack == "ros1" else nav2
 
 
 # --- fields -----------------------------------------------------------------------------------------------------------
@@ -159,18 +152,7 @@ def _name(stack: str, nav2: str) -> str:
 
 def _field(file: StackFile, parameters: Any, max_range: float | None, n_beams: int | None, notes: list[str]) -> _Field:
     if file.stack == "mrpt":
-        for name, what in _MRPT_SWITCHES.items():
-            if getattr(parameters, name):
-                raise InvalidInputError(f"{name}: {what}, which no other stack does")
-        beams = None if n_beams is None else math.ceil(n_beams / parameters.LF_decimation)
-        if beams is None:
-            notes.append(
-                "the number of beams is left out: converting LF_decimation takes the number of beams in a scan"
-            )
-        return _Field(
-            parameters.LF_zHit, parameters.LF_zRandom / parameters.LF_maxRange, parameters.LF_stdHit,
-            parameters.LF_maxCorrsDistance, parameters.LF_maxRange, beams,
-        )  # fmt: skip
+        return _mrpt_field(parameters, n_beams, notes)
 
     def value(name: str) -> Any:
         return getattr(parameters, _name(file.stack, name))
@@ -202,9 +184,22 @@ def _field(file: StackFile, parameters: Any, max_range: float | None, n_beams: i
     )
 
 
+def _mrpt_field(parameters: MrptFieldParameters, n_beams: int | None, notes: list[str]) -> _Field:
+    for name, what in _MRPT_SWITCHES.items():
+        if getattr(parameters, name):
+            raise InvalidInputError(f"{name}: {what}, which no other stack does")
+    beams = None if n_beams is None else math.ceil(n_beams / parameters.LF_decimation)
+    if beams is None:
+        notes.append("the number of beams is left out: converting LF_decimation takes the number of beams in a scan")
+    return _Field(
+        parameters.LF_zHit, parameters.LF_zRandom / parameters.LF_maxRange, parameters.LF_stdHit,
+        parameters.LF_maxCorrsDistance, parameters.LF_maxRange, beams,
+    )  # fmt: skip
+
+
 def _field_values(
     target: tuple[str, str], source: _Field, max_range: float | None, n_beams: int | None, notes: list[str]
-) -> tuple[dict[str, Value], bool]:
+) -> dict[str, Value]:
     stack, model = target
     limit = source.max_range
     scale = SQRT_2PI * source.sigma if stack in ("beluga", CHAPTER) else 1.0
@@ -219,20 +214,11 @@ def _field_values(
     if stack == CHAPTER:
         notes.append("p_rand is z_rand / max_range: let the scans' max_range be "
                      f"{limit:g} m; the exponent stays 1, and beams are chosen with n_beams")  # fmt: skip
-        return {"z_hit": hit, "z_rand": rand, "sigma_hit": source.sigma, "max_distance": source.max_distance}, True
+        return {"z_hit": hit, "z_rand": rand, "sigma_hit": source.sigma, "max_distance": source.max_distance}
     if stack == "mrpt":
-        values: dict[str, Value] = {
-            "likelihoodMethod": 4, "LF_zHit": hit, "LF_zRandom": rand, "LF_stdHit": source.sigma,
-            "LF_maxRange": limit, "LF_maxCorrsDistance": source.max_distance,
-        }  # fmt: skip
-        if n_beams is not None and source.max_beams is not None:
-            values["LF_decimation"] = max(1, round(n_beams / source.max_beams))
-        else:
-            notes.append("LF_decimation is left out: converting a number of beams takes the number of beams in a scan")
-        notes.append("MRPT leaves out the first reading after one that is not valid, and points 2 cm apart or nearer")
-        return values, True
-    values = {
-        _name(stack, "laser_model_type"): model, _name(stack, "z_hit"): hit, _name(stack, "z_rand"): rand,
+        return _mrpt_values(source, hit, rand, n_beams, notes)
+    values: dict[str, Value] = {
+        "laser_model_type": model, _name(stack, "z_hit"): hit, _name(stack, "z_rand"): rand,
         _name(stack, "sigma_hit"): source.sigma, "laser_likelihood_max_dist": source.max_distance,
         "laser_max_range": limit,
     }  # fmt: skip
@@ -244,7 +230,20 @@ def _field_values(
     elif by_sensor:
         notes.append(f"z_rand is for a sensor whose longest range is {max_range:g} m")
     notes += _above_one(stack, hit)
-    return values, True
+    return values
+
+
+def _mrpt_values(source: _Field, hit: float, rand: float, n_beams: int | None, notes: list[str]) -> dict[str, Value]:
+    values: dict[str, Value] = {
+        "likelihoodMethod": 4, "LF_zHit": hit, "LF_zRandom": rand, "LF_stdHit": source.sigma,
+        "LF_maxRange": source.max_range, "LF_maxCorrsDistance": source.max_distance,
+    }  # fmt: skip
+    if n_beams is not None and source.max_beams is not None:
+        values["LF_decimation"] = max(1, round(n_beams / source.max_beams))
+    else:
+        notes.append("LF_decimation is left out: converting a number of beams takes the number of beams in a scan")
+    notes.append("MRPT leaves out the first reading after one that is not valid, and points 2 cm apart or nearer")
+    return values
 
 
 # --- beam models ------------------------------------------------------------------------------------------------------
@@ -276,7 +275,7 @@ def _beam(file: StackFile, target: tuple[str, str], parameters: Any, max_range: 
     if stack == "beluga":
         weights = {name: weight / total for name, weight in weights.items()}
         notes.append("the weights are scaled to sum to 1: in a bare sum of cubes their scale cancels")
-    values: dict[str, Value] = {_name(stack, "laser_model_type"): "beam"}
+    values: dict[str, Value] = {"laser_model_type": "beam"}
     values |= {_name(stack, name): weight for name, weight in weights.items()}
     values |= {_name(stack, name): value(name) for name in ("sigma_hit", "lambda_short", "max_beams")}
     values["laser_max_range"] = limit

@@ -10,12 +10,10 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.diagnosis import Diagnosis, Severity
 from beamfield.stacks.parameter_file import StackFile
+from beamfield.stacks.ros1_parameters import ros1_name
 from beamfield.stacks.typed_values import TypedValues
 
-# What checks call a parameter, and what ROS 1 and MRPT call it where they differ from nav2.
-_ROS_1 = {
-    name: f"laser_{name}" for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
-}
+# What checks call a parameter, and what MRPT and F1TENTH call it where they differ from nav2.
 _MRPT = {
     "z_hit": "LF_zHit", "z_rand": "LF_zRandom", "sigma_hit": "LF_stdHit", "laser_max_range": "LF_maxRange",
     "laser_likelihood_max_dist": "LF_maxCorrsDistance", "beam_step": "LF_decimation",
@@ -88,14 +86,13 @@ class Patient:
 
     def name_of(self, parameter: str) -> str:
         """Return what the stack calls a parameter, given nav2's name."""
-        names: Mapping[str, str] = {}
         if self.file.stack == "ros1":
-            names = _ROS_1
-        elif self.file.stack == "mrpt":
-            names = _MRPT if self.is_field else _MRPT_RAYS
-        elif self.file.stack == "f1tenth":
-            names = _F1TENTH
-        return names.get(parameter, parameter)
+            return ros1_name(parameter)
+        if self.file.stack == "mrpt":
+            return (_MRPT if self.is_field else _MRPT_RAYS).get(parameter, parameter)
+        if self.file.stack == "f1tenth":
+            return _F1TENTH.get(parameter, parameter)
+        return parameter
 
     def value(self, parameter: str) -> Any:
         """Return a parameter's value by nav2's name, a default if the file says nothing.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def run(folder: Path, *words: str) -> int:
-    mount = ("--mount", "0.2", "0", "1.0")
+    mount = ("--mount", "0.2", "0", str(math.degrees(1.0)))
     return main(
         ["calibrate-landmarks", str(folder / "seen.csv"), "--map", str(folder / "tags.csv"), *mount, *QUICK, *words]
     )

@@ -39,12 +39,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("log", type=Path, metavar="LOG", help=LOG_FORMATS)
     parser.add_argument("--map", type=Path, metavar="MAP",
                         help=f"{MAP_FORMATS}; without it, maps drawn from the log")  # fmt: skip
-    parser.add_argument("--resolution", type=float, metavar="M", help="of drawn maps, where no map is given (0.05)")
+    parser.add_argument("--resolution", type=float, metavar="M", help="side of a cell of drawn maps (default: 0.05)")
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
     parser.add_argument("--odometry", action="store_true",
                         help="without --map: the log's odometry as reference poses; drift counts as noise")  # fmt: skip
-    parser.add_argument("--out", type=Path, default=Path("beamfield_calibration"), metavar="DIR", help="output folder")
-    add_log_options(parser)
+    parser.add_argument("--out", type=Path, default=Path("beamfield_calibration"), metavar="DIR",
+                        help="output folder (default: %(default)s)")  # fmt: skip
+    add_log_options(parser, several=True)
     model = parser.add_argument_group("model")
     model.add_argument("--unknown", choices=("skip", "free", "occupied"), default="skip",
                        help="rays that enter unknown cells: leave them out, pass, or stop (default: skip)")  # fmt: skip
@@ -53,38 +54,68 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     model.add_argument("--sigma-slope", choices=("auto", "on", "off"), default="auto",
                        help="sigma grows with range (default: if held-out likelihood asks)")  # fmt: skip
     model.add_argument("--hold", action="append", default=[], metavar="NAME=VALUE", help="hold a parameter; repeatable")
-    model.add_argument("--block", type=float, metavar="S",
-                       help="length of fit and held-out blocks (default: 20 s or less)")  # fmt: skip
-    model.add_argument("--bootstrap", type=int, default=200, metavar="N", help="replicates for the intervals")
-    model.add_argument("--seed", type=int, default=0, help="seed of every random choice")
+    model.add_argument(
+        "--block",
+        type=float,
+        metavar="S",
+        help="length of fit and held-out blocks (default: 20, or a twelfth of a shorter log)",
+    )
+    model.add_argument("--bootstrap", type=int, default=200, metavar="N",
+                       help="replicates for the intervals (default: %(default)s)")  # fmt: skip
+    model.add_argument("--seed", type=int, default=0, help="seed of every random choice (default: 0)")
     model.add_argument("--no-refine", action="store_true", help="do not refine reference poses to see their error")
     choice = parser.add_argument_group("scans that are used")
-    choice.add_argument("--min-travel", type=float, metavar="M", help="least motion since the last scan used")
-    choice.add_argument("--min-turn-deg", type=float, metavar="DEG", help="or least turn")
-    choice.add_argument("--max-turn-rate-deg", type=float, metavar="DEG/S", help="drop scans in faster turns")
+    choice.add_argument(
+        "--min-travel", type=float, metavar="M", help="least motion since the last scan used (default: 0.02)"
+    )
+    choice.add_argument("--min-turn-deg", type=float, metavar="DEG", help="or least turn (default: 1.15)")
+    choice.add_argument(
+        "--max-turn-rate-deg", type=float, metavar="DEG/S", help="drop scans in faster turns (default: 86)"
+    )
     add_stack_options(parser)
     parser.add_argument("--threads", type=int, help="processors to use (default: all)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.set_defaults(run=run)
 
 
-def add_log_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say how a log is read."""
+def add_log_options(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the options that say how a log is read, of several sensors or of one."""
     group = parser.add_argument_group("reading the log")
-    group.add_argument("--sensor", action="append", metavar="NAME", help="scan topic or sensor; repeatable")
-    group.add_argument("--poses-topic", metavar="TOPIC", help="topic of the reference poses in the bag")
-    group.add_argument("--map-frame", metavar="FRAME", help="name of the map frame in tf")
-    group.add_argument("--base-frame", metavar="FRAME", help="name of the robot's frame in tf")
-    group.add_argument("--mount", type=float, nargs=3, metavar=("X", "Y", "YAW_DEG"),
-                       help="the sensor's pose on the robot, for a bag without /tf_static")  # fmt: skip
+    group.add_argument(
+        "--sensor",
+        action="append",
+        metavar="NAME",
+        help=f"scan topic or sensor{'; repeatable' if several else ''} (default: the only one)",
+    )
+    group.add_argument(
+        "--poses-topic",
+        metavar="TOPIC",
+        help="topic of the reference poses in the bag (default: tf from the map, or a topic named as truth)",
+    )
+    group.add_argument("--map-frame", metavar="FRAME", help="name of the map frame in tf (default: map)")
+    group.add_argument("--base-frame", metavar="FRAME",
+                       help="name of the robot's frame in tf (default: base_link or base_footprint)")  # fmt: skip
+    group.add_argument(
+        "--mount",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "YAW_DEG"),
+        help="the sensor's pose on the robot, metres and degrees, for a bag without /tf_static",
+    )
     group.add_argument("--no-return", default="detect", metavar="detect|none|V[,V...]",
                        help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
     group.add_argument("--max-range", type=float, metavar="M", help="the sensor's limit, if the log is wrong about it")
-    group.add_argument("--min-range", type=float, metavar="M", help="shortest range that counts")
+    group.add_argument(
+        "--min-range", type=float, metavar="M", help="shortest range that counts (default: as the log says)"
+    )
     group.add_argument("--opening-angle", type=float, metavar="DEG",
                        help="full width of the sensor's cones, if the log does not say it; 0: beams")  # fmt: skip
-    group.add_argument("--stamps", choices=("file", "order"), default="file",
-                       help="text logs: the file's stamps, or scans numbered one second apart")  # fmt: skip
+    group.add_argument(
+        "--stamps",
+        choices=("file", "order"),
+        default="file",
+        help="text logs: the file's stamps, or scans numbered one second apart (default: file)",
+    )
     group.add_argument("--lone-poses", choices=("reference", "odometry"), default="reference",
                        help="text logs with one pose per scan: what it is (default: reference)")  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,14 +30,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("sightings", type=Path, metavar="SIGHTINGS", help="the sightings, see above")
     parser.add_argument("--map", type=Path, metavar="FILE", help="CSV file of landmarks: id,x,y")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the parameters into this YAML file")
-    parser.add_argument("--mount", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "THETA"),
-                        help="pose of the sensor on the robot, m and rad (default: 0 0 0)")  # fmt: skip
-    parser.add_argument("--scale", choices=("auto", "yes", "no"), default="auto",
-                        help="learn a scale of ranges: where held-out sightings ask for it, yes, no")  # fmt: skip
+    parser.add_argument("--mount", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "YAW_DEG"),
+                        help="the sensor's pose on the robot, metres and degrees (default: 0 0 0)")  # fmt: skip
+    parser.add_argument(
+        "--scale",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="learn a scale of ranges: where held-out sightings ask for it, yes, no (default: auto)",
+    )
     parser.add_argument("--truncated-at", type=float, nargs=2, metavar=("M", "RAD"),
                         help="outliers beyond these residuals were taken out of the log before")  # fmt: skip
     parser.add_argument("--max-range", type=float, metavar="M", help="limit of the sensor (default: largest range)")
-    parser.add_argument("--block", type=float, metavar="S", help="length of the blocks for intervals, seconds")
+    parser.add_argument(
+        "--block",
+        type=float,
+        metavar="S",
+        help="length of the blocks for intervals (default: the log's places, or a 24th of its duration)",
+    )
     parser.add_argument("--replicates", type=int, default=200, metavar="N", help="bootstrap samples (default: 200)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default: 0)")
     parser.add_argument("--threads", type=int, help="processors to use (default: all)")
@@ -62,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
             result = learn_landmark_parameters(
                 landmarks,
                 log,
-                mount=arguments.mount,
+                mount=(*arguments.mount[:2], math.radians(arguments.mount[2])),
                 fit_scale={"auto": None, "yes": True, "no": False}[arguments.scale],
                 truncated_at=None if arguments.truncated_at is None else tuple(arguments.truncated_at),
                 max_range=arguments.max_range,

@@ -63,8 +63,8 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
                        help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
     group.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
     group.add_argument("--reference-error", type=float, default=0.04, metavar="M",
-                       help="how wrong the reference poses may be, standard deviation per axis (0.04); "
-                       "a quarter of it in radians")  # fmt: skip
+                       help="how wrong the reference poses may be, standard deviation per axis, and a quarter of "
+                       "it in radians (default: 0.04)")  # fmt: skip
 
 
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:

@@ -20,8 +20,10 @@ SEED = 1
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the command."""
     parser = subparsers.add_parser("demo", help="simulate, calibrate, print truth beside fit", description=DESCRIPTION)
-    parser.add_argument("--out", type=Path, default=Path("beamfield-demo"), metavar="DIR", help="output folder")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the office, the drive and the readings")
+    parser.add_argument("--out", type=Path, default=Path("beamfield-demo"), metavar="DIR",
+                        help="output folder (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--seed", type=int, default=SEED,
+                        help="of the office, the drive and the readings (default: %(default)s)")  # fmt: skip
     parser.add_argument("--duration", type=float, default=240.0, metavar="S", help="of the drive (default: 240)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.set_defaults(run=run)

@@ -33,10 +33,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--scan", type=int, metavar="I", help="index of the scan to show (default: chosen)")
     parser.add_argument("--only", nargs="+", metavar="N", help="draw only these figures, for example 6.7 6.10")
     parser.add_argument("--list", action="store_true", help="say which figures there are")
-    parser.add_argument("--out", type=Path, default=Path("beamfield_figures"), metavar="DIR", help="output folder")
+    parser.add_argument("--out", type=Path, default=Path("beamfield_figures"), metavar="DIR",
+                        help="output folder (default: %(default)s)")  # fmt: skip
     parser.add_argument("--format", choices=("svg", "png", "pdf"), default="svg", help="of the pictures (default: svg)")
     parser.add_argument("--seed", type=int, default=1, help="of the simulated office (default: 1)")
-    add_log_options(parser)
+    add_log_options(parser, several=True)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.set_defaults(run=run)
 

@@ -42,21 +42,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("log", type=Path, metavar="LOG", help=LOG_FORMATS)
     parser.add_argument("--map", type=Path, required=True, metavar="MAP", help=MAP_FORMATS)
     parser.add_argument("--poses", type=Path, metavar="FILE", help="poses to judge: TUM or CSV file")
-    parser.add_argument("--params", type=Path, metavar="FILE",
+    parser.add_argument("--params", "--parameters", type=Path, metavar="FILE",
                         help="a beam_model.yaml from beamfield calibrate (default: calibrate now)")  # fmt: skip
     parser.add_argument("--good", type=Path, metavar="LOG2",
                         help="log of a good run to compare with (default: LOG, but no neighbours)")  # fmt: skip
     parser.add_argument("--good-poses", type=Path, metavar="FILE", help="reference poses of LOG2: TUM or CSV file")
     parser.add_argument("--reference", type=Path, metavar="FILE",
                         help="a scan_fit_reference.json of an earlier run, in place of --good")  # fmt: skip
-    parser.add_argument("--out", type=Path, default=Path("beamfield_fit"), metavar="DIR", help="output folder")
+    parser.add_argument("--out", type=Path, default=Path("beamfield_fit"), metavar="DIR",
+                        help="output folder (default: %(default)s)")  # fmt: skip
     parser.add_argument("--worst", type=int, default=6, metavar="N", help="worst scans to list and draw (default: 6)")
     parser.add_argument("--lose-rate", type=float, default=1.0 / 600.0, metavar="1/S",
                         help="how often the robot gets lost, before any scan is seen (default: 1/600)")  # fmt: skip
     parser.add_argument("--find-rate", type=float, default=1.0 / 60.0, metavar="1/S",
                         help="how often a lost robot finds its place (default: 1/60)")  # fmt: skip
     add_log_options(parser)
-    parser.add_argument("--seed", type=int, default=0, help="seed of every random choice")
+    parser.add_argument("--seed", type=int, default=0, help="seed of every random choice (default: 0)")
     parser.add_argument("--threads", type=int, help="processors to use (default: all)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.set_defaults(run=run)

@@ -40,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--map-topic", metavar="TOPIC", help="in a bag: look at the map on this topic, not at the scans"
     )
-    add_log_options(parser)
+    add_log_options(parser, several=True)
     parser.set_defaults(run=run)
 
 

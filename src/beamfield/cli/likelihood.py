@@ -25,7 +25,7 @@ and how far from the reference pose, and draw it: the scan at its reference pose
 """
 
 PICTURES = (".png", ".svg", ".pdf")
-# Without --parameters: a laser scanner in a building with a few people.
+# Without --params: a laser scanner in a building with a few people.
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.2, "lambda_short": 0.4}
 # And a sonar: many echoes are lost or take a detour.
 SONAR_DEFAULTS = {"z_hit": 0.5, "z_short": 0.05, "z_max": 0.2, "z_rand": 0.25, "sigma_hit": 0.1, "lambda_short": 0.4}
@@ -44,7 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--model", choices=("beam", "field", "matching"), default="beam",
                         help="beam model, likelihood field or map matching (default: beam)")  # fmt: skip
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
-    parser.add_argument("--parameters", type=Path, metavar="FILE",
+    parser.add_argument("--params", "--parameters", dest="parameters", type=Path, metavar="FILE",
                         help="a beam_model.yaml from beamfield calibrate (default: typical values)")  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="FILE", help=f"draw into this file ({', '.join(PICTURES)})")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="write the arrays into this NumPy .npz file")

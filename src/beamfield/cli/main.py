@@ -39,6 +39,8 @@ COMMANDS = (
     demo,
 )
 
+UNITS = "In the names of values M stands for metres, S for seconds, DEG for degrees, RAD for radians, HZ for 1/s."
+
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all subcommands."""
@@ -51,6 +53,8 @@ def build_parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add_parser(subparsers)
+    for subparser in subparsers.choices.values():
+        subparser.epilog = UNITS
     return parser
 
 

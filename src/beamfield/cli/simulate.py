@@ -70,7 +70,8 @@ def _add_world_options(parser: argparse.ArgumentParser) -> None:
     world.add_argument("--duration", type=float, default=180.0, metavar="S", help="of the log (default: %(default)g)")
     world.add_argument("--scan-rate", type=float, default=10.0, metavar="HZ", help="scans per second (default: 10)")
     world.add_argument("--speed", type=float, default=1.0, metavar="M/S", help="of the robot (default: %(default)g)")
-    world.add_argument("--robot-radius", type=float, default=0.25, metavar="M", help="least distance to walls (0.25)")
+    world.add_argument("--robot-radius", type=float, default=0.25, metavar="M",
+                       help="least distance to walls (default: %(default)g)")  # fmt: skip
 
 
 def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
@@ -78,9 +79,11 @@ def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
     sensor.add_argument("--sensor", choices=("laser", "sonar"), default="laser",
                         help="a laser scanner or a ring of sonars (default: %(default)s)")  # fmt: skip
     sensor.add_argument("--beams", type=int, default=180, metavar="K", help="beams of a scan (default: 180)")
-    sensor.add_argument("--fov-deg", type=float, default=270.0, metavar="DEG", help="first to last beam (270)")
-    sensor.add_argument("--max-range", type=float, metavar="M", help="no return from here on (12; sonar: 5)")
-    sensor.add_argument("--mount-x", type=float, default=0.1, metavar="M", help="sensor in front of the centre (0.1)")
+    sensor.add_argument("--fov-deg", type=float, default=270.0, metavar="DEG", help="first to last beam (default: 270)")
+    sensor.add_argument("--max-range", type=float, metavar="M",
+                        help="no return from here on (default: 12; sonar: 5)")  # fmt: skip
+    sensor.add_argument("--mount-x", type=float, default=0.1, metavar="M",
+                        help="sensor in front of the centre (default: %(default)g)")  # fmt: skip
     truth = parser.add_argument_group("true parameters of the beam model (the four weights must sum to 1)")
     for name, value, meaning in LASER_OPTIONS:
         truth.add_argument(f"--{name}", type=float, default=value, metavar="V", help=f"{meaning} (default: {value:g})")

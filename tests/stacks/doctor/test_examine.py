@@ -119,6 +119,10 @@ FINDINGS = {
     "weights-sum of the beam model": ({"laser_model_type": "beam"}, {},
                                       {"laser_model_type": "beam", "z_hit": 0.4}, {}),
     "unused-parameters": ({"z_short": 0.1}, {}, {"z_short": 0.05, "z_hit": 0.4, "laser_model_type": "beam"}, {}),
+    "unused-parameters of beam skipping": (
+        {"do_beamskip": "true"}, {}, {"do_beamskip": "true", "laser_model_type": "likelihood_field_prob"}, {}
+    ),
+    "unused-parameters of beam skipping that is on": ({"do_beamskip": "true"}, {}, {"do_beamskip": "false"}, {}),
     "no-random-readings": ({"z_rand": 0.0, "z_hit": 1.0, "laser_model_type": "likelihood_field_prob"}, {},
                            {"z_rand": 0.0, "z_hit": 1.0}, {}),
     "value-above-one": ({"z_hit": 1.2}, {}, {"z_hit": 1.0, "z_rand": 0.2}, {}),

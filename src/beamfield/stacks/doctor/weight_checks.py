@@ -62,15 +62,15 @@ def value_above_one(patient: Patient) -> Iterator[Diagnosis]:
 
 def unused_weights(patient: Patient) -> Iterator[Diagnosis]:
     """Find values in the file that its model never reads."""
-    names, why = _unused(patient)
-    given = [name for name in names if name in patient.file.section.entries]
-    if given:
-        yield patient.finds(
-            "unused-parameters", "info",
-            f"{', '.join(given)} {'does' if len(given) == 1 else 'do'} nothing in {patient.file.model}",
-            f"{why}; another value changes nothing",
-            "leave them out when comparing files", own=given[0],
-        )  # fmt: skip
+    for names, why in _unused(patient):
+        given = [name for name in names if name in patient.file.section.entries]
+        if given:
+            yield patient.finds(
+                "unused-parameters", "info",
+                f"{', '.join(given)} {'does' if len(given) == 1 else 'do'} nothing in {patient.file.model}",
+                f"{why}; another value changes nothing",
+                "leave them out when comparing files", own=given[0],
+            )  # fmt: skip
 
 
 def no_random(patient: Patient) -> Iterator[Diagnosis]:
@@ -132,18 +132,20 @@ def _multiplies(patient: Patient) -> bool:
     return patient.file.model in ("likelihood_field_prob", "LF_Thrun", "table")
 
 
-def _unused(patient: Patient) -> tuple[list[str], str]:
-    """Return names that the model never reads, and why."""
-    stack = patient.file.stack
+def _unused(patient: Patient) -> Iterator[tuple[list[str], str]]:
+    """Yield names that the model never reads, and why."""
+    stack, model = patient.file.stack, patient.file.model
     if patient.is_amcl and patient.is_field:
         names = [patient.name_of(name) for name in ("z_short", "z_max", "lambda_short")]
-        return names, "only the beam model has short and max readings"
+        yield names, "only the beam model has short and max readings"
+    if patient.is_amcl and model != "likelihood_field_prob" and patient.value("do_beamskip"):
+        # Switched off, as in the programs' example files, nobody expects anything of it.
+        yield ["do_beamskip"], "only likelihood_field_prob leaves out beams"
     if stack == "mrpt":
         read = {item.name for item in fields(patient.parameters)}
-        return sorted(parameter_names("mrpt") - read), "likelihoodMethod chooses another model"
+        yield sorted(parameter_names("mrpt") - read), "likelihoodMethod chooses another model"
     if stack == "f1tenth" and patient.parameters.range_method in ("bl", "rm", "rmgpu"):
-        return ["theta_discretization"], f"range_method {patient.parameters.range_method} has no table of directions"
-    return [], ""
+        yield ["theta_discretization"], f"range_method {patient.parameters.range_method} has no table of directions"
 
 
 def _sigma_metres(patient: Patient) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,7 +194,7 @@ def likelihood_map(
     ----------
     Probabilistic Robotics, section 6.3.2, Figure 6.7b.
     """
-    lattice = _lattice_shape(grid, resolution)
+    shape = _lattice_shape(grid, resolution)
     if not 1 <= headings <= MAX_HEADINGS:
         raise InvalidInputError(f"headings: expected 1 to {MAX_HEADINGS}, got {headings}")
     if not 0.0 <= direction_tolerance < np.pi:
@@ -202,16 +202,35 @@ def likelihood_map(
     ratio = simple_ratio(resolution, grid.resolution)
     if ratio is not None and not np.isclose(float(ratio) * grid.resolution, resolution, rtol=1e-12, atol=0.0):
         resolution = float(ratio) * grid.resolution
-    mask = _mask(grid, lattice, resolution, where)
     angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
+    lattice = _Lattice(grid.origin, resolution, _mask(grid, shape, resolution, where), angles)
     if isinstance(model, MapMatchingModel):
-        return _by_transforms(model, scan, grid, mask, angles, resolution, progress)
+        return _by_transforms(model, scan, lattice, progress)
     if isinstance(model, BeamModel) and isinstance(scan, Scan):
         chosen = scan.subset(model.used_beams(scan))
         fan = shared_fan(chosen, angles, float(grid.origin[2]), resolution, direction_tolerance)
         if fan is not None:
-            return _by_shared_fan(model, chosen, fan, grid, mask, angles, resolution, progress)
-    return _pose_by_pose(model, scan, grid, mask, angles, resolution, progress)
+            return _by_shared_fan(model, chosen, fan, lattice, progress)
+    return _pose_by_pose(model, scan, lattice, progress)
+
+
+class _Lattice(NamedTuple):
+    """Where to evaluate: origin (3,), side of a cell in metres, mask (rows, cols), and headings (h,) in radians."""
+
+    origin: FloatArray
+    resolution: float
+    mask: BoolArray
+    headings: FloatArray
+
+    def map_of(
+        self, heading_index: NDArray[np.int16], shifts: FloatArray | None = None, direction_error: float = 0.0
+    ) -> LikelihoodMap:
+        """Return a map with these best headings, (rows, cols), and without values yet."""
+        values = np.full(self.mask.shape, -np.inf)
+        shifts = np.zeros((len(self.headings), 2)) if shifts is None else shifts
+        return LikelihoodMap(
+            values, self.mask, heading_index, self.headings, shifts, self.resolution, self.origin, direction_error
+        )
 
 
 def _lattice_shape(grid: OccupancyGrid, resolution: float) -> tuple[int, int]:
@@ -225,23 +244,23 @@ def _lattice_shape(grid: OccupancyGrid, resolution: float) -> tuple[int, int]:
 
 
 def _mask(
-    grid: OccupancyGrid, lattice: tuple[int, int], resolution: float, where: Literal["free", "known", "all"] | BoolArray
+    grid: OccupancyGrid, shape: tuple[int, int], resolution: float, where: Literal["free", "known", "all"] | BoolArray
 ) -> BoolArray:
     """Return which cells (rows, cols) of the lattice to evaluate."""
     if isinstance(where, np.ndarray):
         mask = where.astype(np.bool_)
-        if mask.shape != lattice:
-            raise InvalidInputError(f"where: expected a mask of shape {lattice}, got {mask.shape}")
+        if mask.shape != shape:
+            raise InvalidInputError(f"where: expected a mask of shape {shape}, got {mask.shape}")
     elif where == "all":
-        mask = np.ones(lattice, np.bool_)
+        mask = np.ones(shape, np.bool_)
     elif where in ("free", "known"):
         # A centre on a border belongs to the cell above, as everywhere; the last one may lie past the map's edge.
         rows, cols = (
-            np.floor((np.arange(n) + 0.5) * resolution / grid.resolution + 1e-9).astype(np.int64) for n in lattice
+            np.floor((np.arange(n) + 0.5) * resolution / grid.resolution + 1e-9).astype(np.int64) for n in shape
         )
         inside = np.ix_(rows < grid.shape[0], cols < grid.shape[1])
         categories = grid.free if where == "free" else ~grid.unknown
-        mask = np.zeros(lattice, np.bool_)
+        mask = np.zeros(shape, np.bool_)
         mask[inside] = categories[np.ix_(rows[rows < grid.shape[0]], cols[cols < grid.shape[1]])]
     else:
         raise InvalidInputError(f"where: expected 'free', 'known', 'all' or a mask, got {where!r}")
@@ -251,23 +270,19 @@ def _mask(
 
 
 def _pose_by_pose(
-    model: MeasurementModel[Any],
-    scan: LocalMap,
-    grid: OccupancyGrid,
-    mask: BoolArray,
-    angles: FloatArray,
-    resolution: float,
-    progress: Progress | None,
+    model: MeasurementModel[Any], scan: LocalMap, lattice: _Lattice, progress: Progress | None
 ) -> LikelihoodMap:
     """Ask the model for every pose."""
-    result = _empty_map(grid, mask, angles, resolution)
-    rows, cols = np.nonzero(mask)
-    step = max(1, POSES_PER_CHUNK // len(angles))
+    result = lattice.map_of(np.where(lattice.mask, 0, -1).astype(np.int16))
+    rows, cols = np.nonzero(lattice.mask)
+    n_headings = len(lattice.headings)
+    step = max(1, POSES_PER_CHUNK // n_headings)
     for start in range(0, len(rows), step):
         row, col = rows[start : start + step], cols[start : start + step]
-        poses = np.empty((len(row), len(angles), 3))
-        poses[..., :2] = transform_points(grid.origin, (np.column_stack([col, row]) + 0.5) * resolution)[:, None]
-        poses[..., 2] = angles
+        centres = transform_points(lattice.origin, (np.column_stack([col, row]) + 0.5) * lattice.resolution)
+        poses = np.empty((len(row), n_headings, 3))
+        poses[..., :2] = centres[:, None]
+        poses[..., 2] = lattice.headings
         values = model.log_likelihood(scan, poses)
         best = np.argmax(values, axis=1)
         result.log_likelihood[row, col] = values[np.arange(len(row)), best]
@@ -277,22 +292,15 @@ def _pose_by_pose(
     return result
 
 
-def _by_transforms(
-    model: MapMatchingModel,
-    z: LocalMap,
-    grid: OccupancyGrid,
-    mask: BoolArray,
-    angles: FloatArray,
-    resolution: float,
-    progress: Progress | None,
-) -> LikelihoodMap:
+def _by_transforms(model: MapMatchingModel, z: LocalMap, lattice: _Lattice, progress: Progress | None) -> LikelihoodMap:
     """Find the best heading of each cell from correlations at all translations; ask the model where these round."""
-    rows, cols = np.nonzero(mask)
-    found = matching_headings(model, z, (rows, cols), angles, grid.origin, resolution, progress)
+    rows, cols = np.nonzero(lattice.mask)
+    found = matching_headings(model, z, (rows, cols), lattice.headings, lattice.origin, lattice.resolution, progress)
     if found is None:
-        return _pose_by_pose(model, z, grid, mask, angles, resolution, progress)
-    result = _empty_map(grid, mask, angles, resolution)
-    result.heading_index[rows, cols] = found.heading_index
+        return _pose_by_pose(model, z, lattice, progress)
+    index = np.full(lattice.mask.shape, -1, np.int16)
+    index[rows, cols] = found.heading_index
+    result = lattice.map_of(index)
     if found.is_exact:
         with np.errstate(divide="ignore"):
             result.log_likelihood[rows, cols] = np.log(found.correlation)
@@ -302,25 +310,11 @@ def _by_transforms(
 
 
 def _by_shared_fan(
-    model: BeamModel,
-    scan: Scan,
-    fan: SharedFan,
-    grid: OccupancyGrid,
-    mask: BoolArray,
-    angles: FloatArray,
-    resolution: float,
-    progress: Progress | None,
+    model: BeamModel, scan: Scan, fan: SharedFan, lattice: _Lattice, progress: Progress | None
 ) -> LikelihoodMap:
     """Find the best heading of each cell from one fan of rays per place of the sensor; then ask the model."""
-    index = fan_headings(model, scan, fan, mask, grid.origin, resolution, progress)
-    values = np.full(mask.shape, -np.inf)
-    result = LikelihoodMap(values, mask, index, angles, fan.shifts, resolution, grid.origin, fan.direction_error)
-    rows, cols = np.nonzero(mask)
-    values[rows, cols] = model.log_likelihood(scan, result.poses(rows, cols))
+    index = fan_headings(model, scan, fan, lattice.mask, lattice.origin, lattice.resolution, progress)
+    result = lattice.map_of(index, fan.shifts, fan.direction_error)
+    rows, cols = np.nonzero(lattice.mask)
+    result.log_likelihood[rows, cols] = model.log_likelihood(scan, result.poses(rows, cols))
     return result
-
-
-def _empty_map(grid: OccupancyGrid, mask: BoolArray, angles: FloatArray, resolution: float) -> LikelihoodMap:
-    index = np.where(mask, 0, -1).astype(np.int16)
-    values = np.full(mask.shape, -np.inf)
-    return LikelihoodMap(values, mask, index, angles, np.zeros((len(angles), 2)), resolution, grid.origin)

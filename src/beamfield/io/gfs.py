@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -43,40 +44,8 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
     IEEE Transactions on Robotics 23(1), 2007.
     """
     source = Path(path)
-    scans = TextScans(source, "LASER_READING")
-    particles: list[FloatArray | None] = []
-    parents: list[NDArray[np.intp] | None] = []
-    odometry, odometry_stamps = [], []
-    parameters: dict[str, str] = {}
-    for line, text in read_lines(source):
-        words = text.split()
-        if not words or words[0].startswith("#") or words[0] in IGNORED:
-            continue
-        kind = words[0]
-        if kind == "PARAM":
-            parameters[words[1] if len(words) > 1 else ""] = " ".join(words[2:])
-        elif kind == "ODOM":
-            expect_words(source, line, words, 5)
-            numbers = parse_numbers(source, line, words[1:], kind)
-            odometry.append(finite_pose(source, line, numbers[:3], kind))
-            odometry_stamps.append(numbers[3])
-        elif kind == "LASER_READING":
-            n = _counted(source, line, words, 1, 4)
-            numbers = parse_numbers(source, line, words[2:], kind)
-            pose = finite_pose(source, line, numbers[n : n + 3], kind)
-            scans.add(line, numbers[:n], (float(numbers[-1]),), odometry=pose)
-            particles.append(None)
-            parents.append(None)
-        elif kind == "SM_UPDATE" and particles:
-            _counted(source, line, words, 4, 0)
-            particles[-1] = parse_numbers(source, line, words[2:], kind).reshape(-1, 4)
-        elif kind == "RESAMPLE" and parents:
-            _counted(source, line, words, 1, 0)
-            parents[-1] = np.array([parse_count(source, line, word, kind) for word in words[2:]], dtype=np.intp)
-        elif kind not in ("SM_UPDATE", "RESAMPLE"):
-            raise FormatError(source, f"expected a line of a GMapping log, got {kind[:40]!r}", line=line)
-    if not len(scans):
-        raise FormatError(source, "no scans: no line LASER_READING")
+    content = _parse(source)
+    scans = content.scans
     n_beams = len(scans.ranges[0])
     if n_beams not in SICK_BEARINGS:
         raise FormatError(
@@ -85,14 +54,62 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
         )  # fmt: skip
     start, step = SICK_BEARINGS[n_beams]
     beams = np.column_stack([np.zeros((n_beams, 2)), np.radians(start + step * np.arange(n_beams))])
-    chosen = options or TextOptions()
     sensor, notes = scans.finish(
-        beams, chosen, poses=_best_path(source, particles, parents), declared_max=_declared_max(parameters)
+        beams,
+        options or TextOptions(),
+        poses=_best_path(source, content.particles, content.parents),
+        declared_max=_declared_max(content.parameters),
     )
     if sensor.has_poses:
         notes.append("LASER_READING: reference poses are the path of GMapping's best particle")
-    track = sorted_track(odometry_stamps, odometry, "ODOM", notes) if odometry else None
-    return ScanLog({"LASER_READING": sensor}, track, str(source), tuple(notes), parameters)
+    track = sorted_track(content.odometry_stamps, content.odometry, "ODOM", notes) if content.odometry else None
+    return ScanLog({"LASER_READING": sensor}, track, str(source), tuple(notes), content.parameters)
+
+
+@dataclass(eq=False)
+class _Content:
+    """What the lines say; particles (p, 4) and parents (p,) scan by scan, None where a scan has none."""
+
+    scans: TextScans
+    particles: list[FloatArray | None] = field(default_factory=list)
+    parents: list[NDArray[np.intp] | None] = field(default_factory=list)
+    odometry: list[FloatArray] = field(default_factory=list)
+    odometry_stamps: list[float] = field(default_factory=list)
+    parameters: dict[str, str] = field(default_factory=dict)
+
+
+def _parse(path: Path) -> _Content:
+    content = _Content(TextScans(path, "LASER_READING"))
+    for line, text in read_lines(path):
+        words = text.split()
+        if not words or words[0].startswith("#") or words[0] in IGNORED:
+            continue
+        kind = words[0]
+        if kind == "PARAM":
+            content.parameters[words[1] if len(words) > 1 else ""] = " ".join(words[2:])
+        elif kind == "ODOM":
+            expect_words(path, line, words, 5)
+            numbers = parse_numbers(path, line, words[1:], kind)
+            content.odometry.append(finite_pose(path, line, numbers[:3], kind))
+            content.odometry_stamps.append(float(numbers[3]))
+        elif kind == "LASER_READING":
+            n = _counted(path, line, words, 1, 4)
+            numbers = parse_numbers(path, line, words[2:], kind)
+            pose = finite_pose(path, line, numbers[n : n + 3], kind)
+            content.scans.add(line, numbers[:n], (float(numbers[-1]),), odometry=pose)
+            content.particles.append(None)
+            content.parents.append(None)
+        elif kind == "SM_UPDATE" and content.particles:
+            _counted(path, line, words, 4, 0)
+            content.particles[-1] = parse_numbers(path, line, words[2:], kind).reshape(-1, 4)
+        elif kind == "RESAMPLE" and content.parents:
+            _counted(path, line, words, 1, 0)
+            content.parents[-1] = np.array([parse_count(path, line, word, kind) for word in words[2:]], dtype=np.intp)
+        elif kind not in ("SM_UPDATE", "RESAMPLE"):
+            raise FormatError(path, f"expected a line of a GMapping log, got {kind[:40]!r}", line=line)
+    if not len(content.scans):
+        raise FormatError(path, "no scans: no line LASER_READING")
+    return content
 
 
 def _counted(path: Path, line: int, words: list[str], words_each: int, words_more: int) -> int:

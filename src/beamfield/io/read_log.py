@@ -20,7 +20,7 @@ from beamfield.io.gfs import read_gfs
 from beamfield.io.no_return import NoReturnRule
 from beamfield.io.scan_stamps import StampRule
 from beamfield.io.sonar_log import is_sonar_log, read_sonar_log
-from beamfield.io.text_lines import read_lines
+from beamfield.io.text_lines import is_number, read_lines
 from beamfield.io.text_scans import LonePoses, TextOptions
 from beamfield.io.wean_log import read_wean_log
 from beamfield.sensors import ScanLog
@@ -211,15 +211,8 @@ def _reader_of(words: list[str], is_first: bool) -> _Reader | None:
         return read_gfs
     if kind in ("VERTEX_SE2", "EDGE_SE2"):
         return read_g2o
-    if kind in ("O", "L") and len(words) > 3 and _are_numbers(words[1:4]):
+    if kind in ("O", "L") and len(words) > 3 and all(map(is_number, words[1:4])):
         return read_wean_log
-    if is_first and len(words) >= RANGES_FROM + N_BEAMS // 2 and _are_numbers(words[:4]):
+    if is_first and len(words) >= RANGES_FROM + N_BEAMS // 2 and all(map(is_number, words[:4])):
         return read_coreslam
     return None
-
-
-def _are_numbers(words: list[str]) -> bool:
-    try:
-        return all(float(word) is not None for word in words)
-    except ValueError:
-        return False

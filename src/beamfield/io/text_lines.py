@@ -95,7 +95,7 @@ def parse_numbers(path: Path, line: int, words: Sequence[str], what: str) -> Flo
     try:
         return np.array(list(map(float, words)))
     except ValueError:
-        bad = next(word for word in words if not _is_number(word))
+        bad = next(word for word in words if not is_number(word))
         raise FormatError(path, f"expected a number, got {bad[:40]!r}", line=line, field=what) from None
 
 
@@ -141,7 +141,8 @@ def parse_count(path: Path, line: int, word: str, what: str) -> int:
     return int(word)
 
 
-def _is_number(word: str) -> bool:
+def is_number(word: str) -> bool:
+    """Say whether a word is a number as `parse_numbers` takes it."""
     try:
         float(word)
     except ValueError:

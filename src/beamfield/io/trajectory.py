@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, interpolate_poses, wrap_angle, yaw_from_quaternion
 from beamfield.io.atomic import write_file
-from beamfield.io.text_lines import parse_numbers, read_lines
+from beamfield.io.text_lines import is_number, parse_numbers, read_lines
 from beamfield.sensors import ScanLog, SensorLog, Track
 
 TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")
@@ -80,7 +80,7 @@ def read_trajectory(path: str | Path) -> Track:
     names = [word.lower() for word in words]
     if any(name in TIME_NAMES for name in names) and any(name in ("x", "map_x", "tx") for name in names):
         return _read_csv(source, line, names, rows)
-    if not commented and len(words) == 8 and _is_number(words[0]):
+    if not commented and len(words) == 8 and is_number(words[0]):
         return _read_tum(source, first, rows)
     return _read_from_log(source, line, words)
 
@@ -211,10 +211,7 @@ def _read_csv(path: Path, header_line: int, names: list[str], rows: Iterator[_Ro
         if "good" in columns and _finite(path, line, [words[columns["good"]]], "good")[0] != 1.0:
             continue
         if "scan_index" in columns:
-            word = words[columns["scan_index"]]
-            if not (word.isascii() and word.isdigit() and len(word) < 12):
-                raise FormatError(path, f"expected an index, got {word[:40]!r}", line=line, field="scan_index")
-            indices.append(int(word))
+            indices.append(_index(path, line, words[columns["scan_index"]]))
         lines.append(line)
         table.append(_finite(path, line, [words[columns[name]] for name in needed], "pose"))
     if not table:
@@ -224,11 +221,17 @@ def _read_csv(path: Path, header_line: int, names: list[str], rows: Iterator[_Ro
     track = _checked(path, lines, numbers[:, 0], np.column_stack([numbers[:, 1:3], theta]))
     if "scan_index" not in columns:
         return track
-    order = np.array(indices, dtype=np.int64)
-    if (np.diff(order) <= 0).any():
-        where = int(np.argmax(np.diff(order) <= 0)) + 1
-        raise FormatError(path, f"the indices do not increase: {order[where]}", line=lines[where], field="scan_index")
-    return IndexedTrack(track.stamps, track.poses, order)
+    falls = np.diff(indices) <= 0
+    if falls.any():
+        where = int(np.argmax(falls)) + 1
+        raise FormatError(path, f"the indices do not increase: {indices[where]}", line=lines[where], field="scan_index")
+    return IndexedTrack(track.stamps, track.poses, np.array(indices, dtype=np.int64))
+
+
+def _index(path: Path, line: int, word: str) -> int:
+    if not (word.isascii() and word.isdigit() and len(word) < 12):
+        raise FormatError(path, f"expected an index, got {word[:40]!r}", line=line, field="scan_index")
+    return int(word)
 
 
 def _read_from_log(path: Path, line: int, words: list[str]) -> Track:
@@ -321,11 +324,3 @@ def _nothing_attached(source: str, name: str, sensor: SensorLog, track: Track, m
         f"{source}: no scan of {name!r} gets a pose: the scans are from {span(sensor.stamps)}, the trajectory from "
         f"{span(track.stamps)}; gaps up to {max_gap:g} s are bridged"
     )
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

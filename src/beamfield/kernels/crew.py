@@ -144,10 +144,14 @@ def lead(board: Words, function: int, arguments: Words, n_rows: int, rows: int, 
     rows = max(rows, (n_rows + BLOCKS - 2) // (BLOCKS - 1))
     n_blocks = (n_rows + rows - 1) // rows
     board[FUNCTION], board[ARGUMENTS] = function, arguments.ctypes.data
-    board[N_ROWS], board[ROWS], board[N_BLOCKS], board[HELPERS] = n_rows, rows, n_blocks, helpers
+    board[N_ROWS], board[ROWS] = n_rows, rows
+    # Read by threads that have taken no block yet.
+    store(board, N_BLOCKS, n_blocks)
+    store(board, HELPERS, helpers)
     store(board, FINISHED, 0)
     # Whoever takes a block from here on sees all of the above. One who read the number of blocks of another job cannot
-    # take any: the ticket it saw with it has gone, and none comes back.
+    # take any: the ticket it saw with it has gone, and none comes back. These words are stored and loaded in one order
+    # for all threads, on any processor; the plain ones are read only by who has a block, which keeps the job open.
     store(board, TICKET, (load(board, TICKET) // BLOCKS + 1) * BLOCKS)
     while _take_block(board):
         pass
@@ -163,7 +167,7 @@ def _take_block(board: Words) -> bool:
     """Do the next block of the job, if any is left; whether one was, or may have been."""
     ticket = load(board, TICKET)
     block = ticket % BLOCKS
-    if block >= board[N_BLOCKS]:
+    if block >= load(board, N_BLOCKS):
         return False
     if replace(board, TICKET, ticket, ticket + 1):
         rows, n_rows = board[ROWS], board[N_ROWS]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.choice import chosen_indices
 from beamfield.detections import Detections, as_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -93,8 +94,13 @@ class DetectionLog:
         Returns
         -------
         The log with the same notes.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = np.sort(np.arange(len(self))[np.asarray(observations)])
+        chosen = np.sort(chosen_indices(observations, len(self), "observations"))
         return replace(
             self,
             poses=self.poses[chosen],

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 
@@ -121,8 +122,13 @@ class RangeFinder:
         Returns
         -------
         The finder with the same limits and name.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        return replace(self, mounts=self.mounts[np.asarray(beams)])
+        return replace(self, mounts=self.mounts[chosen_indices(beams, self.n_beams, "beams")])
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +180,13 @@ class Scan:
         Returns
         -------
         The scan with the same stamp, and the finder of these beams.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = np.asarray(beams)
+        chosen = chosen_indices(beams, self.finder.n_beams, "beams")
         return Scan(self.ranges[chosen], self.finder.subset(chosen), self.stamp)
 
     def every(self, n_beams: int) -> Scan:
@@ -346,9 +357,13 @@ class SensorLog:
         Returns
         -------
         The log with the same finder.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        # An empty list would become an array of floats, which selects nothing.
-        chosen = np.arange(len(self))[np.asarray(scans, dtype=None if np.size(scans) else np.int64)]
+        chosen = chosen_indices(scans, len(self), "scans")
         return replace(
             self,
             stamps=self.stamps[chosen],

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.maps.cone import make_caster
@@ -71,8 +72,13 @@ class BeamTable:
         Returns
         -------
         The table with the same limits and the same numbers of beams left out.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = np.asarray(rows)
+        chosen = chosen_indices(rows, len(self), "rows")
         return BeamTable(
             self.ranges[chosen],
             self.expected_ranges[chosen],

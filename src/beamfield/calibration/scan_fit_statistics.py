@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.calibration.scan_fit_surprise import MOST_SURPRISE, BeamSurprise, beam_surprise
+from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
@@ -69,8 +70,13 @@ class FitStatistics:
         Returns
         -------
         The statistics.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        i = np.asarray(scans)
+        i = chosen_indices(scans, len(self), "scans")
         return FitStatistics(self.surprise[i], self.misfit[i], self.through[i], self.short[i], self.n_beams[i])
 
 

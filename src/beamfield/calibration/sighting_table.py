@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.calibration.time_split import time_blocks
+from beamfield.choice import chosen_indices
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import InvalidInputError
@@ -73,8 +74,13 @@ class SightingTable:
         Returns
         -------
         The table with the same numbers of features left out.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = np.asarray(rows)
+        chosen = chosen_indices(rows, len(self), "rows")
         names = ("ranges", "bearings", "expected_ranges", "expected_bearings", "landmarks", "stamps", "blocks")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 

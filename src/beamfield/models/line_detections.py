@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.choice import chosen_indices
 from beamfield.detections import UNKNOWN, as_ids, finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -150,9 +151,13 @@ class LineDetections:
         Returns
         -------
         The detections with the same stamp.
+
+        Raises
+        ------
+        InvalidInputError
+            If the choice is neither indices that are there nor a mask of the right length.
         """
-        # An empty list would become an array of floats, which selects nothing.
-        chosen = np.arange(len(self))[np.asarray(features, dtype=None if np.size(features) else np.int64)]
+        chosen = chosen_indices(features, len(self), "features")
         return replace(
             self,
             lines=self.lines[chosen],

@@ -9,14 +9,16 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from scipy.ndimage import maximum_filter
 
+from beamfield.errors import TooLittleDataError
 from beamfield.features.corners import find_corners
 from beamfield.features.lines import find_lines
 from beamfield.features.sweep import RangeNoise
 from beamfield.figures.drawing import colour_bar, framed_map, known_limits, mark_robot
 from beamfield.figures.likelihood_over_map import PALE_MAP, REFERENCE_COLOUR
 from beamfield.figures.world import FigureWorld
-from beamfield.localization.feature_map import map_features
-from beamfield.localization.feature_posteriors import posteriors_of_scan
+from beamfield.localization.feature_map import MapFeatures, map_features
+from beamfield.localization.feature_noise import TYPICAL_NOISE, FeatureNoise
+from beamfield.localization.feature_posteriors import learn_feature_noise, posteriors_of_scan
 from beamfield.localization.pose_posterior import PoseLattice, PosePosterior
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import draw_array
@@ -27,6 +29,8 @@ RESOLUTION, HEADINGS = 0.25, 60
 INDEPENDENT_BEAMS = 12
 # Of so many scans of a log, one with many corners is shown.
 SCANS_TRIED = 40
+# The noise of features is learned from so many scans, none of them near the one that is shown in time.
+SCANS_LEARNED, SCANS_APART = 40, 5
 # Positions this many times less probable than the most probable of all panels are white.
 SPAN = 1e5
 
@@ -37,9 +41,9 @@ def kept_information_figure(world: FigureWorld) -> Figure:
     scan, pose = world.log.scan(index), np.asarray(world.log.poses[index])
     lattice = PoseLattice.over_map(world.grid, resolution=RESOLUTION, headings=HEADINGS)
     exponent = min(1.0, INDEPENDENT_BEAMS / scan.finder.n_beams)
-    result = posteriors_of_scan(
-        scan, world.grid, world.parameters, map_features(world.grid), lattice, exponent=exponent
-    )
+    features = map_features(world.grid)
+    noise, learned = _noise_of_other_scans(world, index, features, lattice)
+    result = posteriors_of_scan(scan, world.grid, world.parameters, features, lattice, exponent=exponent, noise=noise)
     panels = (
         ("(a) the whole scan", result.scan),
         (f"(b) its {result.n_lines} walls", result.lines),
@@ -61,7 +65,25 @@ def kept_information_figure(world: FigureWorld) -> Figure:
         ax.set_facecolor(PALE_MAP[1])
         colour_bar(image, ax, "p(x, y | ...) [1/m²]")
     legend(axes[0], loc="best")
+    if not learned:
+        figure.suptitle("the log shows too few features to learn their noise: that of typical offices is taken")
     return figure
+
+
+def _noise_of_other_scans(
+    world: FigureWorld, index: int, features: MapFeatures, lattice: PoseLattice
+) -> tuple[FeatureNoise, bool]:
+    """Learn the features' noise from scans all over the log; what is typical, and False, where they show too little."""
+    posed = np.flatnonzero(np.isfinite(world.log.poses).all(axis=1))
+    others = posed[np.abs(posed - index) >= SCANS_APART]
+    others = others[world.grid.look_up(world.grid.free, world.log.poses[others, :2])]
+    if not len(others):
+        return TYPICAL_NOISE, False
+    chosen = np.unique(others[np.linspace(0, len(others) - 1, SCANS_LEARNED).astype(int)])
+    try:
+        return learn_feature_noise(world.log, chosen, world.grid, world.parameters, features, lattice), True
+    except TooLittleDataError:
+        return TYPICAL_NOISE, False
 
 
 def _scan_with_corners(world: FigureWorld) -> int:

@@ -171,8 +171,8 @@ _ALL = (
         "What features keep of a scan",
         "The posterior over positions, all on one scale, given (a) a whole scan, (b) only its walls, (c) only its "
         "corners, and its entropy beside the prior's, over x, y and theta. Features leave places possible that the "
-        "scan excludes: they are not sufficient statistics (6.42). Scan and features take the same readings for as "
-        "independent.",
+        "scan excludes: they are not sufficient statistics (6.42). The scan is taken for 12 independent beams; the "
+        "noise of the features, and how many of them the map does not show, are learned from other scans.",
         "6.6.5",
         feature_figures.kept_information_figure,
     ),

@@ -146,40 +146,36 @@ class ConeCaster:
         """
         check_threads(threads)
         robots = as_poses(poses)
-        n_edges = 1 if finder.opening_angle == 0.0 else 2
-        k, edges = finder.n_beams, _edges(finder) if n_edges == 2 else finder
-        lengths = self._rays.expected_ranges(robots, edges, threads=threads).reshape(-1, n_edges, k)
-        hits = self._rays.expected_hits(robots, edges, threads=threads).reshape(-1, n_edges, k, 2)
+        rows, resolution, cols = pose_rows(robots), self.grid.resolution, self.grid.shape[1]
+        ranges, points, cells = self._points_on_edges(rows, finder, threads)
+        if finder.opening_angle > 0.0:
+            frame, cones = frame_of(self.grid), _cones(finder, resolution)
+
+            def work(a: int, b: int) -> None:
+                found = ranges[a:b], points[a:b], cells[a:b]
+                kernels.find_points(rows[a:b], frame, resolution, cones, self._bits, self._bands, cols, *found)
+
+            run_in_slices(work, len(rows), threads=threads, work_per_row=finder.n_beams * RAYS_PER_CONE)
+        in_map = self.grid.to_map(points)
+        in_map[cells[..., 0] < 0] = np.nan
+        shape = (*robots.shape[:-1], finder.n_beams, 2)
+        return in_map.reshape(shape), cells.reshape(shape)
+
+    def _points_on_edges(
+        self, poses: FloatArray, finder: RangeFinder, threads: int | None
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return ranges (n, k), points (n, k, 2) in cells and their cells, of the edge of each cone that ends first."""
+        k, n_edges = finder.n_beams, 1 if finder.opening_angle == 0.0 else 2
+        edges = finder if n_edges == 1 else _edges(finder)
+        lengths = self._rays.expected_ranges(poses, edges, threads=threads).reshape(-1, n_edges, k)
+        hits = self._rays.expected_hits(poses, edges, threads=threads).reshape(-1, n_edges, k, 2)
+        rays = compose(poses[:, None, None], edges.mounts.reshape(n_edges, k, 3))
         shorter = lengths.argmin(axis=1)[:, None, :]
         ranges = np.take_along_axis(lengths, shorter, axis=1)[:, 0]
         cells = np.take_along_axis(hits, shorter[..., None], axis=1)[:, 0]
-        rows = pose_rows(robots)
-        rays = compose(rows[:, None, None], edges.mounts.reshape(n_edges, k, 3))
         rays = np.take_along_axis(rays, shorter[..., None], axis=1)[:, 0]
-        points = self.grid.to_cells(transform_points(rays, np.stack([ranges, np.zeros_like(ranges)], axis=-1)))
-        if n_edges == 2:
-            frame, cones = frame_of(self.grid), _cones(finder, self.grid.resolution)
-            resolution, cols = self.grid.resolution, self.grid.shape[1]
-
-            def work(a: int, b: int) -> None:
-                kernels.find_points(
-                    rows[a:b],
-                    frame,
-                    resolution,
-                    cones,
-                    self._bits,
-                    self._bands,
-                    cols,
-                    ranges[a:b],
-                    points[a:b],
-                    cells[a:b],
-                )
-
-            run_in_slices(work, len(rows), threads=threads, work_per_row=k * RAYS_PER_CONE)
-        in_map = self.grid.to_map(points)
-        in_map[cells[..., 0] < 0] = np.nan
-        shape = (*robots.shape[:-1], k, 2)
-        return in_map.reshape(shape), cells.reshape(shape)
+        ends = transform_points(rays, np.stack([ranges, np.zeros_like(ranges)], axis=-1))
+        return ranges, self.grid.to_cells(ends), cells
 
     def cast(
         self, origins: ArrayLike, opening_angle: float, max_range: float, *, threads: int | None = None

@@ -56,21 +56,11 @@ def test_without_rand_values_stay_finite_until_the_density_underflows():
 
 def test_beyond_the_reach_only_rand_is_left():
     assert field.log_value(1.5, VIEW._replace(reach=1.5)) == math.log(0.01)
-    assert field.log_slope(1.5, VIEW._replace(reach=1.5)) == 0.0
 
 
 def test_without_hits_nothing_depends_on_the_distance():
     view = VIEW._replace(z_hit=0.0)
     assert field.log_value(0.0, view) == field.log_value(9.0, view) == math.log(0.01)
-    assert field.log_slope(0.1, view) == 0.0
-
-
-@pytest.mark.parametrize("view", [VIEW, NO_RAND])
-@pytest.mark.parametrize("distance", [0.03, 0.2, 0.7, 1.4])
-def test_the_slope_is_the_derivative_of_the_value(view, distance):
-    step = 1e-5
-    difference = (field.log_value(distance + step, view) - field.log_value(distance - step, view)) / (2 * step)
-    assert field.log_slope(distance, view) == pytest.approx(difference, rel=1e-5, abs=1e-8)
 
 
 def test_sine_and_cosine_hold_to_twelve_digits(rng):
@@ -155,24 +145,3 @@ def test_one_impossible_beam_makes_the_scan_impossible(poses):
     assert ((total == -math.inf) == (each == -math.inf).any(axis=1)).all()
     assert (total == -math.inf).any()
     assert (total == 10.0).any()
-
-
-def test_interpolation_meets_the_centres_and_is_linear_between_them():
-    distance = np.array([[0.0, 1.0, 4.0], [2.0, 5.0, 6.0]], np.float32)
-    assert field.interpolate(distance, 9.0, 1.5, 0.5) == (1.0, 3.0, 4.0)
-    assert field.interpolate(distance, 9.0, 1.0, 1.0)[0] == pytest.approx(2.0)
-    assert field.interpolate(distance, 9.0, 1.75, 0.5)[0] == pytest.approx(1.75)
-
-
-def test_interpolation_is_constant_across_the_edge_and_far_off_it():
-    distance = np.array([[0.0, 1.0, 4.0], [2.0, 5.0, 6.0]], np.float32)
-    assert field.interpolate(distance, 9.0, 0.1, 0.5) == (0.0, 0.0, 2.0)
-    assert field.interpolate(distance, 9.0, 2.9, 1.9) == (6.0, 0.0, 0.0)
-    assert field.interpolate(distance, 9.0, -0.01, 0.5) == (9.0, 0.0, 0.0)
-    assert field.interpolate(distance, 9.0, math.nan, 0.5) == (9.0, 0.0, 0.0)
-
-
-def test_interpolation_with_an_infinite_neighbour_is_infinite():
-    distance = np.array([[0.0, math.inf], [0.0, math.inf]], np.float32)
-    assert field.interpolate(distance, math.inf, 1.0, 1.0) == (math.inf, 0.0, 0.0)
-    assert field.interpolate(distance, math.inf, 0.2, 1.0) == (0.0, 0.0, 0.0)

@@ -1,7 +1,7 @@
 """Likelihood fields (section 6.4): distances, the value of one beam, its table over all cells, and sums over beams.
 
-Two look-ups. *Nearest* reads a table of the beam's logarithm, one 32-bit integer per cell: a beam costs a rotation and
-a load, no exp and no log. *Smooth* interpolates the distance between cell centres and has a gradient.
+The look-up here is the nearest one: it reads a table of the beam's logarithm, one 32-bit integer per cell, so that a
+beam costs a rotation and a load, no exp and no log. `smooth_field` interpolates the distance instead.
 
 Positions in a table are (col, row) in cells from its lower-left corner. The table of codes has a frame of one cell for
 all that lies off it, so that limits replace branches.
@@ -24,7 +24,6 @@ from beamfield.kernels.jit import fast_kernel, kernel
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Codes = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 
 INV_SQRT_2PI = 0.3989422804014327
 # exp underflows to 0 below this: Table 6.3 in double precision calls such a reading impossible, and so do we.
@@ -116,18 +115,6 @@ def log_value(distance: float, view: FieldView) -> float:
     if view.rand > 0.0:
         return math.log(peak * math.exp(exponent) + view.rand)
     return math.log(peak) + exponent if exponent > SMALLEST_EXPONENT else -math.inf
-
-
-@kernel
-def log_slope(distance: float, view: FieldView) -> float:
-    """Return the derivative of `log_value` with respect to the distance."""
-    if distance >= view.reach or view.z_hit == 0.0:
-        return 0.0
-    u = distance / view.sigma_hit
-    if view.rand == 0.0:
-        return -u / view.sigma_hit
-    hit = view.z_hit * INV_SQRT_2PI / view.sigma_hit * math.exp(-0.5 * u * u)
-    return -u / view.sigma_hit * hit / (hit + view.rand)
 
 
 @kernel
@@ -396,44 +383,7 @@ def row_sum(values: Floats, i: int) -> float:
     return total
 
 
-# --- smooth: the distance interpolated between cell centres -----------------------------------------------------------
-
-
-@kernel
-def interpolate(distance: Singles, far: float, u: float, v: float) -> tuple[float, float, float]:
-    """Return (d, dd/du, dd/dv): the bilinear distance at (u, v) and its slope per cell; `far` off the array.
-
-    Half a cell from the edge there is no second centre: the distance stays constant across the edge. Where a neighbour
-    is infinitely far there is no slope.
-    """
-    rows, cols = distance.shape
-    # Written so that NaN, from poses beyond all numbers, counts as off the array.
-    if not (0.0 <= u < cols and 0.0 <= v < rows):
-        return far, 0.0, 0.0
-    col0, row0 = math.floor(u - 0.5), math.floor(v - 0.5)
-    a, b = u - 0.5 - col0, v - 0.5 - row0
-    col1, row1 = min(col0 + 1, cols - 1), min(row0 + 1, rows - 1)
-    col0, row0 = max(col0, 0), max(row0, 0)
-    d00, d01 = float(distance[row0, col0]), float(distance[row0, col1])
-    d10, d11 = float(distance[row1, col0]), float(distance[row1, col1])
-    largest = max(max(d00, d01), max(d10, d11))
-    if largest == math.inf:
-        return largest, 0.0, 0.0
-    low, high = d00 + a * (d01 - d00), d10 + a * (d11 - d10)
-    return low + b * (high - low), (1.0 - b) * (d01 - d00) + b * (d11 - d10), high - low
-
-
-@kernel
-def is_uniform(uniform: Mask, u: float, v: float) -> bool:
-    """Whether (u, v) has a constant value instead of one by distance: where the mask says so and off it.
-
-    An empty mask stands for False everywhere.
-    """
-    if uniform.size == 0:
-        return False
-    if not (0.0 <= u < uniform.shape[1] and 0.0 <= v < uniform.shape[0]):
-        return True
-    return bool(uniform[int(v), int(u)])
+# --- distances at end points ------------------------------------------------------------------------------------------
 
 
 @kernel
@@ -446,61 +396,15 @@ def to_table(pose: Floats, frame: FrameView) -> tuple[float, float, float, float
 
 
 @kernel
-def fill_distances(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, smooth: bool,
-                   out: Floats) -> None:  # fmt: skip
-    """Fill out (n, k) with the distance at each end point: interpolated, or of the cell that holds it."""
+def fill_distances(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, out: Floats) -> None:
+    """Fill out (n, k) with the distance of the cell that holds each end point; `far` off the field."""
     rows, cols = distance.shape
     for i in range(poses.shape[0]):
         x, y, c, s = to_table(poses[i], frame)
         for j in range(ends.shape[1]):
             u, v = x + c * ends[0, j] - s * ends[1, j], y + s * ends[0, j] + c * ends[1, j]
-            if smooth:
-                out[i, j] = interpolate(distance, far, u, v)[0]
-            elif 0.0 <= u < cols and 0.0 <= v < rows:
+            # Written so that NaN, from poses beyond all numbers, counts as off the field.
+            if 0.0 <= u < cols and 0.0 <= v < rows:
                 out[i, j] = exact_distance(distance[int(v), int(u)] * frame.cells_per_metre) / frame.cells_per_metre
             else:
                 out[i, j] = far
-
-
-@kernel
-def fill_smooth_values(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, uniform: Mask,
-                       log_uniform: float, view: FieldView, out: Floats) -> None:  # fmt: skip
-    """Fill out (n, k) with the value of each beam by interpolated distance; end points (2, k) in cells."""
-    for i in range(poses.shape[0]):
-        x, y, c, s = to_table(poses[i], frame)
-        for j in range(ends.shape[1]):
-            u, v = x + c * ends[0, j] - s * ends[1, j], y + s * ends[0, j] + c * ends[1, j]
-            if is_uniform(uniform, u, v):
-                out[i, j] = log_uniform
-            else:
-                out[i, j] = log_value(interpolate(distance, far, u, v)[0], view)
-
-
-@kernel
-def fill_smooth_sums(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, uniform: Mask,
-                     log_uniform: float, view: FieldView, out: Floats) -> None:  # fmt: skip
-    """Fill out (n,) with the sum over beams of `fill_smooth_values`."""
-    values = np.empty((1, ends.shape[1]))
-    for i in range(poses.shape[0]):
-        fill_smooth_values(poses[i : i + 1], frame, ends, distance, far, uniform, log_uniform, view, values)
-        out[i] = row_sum(values, 0)
-
-
-@kernel
-def fill_smooth_gradient(poses: Floats, frame: FrameView, ends: Floats, distance: Singles, far: float, uniform: Mask,
-                         view: FieldView, out: Floats) -> None:  # fmt: skip
-    """Fill out (n, 3) with the derivative of the sum over beams by x, y (1/m, map frame) and theta (1/rad)."""
-    for i in range(poses.shape[0]):
-        x, y, c, s = to_table(poses[i], frame)
-        along, across, turning = 0.0, 0.0, 0.0
-        for j in range(ends.shape[1]):
-            a, b = c * ends[0, j] - s * ends[1, j], s * ends[0, j] + c * ends[1, j]
-            if not is_uniform(uniform, x + a, y + b):
-                d, du, dv = interpolate(distance, far, x + a, y + b)
-                slope = log_slope(d, view)
-                along += slope * du
-                across += slope * dv
-                turning += slope * (a * dv - b * du)
-        out[i, 0] = (along * frame.cos - across * frame.sin) * frame.cells_per_metre
-        out[i, 1] = (along * frame.sin + across * frame.cos) * frame.cells_per_metre
-        out[i, 2] = turning

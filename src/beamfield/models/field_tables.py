@@ -1,16 +1,17 @@
-"""What the kernels of likelihood fields read: the frame of a map, and the logarithm of each cell's value."""
+"""What the kernels of likelihood fields read: frames, the logarithm of each cell's value, and framed distances."""
 
 from __future__ import annotations
 
 import math
 import threading
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
 from beamfield.kernels import field as kernels
+from beamfield.kernels import smooth_field
 from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.distance import DistanceField
 from beamfield.models.field_parameters import LikelihoodFieldParameters
@@ -64,16 +65,15 @@ class FieldTables:
         """How the map frame becomes positions in the field."""
         self.framed = self._make_frame(1)
         """How the map frame becomes positions in a table, which has a frame of one cell around the field."""
+        self.centred = self._make_frame(0.5)
+        """How the map frame becomes positions from the first centre of the table of distances."""
         self._tables: dict[float, Table] = {}
+        self._smooth: smooth_field.Table | None = None
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         """Return the number of tables that are kept."""
         return len(self._tables)
-
-    def smooth_arguments(self, max_range: float) -> tuple[kernels.FrameView, kernels.FieldView, Any, float]:
-        """Return what the kernels of interpolated distances take: frame, parameters, distances and the one off them."""
-        return self.frame, self.view(max_range), self._distances.distance, self._distances.max_distance
 
     def view(self, max_range: float) -> kernels.FieldView:
         """Return the parameters as the kernels take them, for scans with this limit."""
@@ -85,6 +85,32 @@ class FieldTables:
             ratio = p.z_hit * kernels.INV_SQRT_2PI / p.sigma_hit / (rand * NEGLIGIBLE_HIT)
             reach = p.sigma_hit * math.sqrt(2.0 * math.log(ratio)) if ratio > 1.0 else 0.0
         return kernels.FieldView(p.z_hit, p.sigma_hit, rand, log_rand, reach)
+
+    def smooth_view(self, max_range: float) -> smooth_field.SmoothView:
+        """Return the parameters as the kernels of interpolated distances take them."""
+        p, view = self._parameters, self.view(max_range)
+        peak = p.z_hit * kernels.INV_SQRT_2PI / p.sigma_hit
+        steep = -1.0 / p.sigma_hit / p.sigma_hit
+        far = kernels.log_value(self._distances.max_distance, view)
+        return smooth_field.SmoothView(
+            log_peak=math.log(peak) if peak > 0.0 else -math.inf,
+            log_rand=view.log_rand,
+            log_off=-math.log(max_range) if self.uniform.size else far,
+            ratio=peak / view.rand if view.rand > 0.0 else math.inf,
+            quotient=view.rand / peak if peak > 0.0 else math.inf,
+            steep=steep,
+            bits=0.5 * steep / math.log(2.0),
+            reach=view.reach,
+        )
+
+    @property
+    def smooth(self) -> smooth_field.Table:
+        """The table of distances, which serves for all scans."""
+        if self._smooth is None:
+            with self._lock:
+                if self._smooth is None:
+                    self._smooth = self._make_smooth()
+        return self._smooth
 
     def table(self, max_range: float) -> Table:
         """Return the table for scans with this limit."""
@@ -99,7 +125,19 @@ class FieldTables:
                     self._tables[max_range] = table
         return table
 
-    def _make_frame(self, border: int) -> kernels.FrameView:
+    def _make_smooth(self) -> smooth_field.Table:
+        rows, cols = self._distances.distance.shape
+        distance = np.empty((rows + 2 + smooth_field.OFF_ROWS, cols + 2), np.float32)
+        distance[1 : rows + 1, 1:-1] = self._distances.distance
+        distance[0, 1:-1], distance[rows + 1, 1:-1] = distance[1, 1:-1], distance[rows, 1:-1]
+        distance[:, 0], distance[:, -1] = distance[:, 1], distance[:, -2]
+        distance[rows + 2 :] = 0.0  # any, as long as all are alike
+        uniform = self.uniform
+        if uniform.size:
+            uniform = np.pad(uniform, ((1, 1 + smooth_field.OFF_ROWS), (1, 1)), constant_values=True)
+        return smooth_field.Table(rows + 2 + smooth_field.OFF_ROWS, cols + 2, distance.ravel(), uniform.ravel())
+
+    def _make_frame(self, border: float) -> kernels.FrameView:
         grid = self._distances.grid
         x, y, yaw = grid.origin.tolist()
         offset = float(self._distances.margin_cells + border)

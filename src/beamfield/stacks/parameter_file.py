@@ -217,8 +217,14 @@ def _sections(path: Path) -> list[ParameterSection]:
 def _only(path: Path, sections: list[ParameterSection], label: str | None) -> ParameterSection:
     if label is not None:
         named = [section for section in sections if section.label == label]
-        named = named if len(named) == 1 else [section for section in sections if str(section.line) == label] or named
-        sections = named or _raise(path, sections, label)
+        if len(named) != 1:
+            named = [section for section in sections if str(section.line) == label] or named
+        if not named:
+            known = ", ".join(repr(section.label) for section in sections) or "none"
+            raise FormatError(
+                path, f"no section {shorten(label)} with parameters of a measurement model; there are {known}"
+            )
+        sections = named
     if not sections:
         raise FormatError(
             path, "no parameters of a measurement model found (z_hit, laser_z_hit, LF_stdHit, ... or an amcl node)"
@@ -227,11 +233,6 @@ def _only(path: Path, sections: list[ParameterSection], label: str | None) -> Pa
         labels = ", ".join(f"{section.label!r} (line {section.line})" for section in sections)
         raise FormatError(path, f"several sections have such parameters, choose by label or line one of {labels}")
     return sections[0]
-
-
-def _raise(path: Path, sections: list[ParameterSection], label: str) -> list[ParameterSection]:
-    known = ", ".join(repr(section.label) for section in sections) or "none"
-    raise FormatError(path, f"no section {shorten(label)} with parameters of a measurement model; there are {known}")
 
 
 def _possible_stacks(section: ParameterSection) -> tuple[Stack, ...]:

@@ -225,6 +225,8 @@ def finder_deg(bearings_deg, **limits) -> RangeFinder:
     ("finder", "text"),
     [
         (finder_deg([90.0, 0.0, -90.0]), "90.0 to -90.0 degrees, spanning 180.0, every 90, clockwise"),
+        # All the way around, not "-89.0 to -90.0".
+        (finder_deg(np.arange(-89.0, 270.5, 1.0)), "from -89.0 to 270.0 degrees, spanning 359.0"),
         (finder_deg([0.0, 10.0, 40.0]), "spanning 40.0, unevenly spaced"),
         (finder_deg(np.arange(0.0, 360.0, 1.0)), "spanning 359.0, every 1, counter-clockwise"),
         (finder_deg([-45.0, 45.0], opening_angle=math.radians(30)), "cones of 30.0 degrees"),
@@ -348,3 +350,9 @@ def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_pat
     error = refused(capsys, raw_log_path, "--map", map_path, *picture)
     assert "has no reference poses to draw on a map; give --poses FILE" in error
     assert not (tmp_path / "a.png").exists()
+
+
+def test_a_file_of_sightings_is_said_to_be_for_another_command(tmp_path, capsys):
+    (tmp_path / "seen.mat").write_bytes(b"\0" * 200)
+    assert main(["inspect", str(tmp_path / "seen.mat")]) == 1
+    assert "beamfield calibrate-landmarks" in capsys.readouterr().err

@@ -88,6 +88,20 @@ def test_translation_is_printed_as_the_other_stacks_file(good, capsys):
     assert "note: the same relative weights\n" in captured.err
 
 
+def test_notes_that_the_printed_file_holds_are_not_said_twice_on_a_screen(good, capsys, monkeypatch):
+    words = ["translate", str(good), "--to", "mrpt", "--max-range", "12"]
+    assert main(words) == 0
+    piped = capsys.readouterr()
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(words) == 0
+    shown = capsys.readouterr()
+    assert shown.out == piped.out
+    assert "note: the same relative weights" in piped.err or "note: not exactly" in piped.err
+    notes = [line.removeprefix("note: ") for line in shown.err.splitlines()]
+    assert len(notes) < len(piped.err.splitlines())
+    assert not any(note in shown.out for note in notes)
+
+
 def test_translation_patches_the_users_file(good, tmp_path, capsys):
     target = tmp_path / "nav2.yaml"
     target.write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5  # mine\n    alpha1: 0.2\n")

@@ -75,6 +75,15 @@ def test_columns_line_up(case):
         assert all(line[i - 1] == " " for i in starts)
 
 
+def test_the_meaning_is_broken_to_the_width_of_a_terminal(case):
+    whole, narrow = parameter_table(case.calibration), parameter_table(case.calibration, width=80)
+    assert max(map(len, whole.splitlines())) > 80 >= max(map(len, narrow.splitlines()))
+    words = [[word for word in table.split() if set(word) != {"-"}] for table in (whole, narrow)]
+    assert sorted(words[0]) == sorted(words[1])
+    # Where there is no room for words, lines stay as they are.
+    assert parameter_table(case.calibration, width=50) == whole
+
+
 def test_the_form_says_what_was_chosen_and_for_what_gain(case):
     assert "none worth an extra parameter" in form_line(case.calibration)
     first, second = case.calibration.candidates

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shutil
 import sys
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +16,7 @@ from beamfield.cli.calibrate_stack import StackResult, add_stack_options, fit_fo
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
+from beamfield.cli.wording import in_options
 from beamfield.errors import InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
@@ -173,7 +176,7 @@ def run(arguments: argparse.Namespace) -> int:
         log = read_log(arguments.log, **log_options(arguments))
         if arguments.poses is not None:
             log = attach_poses(log, read_trajectory(arguments.poses))
-        notes = (*log.notes, *([ODOMETRY_NOTE] if arguments.odometry else []))
+        notes = (*map(in_options, log.notes), *([ODOMETRY_NOTE] if arguments.odometry else []))
         origin = _provenance(arguments)
         chosen = _chosen_sensors(log, arguments)
         if patched is not None and len(chosen) > 1:
@@ -333,8 +336,13 @@ def _calibrate_sensor(
     }
     if stack is not None:
         files[stack.file_name] = stack.file_text
+    # Lines are broken for a terminal only: in a file or a pipe, one line is one parameter or warning.
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     warnings = [f"warning ({f.name}): {f.text}" for f in result.findings if f.severity == "warning"]
-    table = "\n\n".join([result.selection.describe(), parameter_table(result), score_table(result), *warnings])
+    if width is not None:
+        warnings = [textwrap.fill(text, width, subsequent_indent="  ") for text in warnings]
+    parameters = parameter_table(result, width=width)
+    table = "\n\n".join([result.selection.describe(), parameters, score_table(result), *warnings])
     if stack is not None:
         table += f"\n\n{stack.table}"
     return files, table, result.converged, stack

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
+from beamfield.cli.wording import in_options
 from beamfield.errors import InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         except (InvalidInputError, TooLittleDataError) as error:
             raise type(error)(f"{arguments.sightings}: {error}") from error
-    print(_summary(result, log.notes))
+    print(in_options(_summary(result, log.notes)))
     if arguments.out is not None:
         text = landmark_model_text(result.parameters, intervals=result.intervals, provenance=_provenance(arguments))
         write_file(arguments.out, text)

@@ -12,6 +12,7 @@ from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
+from beamfield.cli.wording import in_options
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         for name, content in files.items():
             (folder / name).write_text(content, encoding="utf-8")
     for note in given.notes:
-        print(f"note: {note}")
+        print(f"note: {in_options(note)}")
     print(_basis(reference, given))
     print(fit_table(fits, worst))
     print(f"\nwrote {', '.join(FILES)} into {arguments.out}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.provenance import file_name
+from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -80,6 +81,8 @@ def _read(arguments: argparse.Namespace) -> OccupancyGrid | ScanLog:
             if getattr(arguments, option) is not None:
                 raise InvalidInputError(f"--{option}: goes with a log, and {path} is read as a map")
         return read_map(path, topic=arguments.map_topic)
+    if path.suffix == ".mat" and path.is_file():
+        raise FormatError(path, "no log of scans; sightings of landmarks are for beamfield calibrate-landmarks")
     try:
         log = read_log(path, **log_options(arguments))
     except FormatError as error:
@@ -149,7 +152,7 @@ def _write_picture(content: OccupancyGrid | ScanLog, grid: OccupancyGrid | None,
 def _text(facts: dict[str, Any], arguments: argparse.Namespace) -> str:
     from beamfield.cli.inspect_summary import log_text, map_text
 
-    text = map_text(facts) if facts["kind"] == "map" else log_text(facts)
+    text = in_options(map_text(facts) if facts["kind"] == "map" else log_text(facts))
     if arguments.out is not None:
         return f"{facts['source']}: {text}\n\nwrote {arguments.out}"
     return f"{facts['source']}: {text}\n\nto see it, add --out {facts['source'].split('.')[0] or 'log'}.png"

@@ -208,12 +208,15 @@ def _beams_row(beams: Mapping[str, Any]) -> str:
     if beams["count"] < 2:
         return f"{beams['count']}"
     first, last, span = (math.degrees(beams[f"{k}_rad"]) for k in ("first_bearing", "last_bearing", "span"))
-    text = f"{beams['count']} from {first:.1f} to {last:.1f} degrees, spanning {span:.1f}"
-    if beams["step_rad"] is None:
-        return text + ", unevenly spaced"
-    step = math.degrees(beams["step_rad"])
-    text += f", every {abs(step):.3g}, {'clockwise' if step < 0 else 'counter-clockwise'}"
     cone = math.degrees(beams["opening_angle_rad"])
+    if beams["step_rad"] is None:
+        text = f"{beams['count']} from {first:.1f} to {last:.1f} degrees, spanning {span:.1f}, unevenly spaced"
+    else:
+        step = math.degrees(beams["step_rad"])
+        # Counted on from the first: "from -89 to -90 degrees" would hide that they go all the way around.
+        last = first + math.copysign(span, step)
+        text = f"{beams['count']} from {first:.1f} to {last:.1f} degrees, spanning {span:.1f}, every {abs(step):.3g}"
+        text += f", {'clockwise' if step < 0 else 'counter-clockwise'}"
     return text + (f", cones of {cone:.1f} degrees" if cone else "")
 
 

@@ -250,9 +250,12 @@ def _summary(result: LikelihoodMap, measured: Any, model: MeasurementModel[Any],
                  f"{math.degrees(abs(step[2])):.1f} deg away")  # fmt: skip
     value = float(model.log_likelihood(measured, reference))
     share = result.share_above(value)
-    lines.append(
-        f"at the reference: {value - top:+.2f} nats against the maximum; {share:.2%} of the places are likelier"
-    )
+    if value > top:
+        lines.append(f"the reference lies between the poses compared and is likelier still, by {value - top:.2f} nats")
+    else:
+        lines.append(
+            f"at the reference: {top - value:.2f} nats below the maximum; {share:.2%} of the places are likelier"
+        )
     return "\n".join(lines)
 
 

@@ -23,6 +23,7 @@ from beamfield.cli import (
     translate,
 )
 from beamfield.cli import map as map_command
+from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError, BeamfieldWarning
 
 COMMANDS = (
@@ -96,13 +97,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    print(f"beamfield: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"beamfield: error: {in_options(' '.join(message.split()))}", file=sys.stderr)
     return code
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning without the place in the code, which says nothing to a user."""
-    print(f"beamfield: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    print(f"beamfield: warning: {in_options(' '.join(str(message).split()))}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -56,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         notes.append(f"read as {file.stack}'s file; say --stack beluga if it is Beluga's")
     head = f"{result.stack} {result.model}, from {file.stack} {file.model} by beamfield {__version__}"
     how = "the same relative weights" if result.exact else "not exactly the same weights"
+    said = [how, *notes]
     if arguments.patch is not None:
         if result.stack == CHAPTER:
             raise InvalidInputError("--patch: is for files of a stack, chapter has none")
@@ -76,10 +77,12 @@ def run(arguments: argparse.Namespace) -> int:
         text = new_file_text(result.stack, result.values, comments=[head, how, *result.notes], launch=launch)
         if arguments.out is None:
             print(text, end="")
+            if sys.stdout.isatty():  # its head says the rest: not twice on one screen
+                said = notes[len(result.notes) :]
         else:
             write_file(arguments.out, text)
             print(f"wrote {arguments.out}")
-    for note in [how, *notes]:
+    for note in said:
         print(f"note: {note}", file=sys.stderr)
     return 0
 

@@ -43,7 +43,11 @@ def fit_table(fits: ScanFits, worst: NDArray[np.int64]) -> str:
             lines.append(f"{count} scans: {name}")
     lines.append(lost_line(fits))
     if len(worst):
-        lines += ["", "worst scans", "  scan           stamp  p-value    lost  through   short"]
+        lines += [
+            "",
+            "worst scans (through, short: share of beams beyond the mapped obstacle and before it, minus the expected)",
+            "  scan       stamp [s]  p-value    lost  through   short",
+        ]
         lines += [
             f"{i:6d}  {fits.stamps[i]:14.3f}  {fits.p_value[i]:7.4f}  {fits.lost[i]:6.3f}"
             f"  {_share(fits.statistics.through[i])}  {_share(fits.statistics.short[i])}"

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.report.parameter_rows import parameter_rows
 
+GAP = "  "
+# Narrower than this a column of sentences reads worse than lines that the terminal breaks.
+LEAST_ROOM = 24
 
-def parameter_table(calibration: Calibration) -> str:
+
+def parameter_table(calibration: Calibration, *, width: int | None = None) -> str:
     """Return a table of the parameters, each with its 95 % interval and its unit.
 
     Parameters
     ----------
     calibration
         The result of `calibrate`.
+    width
+        Characters in a line, for a terminal; None: as many as it takes.
     """
     rows = [
         (row.name, row.value, row.interval_text, row.unit or "-", row.meaning) for row in parameter_rows(calibration)
     ]
-    return aligned(("parameter", "value", "95 % interval", "unit", "meaning"), rows, right=(1,))
+    return aligned(("parameter", "value", "95 % interval", "unit", "meaning"), rows, right=(1,), width=width)
 
 
 def score_table(calibration: Calibration) -> str:
@@ -69,7 +76,9 @@ def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> st
     return f"{text} ± {standard_error:.4f}" if math.isfinite(standard_error) else text
 
 
-def aligned(header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: tuple[int, ...]) -> str:
+def aligned(
+    header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: tuple[int, ...], width: int | None = None
+) -> str:
     """Return rows under a header, columns padded to their widest cell.
 
     Parameters
@@ -78,14 +87,25 @@ def aligned(header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, right: 
         Cells of text, as many in each row.
     right
         Indices of the columns that are aligned to the right.
+    width
+        Characters in a line: the last column is broken to fit, if it has room for words at all.
     """
     lines = [header, *rows]
+    if width is not None:
+        room = width - sum(max(len(line[i]) for line in lines) + len(GAP) for i in range(len(header) - 1))
+        lines = [part for line in lines for part in _broken(line, room)] if room >= LEAST_ROOM else lines
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     lines.insert(1, tuple("-" * width for width in widths))
     return "\n".join(
-        "  ".join(
+        GAP.join(
             cell.rjust(width) if i in right else cell.ljust(width)
             for i, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in lines
     )
+
+
+def _broken(line: tuple[str, ...], room: int) -> list[tuple[str, ...]]:
+    """Return the line with its last cell in as many lines as it takes, the other cells empty below the first."""
+    first, *rest = textwrap.wrap(line[-1], room) or [""]
+    return [(*line[:-1], first), *(("",) * (len(line) - 1) + (part,) for part in rest)]

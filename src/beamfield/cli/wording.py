@@ -1,0 +1,40 @@
+"""Texts of the library in the words of the command line: its parameters are options there."""
+
+from __future__ import annotations
+
+import re
+
+# What a Python caller passes -> what is typed instead. Only names that mean nothing else in a sentence.
+_OPTIONS = {
+    "base_frame": "--base-frame",
+    "block_s": "--block",
+    "lone_poses": "--lone-poses",
+    "map_frame": "--map-frame",
+    "n_bootstrap": "--bootstrap",
+    "n_replicates": "--replicates",
+    "no_return": "--no-return",
+    "poses_topic": "--poses-topic",
+    "sensor_topic": "--sensor",
+    "truncated_at": "--truncated-at",
+}
+# Not in a path, a quotation or a longer name.
+_NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([^']*)')?")
+# These are words of models and files as well: they are options where they stand for a value to give.
+_GIVEN = re.compile(r"(?<=give )max_range\b|(?<![\w/.'\"-])stamps='([^']*)'")
+
+
+def in_options(text: str) -> str:
+    """Return a text of the library with its parameters as the options that are typed instead.
+
+    Parameters
+    ----------
+    text
+        A note, a warning or an error.
+
+    Examples
+    --------
+    >>> in_options("read it with lone_poses='odometry', and give max_range")
+    'read it with --lone-poses odometry, and give --max-range'
+    """
+    text = _NAME.sub(lambda found: _OPTIONS[found[1]] + (f" {found[2]}" if found[2] is not None else ""), text)
+    return _GIVEN.sub(lambda found: "--max-range" if found[1] is None else f"--stamps {found[1]}", text)

@@ -91,6 +91,15 @@ def test_noise_leaves_errors_of_its_size_and_ellipses_hold_them(rng: np.random.G
     assert np.mean(np.array(squares) < 7.815) >= 0.95
 
 
+def test_the_ellipse_never_shrinks_below_what_real_floors_and_sensors_allow() -> None:
+    """Exact readings, four a degree, in a room that holds every direction: 1.5 cm and 5 mrad are left."""
+    sensor = finder(np.radians(np.arange(0.0, 360.0, 0.25)))
+    result = align(see(ROOM, compose(FIRST, MOTION), sensor), see(ROOM, FIRST, sensor), MOTION)
+    deviations = np.sqrt(np.diag(result.covariance))
+    assert (deviations > (0.015, 0.015, 0.005)).all()
+    assert (deviations < (0.02, 0.02, 0.007)).all()
+
+
 def test_outliers_and_occlusion_do_not_pull(rng: np.random.Generator) -> None:
     sensor = finder(FULL_CIRCLE)
     onto, scan = see(ROOM, FIRST, sensor), see(ROOM, compose(FIRST, MOTION), sensor)

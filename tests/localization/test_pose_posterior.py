@@ -109,6 +109,15 @@ def test_a_full_turn_is_covered_once():
     lattice = PoseLattice.around(CENTRE, reach=0.1, resolution=0.1, heading_reach=np.pi, heading_step=0.4)
     assert len(lattice.headings) == 16
     assert lattice.heading_step * 16 == pytest.approx(2.0 * np.pi)
+    np.testing.assert_allclose(np.diff(np.sort(lattice.headings)), np.pi / 8.0, atol=1e-12)
+
+
+def test_the_headings_over_a_map_start_at_0_and_are_a_step_apart():
+    grid = OccupancyGrid.from_ros(np.zeros((2, 2), dtype=np.int8), 0.5)
+    lattice = PoseLattice.over_map(grid, headings=6)
+    np.testing.assert_allclose(np.degrees(lattice.headings[[0, 1, 2, 4, 5]]), [0.0, 60.0, 120.0, -120.0, -60.0])
+    assert abs(np.degrees(lattice.headings[3])) == pytest.approx(180.0)
+    assert np.degrees(lattice.heading_step) == pytest.approx(60.0)
 
 
 def test_an_impossible_measurement_has_no_posterior():

@@ -119,6 +119,19 @@ def test_beams_disagree_off_the_map_and_a_beam_that_most_poses_disagree_with_is_
     assert not model.weighs_alone()
 
 
+def test_a_beam_is_skipped_by_the_share_of_poses_that_it_agrees_with():
+    """Beam 0 ends within 15 cm of the obstacle at all four poses, beam 1 at two of them."""
+    corridor = OccupancyGrid.from_ros([[0] * 11 + [100]], 0.1)
+    scan = Scan([1.1, 1.0], RangeFinder.from_bearings([0.0, 0.0], 8.0))
+    poses = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]
+    parameters = Nav2Parameters(max_beams=2, do_beamskip=True, beam_skip_distance=0.15)
+    for threshold, counted in ((0.45, [0, 1]), (0.55, [0]), (0.95, [0])):
+        model = Nav2FieldProb(corridor, dataclasses.replace(parameters, beam_skip_threshold=threshold))
+        plain = Nav2FieldProb(corridor, dataclasses.replace(parameters, do_beamskip=False))
+        p = plain.beam_values(plain.evidence(scan, poses))
+        assert model.log_likelihood(scan, poses) == pytest.approx(np.log(p[:, counted]).sum(axis=1))
+
+
 @pytest.mark.parametrize("kind", [Nav2Field, Nav2Beam])
 def test_a_scan_with_fewer_beams_than_max_beams_is_refused_because_nav2_never_returns(kind):
     with pytest.raises(InvalidInputError, match=r"max_beams: expected at most .* 16, got 17: .* never returns"):

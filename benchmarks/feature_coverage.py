@@ -31,6 +31,7 @@ from beamfield.localization.feature_learning import CornerSightings, learn_corne
 from beamfield.localization.feature_map import MapFeatures, map_features
 from beamfield.localization.feature_noise import CornerNoise, FeatureNoise
 from beamfield.localization.feature_posteriors import (
+    SCORED_BEAMS,
     corner_likelihood,
     features_of_scan,
     learn_feature_noise,
@@ -38,9 +39,11 @@ from beamfield.localization.feature_posteriors import (
     posterior_of_lines,
 )
 from beamfield.localization.feature_view import FieldOfView
+from beamfield.localization.lattice_noise import widened_for_lattice
 from beamfield.localization.pose_posterior import PoseLattice, PosePosterior, pose_posterior
 from beamfield.maps.mapping import build_map
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
@@ -68,7 +71,7 @@ LOGS = {
 }
 OFFICES = {"simulated office 1": 1, "simulated office 2": 2}
 TRUTH = BeamParameters(z_hit=0.9, z_short=0.06, z_max=0.02, z_rand=0.02, sigma_hit=0.05, lambda_short=0.5)
-# Posteriors given walls take longer: every so many scans have theirs judged.
+# Posteriors given walls and whole scans take longer: every so many scans have theirs judged.
 WALLS_EVERY = 3
 RESOLUTION, HEADINGS, SCANS, CELLS = 0.25, 60, 100, 1000
 
@@ -169,6 +172,8 @@ def rows(here: Place, others: CornerNoise, walls: bool) -> Iterator[dict[str, An
     for t, i in enumerate(here.judged):
         lines, corners = features_of_scan(here.log.scan(int(i)), here.parameters)
         posteriors = {}
+        if walls and t % WALLS_EVERY == 0:
+            posteriors["scan", "12 beams"] = posterior_of_whole(here, int(i))
         if walls and lines and t % WALLS_EVERY == 0:
             posteriors["walls", "chosen"] = chosen_for_lines(lines, here)
             posteriors["walls", "learned"] = posterior_of_lines(lines, here.features.lines, here.lattice, learned.lines)
@@ -191,6 +196,15 @@ def rows(here: Place, others: CornerNoise, walls: bool) -> Iterator[dict[str, An
             "told": f"{told.mean():.2f}",
             "found": f"{found.mean():.2f}",
         }
+
+
+def posterior_of_whole(here: Place, index: int) -> PosePosterior:
+    """Return the posterior given a whole scan, taken for a few independent beams."""
+    n = here.log.finder.n_beams
+    scored = min(n, SCORED_BEAMS)
+    wide = widened_for_lattice(here.parameters, resolution=RESOLUTION, headings=HEADINGS)
+    model = BeamModel(here.grid, wide, exponent=min(1.0, INDEPENDENT_BEAMS / scored), n_beams=scored)
+    return pose_posterior(model, here.log.scan(index), here.lattice)
 
 
 def chosen_for_lines(lines: list[Line], here: Place) -> PosePosterior:
@@ -228,7 +242,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", nargs="?", type=Path, default=DATA)
     parser.add_argument("--only", nargs="+")
-    parser.add_argument("--walls", action="store_true", help="judge walls too; takes much longer")
+    parser.add_argument("--walls", action="store_true", help="judge walls and whole scans too; takes much longer")
     options = parser.parse_args()
     found = list(places(options.data, options.only))
     table = [row for here in found for row in rows(here, noise_from_others(here, found), options.walls)]

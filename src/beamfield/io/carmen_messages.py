@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -101,8 +100,12 @@ def read_carmen_messages(path: Path) -> CarmenMessages:
             _parse_old_laser(content, line, words)
         elif CARMEN_SCANS.match(kind):
             _parse_laser(content, line, words)
-        elif parser := _OTHER.get(kind):
-            parser(content, line, words)
+        elif kind in ("ODOM", "TRUEPOS"):
+            _parse_pose(content, line, words)
+        elif kind == "PARAM":
+            # name and value, with or without words of time
+            if len(words) >= 3:
+                content.parameters[words[1]] = words[2]
         elif kind.isascii() and kind[:1].isalpha():
             content.others[kind] += 1
         else:
@@ -197,33 +200,14 @@ def require_same_geometry(scans: TextScans, line: int, geometry: LaserGeometry, 
         )
 
 
-def _parse_odometry(content: CarmenMessages, line: int, words: list[str]) -> None:
-    """ODOM x y theta tv rv accel, and the three words of time."""
-    expect_words(content.path, line, words, 10, "a pose, two velocities, an acceleration and 3 words of time")
-    pose = parse_numbers(content.path, line, words[1:4], "ODOM")
-    content.odometry.poses.append(finite_pose(content.path, line, pose, "ODOM"))
-    content.odometry.stamps.append(np.array(_stamps(content.path, line, words)))
-
-
-def _parse_truth(content: CarmenMessages, line: int, words: list[str]) -> None:
-    """TRUEPOS true_x y theta odom_x y theta, and the three words of time."""
-    expect_words(content.path, line, words, 10, "two poses and 3 words of time")
-    pose = parse_numbers(content.path, line, words[1:4], "TRUEPOS")
-    content.truth.poses.append(finite_pose(content.path, line, pose, "TRUEPOS"))
-    content.truth.stamps.append(np.array(_stamps(content.path, line, words)))
-
-
-def _parse_parameter(content: CarmenMessages, line: int, words: list[str]) -> None:  # noqa: ARG001
-    """PARAM name value, with or without words of time."""
-    if len(words) >= 3:
-        content.parameters[words[1]] = words[2]
-
-
-_OTHER: dict[str, Callable[[CarmenMessages, int, list[str]], None]] = {
-    "ODOM": _parse_odometry,
-    "TRUEPOS": _parse_truth,
-    "PARAM": _parse_parameter,
-}
+def _parse_pose(content: CarmenMessages, line: int, words: list[str]) -> None:
+    """ODOM x y theta tv rv accel, or TRUEPOS true_x y theta odom_x y theta, and the three words of time."""
+    path, kind = content.path, words[0]
+    what = "a pose, two velocities, an acceleration" if kind == "ODOM" else "two poses"
+    expect_words(path, line, words, 10, f"{what} and 3 words of time")
+    lines = content.odometry if kind == "ODOM" else content.truth
+    lines.poses.append(finite_pose(path, line, parse_numbers(path, line, words[1:4], kind), kind))
+    lines.stamps.append(np.array(_stamps(path, line, words)))
 
 
 def _word(path: Path, line: int, words: list[str], index: int) -> str:

@@ -48,6 +48,32 @@ def read_lines(path: str | Path) -> Iterator[tuple[int, str]]:
             yield from _decode(source, stream, limit)
 
 
+def read_at_most(path: Path, max_bytes: int, what: str) -> bytes:
+    """Return the content of a file that is no larger than it may be.
+
+    Parameters
+    ----------
+    path
+        The file.
+    max_bytes
+        Its largest size.
+    what
+        What kind of file it is, for the error: "a YAML file".
+
+    Raises
+    ------
+    FormatError
+        If it is larger; no more than `max_bytes` are read.
+    OSError
+        As the file system says.
+    """
+    with path.open("rb") as file:
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise FormatError(path, f"expected {what} of at most {max_bytes} bytes, got more")
+    return content
+
+
 def _decode(path: Path, stream: io.BufferedIOBase, limit: int | None) -> Iterator[tuple[int, str]]:
     number, total = 0, 0
     while True:

@@ -15,6 +15,7 @@ from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEv
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from beamfield.errors import FormatError
+from beamfield.io.text_lines import read_at_most
 
 MAX_BYTES = 200_000  # a parser in pure Python reads this in 3 s at worst
 MAX_DEPTH = 50
@@ -172,10 +173,7 @@ def shorten(value: object) -> str:
 
 
 def _read_text(path: Path, max_bytes: int) -> str:
-    with path.open("rb") as file:
-        content = file.read(max_bytes + 1)
-    if len(content) > max_bytes:
-        raise FormatError(path, f"expected a YAML file of at most {max_bytes} bytes, got more")
+    content = read_at_most(path, max_bytes, "a YAML file")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

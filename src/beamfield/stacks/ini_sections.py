@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from beamfield.errors import FormatError
+from beamfield.io.text_lines import read_at_most
 from beamfield.io.yaml_file import shorten
 from beamfield.stacks.line_ends import end_of_line, line_break, lines_with_places
 from beamfield.stacks.parameter_text import Entry, ParameterSection, plain_value
@@ -33,10 +34,7 @@ def ini_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
         If the file is too large or no text, or in a section that counts a name is there twice or a line is neither
         section, pair, comment nor empty.
     """
-    with path.open("rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise FormatError(path, f"expected an ini file of at most {MAX_BYTES} bytes, got more")
+    content = read_at_most(path, MAX_BYTES, "an ini file")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

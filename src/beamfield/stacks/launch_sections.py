@@ -10,6 +10,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from beamfield.errors import FormatError
+from beamfield.io.text_lines import read_at_most
 from beamfield.io.yaml_file import shorten
 from beamfield.stacks.launch_arguments import LaunchArguments
 from beamfield.stacks.line_ends import line_break, start_of_line
@@ -41,11 +42,7 @@ def launch_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
         If the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a node
         has a parameter twice, or all its parameters are in another file.
     """
-    with path.open("rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise FormatError(path, f"expected a launch file of at most {MAX_BYTES} bytes, got more")
-    content = content.removeprefix(b"\xef\xbb\xbf")
+    content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:

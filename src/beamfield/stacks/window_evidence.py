@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -103,18 +103,13 @@ class WindowEvidence:
         )
 
 
-def gather_evidence(
-    model: StackModel[Any, Any],
-    log: SensorLog,
-    windows: Sequence[Window],
-    progress: Callable[[int, int], None] | None = None,
-) -> WindowEvidence:
+def gather_evidence(model: StackModel[Any, Any], log: SensorLog, windows: Sequence[Window]) -> WindowEvidence:
     """Return the evidence of all windows, for many evaluations with other parameters."""
     folds = np.array([window.fold for window in windows], np.int64)
     n_near, n_scans = windows[0].near.shape[1], len(windows[0].scans)
     coder = _Coder() if isinstance(model, FieldModel) and model.weighs_alone() else None
     gathered = []
-    for done, window in enumerate(windows):
+    for window in windows:
         scans = []
         for i, near, far in zip(window.scans, window.near, window.far, strict=True):
             evidence = model.evidence(log.scan(int(i)), np.concatenate([near, far]))
@@ -123,8 +118,6 @@ def gather_evidence(
             else:
                 coder.add(evidence)
         gathered.append(tuple(scans))
-        if progress is not None:
-            progress(done + 1, len(windows))
     if coder is None:
         return WindowEvidence(folds, n_near, tuple(gathered), None, n_scans)
     return WindowEvidence(folds, n_near, (), coder.result(), n_scans)

@@ -178,6 +178,12 @@ def test_log_does_not_underflow_for_possible_readings():
     assert beam.log_mixture(7.5, 1.5, NO_RAND) == pytest.approx(expected, rel=1e-13)
 
 
+def test_log_does_not_underflow_for_shorts_far_out_in_their_tail():
+    """An exponential of rate 400 at 2.5 m, where the hit is 5 m off: log(0.15) + log(400) - 1000."""
+    view = NO_RAND._replace(z_hit=0.8, lambda_short=400.0, sigma_hit=0.01)
+    assert beam.log_mixture(2.5, 7.5, view) == pytest.approx(math.log(0.15) + math.log(400.0) - 1000.0, rel=1e-14)
+
+
 def test_log_is_minus_infinity_only_for_impossible_readings():
     only_short = beam.BeamView(0.0, 1.0, 0.0, 0.0, 0.1, 0.7, 0.0, 0.0, MAX_RANGE)
     assert beam.log_mixture(4.0, 3.0, only_short) == -math.inf

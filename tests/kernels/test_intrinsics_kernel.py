@@ -101,6 +101,31 @@ def test_derivatives_are_those_of_the_log_likelihood(theta):
         assert np.all(np.abs(curvature - hessian[i]) <= 1e-4 * scale[i] * scale)
 
 
+@pytest.mark.parametrize("x", [(0.09, 0.0, 0.0), (0.04, 0.01, 0.1), (1.5, 0.0, -0.4)], ids=["plain", "slope", "wide"])
+def test_the_objective_of_hits_is_the_log_density_of_readings_at_the_nodes(x):
+    """Three readings at each of some expected ranges, near the limits of [0, 8) too; slopes by differences."""
+    nodes, origin = np.array([0.1, 0.8, 3.0, 7.5, 7.95]), 0.25
+    off = np.array([-0.1, 0.02, 0.4])
+    weights = np.array([np.full(5, 3.0), np.full(5, off.sum()), np.full(5, (off**2).sum())])
+
+    def objective(v: float, q: float, b: float) -> np.ndarray:
+        out = np.empty(10)
+        kernels.hit_objective(nodes, weights, MAX_RANGE, origin, v, q, b, out)
+        return out
+
+    want = 0.0
+    for node in nodes:
+        s, mean = math.sqrt(x[0] + x[1] * (origin + node) ** 2), node + x[2]
+        mass = stats.norm.cdf(MAX_RANGE, mean, s) - stats.norm.cdf(0.0, mean, s)
+        want += stats.norm.logpdf(node + off, mean, s).sum() - 3.0 * math.log(mass)
+    got = objective(*x)
+    assert got[0] == pytest.approx(want, rel=1e-10)
+    steps = np.diag([1e-6, 1e-7, 1e-6])
+    slopes = np.array([(objective(*(x + d)) - objective(*(x - d))) / (2.0 * d.sum()) for d in steps])
+    np.testing.assert_allclose(got[1:4], slopes[:, 0], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(got[4:], slopes[:, 1:4][np.tril_indices(3)], rtol=1e-6, atol=1e-6)
+
+
 def test_beams_that_only_an_underflowing_hit_explains_keep_a_finite_likelihood():
     theta = np.array([0.95, 0.0, 0.05, 0.0, 0.01**2, 0.0, 0.0, 0.0])
     z, expected = np.full(30, 6.0), np.full(30, 3.0)

@@ -58,6 +58,23 @@ def test_the_gradient_is_the_slope_of_the_score_away_from_ends_of_surfaces(scan:
     assert np.linalg.eigvalsh(information).min() > 0.0
 
 
+def test_the_information_is_the_sum_over_points_of_their_levers(rng: np.random.Generator) -> None:
+    """A wall with the normal n, at 35 degrees, holds n . (dx, dy) + (r x n) dtheta of each point r, by its weight."""
+    bearings, normal = np.radians(np.arange(5.0, 66.0)), np.array([np.cos(np.radians(35.0)), np.sin(np.radians(35.0))])
+    wall = 3.0 / (np.cos(bearings) * normal[0] + np.sin(bearings) * normal[1])
+    field = ScanField.from_scan(Scan(wall, RangeFinder.from_bearings(bearings, 20.0)), sigma_hit=0.1)
+    along = rng.uniform(-0.8, 0.8, (6, 1))
+    points = 3.02 * normal + along * np.array([-normal[1], normal[0]])
+    information, pose = np.zeros((3, 3)), np.zeros(3)
+    _, weight, _, _ = kernels.linearise(points, pose, 1, 0.1, 0.8, field.view, np.zeros(3), information)
+    assert weight > 1.0
+    np.testing.assert_allclose(information[:2, :2], weight * np.outer(normal, normal), rtol=1e-6, atol=1e-9)
+    # All points are as far from the wall and count the same.
+    turns = points[:, 0] * normal[1] - points[:, 1] * normal[0]
+    np.testing.assert_allclose(information[2, 2], weight * (turns**2).mean(), rtol=1e-6)
+    np.testing.assert_allclose(information[:2, 2], weight * turns.mean() * normal, rtol=1e-6, atol=1e-9)
+
+
 def test_a_climb_never_lowers_the_score(scan: Scan, rng: np.random.Generator) -> None:
     view, points = ScanField.from_scan(scan).view, hit_points(scan.ranges, scan.finder)
     for start in rng.normal(size=(20, 3)) * (0.3, 0.3, 0.2):

@@ -30,6 +30,12 @@ def test_entries_of_the_table_are_those_of_the_program():
     assert [table[place] for place in ENTRIES] == pytest.approx(list(ENTRIES.values()), rel=1e-12)
 
 
+def test_a_longest_range_of_one_cell_is_the_least():
+    assert pixels(0.1, 0.1) == 1
+    with pytest.raises(InvalidInputError, match="max_range: expected 1 to"):
+        pixels(0.09, 0.1)
+
+
 def test_columns_sum_to_one_and_a_common_factor_changes_nothing():
     table = sensor_table(PARAMETERS, 0.1)
     assert table.sum(axis=0) == pytest.approx(1.0)

@@ -146,6 +146,17 @@ def test_being_sure_of_another_place_is_no_coverage(office):
     assert log_score[0, 0] == pytest.approx(np.log(20.0) - 40.0, abs=1e-6)
 
 
+def test_a_factor_of_all_weights_changes_no_score(office):
+    """Weights of scans are 1e-1000 and less: only their ratios may count."""
+    options = WindowOptions(near=50, far=10)
+    rivals = draw_rivals(options, office)
+    log_weights = np.random.default_rng(4).normal(0.0, 2.0, (2, 3, 60))
+    (score, covered), (shifted, still) = (_judge(log_weights + by, 50, rivals, options) for by in (0.0, -3000.0))
+    np.testing.assert_allclose(shifted, score, rtol=1e-9)
+    np.testing.assert_allclose(still, covered, rtol=1e-9)
+    assert np.ptp(score) > 0.1
+
+
 def test_rivals_make_sums_integrals(office):
     options = WindowOptions(near=4000)
     rivals = draw_rivals(options, office)

@@ -22,6 +22,30 @@ def scan() -> Scan:
     return Scan(ranges, RangeFinder.from_bearings(BEARINGS, 20.0))
 
 
+def test_the_longest_element_is_found_from_beyond_its_end(scan: Scan) -> None:
+    # Its middle lies at the end of the first bucket, and the point far in the third, along the element.
+    element = np.zeros((1, kernels.COLUMNS))
+    element[0, : kernels.PULL] = 0.39, 0.2, 0.0, -1.0, 0.1, kernels.LONGEST_HALF
+    start, items = np.zeros(4, np.int64), np.zeros(1, np.int64)
+    kernels.fill_buckets(element, 0.0, 0.0, 0.4, 3, start, items)
+    view = ScanField.from_scan(scan).view._replace(
+        elements=element, bucket_start=start, bucket_items=items, left=0.0, bottom=0.0, bucket=0.4, rows=1, cols=3
+    )
+    index, square = kernels.nearest_element(0.39 + kernels.LONGEST_HALF + 0.239, 0.2, 0.24, view)
+    assert index == 0
+    assert square == pytest.approx(0.239**2)
+
+
+def test_no_element_reaches_further_from_its_middle_than_is_searched(rng: np.random.Generator) -> None:
+    longest = 0.0
+    for _ in range(20):
+        bearings = np.sort(rng.uniform(-3.0, 3.0, 250))
+        ranges = 2.0 / np.maximum(np.abs(np.cos(bearings)), 0.25) + rng.normal(0.0, 0.02, 250)
+        view = ScanField.from_scan(Scan(ranges, RangeFinder.from_bearings(bearings, 20.0))).view
+        longest = max(longest, view.elements[:, [kernels.BACK, kernels.AHEAD]].max())
+    assert 0.125 < longest <= kernels.LONGEST_HALF
+
+
 def test_the_nearest_element_is_that_of_a_search_through_all(scan: Scan, rng: np.random.Generator) -> None:
     view = ScanField.from_scan(scan).view
     elements, reach = view.elements, 0.7

@@ -59,5 +59,6 @@ def test_a_corner_is_not_rounded_by_wide_fits() -> None:
 
 
 def test_both_files_mean_the_same_columns() -> None:
-    for name in ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COLUMNS", "POINT", "NONE", "ELEMENT"):
+    columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COLUMNS")
+    for name in (*columns, "POINT", "NONE", "ELEMENT", "SHORTEST_ELEMENT"):
         assert getattr(scan_field, name) == getattr(surfaces, name)

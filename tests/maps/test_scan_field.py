@@ -58,6 +58,16 @@ def test_distances_are_exact_between_sparse_end_points() -> None:
         np.testing.assert_allclose(field.distance(points), abs(offset), atol=1e-9)
 
 
+@pytest.mark.parametrize("n_dense", [30, 31])
+def test_a_wall_goes_on_across_a_gap_after_dense_end_points(n_dense: int) -> None:
+    # Whether the last end point before the gap has a line of its own depends on their number.
+    y = np.concatenate([0.05 - 0.03 * np.arange(n_dense)[::-1], np.arange(0.4, 1.5, 0.03)])
+    finder = RangeFinder.from_bearings(np.arctan2(y, 2.0), MAX_RANGE)
+    field = ScanField.from_scan(Scan(np.hypot(2.0, y), finder), sigma_hit=0.03)
+    on_the_wall = np.column_stack([np.full(50, 2.0), np.linspace(0.05, 0.4, 50)])
+    np.testing.assert_allclose(field.distance(on_the_wall), 0.0, atol=1e-9)
+
+
 def test_an_edge_before_a_far_wall_casts_a_shadow_without_a_wall() -> None:
     bearings = np.radians(np.arange(-20.0, 20.5))
     ranges = np.where(np.abs(bearings) < np.radians(5.0), 2.0, 6.0) / np.cos(bearings)

@@ -26,7 +26,9 @@ INV_SQRT_2PI = 0.3989422804014327
 # As in `kernels.surfaces`, whose elements these are: constants of other files would not renew a cached kernel.
 X, Y, NX, NY, BACK, AHEAD, PULL, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
 POINT, NONE = 0.0, -1.0
-ELEMENT = 0.25
+ELEMENT, SHORTEST_ELEMENT = 0.25, 0.05
+# An element that stands for several end points reaches this far from its middle.
+LONGEST_HALF = 0.5 * ELEMENT + SHORTEST_ELEMENT
 
 
 class FieldView(NamedTuple):
@@ -87,7 +89,7 @@ def _bucket_of(elements: Floats, i: int, left: float, bottom: float, bucket: flo
 def nearest_element(x: float, y: float, reach: float, view: FieldView) -> tuple[int, float]:
     """Return the element nearest to a point and the squared distance to it; -1 and inf if none is within reach."""
     best, best_square = -1, reach * reach
-    radius = reach + 0.5 * ELEMENT
+    radius = reach + LONGEST_HALF
     first_col = max(math.floor((x - radius - view.left) / view.bucket), 0)
     last_col = min(math.floor((x + radius - view.left) / view.bucket), view.cols - 1)
     first_row = max(math.floor((y - radius - view.bottom) / view.bucket), 0)

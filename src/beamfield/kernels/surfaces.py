@@ -119,14 +119,14 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
             kept = -1
         if not ranges[i] >= 0.0:
             continue
-        if kept >= 0 and joined[i] and _gap(points, i, kept) < SHORTEST_ELEMENT:
+        h, j = (i - 1) % k, (i + 1) % k
+        gap_ahead = _gap(points, i, j) if joined[i] else 0.0
+        if kept >= 0 and joined[i] and _gap(points, i, kept) < SHORTEST_ELEMENT and gap_ahead <= ELEMENT:
             # The line through the neighbour's surroundings is the same: let it reach further.
             dx, dy = points[i, 0] - out[n - 1, X], points[i, 1] - out[n - 1, Y]
             along = dy * out[n - 1, NX] - dx * out[n - 1, NY]
-            out[n - 1, AHEAD] = along + min(0.5 * _gap(points, i, (i + 1) % k), 0.5 * ELEMENT)
+            out[n - 1, AHEAD] = along + 0.5 * gap_ahead
             continue
-        h, j = (i - 1) % k, (i + 1) % k
-        gap_ahead = _gap(points, i, j) if joined[i] else 0.0
         gap_behind = _gap(points, h, i) if k > 1 and joined[h] else 0.0
         radius = max(FIT_RADIUS, 1.01 * max(gap_ahead, gap_behind))
         cx, cy, nx, ny, flat, off = _fit_line(points, joined, i, radius)

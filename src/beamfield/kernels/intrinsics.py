@@ -275,7 +275,9 @@ def _fill_densities(
     n = stop - start
     _normalisers(bins, j, mixture, polynomials)
     if beams.counts.size:
-        scratch.repeats[:n] = beams.counts[start:stop]
+        # A slice assigned to a slice would have Numba compile the text of its error, for a second.
+        for i in range(n):
+            scratch.repeats[i] = beams.counts[start + i]
     z, expected = beams.ranges[start:stop], beams.expected[start:stop]
     _densities(
         z, expected, bins.centres[j], 1.0 / bins.half_widths[j], mixture.b, mixture.rate, 1.0 / mixture.max_range,

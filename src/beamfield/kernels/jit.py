@@ -6,8 +6,14 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def integer(value: int) -> int:
+    """Return a constant that kernels may pass on: Numba compiles a callee anew for every plain int that it is given."""
+    return cast(int, np.intp(value))
 
 
 def kernel(function: F) -> F:

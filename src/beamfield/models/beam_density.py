@@ -248,6 +248,13 @@ def broadcast_beams(ranges: ArrayLike, expected_ranges: ArrayLike) -> tuple[Floa
     return np.broadcast_to(measured, shape), np.broadcast_to(expected, shape)
 
 
+def read_only(values: FloatArray) -> FloatArray:
+    """Return a read-only view: kernels are compiled for these alone, not again for arrays that may be written."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
 def _fill(
     fill: Fill,
     ranges: ArrayLike,
@@ -262,8 +269,8 @@ def _fill(
     check_threads(threads)
     view = as_view(parameters, max_range, min_range)
     measured, expected = broadcast_beams(ranges, expected_ranges)
-    flat_measured = counted_from(min_range, np.ascontiguousarray(measured).reshape(-1))
-    flat_expected = expected_from(min_range, np.ascontiguousarray(expected).reshape(-1))
+    flat_measured = read_only(counted_from(min_range, np.ascontiguousarray(measured).reshape(-1)))
+    flat_expected = read_only(expected_from(min_range, np.ascontiguousarray(expected).reshape(-1)))
     out: FloatArray = np.empty((flat_measured.size, *per_beam))
     run_in_slices(
         lambda a, b: fill(flat_measured[a:b], flat_expected[a:b], view, out[a:b]), flat_measured.size, threads=threads

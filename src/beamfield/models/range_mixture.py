@@ -12,7 +12,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
 from beamfield.kernels.threads import run_in_slices
-from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities
+from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities, read_only
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.blind_zone import counted_from, expected_from
@@ -262,8 +262,8 @@ class RangeMixtureModel(ABC):
         """Fill out (n,) with the sum over beams, given the expected ranges (n, k)."""
         finder = scan.finder
         view = as_view(self.parameters, finder.max_range, finder.min_range)
-        ranges = counted_from(finder.min_range, usable_ranges(scan.ranges, finder))
-        expected = expected_from(finder.min_range, expected)
+        ranges = read_only(counted_from(finder.min_range, usable_ranges(scan.ranges, finder)))
+        expected = read_only(expected_from(finder.min_range, expected))
         run_in_slices(
             lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]),
             len(out),

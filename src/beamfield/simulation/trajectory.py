@@ -279,12 +279,14 @@ def _smooth(path: FloatArray, space: _FreeSpace) -> FloatArray:
     for berth, rounds in ((0.2, 3), (0.1, 2), (0.0, 1)):
         for _ in range(rounds):
             path = _resample(path)
+            clearance = space.clearance_at(path)
             for _ in range(120):
                 moved = path.copy()
                 moved[1:-1] = 0.5 * path[1:-1] + 0.25 * (path[:-2] + path[2:])
-                room = np.minimum(space.clearance_at(path), space.needed + berth)
-                good = space.clearance_at(moved) >= room
+                reached = space.clearance_at(moved)
+                good = reached >= np.minimum(clearance, space.needed + berth)
                 path = np.where(good[:, None], moved, path)
+                clearance = np.where(good, reached, clearance)
     return _resample(path)
 
 

@@ -161,8 +161,10 @@ def test_few_blocks_are_a_warning_and_one_block_gives_no_intervals():
     parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE).parameters
     got = bootstrap_intervals(z, expected, stamps, MAX_RANGE, parameters, block_s=BLOCK_S, n_replicates=20)
     assert [finding.name for finding in got.findings] == ["few-blocks"]
+    assert got.n_blocks == 4
     got = bootstrap_intervals(z, expected, stamps, MAX_RANGE, parameters, block_s=1e4, n_replicates=20)
     assert got.intervals == {}
+    assert got.n_blocks == 1
     assert [finding.name for finding in got.findings] == ["no-intervals"]
 
 

@@ -25,14 +25,14 @@ from beamfield.models.line_detections import LineDetections
 # Corners of the map farther than this from a measured one cannot be what it is of, metres.
 CANDIDATES = 1.5
 FEWEST = 10
-# What is learned on a logarithmic scale, with the standard deviation of a weak prior about `TYPICAL_CORNERS`: ten
-# corners must not end at a noise of zero. Shares are on the scale of log odds.
+# What is learned on a logarithmic scale, with the standard deviation of its prior about `TYPICAL_CORNERS`: about what
+# buildings differ by. Fifty corners alone make noise too small. Shares are on the scale of log odds.
 LOGARITHMS = {
-    "sigma_place": 0.7, "sigma_heading": 0.7, "sigma_opening": 1.0, "clutter": 2.0, "clutter_shape": 2.0,
-    "clutter_scale": 2.0, "clutter_opening": 2.0, "reach": 1.0, "hidden": 1.0,
+    "sigma_place": 0.4, "sigma_heading": 0.4, "sigma_opening": 0.7, "clutter": 0.7, "clutter_shape": 0.5,
+    "clutter_scale": 0.5, "clutter_opening": 0.4, "reach": 0.4, "hidden": 0.5,
 }  # fmt: skip
-ODDS = {"tail_share": 1.0, "convex_share": 2.0}
-EXCESS = {"tail_factor": 0.7}
+ODDS = {"tail_share": 0.6, "convex_share": 0.6}
+EXCESS = {"tail_factor": 0.4}
 # As wide as walls of the map and of scans are ever apart: metres, radians.
 WIDEST_LINES = (0.3, 0.1)
 
@@ -148,7 +148,7 @@ class CornerSightings:
 def learn_corner_noise(sightings: CornerSightings, *, start: CornerNoise = TYPICAL_CORNERS) -> CornerNoise:
     """Return the most probable noise of corners, given their sightings at reference poses; its exponent is 1.
 
-    Correspondences are summed over. Each parameter has a wide prior about `start`.
+    Correspondences are summed over. Each parameter has a prior about `start`, as wide as buildings differ.
 
     Parameters
     ----------
@@ -164,6 +164,11 @@ def learn_corner_noise(sightings: CornerSightings, *, start: CornerNoise = TYPIC
     """
     if len(sightings) < FEWEST:
         raise TooLittleDataError(f"noise of corners: {len(sightings)} corners seen; at least {FEWEST} are needed")
+    return most_probable_noise(sightings, start)
+
+
+def most_probable_noise(sightings: CornerSightings, start: CornerNoise) -> CornerNoise:
+    """Return the same for any number of corners: for none it is the middle of the prior."""
     names = [*LOGARITHMS, *ODDS, *EXCESS]
     widths = np.array([*LOGARITHMS.values(), *ODDS.values(), *EXCESS.values()])
     middle = np.array(

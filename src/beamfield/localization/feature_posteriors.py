@@ -20,6 +20,7 @@ from beamfield.localization.feature_learning import (
     learn_corner_noise,
     learn_exponent,
     learn_line_noise,
+    most_probable_noise,
 )
 from beamfield.localization.feature_map import MapFeatures
 from beamfield.localization.feature_noise import TYPICAL_NOISE, CornerNoise, FeatureNoise, LineNoise
@@ -225,7 +226,8 @@ def learn_feature_noise(
 
     Noise, clutter and heavy tails are those that make the features most probable at the reference poses. Features of
     one scan share errors, which that does not see: the exponents are those under which the reference poses are most
-    probable among others of the lattice.
+    probable among others of the lattice; that of corners is learned from each half of the scans with the noise of the
+    other half.
 
     Parameters
     ----------
@@ -256,11 +258,10 @@ def learn_feature_noise(
     if features.corners is not None:
         seen = [corners for _, corners in found]
         view = FieldOfView.of(log.finder)
-        corners = learn_corner_noise(CornerSightings.of(seen, poses, grid, features.corners, view))
         cell = (lattice.resolution, lattice.heading_step)
         others = CornerLikelihood.on(grid, features.corners, positions, view, cell)
-        exponent = _corner_exponent(seen, poses, grid, others, headings, corners)
-        corners = replace(corners, exponent=exponent)
+        corners = learn_corner_noise(CornerSightings.of(seen, poses, grid, features.corners, view))
+        corners = replace(corners, exponent=_corner_exponent(seen, poses, grid, others, headings))
     return FeatureNoise(lines, corners)
 
 
@@ -291,14 +292,18 @@ def _corner_exponent(
     grid: OccupancyGrid,
     others: CornerLikelihood,
     headings: FloatArray,
-    noise: CornerNoise,
 ) -> float:
-    shown = [t for t, corners in enumerate(scans) if corners]
-    here = []
-    for t in shown:
-        at = CornerLikelihood.on(grid, others.corners, poses[t : t + 1, :2], others.view, others.cell)
-        here.append(float(at.log_likelihood(scans[t], poses[t : t + 1, 2], noise)[0, 0]))
-    there = [others.log_likelihood(scans[t], headings, noise).ravel() for t in shown]
+    """Learn the exponent from each half of the scans with the noise of the other: on their own they look too good."""
+    here: list[float] = []
+    there: list[FloatArray] = []
+    for half in (0, 1):
+        learned_from = CornerSightings.of(scans[1 - half :: 2], poses[1 - half :: 2], grid, others.corners, others.view)
+        noise = most_probable_noise(learned_from, TYPICAL_NOISE.corners)
+        for t in range(half, len(scans), 2):
+            if scans[t]:
+                at = CornerLikelihood.on(grid, others.corners, poses[t : t + 1, :2], others.view, others.cell)
+                here.append(float(at.log_likelihood(scans[t], poses[t : t + 1, 2], noise)[0, 0]))
+                there.append(others.log_likelihood(scans[t], headings, noise).ravel())
     return learn_exponent(here, there)
 
 

@@ -69,6 +69,7 @@ class FieldTables:
         """How the map frame becomes positions from the first centre of the table of distances."""
         self._tables: dict[float, Table] = {}
         self._smooth: smooth_field.Table | None = None
+        self._smooth_views: dict[float, smooth_field.SmoothView] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -88,20 +89,12 @@ class FieldTables:
 
     def smooth_view(self, max_range: float) -> smooth_field.SmoothView:
         """Return the parameters as the kernels of interpolated distances take them."""
-        p, view = self._parameters, self.view(max_range)
-        peak = p.z_hit * kernels.INV_SQRT_2PI / p.sigma_hit
-        steep = -1.0 / p.sigma_hit / p.sigma_hit
-        far = kernels.log_value(self._distances.max_distance, view)
-        return smooth_field.SmoothView(
-            log_peak=math.log(peak) if peak > 0.0 else -math.inf,
-            log_rand=view.log_rand,
-            log_off=-math.log(max_range) if self.uniform.size else far,
-            ratio=peak / view.rand if view.rand > 0.0 else math.inf,
-            quotient=view.rand / peak if peak > 0.0 else math.inf,
-            steep=steep,
-            bits=0.5 * steep / math.log(2.0),
-            reach=view.reach,
-        )
+        view = self._smooth_views.get(max_range)
+        if view is None:
+            view = self._make_smooth_view(max_range)
+            if len(self._smooth_views) < MAX_TABLES:
+                self._smooth_views[max_range] = view
+        return view
 
     @property
     def smooth(self) -> smooth_field.Table:
@@ -124,6 +117,22 @@ class FieldTables:
                         del self._tables[next(iter(self._tables))]
                     self._tables[max_range] = table
         return table
+
+    def _make_smooth_view(self, max_range: float) -> smooth_field.SmoothView:
+        p, view = self._parameters, self.view(max_range)
+        peak = p.z_hit * kernels.INV_SQRT_2PI / p.sigma_hit
+        steep = -1.0 / p.sigma_hit / p.sigma_hit
+        far = kernels.log_value(self._distances.max_distance, view)
+        return smooth_field.SmoothView(
+            log_peak=math.log(peak) if peak > 0.0 else -math.inf,
+            log_rand=view.log_rand,
+            log_off=-math.log(max_range) if self.uniform.size else far,
+            ratio=peak / view.rand if view.rand > 0.0 else math.inf,
+            quotient=view.rand / peak if peak > 0.0 else math.inf,
+            steep=steep,
+            bits=0.5 * steep / math.log(2.0),
+            reach=view.reach,
+        )
 
     def _make_smooth(self) -> smooth_field.Table:
         rows, cols = self._distances.distance.shape

@@ -60,6 +60,23 @@ def edited(log: DetectionLog, change) -> DetectionLog:
     return replace(log, detections=tuple(change(i, z) for i, z in enumerate(log.detections)))
 
 
+def test_one_start_trusts_the_middle_half_of_the_residuals_and_one_all():
+    """Ranges off by -0.1, 0.1, 0.3 and 4 m, bearings by -0.02, 0, 0.03 and 1 rad, seen from the origin."""
+    off = np.array([[-0.1, -0.02], [0.1, 0.0], [0.1, 0.0], [0.3, 0.03], [4.0, 1.0]])
+    z = Detections(9.0 + off[:, 0], off[:, 1], ids=[1] * 5, stamp=0.0)
+    log = DetectionLog(np.zeros((1, 3)), (z,))
+    table = sighting_table(LandmarkMap([[9.0, 0.0]], ids=[1]), log)
+    robust, plain = noise_starts(NoiseLikelihood(table, NoiseProblem(14.0)))
+    assert robust.range_bias == pytest.approx(0.1)
+    # Median distances from the median: 0, 0, 0.2, 0.2, 3.9 and 0, 0, 0.02, 0.03, 1.
+    assert robust.sigma_range == pytest.approx(1.4826 * 0.2)
+    assert robust.bearing_bias == pytest.approx(0.0, abs=1e-12)
+    assert robust.sigma_bearing == pytest.approx(1.4826 * 0.02)
+    assert (plain.range_bias, plain.sigma_range) == pytest.approx((0.88, np.std(off[:, 0])))
+    assert (plain.bearing_bias, plain.sigma_bearing) == pytest.approx((0.202, np.std(off[:, 1])))
+    assert (robust.spurious_rate, plain.spurious_rate) == (0.1, 0.01)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_known_parameters_come_back_within_their_standard_errors(kind, seed):
@@ -75,6 +92,9 @@ def test_known_parameters_come_back_within_their_standard_errors(kind, seed):
         assert result.standard_errors[name] < 0.15 * abs(getattr(truth, name)) + 0.01, name
     for name in set(NAMES) - learned:
         assert getattr(result.parameters, name) == getattr(truth, name), name
+    # 160 of 2000 sightings are spurious: none at all is excluded.
+    low, high = result.intervals["spurious_rate"]
+    assert 0.04 < low < high < 0.13
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():

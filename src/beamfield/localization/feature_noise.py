@@ -30,8 +30,8 @@ class CornerNoise:
     `tail_factor` times as wide. p_0 has a gamma density of the range, any bearing in view, and openings around a half
     and one and a half pi.
 
-    The values are those of `learn_feature_noise`; the defaults were learned from five buildings together, with maps
-    drawn from other scans of the same log (``python benchmarks/feature_coverage.py``).
+    `learn_feature_noise` learns the values. `TYPICAL_CORNERS` is near what five buildings give together, with maps
+    drawn from other scans of the same logs (``python benchmarks/feature_coverage.py``); its exponent is cautious.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class LineNoise:
 
 
 TYPICAL_CORNERS = CornerNoise(0.02, 0.007, 0.012, 0.3, 3.4, 3.3, 3.2, 0.9, 0.53, 0.44, 6.5, 0.08, 0.8)
-TYPICAL_LINES = LineNoise(LineParameters(0.03, 0.01, 0.2, 10.0), 0.5)
+TYPICAL_LINES = LineNoise(LineParameters(0.03, 0.01, 0.4, 15.0), 0.5)
 
 
 @dataclass(frozen=True)

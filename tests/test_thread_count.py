@@ -16,7 +16,10 @@ from beamfield.thread_count import check_threads
 
 # Kernels and what models call with the number that they were made with.
 UNCHECKED = {
+    "beamfield.kernels.crew.run_together",
     "beamfield.kernels.threads.run_in_slices",
+    "beamfield.kernels.threads.threads_that_pay",
+    "beamfield.models.field_tables.FieldTables",
     "beamfield.models.local_map_cells.overlap_sums",
     "beamfield.stacks.field_table.FieldTable.look_up",
     "beamfield.stacks.stack_rays.bresenham_ranges",

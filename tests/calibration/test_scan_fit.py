@@ -10,12 +10,13 @@ from scipy.stats import kstest
 
 from beamfield.calibration.scan_fit import PROBLEMS, judge_log, scan_fit
 from beamfield.calibration.scan_fit_reference import ScanFitReference, calibrate_scan_fit
-from beamfield.calibration.scan_fit_statistics import fit_statistics
+from beamfield.calibration.scan_fit_statistics import _field_surprise, fit_statistics
 from beamfield.calibration.scan_fit_surprise import beam_side, beam_surprise
 from beamfield.calibration.scan_fit_wrong_poses import wrong_poses
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import between
 from beamfield.maps.landmarks import LandmarkMap
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
@@ -45,6 +46,24 @@ def reference(model, drive) -> ScanFitReference:
 @pytest.fixture(scope="module")
 def fresh(office, truth, drive):
     return simulate_log(office, drive.finder, truth, duration=150.0, scan_rate=4.0, seed=77).only_sensor()
+
+
+def test_an_end_point_of_a_field_loses_what_its_distance_costs():
+    """One beam at an obstacle, one 0.3 m before it, one 1.5 m: log of the density at 0 over that there, less 0.5."""
+    corridor = OccupancyGrid.from_ros([[0] * 20 + [100]], 0.1)
+    for exponent in (1.0, 0.25):
+        field = LikelihoodFieldModel.from_grid(
+            corridor, LikelihoodFieldParameters(0.7, 0.3, 0.2), exponent=exponent, n_beams=2
+        )
+        finder = RangeFinder.from_bearings(np.zeros(5), 8.0)
+        ranges = np.array([[1.9, 1.6, 0.4, 8.0, np.nan]])
+        beams = _field_surprise(field, ranges, np.array([[0.15, 0.05, 0.0]]), finder)
+        hit = 0.7 / (0.2 * np.sqrt(2.0 * np.pi))
+        peak, near = hit + 0.3 / 8.0, hit * np.exp(-0.5 * 1.5**2) + 0.3 / 8.0
+        assert beams.used.tolist() == [[True, True, True, False, False]]
+        # The last is log(1.43 / 0.0375) - 0.5 = 3.1.
+        wanted = [-0.5, np.log(peak / near) - 0.5, np.log(peak / 0.0375) - 0.5, 0.0, 0.0]
+        np.testing.assert_allclose(beams.excess[0], wanted, atol=1e-6)
 
 
 class TestBeamSurprise:

@@ -42,6 +42,8 @@ from beamfield.sensors import SensorLog, usable_ranges
 FIT_NAME, FIT_TITLE = "scan-fit", "Does each scan fit the map, and is the robot lost?"
 FIT_SOURCE = "Section 6.3.1, (6.2)"
 LEVEL = 0.05
+# Length of the arrow for the robot's heading, as a share of the picture's side.
+ARROW = 0.09
 # How a beam disagrees, in the order of `beam_side`: hit, short, through the wall, no return.
 SIDE_NAMES = ("as mapped", "short", "through the wall", "no return")
 SIDE_COLOURS = (CAUSE_COLOURS[0], CAUSE_COLOURS[1], "#7A0177", CAUSE_COLOURS[2])
@@ -207,8 +209,10 @@ def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: 
         lines = np.stack([rays[mine, :2], ends[mine]], axis=1)
         axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.5, alpha=0.35))
         axes.scatter(ends[mine, 0], ends[mine, 1], s=7, color=colour, linewidths=0, label=f"{name} {mine.sum()}")
-    tip = pose[:2] + 0.4 * np.array([np.cos(pose[2]), np.sin(pose[2])])
-    axes.annotate("", tip, pose[:2], arrowprops={"arrowstyle": "-|>", "color": MODEL, "linewidth": 1.4})
+    # As long on every picture, whatever the scan sees: of 0.4 m a scan along a corridor leaves a blot.
+    tip = pose[:2] + ARROW * (limits[1] - limits[0]) * np.array([np.cos(pose[2]), np.sin(pose[2])])
+    arrow = {"arrowstyle": "-|>", "color": MODEL, "linewidth": 1.6, "shrinkA": 0.0, "shrinkB": 0.0}
+    axes.annotate("", tip, pose[:2], arrowprops=arrow)
     axes.plot(*pose[:2], "o", color=MODEL, markersize=4)
     axes.set_xlim(limits[0], limits[1])
     axes.set_ylim(limits[2], limits[3])

@@ -80,7 +80,7 @@ class StageProgress:
         )
         if self._clock is None:
             self._ended.clear()
-            self._clock = threading.Thread(target=self._tick, daemon=True)
+            self._clock = threading.Thread(target=self._tick, name="progress", daemon=True)
             self._clock.start()
 
     def _end(self) -> None:

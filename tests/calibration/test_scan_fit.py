@@ -91,6 +91,11 @@ class TestBeamSurprise:
         z = np.array([3.0, 1.0, 5.0, 12.0, np.nan])
         assert beam_side(z, np.full(5, 3.0), 12.0, PARAMETERS[0]).tolist() == [0, 1, 2, 3, -1]
 
+    @pytest.mark.parametrize(("i", "mean", "sigma"), [(0, 3.0, 0.05), (2, 3.26, np.hypot(0.08, 0.135 * 3.0))])
+    def test_the_band_of_hits_is_three_sigma_wide_on_either_side(self, i, mean, sigma):
+        z = mean + sigma * np.array([-3.05, -2.95, 2.95, 3.05])
+        assert beam_side(z, np.full(4, 3.0), 12.0, PARAMETERS[i]).tolist() == [1, 0, 0, 2]
+
 
 class TestPValue:
     def test_it_is_uniform_on_fresh_good_scans(self, model, reference, fresh):

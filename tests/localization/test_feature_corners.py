@@ -92,11 +92,11 @@ def test_it_is_a_density_over_range_bearing_and_opening():
     bearings = (np.arange(12) + 0.5) * np.pi / 12 - np.pi / 2
     total = sum(
         np.exp(likelihood.log_likelihood([corner([r, phi, opening], (1e-4, 1e-4, 1e-4))], np.zeros(1), noise)[0, 0])
-        for r in np.arange(0.125, 6.0, 0.25)
+        for r in np.arange(0.175, 6.0, 0.35)
         for phi in bearings
         for opening in np.arange(-1.0, 8.0, 0.6)
     )
-    assert total * 0.25 * (np.pi / 12) * 0.6 == pytest.approx(1.0, abs=0.02)
+    assert total * 0.35 * (np.pi / 12) * 0.6 == pytest.approx(1.0, abs=0.02)
 
 
 def test_walls_hide_corners(room):

@@ -77,7 +77,7 @@ def test_options_reach_the_learner(folder, capsys):
     assert run(folder, "--truncated-at", "0.1", "1") == 1
     error = capsys.readouterr().err
     assert error.startswith(
-        f"beamfield: error: {folder / 'seen.csv'}: truncated_at: expected all range residuals within 0.1"
+        f"beamfield: error: {folder / 'seen.csv'}: --truncated-at: expected all range residuals within 0.1"
     )
 
 

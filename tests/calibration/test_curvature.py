@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from beamfield.calibration.curvature import naive_covariance
 from beamfield.calibration.intrinsic_likelihood import (
@@ -20,15 +21,16 @@ from beamfield.models.beam_parameters import BeamParameters
 MAX_RANGE = 8.0
 
 
-def test_hits_and_no_returns_vary_like_a_count_and_the_noise_like_a_sample_variance():
-    """n hits, all far from both limits, and m beams without return."""
+@pytest.mark.parametrize("held", [{"z_short": 0.0, "z_rand": 0.0, "lambda_short": 0.0}, {"lambda_short": 0.0}])
+def test_hits_and_no_returns_vary_like_a_count_and_the_noise_like_a_sample_variance(held):
+    """n hits, all far from both limits, and m beams without return; nothing else, as said or as learned."""
     n, m = 900, 100
     off = np.random.default_rng(8).normal(0.0, 0.05, n)
     off -= off.mean()
     expected = np.linspace(2.0, 6.0, n + m)
     z = np.concatenate([expected[:n] + off, np.full(m, MAX_RANGE)])
     sigma = float(np.sqrt((off**2).mean()))
-    problem = learning_problem(MAX_RANGE, hold={"z_short": 0.0, "z_rand": 0.0, "lambda_short": 0.0}, fit_offset=True)
+    problem = learning_problem(MAX_RANGE, hold=held, fit_offset=True)
     theta = theta_of(BeamParameters(n / (n + m), 0.0, m / (n + m), 0.0, sigma, 0.0))
     got = naive_covariance(IntrinsicLikelihood(z, expected, MAX_RANGE), problem, theta)
     want = np.zeros((N_PARAMETERS, N_PARAMETERS))

@@ -277,13 +277,15 @@ def ascend(points: Floats, pose: Floats, stride: int, sigma: float, lever: float
         size = math.sqrt(size)
         if size < tolerance:
             return score, True, step
-        trial[:] = pose + move
+        for a in range(3):  # not in one assignment: Numba would compile the text of its error, for a second
+            trial[a] = pose[a] + move[a]
         trial_score, trial_weight, _, _ = linearise(points, trial, stride, sigma, reach, view, g, h)
         if trial_score >= score:
-            pose[:] = trial
             score, weight = trial_score, trial_weight
-            gradient[:] = g
-            information[:] = h
+            for a in range(3):
+                pose[a], gradient[a] = trial[a], g[a]
+                for b in range(3):
+                    information[a, b] = h[a, b]
             damping = max(0.3 * damping, 1e-4)
         else:
             damping = max(10.0 * damping, 0.05)

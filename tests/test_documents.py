@@ -114,7 +114,15 @@ def calibrate_stack(world: World) -> dict[str, Any]:
 def features(world: World) -> dict[str, Any]:
     parameters = LineParameters(0.03, 0.02, spurious_rate=0.1, max_range=8.0)
     line_model = LineModel(world.walls, parameters, correspondence="sum")
-    return {"scan": world.scan, "pose": world.log.poses[10], "beam_model": world.model, "line_model": line_model}
+    return {
+        "scan": world.scan,
+        "pose": world.log.poses[10],
+        "beam_model": world.model,
+        "line_model": line_model,
+        "log": world.log,
+        "grid": world.grid,
+        "parameters": world.model.parameters,
+    }
 
 
 def landmark_learning(world: World) -> dict[str, Any]:

@@ -166,6 +166,17 @@ def test_any_order_of_beams_and_number_of_threads_gives_the_same():
     assert turned.log_likelihood == pytest.approx(one.log_likelihood, rel=1e-11)
 
 
+def test_hits_far_from_both_limits_give_the_mean_and_deviation_of_their_errors():
+    """(6.30) with an offset: nothing is cut, so the closed forms hold, and no slope comes from them."""
+    off = np.random.default_rng(12).normal(0.2, 0.05, 2000)
+    expected = np.linspace(2.0, 6.0, off.size)
+    hold = {"z_hit": 1.0, "z_short": 0.0, "z_max": 0.0, "z_rand": 0.0, "lambda_short": 0.0}
+    result = learn_intrinsic_parameters(expected + off, expected, 9.0, hold=hold, fit_offset=True)
+    assert result.parameters.sigma_slope == 0.0
+    assert result.parameters.range_offset == pytest.approx(off.mean(), abs=1e-6)
+    assert result.parameters.sigma_hit == pytest.approx(off.std(), rel=1e-5)
+
+
 def test_priors_pull_towards_what_was_imagined_and_the_objective_never_falls():
     z, expected, max_range, _, _ = draw("indoor", 500)
     free = learn_intrinsic_parameters(z, expected, max_range)

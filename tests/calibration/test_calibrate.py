@@ -164,6 +164,16 @@ def test_a_log_far_too_short_is_too_little_data(drive, office):
         calibrate(drive.select(np.arange(0, len(drive), 40)), office, OPTIONS)
 
 
+def test_a_map_in_which_most_rays_hit_nothing_is_asked_about(drive, office):
+    elsewhere = np.zeros(office.shape)
+    elsewhere[0, 0] = 1.0
+    with pytest.raises(TooLittleDataError, match=r"hit nothing; is it the map of this place, and are the poses in its"):
+        calibrate(drive, OccupancyGrid(elsewhere, office.resolution, office.origin), OPTIONS)
+    with pytest.raises(TooLittleDataError) as error:
+        calibrate(drive.select(np.arange(0, len(drive), 40)), office, OPTIONS)
+    assert "?" not in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("option", "value"), [("unknown", "wall"), ("range_offset", "yes"), ("sigma_slope", "1"), ("n_bootstrap", 5)]
 )

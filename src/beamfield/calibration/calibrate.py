@@ -240,10 +240,13 @@ def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Sel
     for name, rows in (("fit", ~held_out), ("held-out", held_out)):
         n = int((usable & rows).sum())
         if n < FEWEST_BEAMS:
+            nothing = int(table.hits_nothing.sum())
+            without = table.n_unknown + nothing
+            question = "; is it the map of this place, and are the poses in its frame?" if without > n else ""
             raise TooLittleDataError(
                 f"{n} beams in the {name} blocks, need {FEWEST_BEAMS}: {selection.describe()}; of their beams "
                 f"{table.n_no_measurement} carry no measurement, {table.n_unknown} cross unknown space, "
-                f"{int(table.hits_nothing.sum())} hit nothing"
+                f"{nothing} hit nothing{question}"
             )
 
 

@@ -1,10 +1,11 @@
 # The two commands: `make demo` and `make test`. Everything is installed into .venv by the commands themselves.
 PYTHON ?= python3
+RAYS ?= 1e8
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test lint bench docs wheel clean help
+.PHONY: demo test lint rays bench docs wheel clean help
 
 help:  ## Show the commands
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -28,6 +29,9 @@ lint: $(STAMP)  ## Check style, types, import direction and spelling
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/codespell
+
+rays: $(STAMP)  ## Compare RAYS=1e8 adversarial rays with an exact traversal
+	$(BIN)/python -m tests.rays --rays $(RAYS)
 
 bench: $(STAMP)  ## Measure speed and memory beside their baselines
 	$(BIN)/python benchmarks/run.py

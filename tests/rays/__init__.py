@@ -1,0 +1,1 @@
+"""Adversarial rays against an exact traversal: `make rays`."""

@@ -32,6 +32,7 @@ ANSWERS = {
 }  # fmt: skip
 
 
+@pytest.mark.usefixtures("past_the_message")
 @pytest.mark.parametrize("name", ANSWERS)
 def test_weights_are_those_of_the_program(name):
     kind, options, expected = ANSWERS[name]
@@ -42,7 +43,7 @@ def test_weights_are_those_of_the_program(name):
 
 @pytest.mark.parametrize(("new", "old"), [(Nav2Field, Ros1Field), (Nav2FieldProb, Ros1FieldProb), (Nav2Beam, Ros1Beam)])
 def test_ros1_returns_the_same_under_its_own_names(new, old):
-    scan, grid = small_scan(special=True), small_room()
+    scan, grid = small_scan(special=old is not Ros1Beam), small_room()
     expected = new(grid, PARAMETERS).log_likelihood(scan, POSES)
     got = old(grid, Ros1Parameters.from_nav2(PARAMETERS)).log_likelihood(scan, POSES)
     assert (got == expected).all()
@@ -84,6 +85,8 @@ def test_beam_gives_each_class_of_readings_its_own_terms():
     assert evidence.expected_ranges[0] == pytest.approx([1.1] * 4)
     hit = 0.5 * np.exp(-0.5 * np.array([0.5, 0.0, 0.9, 1.4]) ** 2 / 0.1**2)
     rest = [0.1 * 2.0 * np.exp(-2.0 * 0.6) + 0.3 / 2.0, 0.3 / 2.0, 0.2, 0.0]
+    # The expected range is 11 cells as the map's message has them, 16 nm more than 1.1 m: the reading is short.
+    rest[1] += 0.1 * 2.0 * np.exp(-2.0 * 1.1)
     assert model.beam_values(evidence)[0] == pytest.approx(hit + rest)
 
 
@@ -132,16 +135,36 @@ def test_a_beam_is_skipped_by_the_share_of_poses_that_it_agrees_with():
         assert model.log_likelihood(scan, poses) == pytest.approx(np.log(p[:, counted]).sum(axis=1))
 
 
-@pytest.mark.parametrize("kind", [Nav2Field, Nav2Beam])
-def test_a_scan_with_fewer_beams_than_max_beams_is_refused_because_nav2_never_returns(kind):
+ABOVE = Nav2Parameters(**{**COMMON, "max_beams": 17})
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters"), [(Nav2Beam, ABOVE), (Ros1Beam, Ros1Parameters.from_nav2(ABOVE))], ids=["nav2", "ros1"]
+)
+def test_max_beams_above_the_scans_beams_is_refused_in_the_beam_models_which_never_return(kind, parameters):
     with pytest.raises(InvalidInputError, match=r"max_beams: expected at most .* 16, got 17: .* never returns"):
-        kind(small_room(), dataclasses.replace(PARAMETERS, max_beams=17)).evidence(small_scan(), POSES)
+        kind(small_room(), parameters).evidence(small_scan(), POSES)
 
 
-@pytest.mark.parametrize("kind", [Ros1Field, Ros1FieldProb, Ros1Beam])
-def test_ros1_then_takes_all_beams(kind):
-    evidence = kind(small_room(), Ros1Parameters(laser_max_beams=17)).evidence(small_scan(), POSES)
-    assert len(evidence.beams) == 16
+@pytest.mark.parametrize("kind", [Nav2Field, Nav2FieldProb, Ros1Field, Ros1FieldProb])
+def test_fields_then_take_all_beams(kind):
+    parameters = ABOVE if kind.stack == "nav2" else Ros1Parameters.from_nav2(ABOVE)
+    evidence = kind(small_room(), parameters).evidence(small_scan(), POSES)
+    assert evidence.beams.tolist() == list(range(16))
+
+
+def test_nan_makes_all_weights_of_ros1s_beam_model_nothing_and_is_left_out_in_nav2():
+    scan = small_scan(special=True)
+    without = Scan(np.where(np.isnan(scan.ranges), np.inf, scan.ranges), scan.finder)
+    ros1 = Ros1Beam(small_room(), Ros1Parameters.from_nav2(PARAMETERS))
+    assert ros1.log_likelihood(scan, POSES).tolist() == [-np.inf] * 4
+    assert np.isfinite(ros1.log_likelihood(without, POSES)).all()
+    nav2 = Nav2Beam(small_room(), PARAMETERS)
+    assert (nav2.log_likelihood(scan, POSES) == nav2.log_likelihood(without, POSES)).all()
+    # Of the beams that are looked at.
+    few = Ros1Beam(small_room(), Ros1Parameters.from_nav2(dataclasses.replace(PARAMETERS, max_beams=6)))
+    assert 4 not in few.selected_beams(16)
+    assert np.isfinite(few.log_likelihood(scan, POSES)).all()
 
 
 def test_cells_are_centred_on_the_origin_and_its_yaw_is_ignored():

@@ -69,13 +69,26 @@ def test_z_rand_is_divided_by_laser_max_range_whatever_the_sensors():
     assert model.beam_values(model.evidence(scan, [[10.0, 0.05, 0.0]]))[0, 0] == pytest.approx(0.4 / 50.0)
 
 
-def test_a_map_without_obstacles_is_one_obstacle():
+def test_in_a_map_without_obstacles_every_distance_is_the_maximum():
     scan = Scan([1.0], RangeFinder.from_bearings([0.0], 8.0))
     for distance in ("exact", "brushfire"):
-        model = BelugaField(OccupancyGrid.from_ros(np.zeros((30, 30)), 0.1), BelugaParameters(), distance=distance)
+        parameters = BelugaParameters(laser_likelihood_max_dist=0.4)
+        model = BelugaField(OccupancyGrid.from_ros(np.zeros((30, 30)), 0.1), parameters, distance=distance)
         evidence = model.evidence(scan, [[1.0, 1.0, 0.0], [2.5, 1.0, 0.0]])
-        peak = 0.5 / (0.2 * np.sqrt(2.0 * np.pi)) + 0.5 / 100.0
-        assert model.beam_values(evidence)[:, 0] == pytest.approx([peak, 1.0 / 100.0])
+        farthest = 0.5 / (0.2 * np.sqrt(2.0 * np.pi)) * np.exp(-2.0) + 0.5 / 100.0
+        assert model.beam_values(evidence)[:, 0] == pytest.approx([farthest, 1.0 / 100.0])
+
+
+def test_unknown_space_is_worth_no_less_than_the_maximum_distance():
+    row = OccupancyGrid.from_ros([[100, 0, 0, 0, 0, 0, 0, -1]], 1.0)
+    scan = Scan([0.0], RangeFinder.from_bearings([0.0], 8.0))
+    here = [[7.5, 0.5, 0.0]]
+    for limit, expected in (
+        (2.0, 1.0 / 100.0),
+        (0.4, 0.5 / (0.2 * np.sqrt(2.0 * np.pi)) * np.exp(-2.0) + 0.5 / 100.0),
+    ):
+        model = BelugaField(row, BelugaParameters(model_unknown_space=True, laser_likelihood_max_dist=limit))
+        assert model.beam_values(model.evidence(scan, here))[0, 0] == pytest.approx(expected)
 
 
 def test_only_obstacles_beside_free_cells_count_with_only_obstacle_boundaries():

@@ -16,7 +16,7 @@ from beamfield.stacks.beluga_scan import boundaries
 from beamfield.stacks.field_table import BELUGA_FIRE, field_table
 from beamfield.stacks.stack_map import read_as_stack
 
-pytestmark = pytest.mark.oracle
+pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 
 KINDS = ("", "special_filtered_", "offset_sensor_")
 # With the map options; the node hands them to likelihood_field only.

@@ -90,7 +90,8 @@ def test_no_poses_have_no_weights(model):
 
 
 def test_evidence_serves_all_fitted_parameters(model, poses):
-    scan = small_scan(special=True)
+    # One NaN leaves ROS 1's beam model without weights.
+    scan = small_scan(special=not isinstance(model, Ros1Beam))
     evidence = model.evidence(scan, poses)
     for factor in (0.3, 1.7):
         changes = {name: factor * getattr(model.parameters, name) for name in model.fitted_parameters}

@@ -17,6 +17,8 @@ from tests.stacks.small_room import MAX_RANGE, POSES, WEIGHTS, small_room, small
 
 FACTORS = {name: WEIGHTS[name] for name in ("z_hit", "z_short", "z_max", "z_rand")}
 PARAMETERS = F1tenthParameters(**FACTORS, sigma_hit=0.8, max_range=MAX_RANGE, angle_step=1)
+# The size of the room's cells in single precision, as in the map's message: 2 m has 19 of them.
+CELL = float(np.float32(0.1))
 # (r, d) and what range_libc's compiled code had there.
 ENTRIES = {
     (0, 0): 0.441973073640753, (3, 5): 0.08179766008969187, (5, 3): 0.015962883238119174,
@@ -59,11 +61,11 @@ def test_table_by_hand():
 def test_weights_are_products_of_entries_squashed():
     model = F1tenthTable(small_room(), PARAMETERS)
     evidence = model.evidence(small_scan(), POSES)
-    table = sensor_table(PARAMETERS, 0.1)
+    table = sensor_table(PARAMETERS, CELL)
     for i in range(len(POSES)):
         product = 1.0
         for r, d in zip(evidence.ranges, evidence.expected_ranges[i], strict=True):
-            product *= table[min(20, int(r / 0.1)), min(20, int(d / 0.1))]
+            product *= table[min(19, int(r / CELL)), min(19, int(d / CELL))]
         assert np.exp(model.log_weights(evidence)[i]) == pytest.approx(product ** (1.0 / 2.2))
 
 
@@ -98,9 +100,9 @@ def test_only_ranges_of_max_range_get_z_max():
     model = F1tenthTable(grid, PARAMETERS)
     finder = RangeFinder.from_bearings([0.0], 5.0)
     values = {z: model.beam_log_values(model.evidence(Scan([z], finder), [[0.05, 0.05, 0.0]]))[0, 0]
-              for z in (1.95, 1.999, 2.0, 3.0, np.inf)}  # fmt: skip
-    table = np.log(sensor_table(PARAMETERS, 0.1))
-    expected = {1.95: table[19, 20], 1.999: table[19, 20]} | dict.fromkeys((2.0, 3.0, np.inf), table[20, 20])
+              for z in (1.85, 1.899, 1.91, 2.0, 3.0, np.inf)}  # fmt: skip
+    table = np.log(sensor_table(PARAMETERS, CELL))
+    expected = {1.85: table[18, 19], 1.899: table[18, 19]} | dict.fromkeys((1.91, 2.0, 3.0, np.inf), table[19, 19])
     assert values == pytest.approx(expected)
 
 
@@ -127,8 +129,10 @@ def test_methods_of_ray_casting_need_no_new_evidence():
     assert (model.log_weights(evidence, other) == model.log_weights(evidence)).all()
 
 
-def test_a_range_of_whole_pixels_is_not_cut_down():
-    assert [pixels(10.0, 0.05), pixels(2.0, 0.1), pixels(0.3, 0.1), pixels(10.0, 0.0504)] == [200, 20, 3, 198]
+def test_a_range_of_whole_pixels_loses_one_to_the_single_precision_of_the_message():
+    assert [pixels(10.0, float(np.float32(cell))) for cell in (0.05, 0.0625, 0.0504)] == [199, 160, 198]
+    # 0.7 in single precision is less than 0.7.
+    assert pixels(0.7, float(np.float32(0.7))) == 1
 
 
 @pytest.mark.parametrize("max_range", [0.01, 1e5])

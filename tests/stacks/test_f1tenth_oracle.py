@@ -10,7 +10,7 @@ import pytest
 from beamfield.stacks.f1tenth_parameters import F1tenthParameters
 from beamfield.stacks.f1tenth_table import F1tenthTable, sensor_table
 
-pytestmark = pytest.mark.oracle
+pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 
 METHODS = ("bl", "rm", "cddt112")
 

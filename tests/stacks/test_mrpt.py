@@ -70,7 +70,7 @@ def test_field_by_hand():
     for i, (x, y, theta) in enumerate(poses):
         total = 0.0
         sensor = (x + 0.2 * math.cos(theta) - 0.1 * math.sin(theta), y + 0.2 * math.sin(theta) + 0.1 * math.cos(theta))
-        for k in range(0, 9, 2):
+        for k in range(9):
             along = theta + 0.4 + np.linspace(-2, 2, 9)[k]
             col = int((sensor[0] + scan.ranges[k] * math.cos(along) - 1.0) / 0.2)
             row = int((sensor[1] + scan.ranges[k] * math.sin(along) + 2.0) / 0.2)
@@ -114,9 +114,17 @@ def test_a_reading_after_an_invalid_one_makes_no_point():
     ranges = [1.0, np.nan, 1.0, 1.0, np.inf, 1.0, 1.0, 5.0, 1.0, 1.0, 0.05, 1.0, 1.0]
     scan = Scan(ranges, RangeFinder.from_bearings(np.arange(13.0), 5.0, min_range=0.1))
     assert scan_points(scan, 0.0).tolist() == [0, 3, 6, 9, 12]
-    # Points are thinned out, not beams.
-    model = MrptField(small_room(), replace(FIELD, LF_decimation=2))
-    assert model.evidence(scan, POSES).beams.tolist() == [0, 6, 12]
+
+
+def test_points_are_thinned_out_not_beams_and_only_from_ten_on():
+    for n_points, expected in ((9, list(range(1, 10))), (10, [1, 4, 7, 10]), (12, [1, 4, 7, 10])):
+        ranges = np.full(13, 1.0)
+        ranges[n_points + 1 :] = np.nan
+        # The first point is lost with the reading before it.
+        scan = Scan(ranges, RangeFinder.from_bearings(np.arange(13.0), 5.0, min_range=0.1))
+        scan = Scan(np.concatenate([[np.nan], ranges]), RangeFinder.from_bearings(np.arange(14.0), 5.0))
+        beams = MrptField(small_room(), replace(FIELD, LF_decimation=3)).evidence(scan, POSES).beams
+        assert (beams - 1).tolist() == expected
 
 
 def test_points_close_to_the_last_one_are_left_out():
@@ -127,6 +135,8 @@ def test_points_close_to_the_last_one_are_left_out():
     beams = {spacing: len(MrptField(small_room(), FIELD, least_spacing=spacing).evidence(scan, POSES).beams)
              for spacing in (0.0, 0.02, 0.1)}  # fmt: skip
     assert beams == {0.0: 101, 0.02: 34, 0.1: 9}
+    default = MrptField(small_room(), FIELD).evidence(scan, POSES).beams
+    assert default.tolist() == scan_points(scan, 0.05).tolist()
 
 
 @pytest.mark.parametrize(("decimation", "beams"), [(1, [0, 2, 3, 4]), (2, [0, 2, 4]), (3, [0, 3]), (9, [0])])

@@ -12,7 +12,7 @@ from beamfield.stacks.mrpt_field import MrptField
 from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
 from beamfield.stacks.mrpt_rays import MrptRays
 
-pytestmark = pytest.mark.oracle
+pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 
 # The oracle's answers are logarithms.
 OPTIONS = {"LF_useSquareDist": {"LF_useSquareDist": True}, "alternateAverage": {"LF_alternateAverageMethod": True}}

@@ -13,7 +13,7 @@ from beamfield.stacks.ros1 import Ros1Field
 from beamfield.stacks.ros1_parameters import Ros1Parameters
 from beamfield.stacks.stack_map import read_as_stack
 
-pytestmark = pytest.mark.oracle
+pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 
 KINDS = ("", "special_", "offset_sensor_")
 
@@ -108,7 +108,7 @@ def test_beam_skipping(case, kind, error_threshold, name):
 
 
 def test_after_too_much_skipping_the_program_multiplies_in_beams_of_an_earlier_scan(case):
-    """What the documentation says of the program and the emulator leaves out."""
+    """What the documentation says of the program: at its first scan zeros, as in the emulator, later stale values."""
     expected = only(case, "special_likelihood_field_prob_beamskip_err0.01")
     model = Nav2FieldProb(case.grid, case.nav2_parameters, distance="brushfire")
     before = model.evidence(case.scan(), case.poses)
@@ -117,7 +117,10 @@ def test_after_too_much_skipping_the_program_multiplies_in_beams_of_an_earlier_s
     assert without_reading.sum() == 4
     stale = model.beam_values(before)[:, without_reading].prod(axis=1)
     assert stale * np.exp(model.log_weights(now)) == pytest.approx(expected, rel=1e-11, abs=0.0)
+    skipping = replace(case.nav2_parameters, do_beamskip=True, beam_skip_distance=0.15, beam_skip_error_threshold=0.01)
     assert (only(case, "special_likelihood_field_prob_beamskip_err0.01_fresh_object") == 0.0).all()
+    emulated = Nav2FieldProb(case.grid, skipping, distance="brushfire")
+    assert (weights(emulated, case, "special_") == 0.0).all()
 
 
 def test_ros1_has_the_same_formula(case):

@@ -23,7 +23,7 @@ STACKS = (Nav2Parameters, Ros1Parameters, BelugaParameters)
     ("n", "max_beams", "step"), [(16, 16, 1), (360, 60, 6), (400, 60, 6), (119, 60, 2), (118, 60, 1), (2, 2, 1)]
 )
 def test_floor_step(n, max_beams, step):
-    beams = floor_step_beams(n, max_beams)
+    beams = floor_step_beams(n, max_beams, least_step=0)
     assert beams.tolist() == list(range(0, n, step))
     assert beams[0] == 0
     # 118 beams with max_beams = 60 are all used.
@@ -33,7 +33,7 @@ def test_floor_step(n, max_beams, step):
 @pytest.mark.parametrize(("n", "max_beams"), [(59, 60), (1, 2), (0, 2)])
 def test_floor_step_of_too_few_beams(n, max_beams):
     with pytest.raises(InvalidInputError, match="never returns"):
-        floor_step_beams(n, max_beams)
+        floor_step_beams(n, max_beams, least_step=0)
     assert floor_step_beams(n, max_beams, least_step=1).tolist() == list(range(n))
 
 
@@ -97,6 +97,8 @@ def test_brushfire_ends_at_its_limit(fire):
     cells[0, 0] = 100
     grid = OccupancyGrid.from_ros(cells, 0.5)
     distance = field_table(grid, grid.occupied, "brushfire", fire, 3.0).distance
+    # 3.2 m is 6 whole cells; Beluga's maximum is not a whole number of them.
+    assert np.isinf(field_table(grid, grid.occupied, "brushfire", fire, 3.2).distance[0, 7:]).all()
     assert np.minimum(distance[0], 3.0) == pytest.approx(np.minimum(0.5 * np.arange(30), 3.0))
     assert np.isinf(distance[0, 7:]).all()
 

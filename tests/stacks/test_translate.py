@@ -84,7 +84,8 @@ def test_products_of_fields_translate_to_and_from_mrpt(params, source, to):
     assert result.model == ("LF_Thrun" if to == "mrpt" else "likelihood_field_prob")
     before = weights(source, file.model, checked_values(file), SENSOR_LIMIT)
     after = weights(to, result.model, parameter_class(to, result.model)(**result.values), SENSOR_LIMIT)
-    np.testing.assert_allclose(after - after.mean(), before - before.mean(), rtol=1e-9, atol=1e-9)
+    # Up to AMCL's single precision, and its reach of 15 whole cells where MRPT has 0.8 m.
+    np.testing.assert_allclose(after - after.mean(), before - before.mean(), rtol=1e-5, atol=1e-5)
     assert before.std() > 1.0
 
 

@@ -37,7 +37,9 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
 
     Rays stop at occupied and unknown cells and where they leave the map. Readings
     below the shortest range become range_max; +inf scores 0, so that a driver that reports missing returns as +inf
-    (REP 117) never brings z_max in; NaN counts nothing.
+    (REP 117) never brings z_max in. NaN counts nothing in nav2. ROS 1 has no test for it (``tests_nan``): if one of the
+    beams looked at is NaN, all weights are, and the filter makes all particles equal, as it does where all weights are
+    0; so here they are -inf.
 
     Parameters
     ----------
@@ -57,7 +59,8 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
     """
 
     model: ClassVar[str] = "beam"
-    least_step: ClassVar[int]
+    # Whether the program leaves out readings that are NaN.
+    tests_nan: ClassVar[bool]
 
     grid: OccupancyGrid
     parameters: P
@@ -79,7 +82,7 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=self.least_step)
+        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=0)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges; see `StackModel.evidence`."""
@@ -90,8 +93,8 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         if self.no_return == "range_max":
             ranges[ranges == np.inf] = z.finder.max_range
         beams = self.selected_beams(len(ranges))
-        # +inf has p = 0, and NaN is skipped: neither adds to the sum.
-        beams = beams[np.isfinite(ranges[beams])]
+        # +inf has p = 0 and adds nothing to the sum.
+        beams = beams[np.isfinite(ranges[beams]) | (np.isnan(ranges[beams]) & (not self.tests_nan))]
         expected = self.expected_ranges(robot, z.finder.mounts[beams], range_max)
         return RayEvidence(beams, range_max, ranges[beams], expected, settings=self._settings())
 
@@ -102,7 +105,7 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         return exact_ranges(self._caster, self._seen, poses, mounts, range_max, off_map=0.0, threads=self.threads)
 
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
-        """Return p of each beam that counts, (n, k)."""
+        """Return p of each beam that counts, (n, k); NaN where the reading is."""
         values = self._parameters_for(evidence, parameters).as_nav2()
         z, z_star = evidence.ranges, evidence.expected_ranges
         p = z_star - z
@@ -117,6 +120,8 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         return np.asarray(p)
 
     def log_weights(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
-        """Return log(1 + sum p^3), (n,); see `StackModel.log_weights`."""
+        """Return log(1 + sum p^3), (n,), or -inf if a reading is NaN; see `StackModel.log_weights`."""
         p = self.beam_values(evidence, parameters)
+        if np.isnan(evidence.ranges).any():
+            return np.full(len(p), -np.inf)
         return np.asarray(np.log1p((p * p * p).sum(axis=1)))

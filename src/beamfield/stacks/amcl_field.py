@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -13,8 +14,15 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.amcl_scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.beam_selection import Indices, floor_step_beams
-from beamfield.stacks.emulator import FieldEvidence, FieldModel
-from beamfield.stacks.field_table import AMCL_FIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.emulator import OFF_MAP, FieldEvidence, FieldModel
+from beamfield.stacks.field_table import (
+    AMCL_FIRE,
+    DistanceChoice,
+    FieldTable,
+    end_points,
+    field_table,
+    reach_in_cells,
+)
 from beamfield.stacks.nav2_parameters import AmclParameters, Nav2Parameters
 from beamfield.stacks.stack_map import MapMode
 from beamfield.thread_count import check_threads
@@ -26,9 +34,9 @@ P = TypeVar("P", bound=AmclParameters)
 class AmclField(FieldModel[P], Generic[P]):
     """``w = 1 + sum p^3`` with ``p = z_hit exp(-d^2 / 2 sigma_hit^2) + z_rand / range_max`` for each beam.
 
-    d is the distance from the beam's end point to the nearest obstacle, cut off at laser_likelihood_max_dist, and that
-    maximum off the map. Readings of range_max and more, too short ones (which the node turns into range_max) and NaN
-    count nothing. Unknown cells are as free ones.
+    d is the distance from the beam's end point to the nearest obstacle, and laser_likelihood_max_dist off the map and
+    where no obstacle is within int(laser_likelihood_max_dist / resolution) whole cells. Readings of range_max and more,
+    too short ones (which the node turns into range_max) and NaN count nothing. Unknown cells are as free ones.
 
     Parameters
     ----------
@@ -45,7 +53,6 @@ class AmclField(FieldModel[P], Generic[P]):
     """
 
     model: ClassVar[str] = "likelihood_field"
-    least_step: ClassVar[int]
 
     grid: OccupancyGrid
     parameters: P
@@ -69,7 +76,7 @@ class AmclField(FieldModel[P], Generic[P]):
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=self.least_step)
+        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=1)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
         """Return distances of end points; see `StackModel.evidence`."""
@@ -84,7 +91,14 @@ class AmclField(FieldModel[P], Generic[P]):
 
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""
-        return field_values(evidence, self._parameters_for(evidence, parameters).as_nav2())
+        values = self._parameters_for(evidence, parameters).as_nav2()
+        p = self._cut_distances(evidence, values)
+        p *= p
+        p *= -0.5 / values.sigma_hit**2
+        np.exp(p, out=p)
+        p *= values.z_hit
+        p += values.z_rand / evidence.max_range
+        return p
 
     def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return p^3 of each beam that counts, (n, k)."""
@@ -95,19 +109,19 @@ class AmclField(FieldModel[P], Generic[P]):
         """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
         return np.asarray(np.log1p(sums))
 
+    def _cut_distances(self, evidence: FieldEvidence, values: Nav2Parameters) -> FloatArray:
+        """Return the distances (n, k) that the program looks up, metres."""
+        limit, resolution = values.laser_likelihood_max_dist, self._table.grid.resolution
+        # Distances are whole numbers of cells, squared: none is near this one.
+        beyond = resolution * math.sqrt(reach_in_cells(limit, resolution) ** 2 + 0.5)
+        d = evidence.distances.astype(np.float64)
+        # Cells hold single precision.
+        d[d > beyond] = np.float32(limit)
+        d[evidence.places == OFF_MAP] = limit
+        return d
+
     def _settings(self) -> dict[str, Any]:
         settings = super()._settings()
         if self.distance == "brushfire":
             settings["laser_likelihood_max_dist"] = self.parameters.as_nav2().laser_likelihood_max_dist
         return settings
-
-
-def field_values(evidence: FieldEvidence, parameters: Nav2Parameters) -> FloatArray:
-    """Return z_hit exp(-d^2 / 2 sigma_hit^2) + z_rand / range_max for each end point, (n, k)."""
-    p: FloatArray = np.minimum(evidence.distances, np.float32(parameters.laser_likelihood_max_dist), dtype=np.float64)
-    p *= p
-    p *= -0.5 / parameters.sigma_hit**2
-    np.exp(p, out=p)
-    p *= parameters.z_hit
-    p += parameters.z_rand / evidence.max_range
-    return p

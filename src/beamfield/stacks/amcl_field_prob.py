@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -21,9 +21,10 @@ P = TypeVar("P", bound=AmclParameters)
 class AmclFieldProb(AmclField[P]):
     """``w = exp(sum log p)`` with the p of `AmclField`, over the beams that enough particles agree with.
 
-    With do_beamskip a beam counts if more than beam_skip_threshold of the particles have its end point closer than
-    beam_skip_distance to an obstacle of the map; end points off the map disagree. If beam_skip_error_threshold of
-    max_beams or more would be left out, beams without reading among them, all beams count.
+    With do_beamskip, and while the particle filter has converged, a beam counts if more than beam_skip_threshold of the
+    particles have its end point closer than beam_skip_distance to an obstacle of the map; end points off the map
+    disagree. If beam_skip_error_threshold of max_beams or more would be left out, the program multiplies all of its
+    max_beams places, and those without a reading hold 0: every weight is 0 then unless all places have one.
 
     **With beam skipping a pose's weight depends on all poses of the call**, which are taken as the particle set.
 
@@ -31,15 +32,21 @@ class AmclFieldProb(AmclField[P]):
     ----------
     grid, parameters, distance, map_mode, threads
         As for `AmclField`.
+    converged
+        Whether the particle filter has converged, without which it skips no beam: all particles are within 0.5 m of
+        their mean in x and in y. True unless said otherwise, whatever the poses of a call.
 
     Notes
     -----
-    Where all beams count after all, the program also multiplies in what its buffer holds for beams without a reading:
-    zeros, so that every weight becomes 0, or what an earlier scan left there. Here such beams count nothing. The
-    program's weights underflow to 0 where the logarithms here do not.
+    The places without a reading are those for which the scan has too few beams, and beams with NaN or without return.
+    The latter hold 0 at the first update and whenever the number of particles grows, and otherwise what an earlier scan
+    left there for another set of particles, which is not emulated. The program's weights underflow to 0 where the
+    logarithms here do not.
     """
 
     model: ClassVar[str] = "likelihood_field_prob"
+
+    converged: bool = field(default=True, kw_only=True)
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
@@ -59,22 +66,21 @@ class AmclFieldProb(AmclField[P]):
         """Return the sum of log p over the beams that count, (n,); see `StackModel.log_weights`."""
         terms = self.beam_terms(evidence, parameters)
         values = (self.parameters if parameters is None else parameters).as_nav2()
-        if values.do_beamskip:
-            terms = terms[:, counted_beams(evidence, values)]
+        if values.do_beamskip and self.converged:
+            counted = self._agreed_beams(evidence, values)
+            if values.max_beams - len(counted) < values.beam_skip_error_threshold * values.max_beams:
+                terms = terms[:, counted]
+            elif terms.shape[1] < values.max_beams:
+                return np.full(len(terms), -np.inf)
         return np.asarray(terms.sum(axis=1))
 
     def weighs_alone(self) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for: not with beam skipping."""
-        return not self.parameters.as_nav2().do_beamskip
+        return not (self.parameters.as_nav2().do_beamskip and self.converged)
 
-
-def counted_beams(evidence: FieldEvidence, parameters: Nav2Parameters) -> slice | Indices:
-    """Return which columns of the evidence count with beam skipping."""
-    nearest = np.minimum(evidence.distances, parameters.laser_likelihood_max_dist)
-    agrees = (nearest < parameters.beam_skip_distance) & (evidence.places != OFF_MAP)
-    share = agrees.sum(axis=0) / max(1, len(agrees))
-    counted = np.flatnonzero(share > parameters.beam_skip_threshold)
-    left_out = parameters.max_beams - len(counted)
-    if left_out >= parameters.beam_skip_error_threshold * parameters.max_beams:
-        return slice(None)
-    return counted
+    def _agreed_beams(self, evidence: FieldEvidence, values: Nav2Parameters) -> Indices:
+        """Return the columns of the evidence that enough particles agree with."""
+        agrees = self._cut_distances(evidence, values) < values.beam_skip_distance
+        agrees &= evidence.places != OFF_MAP
+        share = agrees.sum(axis=0) / max(1, len(agrees))
+        return np.asarray(np.flatnonzero(share > values.beam_skip_threshold))

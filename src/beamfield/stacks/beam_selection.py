@@ -12,7 +12,7 @@ from beamfield.errors import InvalidInputError
 Indices = NDArray[np.int64]
 
 
-def floor_step_beams(n_beams: int, max_beams: int, *, least_step: int = 0) -> Indices:
+def floor_step_beams(n_beams: int, max_beams: int, *, least_step: int) -> Indices:
     """Return every floor((n - 1) / (max_beams - 1))-th beam, from the first on (AMCL's beam and likelihood_field).
 
     There may be nearly twice max_beams of them.
@@ -24,7 +24,7 @@ def floor_step_beams(n_beams: int, max_beams: int, *, least_step: int = 0) -> In
     max_beams
         The stack's parameter.
     least_step
-        The least step: 1 where the program sees to it.
+        The least step: 1 where the program sees to it, as likelihood_field does, 0 where it does not, as beam.
 
     Raises
     ------

@@ -25,8 +25,9 @@ from beamfield.thread_count import check_threads
 class BelugaField(FieldModel[BelugaParameters]):
     """``w = 1 + sum p^3`` with ``p = z_hit N(d; 0, sigma_hit^2) + z_rand / laser_max_range`` for each beam.
 
-    d is the distance from the end point to the nearest obstacle, cut off at laser_likelihood_max_dist. Off the map, and
-    with model_unknown_space in unknown cells, p is 1 / laser_max_range. NaN and readings outside the limits are dropped
+    d is the distance from the end point to the nearest obstacle, cut off at laser_likelihood_max_dist, and that maximum
+    in a map without obstacles. Off the map p is 1 / laser_max_range, and so it is with model_unknown_space in unknown
+    cells, unless a hit at the maximum distance is worth more. NaN and readings outside the limits are dropped
     after max_beams have been selected; a reading of exactly the longest range is a hit.
 
     Parameters
@@ -48,8 +49,10 @@ class BelugaField(FieldModel[BelugaParameters]):
 
     Notes
     -----
-    In a map without obstacles every distance is 0, as in the program. With the brushfire p has single precision, as in
-    the program's table; with exact distances it is left smooth in the parameters.
+    Unknown space enters the program's field as the distance at which p is 1 / laser_max_range, cut off like any other
+    distance. With z_hit 0 there is no such distance, and the program computes NaN; here p is 1 / laser_max_range or
+    more then, too. With the brushfire p has single precision, as in the program's table; with exact distances it is left
+    smooth in the parameters.
     """
 
     stack: ClassVar[str] = "beluga"
@@ -77,8 +80,6 @@ class BelugaField(FieldModel[BelugaParameters]):
         if only_boundaries:
             # The inside of thick walls is as unknown space (Beluga's pull request 541).
             table = table._replace(unknown=table.unknown | (seen.occupied & ~obstacles))
-        if not obstacles.any():
-            table = table._replace(distance=np.zeros(seen.shape, np.float32))
         object.__setattr__(self, "_table", table)
 
     def with_parameters(self, parameters: BelugaParameters) -> Self:
@@ -98,16 +99,12 @@ class BelugaField(FieldModel[BelugaParameters]):
     def beam_values(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""
         values = self._parameters_for(evidence, parameters)
-        p: FloatArray = np.minimum(evidence.distances, values.laser_likelihood_max_dist, dtype=np.float64)
-        p *= p
-        p *= -0.5 / values.sigma_hit**2
-        np.exp(p, out=p)
-        p *= values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi))
-        p += values.z_rand / evidence.max_range
-        uniform = evidence.places == OFF_MAP
+        uniform, farthest = 1.0 / evidence.max_range, values.laser_likelihood_max_dist
+        p = _mixture(np.minimum(evidence.distances, farthest, dtype=np.float64), values, evidence.max_range)
+        p[evidence.places == OFF_MAP] = uniform
         if self.has_map_options and values.model_unknown_space:
-            uniform |= evidence.places == UNKNOWN
-        p[uniform] = 1.0 / evidence.max_range
+            # The nearer of two distances, so the greater of two values.
+            p[evidence.places == UNKNOWN] = max(uniform, *_mixture(np.array([farthest]), values, evidence.max_range))
         return p.astype(np.float32).astype(np.float64) if self.distance == "brushfire" else p
 
     def beam_terms(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
@@ -131,3 +128,14 @@ class BelugaField(FieldModel[BelugaParameters]):
 
     def _settings(self) -> dict[str, Any]:
         return super()._settings() | {name: getattr(self.parameters, name) for name in self._table_settings()}
+
+
+def _mixture(distances: FloatArray, values: BelugaParameters, max_range: float) -> FloatArray:
+    """Return z_hit N(d; 0, sigma_hit^2) + z_rand / max_range for each distance; overwrites the distances."""
+    p = distances
+    p *= p
+    p *= -0.5 / values.sigma_hit**2
+    np.exp(p, out=p)
+    p *= values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi))
+    p += values.z_rand / max_range
+    return p

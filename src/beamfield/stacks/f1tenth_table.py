@@ -17,6 +17,7 @@ from beamfield.sensors import Scan
 from beamfield.stacks.emulator import RayEvidence, StackModel
 from beamfield.stacks.f1tenth_parameters import F1tenthParameters
 from beamfield.stacks.parameter_checks import check_choice
+from beamfield.stacks.stack_map import message_resolution
 from beamfield.stacks.stack_rays import exact_ranges
 from beamfield.thread_count import check_threads
 
@@ -30,7 +31,8 @@ MOST_PIXELS = 20_000
 class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
     """``w = (prod T[r, d])^(1 / squash_factor)``: T is looked up with the reading r and the expected range d in pixels.
 
-    The table's side is N + 1 pixels, N = max_range / resolution. Before each column (one d) is divided by its sum,
+    The table's side is N + 1 pixels, N = int(max_range / resolution), which with the resolution of the map's message
+    (single precision) is 199 for 10 m and 0.05 m. Before each column (one d) is divided by its sum,
 
         T[r, d] = z_hit N(r; d, sigma_hit^2) + 2 z_short (d - r) / d [r < d] + z_max [r = N] + z_rand / N [r < N]
 
@@ -76,13 +78,14 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
         stops = self.grid.occupied
         if self.map_mode == "raw":
             stops = np.nan_to_num(self.grid.probability, nan=0.0) > OCCUPIED_FROM
-        seen = OccupancyGrid(stops.astype(np.float32), self.grid.resolution, self.grid.origin)
+        resolution = message_resolution(self.grid.resolution)
+        seen = OccupancyGrid(stops.astype(np.float32), resolution, self.grid.origin)
         object.__setattr__(self, "_caster", RayCaster(seen))
-        pixels(self.parameters.max_range, self.grid.resolution)
+        pixels(self.parameters.max_range, resolution)
 
     def with_parameters(self, parameters: F1tenthParameters) -> Self:
         """Return the model with other parameters and the same map, options and tables."""
-        pixels(parameters.max_range, self.grid.resolution)
+        pixels(parameters.max_range, self._caster.grid.resolution)
         return super().with_parameters(parameters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
@@ -100,11 +103,12 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
     def beam_log_values(self, evidence: RayEvidence, parameters: F1tenthParameters | None = None) -> FloatArray:
         """Return log T of each beam that counts, before squashing, (n, k)."""
         values = self._parameters_for(evidence, parameters)
+        resolution = self._caster.grid.resolution
         with np.errstate(divide="ignore"):
-            table = np.log(sensor_table(values, self.grid.resolution))
+            table = np.log(sensor_table(values, resolution))
         n = len(table) - 1
-        readings = _whole_pixels(evidence.ranges, self.grid.resolution, n)
-        return np.asarray(table[readings, _whole_pixels(evidence.expected_ranges, self.grid.resolution, n)])
+        readings = _whole_pixels(evidence.ranges, resolution, n)
+        return np.asarray(table[readings, _whole_pixels(evidence.expected_ranges, resolution, n)])
 
     def log_weights(self, evidence: RayEvidence, parameters: F1tenthParameters | None = None) -> FloatArray:
         """Return the sum of log T divided by squash_factor, (n,); see `StackModel.log_weights`."""
@@ -134,8 +138,7 @@ def pixels(max_range: float, resolution: float) -> int:
     InvalidInputError
         If there are none, or too many for a table.
     """
-    # A ratio such as 2 / 0.1 is meant to be whole.
-    n = math.floor(max_range / resolution + 1e-6)
+    n = math.floor(max_range / resolution)
     if not 1 <= n <= MOST_PIXELS:
         raise InvalidInputError(
             f"max_range: expected 1 to {MOST_PIXELS} cells of the map ({resolution:g} m), got {max_range:g} m"

@@ -16,7 +16,7 @@ from beamfield.sensors import Scan
 from beamfield.stacks.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
 from beamfield.stacks.field_table import FieldTable, end_points
 from beamfield.stacks.mrpt_parameters import MrptFieldParameters
-from beamfield.stacks.mrpt_scan import LEAST_SPACING, mrpt_grid, scan_points
+from beamfield.stacks.mrpt_scan import mrpt_grid, scan_points, thinned_out
 from beamfield.stacks.parameter_checks import check_choice
 from beamfield.stacks.stack_map import MapMode
 from beamfield.thread_count import check_threads
@@ -44,7 +44,7 @@ class MrptField(FieldModel[MrptFieldParameters]):
     precision
         "double", or "single" to round as the program does (about 1e-7 per point).
     least_spacing
-        Points nearer to the last one than this are left out, metres; 0 keeps all.
+        Points nearer to the last one than this are left out, metres; None as in the program, half a cell. 0 keeps all.
     map_mode
         How the map server turns the map into a message; see `read_as_stack`.
     threads
@@ -69,7 +69,7 @@ class MrptField(FieldModel[MrptFieldParameters]):
     grid: OccupancyGrid
     parameters: MrptFieldParameters
     precision: Precision = field(default="double", kw_only=True)
-    least_spacing: float = field(default=LEAST_SPACING, kw_only=True)
+    least_spacing: float | None = field(default=None, kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
     threads: int | None = field(default=None, kw_only=True)
     _table: FieldTable = field(init=False, repr=False)
@@ -77,14 +77,15 @@ class MrptField(FieldModel[MrptFieldParameters]):
     def __post_init__(self) -> None:
         check_threads(self.threads)
         check_choice(self, "precision", ("double", "single"))
-        if not 0.0 <= self.least_spacing < np.inf:
-            raise InvalidInputError(f"least_spacing: expected a number >= 0, got {self.least_spacing!r}")
+        if self.least_spacing is not None and not 0.0 <= self.least_spacing < np.inf:
+            raise InvalidInputError(f"least_spacing: expected a number >= 0 or None, got {self.least_spacing!r}")
         object.__setattr__(self, "_table", _table(mrpt_grid(self.grid, self.map_mode)))
 
     def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
         """Return distances of end points; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
-        beams = scan_points(z, self.least_spacing)[:: self.parameters.LF_decimation]
+        spacing = self._table.grid.resolution / 2.0 if self.least_spacing is None else self.least_spacing
+        beams = thinned_out(scan_points(z, spacing), self.parameters.LF_decimation)
         distances, places = self._table.look_up(
             robot, end_points(z.finder.mounts[beams], z.ranges[beams]), self.threads
         )

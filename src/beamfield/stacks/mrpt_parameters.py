@@ -29,7 +29,7 @@ class MrptFieldParameters:
     LF_maxRange
         LF_zRandom is divided by this, metres. It drops no reading.
     LF_decimation
-        Every so many-th point of the scan is looked at.
+        Every so many-th point of the scan is looked at, or all of fewer than 10.
     LF_maxCorrsDistance
         Distances to obstacles are cut off here, metres.
     LF_useSquareDist

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -121,8 +120,7 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
         x, y, yaw = self._seen.origin.tolist()
         occupied, free = self._seen.occupied, self._seen.free
         resolution = self._seen.resolution
-        # A ratio such as 2 / 0.1 is meant to be whole.
-        n_steps = math.ceil(max_range / resolution - 1e-6)
+        n_steps = round(max_range / resolution)
 
         def work(a: int, b: int) -> None:
             frame = x, y, yaw

@@ -10,8 +10,8 @@ from beamfield.sensors import Scan
 from beamfield.stacks.beam_selection import Indices
 from beamfield.stacks.stack_map import MapMode, read_as_stack
 
-# A reading this near to the last one that counts makes no point of its own, metres (MRPT's documented default).
-LEAST_SPACING = 0.02
+# Scans of fewer points are not thinned out.
+FEW_POINTS = 10
 
 
 def valid_readings(scan: Scan) -> BoolArray:
@@ -47,6 +47,11 @@ def mrpt_grid(grid: OccupancyGrid, map_mode: MapMode) -> OccupancyGrid:
     probability = seen.probability.copy()
     probability[between] = np.where(value[between] == 0.5, 0.5, value[between] > 0.5)
     return OccupancyGrid(probability, seen.resolution, seen.origin)
+
+
+def thinned_out(beams: Indices, decimation: int) -> Indices:
+    """Return every so many-th point, or all of fewer than `FEW_POINTS`."""
+    return beams[::decimation] if len(beams) >= FEW_POINTS else beams
 
 
 def _spaced(ends: FloatArray, least: float) -> list[int]:

@@ -34,7 +34,6 @@ class Nav2Field(AmclField[Nav2Parameters]):
     stack: ClassVar[str] = "nav2"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
     fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
-    least_step: ClassVar[int] = 0
 
 
 class Nav2FieldProb(AmclFieldProb[Nav2Parameters]):
@@ -43,7 +42,6 @@ class Nav2FieldProb(AmclFieldProb[Nav2Parameters]):
     stack: ClassVar[str] = "nav2"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
     fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
-    least_step: ClassVar[int] = 0
 
 
 class Nav2Beam(AmclBeam[Nav2Parameters]):
@@ -52,4 +50,4 @@ class Nav2Beam(AmclBeam[Nav2Parameters]):
     stack: ClassVar[str] = "nav2"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
     fitted_parameters: ClassVar[tuple[str, ...]] = BEAM
-    least_step: ClassVar[int] = 0
+    tests_nan: ClassVar[bool] = True

@@ -25,7 +25,6 @@ class Ros1Field(AmclField[Ros1Parameters]):
     stack: ClassVar[str] = "ros1"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
     fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
-    least_step: ClassVar[int] = 1
 
 
 class Ros1FieldProb(AmclFieldProb[Ros1Parameters]):
@@ -34,13 +33,12 @@ class Ros1FieldProb(AmclFieldProb[Ros1Parameters]):
     stack: ClassVar[str] = "ros1"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
     fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
-    least_step: ClassVar[int] = 1
 
 
 class Ros1Beam(AmclBeam[Ros1Parameters]):
-    """ROS 1 amcl's beam model; see `AmclBeam`."""
+    """ROS 1 amcl's beam model; see `AmclBeam`. One NaN among the beams makes every pose's weight NaN, here -inf."""
 
     stack: ClassVar[str] = "ros1"
     evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
     fitted_parameters: ClassVar[tuple[str, ...]] = BEAM
-    least_step: ClassVar[int] = 1
+    tests_nan: ClassVar[bool] = False

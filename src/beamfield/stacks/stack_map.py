@@ -41,7 +41,7 @@ def read_as_stack(
     Returns
     -------
     A grid with the probabilities 1, 0, NaN where the message says -1, and 0.5 where it says anything else; the latter
-    two are `unknown`.
+    two are `unknown`. Its resolution is the message's.
 
     Raises
     ------
@@ -67,7 +67,16 @@ def read_as_stack(
     seen[occupied] = 1.0
     x, y, yaw = grid.origin
     yaw = 0.0 if ignore_yaw else yaw
-    shift = shift_cells * grid.resolution
+    resolution = message_resolution(grid.resolution)
+    shift = shift_cells * resolution
     # Along the grid's own axes.
     corner = x + shift * (np.cos(yaw) - np.sin(yaw)), y + shift * (np.sin(yaw) + np.cos(yaw)), yaw
-    return OccupancyGrid(seen, grid.resolution, np.array(corner))
+    return OccupancyGrid(seen, resolution, np.array(corner))
+
+
+def message_resolution(resolution: float) -> float:
+    """Return the size of a cell, metres, as programs get it: nav_msgs/OccupancyGrid has it in single precision.
+
+    That matters where they count whole cells: 0.5 m has 10 cells of 0.05 m, but 9 of what the message says.
+    """
+    return float(np.float32(resolution))

@@ -56,7 +56,13 @@ def run(arguments: argparse.Namespace) -> int:
     from beamfield.stacks.doctor.examine import examine
     from beamfield.stacks.parameter_file import read_stack_file
 
-    file = read_stack_file(arguments.params, stack=arguments.stack, model=arguments.model, section=arguments.section)
+    file = read_stack_file(
+        arguments.params,
+        stack=arguments.stack,
+        model=arguments.model,
+        section=arguments.section,
+        unknown_model="default",
+    )
     if arguments.poses is not None and arguments.log is None:
         raise InvalidInputError("--poses: are poses of a log's scans, but there is no --log")
     grid, map_file = (None, None) if arguments.map is None else _read_map(arguments.map)

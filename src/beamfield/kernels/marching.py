@@ -48,7 +48,8 @@ def march(
         Positions and steps along the axes are cut off (towards 0) to whole parts of one cell, of which there are so
         many.
     n_steps
-        How many positions are looked at, the start among them.
+        How many steps a ray takes at most. Obstacles where it ends are met; off the map or in an unknown cell it meets
+        nothing there, too.
     occupied, free
         (rows, cols).
     ranges
@@ -70,7 +71,7 @@ def march(
             along = heading + bearings[b]
             step_u, step_v = math.trunc(step * math.cos(along) * one), math.trunc(step * math.sin(along) * one)
             ranges[i, b] = n_steps * step
-            for taken in range(n_steps):
+            for taken in range(n_steps + 1):
                 col, row = math.floor(at_u / one), math.floor(at_v / one)
                 if row < 0 or col < 0 or row >= rows or col >= cols:
                     ranges[i, b] = -1.0

@@ -51,8 +51,8 @@ class BelugaField(FieldModel[BelugaParameters]):
     -----
     Unknown space enters the program's field as the distance at which p is 1 / laser_max_range, cut off like any other
     distance. With z_hit 0 there is no such distance, and the program computes NaN; here p is 1 / laser_max_range or
-    more then, too. With the brushfire p has single precision, as in the program's table; with exact distances it is left
-    smooth in the parameters.
+    more then, too. With the brushfire p has single precision, as in the program's table; with exact distances it is
+    left smooth in the parameters.
     """
 
     stack: ClassVar[str] = "beluga"

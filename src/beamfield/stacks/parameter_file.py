@@ -85,7 +85,12 @@ class StackFile:
 
 
 def read_stack_file(
-    path: str | Path, *, stack: str | None = None, model: str | None = None, section: str | None = None
+    path: str | Path,
+    *,
+    stack: str | None = None,
+    model: str | None = None,
+    section: str | None = None,
+    unknown_model: Literal["refuse", "default"] = "refuse",
 ) -> StackFile:
     """Read a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH.
 
@@ -98,6 +103,8 @@ def read_stack_file(
     section
         Label of the section to take if there are several: "amcl.ros__parameters", the name of a node, an ini section;
         or its line, where labels are the same.
+    unknown_model
+        "refuse" a file with a laser_model_type that there is not, or take the "default", as nav2 and ROS 1 do.
 
     Raises
     ------
@@ -114,7 +121,8 @@ def read_stack_file(
     chosen = _only(source, _sections(source), section)
     possible = _possible_stacks(chosen)
     found = possible[0] if stack is None else check_stack(stack)
-    return StackFile(found, check_model(found, model or _model_of(found, chosen)), chosen, possible, stack is not None)
+    name = model or _model_of(found, chosen, unknown_model)
+    return StackFile(found, check_model(found, name), chosen, possible, stack is not None)
 
 
 def check_stack(name: str) -> Stack:
@@ -286,7 +294,7 @@ def _same(found: Value | None, expected: Value | None) -> bool:
     return found == expected and (numbers or type(found) is type(expected))
 
 
-def _model_of(stack: str, section: ParameterSection) -> str:
+def _model_of(stack: str, section: ParameterSection, unknown_model: str) -> str:
     if stack == "f1tenth":
         return "table"
     name = "likelihoodMethod" if stack == "mrpt" else "laser_model_type"
@@ -299,6 +307,8 @@ def _model_of(stack: str, section: ParameterSection) -> str:
     model = str(entry.value)
     model = _MRPT_MODELS.get(model, model) if stack == "mrpt" else model
     if model not in MODELS[check_stack(stack)]:
+        if stack != "mrpt" and unknown_model == "default":
+            return MODELS[check_stack(stack)][0]
         known = ", ".join(MODELS[check_stack(stack)])
         raise section.error(name, f"no model of {stack} that beamfield knows ({known}), got {shorten(entry.value)}")
     return model

@@ -23,6 +23,7 @@ _TRUE, _FALSE = ("yes", "on", "y", "true"), ("no", "off", "n", "false")
 _EXPONENT_1_1 = re.compile(r"[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)[eE][-+]\d+")
 # A number or a name in the file; `file.model` says what it stands for.
 MRPT_MODEL = "likelihoodMethod"
+MODEL_NAME = "laser_model_type"
 # How a message begins about a value that is known only when the robot starts.
 FILLED_IN = "is filled in when the robot starts:"
 # And about an integer where ROS 2 wants a double.
@@ -65,12 +66,15 @@ def typed_values(file: StackFile) -> TypedValues:
         if not message or is_clear:
             refusal = _refusal(kind, {**usable, item.name: value})
             message, is_clear = refusal or message, is_clear and not refusal
+        if item.name == MODEL_NAME and message:
+            # The program runs its default, which is the file's model then.
+            is_clear = isinstance(value, str)
+        elif value is not None and (is_clear or not message):
+            usable[item.name] = value
         if message:
             unusable.append(Unusable(item.name, message, is_clear))
-        if value is not None and (is_clear or not message):
-            usable[item.name] = value
-    if "laser_model_type" in {item.name for item in fields(kind)}:
-        usable["laser_model_type"] = file.model
+    if MODEL_NAME in {item.name for item in fields(kind)}:
+        usable[MODEL_NAME] = file.model
     return TypedValues(kind(**usable), tuple(unusable))
 
 

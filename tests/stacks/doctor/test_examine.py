@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from beamfield.errors import FormatError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, SensorLog
 from beamfield.stacks.doctor.examine import CHECKS, examine
@@ -25,7 +26,7 @@ def amcl(tmp_path, stack="nav2", **values):
     path = tmp_path / "params.yaml"
     indent, head = ("  ", "amcl:\n") if stack == "ros1" else ("    ", "amcl:\n  ros__parameters:\n")
     path.write_text(head + "".join(f"{indent}{name}: {value}\n" for name, value in values.items()) + f"{indent}x: 1\n")
-    return read_stack_file(path, stack=stack)
+    return read_stack_file(path, stack=stack, unknown_model="default")
 
 
 def mrpt(tmp_path, method=4, **values):
@@ -137,9 +138,34 @@ FINDINGS = {
     "nearly-flat": ({}, {}, {"laser_model_type": "likelihood_field_prob"}, {}),
     "absurdly-sharp": ({"laser_model_type": "likelihood_field_prob", "sigma_hit": 0.05, "z_hit": 0.99, "z_rand": 0.01},
                        {}, {"laser_model_type": "likelihood_field_prob", "max_beams": 10, "z_rand": 5.0}, {}),
-    "max-beams-above-scan": ({"max_beams": 121}, {"log": scans()}, {"max_beams": 120}, {"log": scans()}),
-    "max-beams-above-scan of nav2 only": ({"max_beams": 121}, {"log": scans()},
-                                          {"stack": "ros1", "laser_max_beams": 121}, {"log": scans()}),
+    "max-beams-above-scan": ({"laser_model_type": "beam", "max_beams": 121}, {"log": scans()},
+                             {"laser_model_type": "beam", "max_beams": 120}, {"log": scans()}),
+    "max-beams-above-scan in ROS 1": ({"stack": "ros1", "laser_model_type": "beam", "laser_max_beams": 121},
+                                      {"log": scans()}, {"stack": "ros1", "laser_max_beams": 121}, {"log": scans()}),
+    "max-beams-above-scan of the beam model only": ({"laser_model_type": "beam", "max_beams": 121}, {"log": scans()},
+                                                    {"max_beams": 121}, {"log": scans()}),
+    "max-beams-above-scan not in Beluga": (
+        {"laser_model_type": "beam", "max_beams": 121}, {"log": scans()},
+        {"stack": "beluga", "laser_model_type": "beam", "max_beams": 121}, {"log": scans()}
+    ),
+    "nan-readings": ({"stack": "ros1", "laser_model_type": "beam"}, {"log": scans(some(np.nan, 0.1))},
+                     {"stack": "ros1", "laser_model_type": "beam"}, {"log": scans(some(np.inf, 0.1))}),
+    "nan-readings in ROS 1 only": ({"stack": "ros1", "laser_model_type": "beam"}, {"log": scans(some(np.nan, 0.1))},
+                                   {"laser_model_type": "beam"}, {"log": scans(some(np.nan, 0.1))}),
+    "nan-readings of the beam model only": (
+        {"stack": "ros1", "laser_model_type": "beam"}, {"log": scans(some(np.nan, 0.1))},
+        {"stack": "ros1", "laser_model_type": "likelihood_field"}, {"log": scans(some(np.nan, 0.1))}
+    ),
+    "unknown-model": ({"laser_model_type": "likelihood_feild"}, {}, {"laser_model_type": "likelihood_field"}, {}),
+    "unknown-model in ROS 1": ({"stack": "ros1", "laser_model_type": "likelihood"}, {},
+                               {"stack": "ros1", "laser_model_type": "beam"}, {}),
+    "unknown-model in Beluga": ({"stack": "beluga", "laser_model_type": "laser"}, {}, {"stack": "beluga"}, {}),
+    "range-limit-short": ({"laser_max_range": 1.0}, {}, {"laser_max_range": 1.0}, {"log": scans(0.5)}),
+    "range-limit-short by its number": ({"laser_max_range": 2.9}, {}, {"laser_max_range": 3.0}, {}),
+    "range-limit-short unless switched off": ({"laser_max_range": 2.9}, {}, {"laser_max_range": -1.0}, {}),
+    "distance-queue-uninitialised": ({}, {}, {"stack": "ros1", "laser_z_hit": 0.5}, {}),
+    "distance-queue-uninitialised in fields only": ({"laser_model_type": "likelihood_field_prob"}, {},
+                                                    {"laser_model_type": "beam"}, {}),
     "max-beams-rounded": ({"max_beams": 70}, {"log": scans()}, {"max_beams": 100}, {"log": scans(n_beams=1001)}),
     "few-usable-beams": ({"max_beams": 60}, {"log": scans(some(np.inf, 0.9))},
                          {"max_beams": 60}, {"log": scans(some(np.inf, 0.4))}),
@@ -266,6 +292,30 @@ def test_every_check_has_a_test(tmp_path):
         patient = Patient(file, typed_values(file), **others)
         silent -= {check for check in silent if list(check(patient))}
     assert not silent
+
+
+def test_a_misspelt_model_is_named_with_the_right_one_and_examined_as_the_program_runs_it(tmp_path):
+    wrong = {"laser_model_type": "likelihood_feild_prob", "sigma_hit": 1.0}
+    found = examine(amcl(tmp_path, **wrong))
+    unknown = found[0]
+    assert (unknown.name, unknown.severity, unknown.parameter, unknown.line) == (
+        "unknown-model", "error", "laser_model_type", 3,
+    )  # fmt: skip
+    assert "laser_model_type is 'likelihood_feild_prob'" in unknown.seen
+    assert "nav2 runs likelihood_field instead, without a word" in unknown.why
+    assert unknown.remedy == "write likelihood_field_prob"
+    assert {"sigma-huge", "nearly-flat"} <= {item.name for item in found}
+    assert "logs a warning" in texts(examine(amcl(tmp_path, stack="ros1", **wrong)), "unknown-model")
+    assert "stops" in texts(examine(amcl(tmp_path, stack="beluga", **wrong)), "unknown-model")
+    far = texts(examine(amcl(tmp_path, laser_model_type="xyz")), "unknown-model")
+    assert far.endswith("write one of likelihood_field, likelihood_field_prob, beam")
+
+
+def test_whoever_writes_values_still_refuses_a_misspelt_model(tmp_path):
+    path = tmp_path / "params.yaml"
+    path.write_text("amcl:\n  ros__parameters:\n    laser_model_type: likelihood_feild\n")
+    with pytest.raises(FormatError, match="no model of nav2 that beamfield knows"):
+        read_stack_file(path, stack="nav2")
 
 
 def texts(found, name):

@@ -25,19 +25,20 @@ def beam_count(patient: Patient) -> Iterator[Diagnosis]:
     n, asked = patient.log.finder.n_beams, patient.value("max_beams")
     if asked is None:
         return
-    stepping = patient.file.stack != "beluga" and patient.file.model != "likelihood_field_prob"
-    if patient.file.stack == "nav2" and stepping and n < asked:
+    name = patient.name_of("max_beams")
+    if _never_returns(patient, n, asked):
         yield patient.finds(
-            "max-beams-above-scan", "error", f"max_beams is {asked}, the scans have {n} beams",
-            "nav2's step over beams becomes floor((n - 1) / (max_beams - 1)) = 0: the first update never returns",
-            f"set max_beams to at most {n}", parameter="max_beams", values={"beams": n, "max_beams": asked},
+            "max-beams-above-scan", "error", f"{name} is {asked}, the scans have {n} beams",
+            f"the beam model's step over beams becomes floor((n - 1) / ({name} - 1)) = 0, which it does not test: the "
+            "first update never returns",
+            f"set {name} to at most {n}", parameter="max_beams", values={"beams": n, "max_beams": asked},
         )  # fmt: skip
         return
     used = len(_selected(patient, n))
     # Stepping by whole beams takes nearly twice as many, or little more than half as many.
     if n >= asked and not 0.75 <= used / asked <= 1.34:
         yield patient.finds(
-            "max-beams-rounded", "info", f"max_beams is {asked}, but of {n} beams the program uses {used}",
+            "max-beams-rounded", "info", f"{name} is {asked}, but of {n} beams the program uses {used}",
             "it steps over beams by a whole number",
             "count with the number that is used", parameter="max_beams", values={"used": used, "max_beams": asked},
         )  # fmt: skip
@@ -48,7 +49,7 @@ def usable_beams(patient: Patient) -> Iterator[Diagnosis]:
     if not patient.is_amcl or patient.log is None or len(patient.log) == 0:
         return
     n, asked = patient.log.finder.n_beams, patient.value("max_beams")
-    if asked is None or (patient.file.stack == "nav2" and patient.file.model != "likelihood_field_prob" and n < asked):
+    if asked is None or _never_returns(patient, n, asked):
         return
     selected = _selected(patient, n)
     ranges = patient.log.ranges[:, selected]
@@ -86,6 +87,29 @@ def many_beams_in_product(patient: Patient) -> Iterator[Diagnosis]:
             "calibrate: the number of beams is chosen with the other values",
             parameter="beam_step" if patient.file.stack == "mrpt" else "max_beams", values={"beams": asked},
         )  # fmt: skip
+
+
+def nan_readings(patient: Patient) -> Iterator[Diagnosis]:
+    """Find scans with a NaN among the beams that ROS 1's beam model looks at, which does not test for it."""
+    if (patient.file.stack, patient.file.model) != ("ros1", "beam") or patient.log is None or len(patient.log) == 0:
+        return
+    n, asked = patient.log.finder.n_beams, patient.value("max_beams")
+    if asked is None or _never_returns(patient, n, asked):
+        return
+    share = float(np.isnan(patient.log.ranges[:, _selected(patient, n)]).any(axis=1).mean())
+    if share > 0.0:
+        yield patient.finds(
+            "nan-readings", "error", f"{share:.1%} of the scans have a NaN among the beams that are looked at",
+            "amcl's beam model has no test for NaN: one of them makes the weights of all particles NaN, and the filter "
+            "then makes all particles equal: such a scan undoes earlier ones instead of helping",
+            "filter NaN out before amcl (as +inf), or use a field model, which leaves NaN out",
+            values={"share": share},
+        )  # fmt: skip
+
+
+def _never_returns(patient: Patient, n_beams: int, max_beams: int) -> bool:
+    """Whether the program's step over beams becomes 0: fields raise it to 1, the beam models do not."""
+    return patient.file.stack in ("nav2", "ros1") and patient.file.model == "beam" and n_beams < max_beams
 
 
 def _selected(patient: Patient, n: int) -> NDArray[np.int64]:

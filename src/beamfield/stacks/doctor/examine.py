@@ -6,7 +6,15 @@ from collections.abc import Callable, Iterator
 
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from beamfield.stacks.doctor import beam_checks, map_checks, range_checks, sharpness, value_checks, weight_checks
+from beamfield.stacks.doctor import (
+    beam_checks,
+    field_checks,
+    map_checks,
+    range_checks,
+    sharpness,
+    value_checks,
+    weight_checks,
+)
 from beamfield.stacks.doctor.diagnosis import Diagnosis, worst_first
 from beamfield.stacks.doctor.patient import MapFile, Patient
 from beamfield.stacks.parameter_file import StackFile
@@ -18,6 +26,7 @@ CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
     map_checks.no_obstacles,
     map_checks.ignored_yaw,
     beam_checks.beam_count,
+    beam_checks.nan_readings,
     sharpness.sharpness,
     beam_checks.usable_beams,
     weight_checks.value_above_one,
@@ -34,6 +43,7 @@ CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
     value_checks.foreign_names,
     beam_checks.many_beams_in_product,
     weight_checks.unused_weights,
+    field_checks.uninitialised_queue,
     value_checks.loaded_elsewhere,
     value_checks.stack_guess,
 )

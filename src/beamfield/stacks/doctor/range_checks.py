@@ -12,6 +12,8 @@ from beamfield.stacks.doctor.patient import Patient
 
 # A limit that hides more of the readings than this is worth a word.
 HIDDEN_SHARE = 0.02
+# Lasers of mobile robots see farther than this, metres.
+SHORT_LIMIT = 3.0
 
 
 def unreachable_z_max(patient: Patient) -> Iterator[Diagnosis]:
@@ -43,12 +45,22 @@ def unreachable_z_max(patient: Patient) -> Iterator[Diagnosis]:
 
 
 def range_limits(patient: Patient) -> Iterator[Diagnosis]:
-    """Find a longest range that is not the sensor's."""
+    """Find a longest range that is not the sensor's, or without a log can hardly be."""
     limit = patient.value("laser_max_range")
-    if patient.log is None or limit is None or patient.file.model in ("rayTracing",):
+    if limit is None or patient.file.model in ("rayTracing",):
+        return
+    name = patient.name_of("laser_max_range")
+    if patient.log is None:
+        if 0.0 < limit < SHORT_LIMIT and patient.file.stack != "mrpt":  # MRPT only divides by it
+            yield patient.finds(
+                "range-limit-short", "warning", f"{name} is {limit:g} m",
+                "nearly all lasers see farther: readings beyond it count for nothing, or are cut down to it, and they "
+                "are those that tell headings best",
+                "set it to the sensor's longest range, or give a log (--log) to see what it hides",
+                parameter="laser_max_range", values={"limit": float(limit)},
+            )  # fmt: skip
         return
     sensor = patient.log.finder.max_range
-    name = patient.name_of("laser_max_range")
     # nav2 and ROS 1 take the lesser of the two.
     if limit > sensor * 1.01 and not _amcl(patient):
         rand = patient.name_of("z_rand")

@@ -11,7 +11,7 @@ from typing import TypeGuard
 from beamfield.io.yaml_file import shorten
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
-from beamfield.stacks.parameter_file import STACKS
+from beamfield.stacks.parameter_file import MODELS, STACKS
 from beamfield.stacks.parameter_text import Entry
 from beamfield.stacks.registry import parameter_names
 from beamfield.stacks.typed_values import FILLED_IN, INTEGER, MOST, STRICT_STACKS
@@ -40,7 +40,9 @@ def unusable_values(patient: Patient) -> Iterator[Diagnosis]:
     """Find values of the wrong type, out of range, infinite or NaN."""
     for name, message, _ in patient.typed.unusable:
         value = patient.file.section.entries[name].value
-        if message.startswith(FILLED_IN):
+        if name == "laser_model_type" and isinstance(value, str):
+            yield _unknown_model(patient, value)
+        elif message.startswith(FILLED_IN):
             yield patient.finds(
                 "filled-in-at-start", "info", f"{name} {message}",
                 "what the value will be is not known here, so that nothing is said about it",
@@ -132,6 +134,20 @@ def stack_guess(patient: Patient) -> Iterator[Diagnosis]:
         "stack-uncertain", "info", f"read as {patient.file.stack}'s, though {nodes[patient.file.stack]}",
         "the same values mean different things there: Beluga's hit has the constant of a normal density",
         remedy,
+    )  # fmt: skip
+
+
+def _unknown_model(patient: Patient, value: str) -> Diagnosis:
+    models = MODELS[patient.file.stack]
+    near = difflib.get_close_matches(value, models, n=1)
+    return patient.finds(
+        "unknown-model", "error", f"laser_model_type is {shorten(value)}, which is no model of {patient.file.stack}",
+        {
+            "nav2": f"nav2 runs {models[0]} instead, without a word",
+            "ros1": f"amcl runs {models[0]} instead; it only logs a warning",
+            "beluga": "Beluga stops with an error: the robot does not localise",
+        }[patient.file.stack] + f". The file is examined as one for {patient.file.model}",
+        f"write {near[0]}" if near else f"write one of {', '.join(models)}", own="laser_model_type",
     )  # fmt: skip
 
 

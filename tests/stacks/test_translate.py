@@ -96,7 +96,7 @@ def test_numbers_of_beams_become_a_decimation_and_back(params):
     assert back.values["max_beams"] == 61
     without = translate(params("mrpt", LF_decimation=6), "nav2")
     assert "max_beams" not in without.values
-    assert any("number of beams is left out" in note for note in without.notes)
+    assert any("max_beams is left out" in note for note in without.notes)
 
 
 @pytest.mark.parametrize("name", ["LF_useSquareDist", "LF_alternateAverageMethod"])
@@ -123,7 +123,7 @@ def test_the_sensors_limit_decides_what_z_rand_means(params):
     assert with_limit.values["laser_max_range"] == 10.0
     assert with_limit.exact
     assert not without.exact
-    assert any("assumed that the sensor's longest range is 100 m" in note for note in without.notes)
+    assert any("assumed that the sensor's longest range is 100 m" in said for said in without.assumptions)
 
 
 def test_beam_models_are_translated_with_the_reasons_why_not_exactly(params):

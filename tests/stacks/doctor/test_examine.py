@@ -302,7 +302,7 @@ def test_a_misspelt_model_is_named_with_the_right_one_and_examined_as_the_progra
         "unknown-model", "error", "laser_model_type", 3,
     )  # fmt: skip
     assert "laser_model_type is 'likelihood_feild_prob'" in unknown.seen
-    assert "nav2 runs likelihood_field instead, without a word" in unknown.why
+    assert "nav2 runs likelihood_field instead, without a message" in unknown.why
     assert unknown.remedy == "write likelihood_field_prob"
     assert {"sigma-huge", "nearly-flat"} <= {item.name for item in found}
     assert "logs a warning" in texts(examine(amcl(tmp_path, stack="ros1", **wrong)), "unknown-model")

@@ -47,7 +47,7 @@ def yaml_documents(draw):
                 f"{indent * depth}{quoted}:{draw(st.sampled_from([' ', '   ']))}{draw(NUMBERS)}{draw(COMMENT)}"
             )
             lines += draw(st.lists(st.sampled_from(["", f"{indent * depth}# between: 1"]), max_size=1))
-    return newline.join(lines) + draw(st.sampled_from(["", newline]))
+    return newline.join(lines) + draw(st.sampled_from(["", newline, f"{newline}  ", f"{newline * 3}"]))
 
 
 @st.composite
@@ -66,7 +66,7 @@ def launch_documents(draw):
         end = draw(st.sampled_from(["/>", " />", "></param>"]))
         lines.append(f"    <param {'  '.join(words)}{end}" + draw(st.sampled_from(["", " <!-- <node> -->"])))
     lines += ["  </node>", "</launch>"]
-    return newline.join(lines) + draw(st.sampled_from(["", newline]))
+    return newline.join(lines) + draw(st.sampled_from(["", newline, f"{newline}  ", f"{newline * 3}"]))
 
 
 NEW_VALUES = st.dictionaries(

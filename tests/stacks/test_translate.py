@@ -14,7 +14,7 @@ from beamfield.stacks.parameter_file import read_stack_file
 from beamfield.stacks.registry import emulator, parameter_class
 from beamfield.stacks.translate import translate
 from beamfield.stacks.typed_values import checked_values
-from beamfield.stacks.weight_comparison import TOLERANCE, compare, compare_fields, sample_distances
+from beamfield.stacks.weight_comparison import TOLERANCE, between_cells, compare, compare_fields, sample_distances
 
 GRID = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=0.05)
 SENSOR_LIMIT = 12.0
@@ -212,8 +212,8 @@ def test_distances_cut_at_whole_cells_are_part_of_the_comparison(params):
     assert not result.exact
     assert result.summary.startswith("not the same weights: computed for one scan of 30 beams at 500 poses")
     assert any("whole number of cells" in note and "cells of 0.1 m" in note for note in result.notes)
-    d = sample_distances(0.2, 0.3)
-    before = amcl_log_weights(d, 0.8, 0.2, 0.2, 0.3, 10.0, 2 * 0.1)
+    d = between_cells(sample_distances(0.2, 0.3), 0.1)
+    before = amcl_log_weights(d, 0.8, 0.2, 0.2, 0.3, 10.0, 2.01 * 0.1)
     v = result.values
     after = amcl_log_weights(
         d, v["z_hit"], v["z_rand"], 0.2, 0.3, 10.0, 0.3, constant=1 / (math.sqrt(2 * math.pi) * 0.2)

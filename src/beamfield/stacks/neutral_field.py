@@ -154,5 +154,7 @@ def _mrpt_values(
         values["LF_decimation"] = max(1, round(n_beams / source.max_beams))
     elif source.max_beams is not None:
         notes.append("LF_decimation is left out: converting max_beams needs the number of beams in a scan (--beams)")
-    notes.append("MRPT leaves out the first reading after one that is not valid, and points 2 cm apart or nearer")
+    notes.append(
+        "MRPT leaves out the first reading after one that is not valid, and points within half a cell of the last"
+    )
     return values

@@ -21,8 +21,6 @@ TOLERANCE = 1e-3
 ELSEWHERE, FARTHEST = 0.2, 4.0
 # Cells so small that cutting distances off at whole ones changes nothing, metres.
 FINE = 1e-5
-# amcl keeps distances up to a whole number of cells.
-_WHOLE_CELLS = ("nav2", "ros1")
 
 # Stack, model, parameters.
 StackModelOf = tuple[str, str, Any]
@@ -116,12 +114,11 @@ def compare_fields(
         Side of the map's cells, metres: nav2 and ROS 1 cut distances off at a whole number of them. None leaves
         distances as they are.
     """
-    weights = []
-    for (stack, name, parameters), limit in zip((model, other), limits, strict=True):
-        seen = distances
-        if cell is not None and stack in _WHOLE_CELLS:
-            seen = cut_at_whole_cells(distances, parameters.laser_likelihood_max_dist, cell)
-        weights.append(field_weights(stack, name, parameters, seen, limit, cell))
+    seen = distances if cell is None else between_cells(distances, cell)
+    weights = [
+        field_weights(stack, name, parameters, seen, limit, cell)
+        for (stack, name, parameters), limit in zip((model, other), limits, strict=True)
+    ]
     return compare(*weights)
 
 
@@ -183,13 +180,13 @@ def field_weights(
     return np.asarray(made.log_weights(evidence))
 
 
-def cut_at_whole_cells(distances: FloatArray, max_distance: float, cell: float) -> FloatArray:
-    """Return distances as amcl keeps them: beyond int(max_distance / cell) cells they are max_distance.
+def between_cells(distances: FloatArray, cell: float) -> FloatArray:
+    """Return distances as they are between cells: their squares are whole numbers of cells.
 
-    The side of a cell comes in single precision, in the map's message.
+    The side of a cell is taken in single precision, as it comes in the map's message.
     """
     side = float(np.float32(cell))
-    return np.where(distances > int(max_distance / side) * side, max_distance, distances)
+    return np.asarray(np.sqrt(np.round((distances / side) ** 2)) * side)
 
 
 def chapter_field_weights(parameters: ChapterField, distances: FloatArray) -> FloatArray:
@@ -202,6 +199,6 @@ def chapter_field_weights(parameters: ChapterField, distances: FloatArray) -> Fl
 
 
 def _emulator(stack: str, model: str, parameters: Any, cell: float) -> tuple[Any, dict[str, Any]]:
-    grid = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=cell)
+    grid = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=float(np.float32(cell)))
     made = build_model(stack, model, grid, parameters)
     return made, {name: getattr(parameters, name) for name in made.evidence_settings}

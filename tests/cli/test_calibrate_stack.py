@@ -70,6 +70,12 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     (only,) = document["models"]
     assert only["calibrated"]["score"] > only["before"]["score"]
     assert only["parameters"]["sigma_hit"] == pytest.approx(new.sigma_hit, rel=1e-5)
+    for path in (mine, tmp_path / "out" / "nav2.yaml"):
+        assert main(["doctor", str(path), "--map", str(world / "map.yaml")]) == 0
+        assert "info: calibrated" in capsys.readouterr().out
+    mine.write_text(after.replace("z_rand: ", "z_rand: 1"))
+    main(["doctor", str(mine)])
+    assert "info: calibrated" not in capsys.readouterr().out
     page = (tmp_path / "out" / "report.html").read_text()
     assert "For nav2: likelihood_field_prob" in page
     assert 'id="stack-choice"' in page

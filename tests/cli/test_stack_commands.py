@@ -63,7 +63,7 @@ def test_the_doctor_looks_at_the_map(good, tmp_path, capsys):
     assert main(["doctor", str(good), "--stack", "nav2", "--map", str(tmp_path / "map.yaml"), "--json"]) == 1
     found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
     assert found["map-yaw-ignored"]["values"]["yaw"] == pytest.approx(0.2)
-    assert found["half-cell-shift"]["severity"] == "warning"
+    assert found["half-cell-shift"]["values"] == {"shift": 0.25, "sigma": 0.2}
     assert found["foreign-name"]["parameter"] == "model_unknown_space"
 
 
@@ -85,21 +85,22 @@ def test_translation_is_printed_as_the_other_stacks_file(good, capsys):
     # 0.9 / (0.2 sqrt(2 pi)) against 0.1
     assert float(body["z_hit"]) / float(body["z_rand"]) == pytest.approx(9.0 / 0.501326, rel=1e-4)
     assert body["max_beams"] == "20"
-    assert "note: the same relative weights\n" in captured.err
+    assert "# not the same weights" not in captured.out
+    assert "the same relative weights at equal distances, if what is assumed below is true: computed for" in lines[1]
+    assert lines[2].startswith("# assumed that the sensor's longest range is 10 m or more")
+    assert captured.err == ""
 
 
-def test_notes_that_the_printed_file_holds_are_not_said_twice_on_a_screen(good, capsys, monkeypatch):
+def test_notes_are_said_once_wherever_the_streams_go(good, capsys, monkeypatch):
+    """The printed file has them in its head; a screen that does not show it gets them from the other stream."""
     words = ["translate", str(good), "--to", "mrpt", "--max-range", "12"]
-    assert main(words) == 0
-    piped = capsys.readouterr()
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    assert main(words) == 0
-    shown = capsys.readouterr()
-    assert shown.out == piped.out
-    assert "note: the same relative weights" in piped.err or "note: not exactly" in piped.err
-    notes = [line.removeprefix("note: ") for line in shown.err.splitlines()]
-    assert len(notes) < len(piped.err.splitlines())
-    assert not any(note in shown.out for note in notes)
+    for out_is_screen, err_is_screen, said in ((True, True, False), (False, False, False), (False, True, True)):
+        monkeypatch.setattr("sys.stdout.isatty", lambda shown=out_is_screen: shown)
+        monkeypatch.setattr("sys.stderr.isatty", lambda shown=err_is_screen: shown)
+        assert main(words) == 0
+        shown = capsys.readouterr()
+        assert "// the same relative weights at equal distances: computed for" in shown.out
+        assert ("note: the same relative weights at equal distances" in shown.err) is said
 
 
 def test_translation_patches_the_users_file(good, tmp_path, capsys):
@@ -153,7 +154,7 @@ def test_the_doctor_takes_reference_poses_from_a_file(good, tmp_path, capsys):
 
 
 def test_the_doctor_sees_thresholds_that_lose_cells(good, tmp_path, capsys):
-    Image.fromarray(np.full((20, 20), 120, np.uint8)).save(tmp_path / "map.png")
+    Image.fromarray(np.repeat([[120, 130]], 20, axis=0).astype(np.uint8)).save(tmp_path / "map.png")
     (tmp_path / "map.yaml").write_text(
         "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
@@ -241,3 +242,103 @@ def test_the_doctor_tries_the_model_on_a_real_log(data, good, capsys):
     found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
     assert "in the log (median of up to 9 scans)" in found["nearly-flat"]["seen"]
     assert found["range-limit-hides-readings"]["values"]["hidden_share"] > 0.05
+
+
+BEAM_MODEL = """\
+beam_model:
+  z_hit: 0.6
+  z_short: 0.1
+  z_max: 0.1
+  z_rand: 0.2
+  sigma_hit: 0.014
+  lambda_short: 0.3
+  range_offset: 0.01
+  sigma_slope: 0.015
+sensor:
+  name: scan
+  min_range: 0.15
+  max_range: 12.0
+"""
+LOSSES = ("range_offset 0.01 m is lost", "sigma_slope 0.015 is lost", "min_range 0.15 m is lost")
+
+
+@pytest.fixture
+def own(tmp_path):
+    path = tmp_path / "beam_model.yaml"
+    path.write_text(BEAM_MODEL)
+    return path
+
+
+def test_beamfields_own_model_is_translated_with_its_losses(own, capsys):
+    assert main(["translate", str(own), "--to", "nav2"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("# nav2 beam, from beamfield's beam model by beamfield")
+    assert "# not the same weights" in out
+    assert all(loss in out for loss in LOSSES)
+    assert 'laser_model_type: "beam"' in out
+
+
+def test_a_users_file_gets_beamfields_own_model_with_the_same_notes(own, tmp_path, capsys):
+    """In the model that the file chooses; once the numbers of densities went into nav2's field as they were."""
+    target = tmp_path / "nav2.yaml"
+    target.write_text(
+        "amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n    z_hit: 0.5  # mine\n"
+    )
+    words = ["translate", str(own), "--to", "nav2", "--patch", str(target)]
+    assert main(words) == 0
+    err = capsys.readouterr().err
+    assert "note: not the same weights" in err
+    assert all(f"note: {loss}" in err for loss in LOSSES)
+    assert f"note: likelihood_field_prob was chosen, because {target} chooses it" in err
+    text = target.read_text()
+    assert "laser_model_type: likelihood_field_prob" in text
+    sigma = np.sqrt(0.014**2 + 0.01**2 + (0.015 * 4.0) ** 2)
+    peak = 0.6 / (np.sqrt(2 * np.pi) * sigma)
+    assert f"z_hit: {peak / (peak + 0.2):.6g}  # mine" in text
+    assert main([*words, "--to-model", "beam"]) == 0
+    assert "note: the file chose likelihood_field_prob before, now beam" in capsys.readouterr().err
+
+
+def test_beamfields_own_model_is_named_in_one_line_by_the_others(own, tmp_path, capsys):
+    target = tmp_path / "other.yaml"
+    target.write_text(BEAM_MODEL)
+    (tmp_path / "p.yaml").write_text(GOOD)
+    for words in (
+        ["doctor", str(own)],
+        ["translate", str(tmp_path / "p.yaml"), "--to", "nav2", "--patch", str(target)],
+        ["calibrate", "run.log", "--map", "map.yaml", "--stack", "nav2", "--patch", str(target)],
+    ):
+        assert main(words) == 1
+        captured = capsys.readouterr()
+        assert "this is beamfield's own beam model" in captured.err
+        assert "`beamfield calibrate LOG --map MAP --stack nav2`" in captured.err
+        assert captured.err.count("\n") == 1
+        assert captured.out == ""
+    assert target.read_text() == BEAM_MODEL
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--to", "f1tenth"], "resolution: F1TENTH measures sigma_hit in cells of the map"),
+        (["--to", "nav2", "--stack", "nav2"], "--stack: is for files of a stack"),
+        (["--to", "nav2", "--max-range", "9"], "--max-range: is for files of a stack"),
+        (["--to", "chapter", "--out", "x.yaml"], "--out: is for files of a stack, chapter has none"),
+    ],
+)
+def test_options_that_do_not_fit_beamfields_own_model_are_refused(own, capsys, words, message):
+    assert main(["translate", str(own), *words]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_belugas_file_for_ros_1_is_patched_under_its_names(tmp_path):
+    target = tmp_path / "default.ros.yaml"
+    target.write_text("laser_z_hit: 0.5  # mine\nexecution_policy: seq\n")
+    nav2 = tmp_path / "nav2.yaml"
+    nav2.write_text("amcl:\n  ros__parameters:\n    z_hit: 0.7\n    z_rand: 0.3\n    laser_max_range: 10.0\n")
+    words = ["translate", str(nav2), "--stack", "nav2", "--to", "beluga", "--max-range", "12", "--patch", str(target)]
+    assert main(words) == 0
+    text = target.read_text()
+    assert f"laser_z_hit: {0.7 * np.sqrt(2 * np.pi) * 0.2:.6g}  # mine\n" in text
+    assert "\nz_hit" not in text
+    assert "laser_sigma_hit: 0.2" in text

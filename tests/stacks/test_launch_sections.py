@@ -91,7 +91,7 @@ def test_a_node_whose_parameters_are_in_another_file_says_which(write):
         (node(param("laser_z_hit", "1")), "ros1", True),
         (node(param("z_hit", "1.0"), attributes='pkg="nav2_amcl" exec="amcl" name="amcl"'), "nav2", True),
         (node(param("z_hit", "1.0"), attributes='pkg="beluga_amcl" exec="amcl_node" name="amcl"'), "beluga", True),
-        (node(param("laser_z_hit", "1"), attributes='pkg="beluga_amcl" type="amcl_node" name="amcl"'), "ros1", False),
+        (node(param("laser_z_hit", "1"), attributes='pkg="beluga_amcl" type="amcl_node" name="amcl"'), "beluga", True),
         (node(param("squash_factor", "2.2"), param("z_hit", "0.8"),
               attributes='pkg="particle_filter" type="particle_filter.py" name="pf"'), "f1tenth", True),
     ],

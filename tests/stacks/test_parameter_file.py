@@ -8,6 +8,7 @@ import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.stacks.parameter_file import MODELS, check_patch_target, read_stack_file, write_values
+from beamfield.stacks.typed_values import checked_values
 
 NAV2 = """\
 # localisation of the lobby robot
@@ -198,7 +199,7 @@ def test_keys_may_be_numbers_in_other_sections(write):
     ("text", "stack", "certain"),
     [
         ("laser_z_hit: 0.5\n", "ros1", True),
-        ("laser_z_hit: 0.5\nexecution_policy: seq\n", "ros1", False),
+        ("laser_z_hit: 0.5\nexecution_policy: seq\n", "beluga", True),
         ("amcl:\n  laser_max_range: 12.0\n", "ros1", True),
         ("amcl:\n  z_hit: 0.5\n", "nav2", False),
         ("/**:\n  ros__parameters:\n    z_hit: 0.5\n", "nav2", False),
@@ -361,3 +362,75 @@ def test_values_that_no_file_can_hold_are_refused(write, value):
     section = read_stack_file(write(NAV2)).section
     with pytest.raises(InvalidInputError, match="value: expected"):
         section.with_values({"z_hit": value})
+
+
+BELUGA_1 = "laser_z_hit: 0.77   # mine\nlaser_max_beams: 100\nselective_resampling: false\n"
+
+
+def test_belugas_names_for_ros_1_are_read_and_written_as_they_are(write):
+    path = write(BELUGA_1)
+    file = read_stack_file(path)
+    assert file.is_prefixed
+    values = checked_values(file)
+    assert (values.z_hit, values.max_beams) == (0.77, 100)
+    # The node for ROS 1 has ROS 1's defaults.
+    assert (values.z_rand, values.z_short, values.sigma_hit, values.laser_max_range) == (0.05, 0.1, 0.2, 100.0)
+    write_values(file.section, file.by_names_in_file({"z_hit": 0.6, "sigma_hit": 0.1}))
+    assert path.read_text() == BELUGA_1.replace("0.77", "0.6") + "laser_sigma_hit: 0.1\n"
+
+
+def test_a_ros_1_file_is_belugas_if_one_says_so(write):
+    file = read_stack_file(write("laser_z_hit: 0.77\n"), stack="beluga")
+    assert checked_values(file).z_hit == 0.77
+    check_patch_target(file)
+
+
+@pytest.mark.parametrize("other", ["z_hit: 0.5", "sigma_hit: 0.1"])
+def test_names_of_both_of_belugas_nodes_are_refused(write, other):
+    path = write(f"{BELUGA_1}{other}\n")
+    name = other.split(":")[0]
+    with pytest.raises(
+        FormatError, match=rf"params\.yaml:4: {name}: is a name of Beluga's node for ROS 2, laser_z_hit one"
+    ):
+        read_stack_file(path)
+
+
+def test_ros_2_ignores_the_names_of_ros_1(write):
+    text = "amcl:\n  ros__parameters:\n    laser_z_hit: 0.77\n    execution_policy: seq\n"
+    file = read_stack_file(write(text))
+    assert file.stack == "beluga"
+    assert not file.is_prefixed
+    assert checked_values(file).z_hit == 0.5
+
+
+def test_an_amcl_node_stays_amcls_whatever_stray_names_it_has(write):
+    text = LAUNCH.replace("</node>", '<param name="execution_policy" value="seq"/></node>', 1)
+    assert read_stack_file(write(text, "a.launch")).possible == ("ros1",)
+    assert read_stack_file(write(text.replace('pkg="amcl"', 'pkg="beluga_amcl"'), "a.launch")).possible == ("beluga",)
+
+
+OTHER_FILES = {
+    "beam_model.yaml": (
+        "beam_model:\n  z_hit: 0.5\n  sigma_hit: 0.1\n",
+        "this is beamfield's own beam model: `beamfield t",
+    ),
+    "landmark_model.yaml": ("landmark_model:\n  sigma_range: 0.1\n", "this is beamfield's own landmark model"),
+    "map.yaml": (
+        "image: a.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n",
+        r"this is the YAML file of a map \(give it with",
+    ),
+    "metadata.yaml": ("rosbag2_bagfile_information:\n  version: 5\n", "this is the metadata of a ROS 2 bag"),
+    "calibration.json": ('{"parameters": {"z_hit": 0.5}}', "this is JSON, in which beamfield writes results"),
+    "poses.tum": ("# stamp\n1.5 0 0 0 0 0 0 1\n", "this is a file of poses"),
+    "poses.csv": ("t,x,y,theta\n1,2,3,4\n", "this is a file of poses"),
+    "run.bag": ("#ROSBAG V2.0\n", "this is a bag"),
+    "random.yaml": ("a: {b: 1}\n", "no parameters of a measurement model found"),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_FILES)
+def test_files_of_other_kinds_are_named(write, name):
+    text, message = OTHER_FILES[name]
+    with pytest.raises(FormatError, match=message) as refused:
+        read_stack_file(write(text, name))
+    assert "expected a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH" in str(refused.value)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from beamfield.stacks.parameter_file import read_stack_file
 from beamfield.stacks.registry import emulator, parameter_class
 from beamfield.stacks.translate import translate
 from beamfield.stacks.typed_values import checked_values
+from beamfield.stacks.weight_comparison import TOLERANCE, between_cells, compare, compare_fields, sample_distances
 
 GRID = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=0.05)
 SENSOR_LIMIT = 12.0
@@ -96,7 +99,7 @@ def test_numbers_of_beams_become_a_decimation_and_back(params):
     assert back.values["max_beams"] == 61
     without = translate(params("mrpt", LF_decimation=6), "nav2")
     assert "max_beams" not in without.values
-    assert any("number of beams is left out" in note for note in without.notes)
+    assert any("max_beams is left out" in note for note in without.notes)
 
 
 @pytest.mark.parametrize("name", ["LF_useSquareDist", "LF_alternateAverageMethod"])
@@ -123,7 +126,7 @@ def test_the_sensors_limit_decides_what_z_rand_means(params):
     assert with_limit.values["laser_max_range"] == 10.0
     assert with_limit.exact
     assert not without.exact
-    assert any("assumed that the sensor's longest range is 100 m" in note for note in without.notes)
+    assert any("assumed that the sensor's longest range is 100 m" in said for said in without.assumptions)
 
 
 def test_beam_models_are_translated_with_the_reasons_why_not_exactly(params):
@@ -186,3 +189,99 @@ def test_options_that_only_beluga_has_are_not_lost_in_silence(params):
     notes = translate(params("beluga", laser_model_type="likelihood_field", z_hit=0.5), "nav2").notes
     assert any("only_obstacle_boundaries is left out" in note for note in notes)
     assert any("not the same beams" in note for note in notes)
+
+
+def amcl_log_weights(d, z_hit, z_rand, sigma, max_distance, max_range, reach, *, constant=1.0):
+    """Return the log-weights of likelihood_field_prob, written from amcl_laser: beyond `reach` d is max_distance."""
+    weights = []
+    for row in d:
+        total = 0.0
+        for x in row:
+            z = max_distance if x > reach else x
+            total += math.log(z_hit * constant * math.exp(-z * z / (2 * sigma * sigma)) + z_rand / max_range)
+        weights.append(total)
+    return np.array(weights)
+
+
+def test_distances_cut_at_whole_cells_are_part_of_the_comparison(params):
+    """nav2 looks int(0.3 / 0.1) = 2 cells far, Beluga 0.3 m: in products that is worth nats."""
+    close = {"laser_model_type": "likelihood_field_prob", "laser_max_range": 10.0, "z_hit": 0.8, "z_rand": 0.2,
+             "sigma_hit": 0.2}  # fmt: skip
+    file = params("nav2", laser_likelihood_max_dist=0.3, **close)
+    result = translate(file, "beluga", max_range=12.0, resolution=0.1)
+    assert not result.exact
+    assert result.summary.startswith("not the same weights: computed for one scan of 30 beams at 500 poses")
+    assert any("whole number of cells" in note and "cells of 0.1 m" in note for note in result.notes)
+    d = between_cells(sample_distances(0.2, 0.3), 0.1)
+    before = amcl_log_weights(d, 0.8, 0.2, 0.2, 0.3, 10.0, 2.01 * 0.1)
+    v = result.values
+    after = amcl_log_weights(
+        d, v["z_hit"], v["z_rand"], 0.2, 0.3, 10.0, 0.3, constant=1 / (math.sqrt(2 * math.pi) * 0.2)
+    )
+    assert result.comparison.difference == pytest.approx(np.ptp(before - after), abs=1e-3)
+    assert result.comparison.difference > 1.0
+    far = translate(params("nav2", laser_likelihood_max_dist=2.0, **close), "beluga", max_range=12.0, resolution=0.1)
+    assert far.exact
+    assert far.summary.startswith("the same relative weights at equal distances: computed for")
+    assert not any("whole number of cells" in note for note in far.notes)
+
+
+def test_the_side_of_cells_is_taken_in_single_precision_as_in_the_message(params):
+    """0.5 m are 10 cells of 0.05 m, but 9 of float32(0.05)."""
+    file = params("nav2", laser_model_type="likelihood_field_prob", laser_likelihood_max_dist=0.5, sigma_hit=0.2,
+                  laser_max_range=10.0)  # fmt: skip
+    assert translate(file, "mrpt", max_range=12.0, resolution=0.05).comparison.difference > 0.1
+    assert translate(file, "mrpt", max_range=12.0, resolution=0.125).exact
+
+
+def test_wrong_parameters_are_seen_by_the_comparison():
+    kind = parameter_class("nav2")
+    right = kind(laser_model_type="likelihood_field_prob")
+    wrong = kind(laser_model_type="likelihood_field_prob", z_hit=0.49)
+    distances = sample_distances(0.2, 2.0)
+    for other, same in ((right, True), (wrong, False)):
+        pair = [("nav2", "likelihood_field_prob", parameters) for parameters in (right, other)]
+        made = compare_fields(pair[0], pair[1], distances, (10.0, 10.0), 0.05)
+        assert (made.difference <= TOLERANCE) is same
+        assert made.is_same is same
+
+
+def test_a_weight_of_zero_on_one_side_only_is_an_infinite_difference():
+    some, none = np.array([0.0, -1.0]), np.array([0.0, -np.inf])
+    assert compare(some, none).difference == np.inf
+    assert compare(none, none).is_same
+    assert compare(some, some + 3.0).difference == 0.0
+
+
+def test_beam_models_say_how_far_their_weights_are_apart(params):
+    result = translate(params("nav2", laser_model_type="beam", laser_max_range=10.0), "beluga", max_range=12.0)
+    assert not result.exact
+    assert 0.01 < result.comparison.difference < 10.0
+    assert f"differ by up to {result.comparison.difference:.3g}" in result.summary
+    assert translate(params("nav2", laser_model_type="beam"), "ros1").exact
+
+
+def test_words_of_notes_decide_nothing(params, monkeypatch):
+    """Once `exact` was whether a note has the word "assumed"."""
+    from beamfield.stacks import translate as module
+
+    monkeypatch.setattr(module, "map_notes", lambda *_: ["assumed nothing"])
+    file = params("nav2", laser_model_type="likelihood_field_prob", laser_max_range=10.0)
+    assert translate(file, "beluga", max_range=12.0).exact
+
+
+def test_belugas_names_for_ros_1_are_translated(tmp_path):
+    path = tmp_path / "default.ros.yaml"
+    path.write_text("laser_z_hit: 0.77\nlaser_sigma_hit: 0.11\nlaser_max_beams: 100\nexecution_policy: seq\n")
+    file = read_stack_file(path)
+    assert (file.stack, file.stack_is_certain, file.is_prefixed) == ("beluga", True, True)
+    values = translate(file, "nav2", max_range=12.0).values
+    assert values["max_beams"] == 100
+    assert values["sigma_hit"] == 0.11
+    # z_rand as ROS 1's amcl and Beluga's node for ROS 1 have it by default, 0.05.
+    assert values["z_hit"] / values["z_rand"] == pytest.approx(0.77 / (np.sqrt(2 * np.pi) * 0.11) / (0.05 / 100 * 12))
+
+
+def test_names_that_the_stack_does_not_read_are_said(params):
+    notes = translate(params("nav2", laser_z_hit=0.9, laser_max_range=5.0), "ros1").notes
+    assert any(note.startswith("laser_z_hit was not read: nav2 has no such parameter") for note in notes)

@@ -202,7 +202,7 @@ def run(arguments: argparse.Namespace) -> int:
     print("\n\n".join(text))
     print(f"\nwrote {', '.join(next(iter(outputs.values())))} into {arguments.out}")
     if patched is not None and stack is not None:
-        print(write_patch(patched, stack.values))
+        print(write_patch(patched, stack))
     if not converged:
         print("beamfield: warning: the fit did not converge", file=sys.stderr)
         return 3

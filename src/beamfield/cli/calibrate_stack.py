@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.report.page_section import PageSection
     from beamfield.sensors import SensorLog
+    from beamfield.stacks.fit import StackFit
     from beamfield.stacks.parameter_file import StackFile
 
 
@@ -41,6 +42,8 @@ class StackResult:
         The stack's own parameter file.
     values
         The parameters that changed, for a file that is patched.
+    record
+        The comment by which `beamfield doctor` knows the values again; "" if they did not do well.
     """
 
     table: str
@@ -49,6 +52,7 @@ class StackResult:
     file_name: str
     file_text: str
     values: Mapping[str, Any]
+    record: str
 
 
 def add_stack_options(parser: argparse.ArgumentParser) -> None:
@@ -130,20 +134,22 @@ def fit_for_stack(
             )
         )  # fmt: skip
     best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
-    text = _file_text(arguments, best.model.model, asdict(best.parameters))
+    record = _record(best) if best.covers else ""
+    text = _file_text(arguments, best.model.model, asdict(best.parameters), record)
     start_values = asdict(best.start)
     changed = {name: value for name, value in asdict(best.parameters).items() if value != start_values[name]}
     return StackResult(
         stack_tables(fits, best), stack_as_dict(fits, best), stack_section(fits, best, text),
-        f"{stack}.ini" if stack == "mrpt" else f"{stack}.yaml", text, changed,
+        f"{stack}.ini" if stack == "mrpt" else f"{stack}.yaml", text, changed, record,
     )  # fmt: skip
 
 
-def write_patch(file: StackFile, values: Mapping[str, Any]) -> str:
+def write_patch(file: StackFile, fitted: StackResult) -> str:
     """Change the user's file and return a line that says so."""
     from beamfield.stacks.parameter_file import write_values
 
-    backup = write_values(file.section, values)
+    values = file.by_names_in_file(fitted.values)
+    backup = write_values(file.section, values, record=fitted.record)
     return f"changed {', '.join(values) or 'nothing'} in {file.section.path}; the old file is {backup.name}"
 
 
@@ -151,11 +157,19 @@ def _chosen_model(kind: type[Any], model: str) -> dict[str, Any]:
     return {"laser_model_type": model} if "laser_model_type" in kind.__dataclass_fields__ else {}
 
 
-def _file_text(arguments: argparse.Namespace, model: str, values: dict[str, Any]) -> str:
+def _record(fit: StackFit) -> str:
+    from beamfield.stacks.calibration_record import record_text
+
+    held_out = fit.chosen.held_out
+    judged = f"{held_out.coverage:.0%} of {len(held_out.log_score)} held-out windows covered"
+    return record_text(fit.model.stack, fit.model.model, fit.parameters, __version__, judged)
+
+
+def _file_text(arguments: argparse.Namespace, model: str, values: dict[str, Any], record: str) -> str:
     from beamfield.stacks.new_file import new_file_text
 
     comments = [
-        f"{arguments.stack}, {model}: calibrated by beamfield {__version__}",
+        record or f"{arguments.stack} {model}: fitted by beamfield {__version__}, but too many held-out windows missed",
         f"log {json.dumps(arguments.log.name)}, map {json.dumps(arguments.map.name)}",
     ]
     return new_file_text(arguments.stack, values, comments=comments)

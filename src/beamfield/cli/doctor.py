@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """
 Examine the measurement model in a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH: what is wrong, why it
-matters and what to do, worst first. With --map and --log it looks at what the robot really sees. Exit code 1 if
-something is wrong.
+matters and what to do, worst first. With --map and --log it looks at what the robot really sees. Exit code 1 on errors
+and warnings, 0 on advice.
 """
 
 
@@ -37,7 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--poses", type=Path, metavar="FILE",
                         help="reference poses for the log: TUM or CSV (default: those in the log)")  # fmt: skip
     add_log_options(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON for programs")
+    parser.add_argument("--json", action="store_true", help="print machine-readable JSON")
     parser.set_defaults(run=run)
 
 

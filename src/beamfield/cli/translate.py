@@ -5,14 +5,20 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from beamfield import __version__
 from beamfield.cli.doctor import add_file_options
+from beamfield.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from beamfield.stacks.parameter_file import StackFile
+    from beamfield.stacks.translation import Translation
 
 DESCRIPTION = """
-Translate the measurement model in a parameter file of one stack into the parameters that give another stack the same
-relative weights, exactly where that is possible. Prints the new file, or writes it with --out, or changes the values in
-an existing file of the other stack with --patch. What differs all the same is said.
+Translate the measurement model in a parameter file of one stack, or beamfield's own beam_model.yaml, into the
+parameters of another stack. Prints the new file, or writes it with --out, or changes the values in an existing file of
+the other stack with --patch. Both formulas are computed and compared; what differs is said.
 """
 
 
@@ -21,15 +27,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "translate", help="parameters of one stack in the meaning of another", description=DESCRIPTION
     )
-    parser.add_argument("params", type=Path, metavar="PARAMS", help="YAML, ROS 1 launch file or MRPT ini")
+    parser.add_argument(
+        "params", type=Path, metavar="PARAMS", help="YAML, ROS 1 launch file, MRPT ini, or beam_model.yaml"
+    )
     parser.add_argument("--to", required=True, metavar="STACK",
-                        help="nav2, ros1, beluga, mrpt, f1tenth, or chapter for beamfield's own field")  # fmt: skip
+                        help="nav2, ros1, beluga, mrpt, f1tenth, or chapter for beamfield's own models")  # fmt: skip
     parser.add_argument(
         "--to-model", metavar="NAME", help="the other stack's model (default: the one of the same kind)"
     )
     add_file_options(parser)
     parser.add_argument("--max-range", type=float, metavar="M", help="the sensor's longest range, metres")
     parser.add_argument("--beams", type=int, metavar="N", help="beams in a scan, to convert decimations")
+    parser.add_argument("--resolution", type=float, metavar="M", help="side of the map's cells, metres")
+    parser.add_argument("--typical-range", type=float, metavar="M",
+                        help="of beam_model.yaml: root mean square of the ranges whose noise becomes sigma_hit "
+                        "(default: 4, or 0.4 of the sensor's longest range)")  # fmt: skip
     target = parser.add_mutually_exclusive_group()
     target.add_argument("--out", type=Path, metavar="FILE", help="write a new file (.launch for ROS 1 launch lines)")
     target.add_argument("--patch", type=Path, metavar="FILE", help="change the values in this file; keeps a backup")
@@ -39,58 +51,102 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, translate, write."""
-    from beamfield.errors import InvalidInputError
-    from beamfield.io.atomic import write_file
-    from beamfield.stacks.new_file import new_file_text
-    from beamfield.stacks.parameter_file import check_patch_target, read_stack_file, write_values
-    from beamfield.stacks.translate import CHAPTER, translate
+    from beamfield.stacks.translation import CHAPTER
 
     if arguments.patch_section is not None and arguments.patch is None:
         raise InvalidInputError("--patch-section: is a section of the file to --patch, but there is none")
-    file = read_stack_file(arguments.params, stack=arguments.stack, model=arguments.model, section=arguments.section)
-    result = translate(
-        file, arguments.to, model=arguments.to_model, max_range=arguments.max_range, n_beams=arguments.beams
-    )
-    notes = list(result.notes)
-    if not file.stack_is_certain:
-        notes.append(f"read as {file.stack}'s file; say --stack beluga if it is Beluga's")
-    head = f"{result.stack} {result.model}, from {file.stack} {file.model} by beamfield {__version__}"
-    how = "the same relative weights" if result.exact else "not exactly the same weights"
-    said = [how, *notes]
+    for name in ("patch", "out"):
+        if arguments.to == CHAPTER and getattr(arguments, name) is not None:
+            raise InvalidInputError(f"--{name}: is for files of a stack, chapter has none")
+    result, source, more = _translate(arguments)
+    head = f"{result.stack} {result.model}, from {source} by beamfield {__version__}"
+    said = [result.summary, *result.assumptions, *result.notes, *more]
     if arguments.patch is not None:
-        if result.stack == CHAPTER:
-            raise InvalidInputError("--patch: is for files of a stack, chapter has none")
-        target = read_stack_file(
-            arguments.patch, stack=result.stack, model=result.model, section=arguments.patch_section
-        )
-        check_patch_target(target)
-        backup = write_values(target.section, result.values)
-        print(f"changed {arguments.patch}, the old file is {backup.name}")
+        said += _patch(arguments, result)
     elif result.stack == CHAPTER:
-        if arguments.out is not None:
-            raise InvalidInputError("--out: is for files of a stack, chapter has none")
         print("\n".join(f"{name} = {value:.6g}" for name, value in result.values.items()))
     else:
-        launch = arguments.out is not None and arguments.out.suffix in (".launch", ".xml")
-        if arguments.out is not None:
-            _check_suffix(arguments.out, result.stack)
-        text = new_file_text(result.stack, result.values, comments=[head, how, *result.notes], launch=launch)
-        if arguments.out is None:
-            print(text, end="")
-            if sys.stdout.isatty():  # its head says the rest: not twice on one screen
-                said = notes[len(result.notes) :]
-        else:
-            write_file(arguments.out, text)
-            print(f"wrote {arguments.out}")
+        said = _print_or_write(arguments.out, result, head, said)
     for note in said:
         print(f"note: {note}", file=sys.stderr)
     return 0
 
 
+def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:
+    """Return the translation, what it is from, and notes on that file."""
+    from beamfield.stacks.other_files import is_beam_model
+    from beamfield.stacks.parameter_file import read_stack_file
+    from beamfield.stacks.translate import translate
+
+    if is_beam_model(arguments.params):
+        return _translate_beam_model(arguments)
+    if arguments.typical_range is not None:
+        raise InvalidInputError("--typical-range: is for beamfield's own beam_model.yaml")
+    file = read_stack_file(arguments.params, stack=arguments.stack, model=arguments.model, section=arguments.section)
+    result = translate(
+        file, arguments.to, model=arguments.to_model, max_range=arguments.max_range, n_beams=arguments.beams,
+        resolution=arguments.resolution,
+    )  # fmt: skip
+    more = [] if file.stack_is_certain else [f"read as {file.stack}'s file; say --stack beluga if it is Beluga's"]
+    return result, f"{file.stack} {file.model}", more
+
+
+def _translate_beam_model(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:
+    from beamfield.stacks.translate_beam_model import translate_beam_model
+
+    for name in ("stack", "model", "section", "max_range", "beams"):
+        if getattr(arguments, name) is not None:
+            option = name.replace("_", "-")
+            raise InvalidInputError(f"--{option}: is for files of a stack, {arguments.params} is beamfield's own")
+    model, more = arguments.to_model, []
+    if model is None and arguments.patch is not None:
+        model = _patched_file(arguments, None).model
+        more = [f"{model} was chosen, because {arguments.patch} chooses it"]
+    result = translate_beam_model(
+        arguments.params, arguments.to, model=model, typical_range=arguments.typical_range,
+        resolution=arguments.resolution,
+    )  # fmt: skip
+    return result, "beamfield's beam model", more
+
+
+def _patched_file(arguments: argparse.Namespace, model: str | None) -> StackFile:
+    from beamfield.stacks.parameter_file import check_patch_target, read_stack_file
+
+    target = read_stack_file(arguments.patch, stack=arguments.to, model=model, section=arguments.patch_section)
+    check_patch_target(target)
+    return target
+
+
+def _patch(arguments: argparse.Namespace, result: Translation) -> list[str]:
+    """Change the user's file and return what to say about it."""
+    from beamfield.stacks.parameter_file import write_values
+
+    target = _patched_file(arguments, result.model)
+    ran = _patched_file(arguments, None).model
+    backup = write_values(target.section, target.by_names_in_file(result.values))
+    print(f"changed {arguments.patch}, the old file is {backup.name}")
+    return [f"the file chose {ran} before, now {result.model}"] if ran != result.model else []
+
+
+def _print_or_write(path: Path | None, result: Translation, head: str, said: list[str]) -> list[str]:
+    """Print or write the new file and return what is left to say: what its head says need not be twice on a screen."""
+    from beamfield.io.atomic import write_file
+    from beamfield.stacks.new_file import new_file_text
+
+    launch = path is not None and path.suffix in (".launch", ".xml")
+    if path is not None:
+        _check_suffix(path, result.stack)
+    text = new_file_text(result.stack, result.values, comments=[head, *said], launch=launch)
+    if path is not None:
+        write_file(path, text)
+        print(f"wrote {path}")
+        return said
+    print(text, end="")
+    return said if sys.stderr.isatty() and not sys.stdout.isatty() else []
+
+
 def _check_suffix(path: Path, stack: str) -> None:
     """Say if a file of this name would not be read as the stack's."""
-    from beamfield.errors import InvalidInputError
-
     ini = path.suffix in (".ini", ".cfg")
     if ini is not (stack == "mrpt") or (path.suffix in (".launch", ".xml") and stack != "ros1"):
         expected = {"mrpt": ".ini", "ros1": ".yaml or .launch"}.get(stack, ".yaml")

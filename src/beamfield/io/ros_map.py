@@ -175,7 +175,10 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
 
 
 def between_share(path: str | os.PathLike[str]) -> float:
-    """Return the share of a map's pixels between its two thresholds, without those that a map saver writes for unknown.
+    """Return the share of a map's pixels between its two thresholds, without those that stand for unknown.
+
+    These are of the grey that map savers write for unknown, 205, of the one that `save_map` does, midway between the
+    thresholds, or of the only level that there is between them.
 
     Parameters
     ----------
@@ -198,8 +201,16 @@ def between_share(path: str | os.PathLike[str]) -> float:
     image = read_map_image(_image_path(yaml))
     shade = image.grey / 255.0
     p = shade if _negate(yaml) else 1.0 - shade
-    between = (p > free) & (p < occupied) & (image.grey != _UNKNOWN_GREY)
-    return float((between if image.opaque is None else between & image.opaque).mean())
+    between = (p > free) & (p < occupied)
+    if image.opaque is not None:
+        between &= image.opaque
+    counts = np.bincount(image.grey[between], minlength=256)
+    counts[_UNKNOWN_GREY] = 0
+    if not _negate(yaml):
+        counts[_middle_grey(free, occupied)] = 0
+    if np.count_nonzero(counts) == 1:
+        return 0.0
+    return float(counts.sum() / image.grey.size)
 
 
 # ------------------------------------------------------------------------------------------------------- the YAML file
@@ -316,11 +327,14 @@ def _trinary_grey(grid: OccupancyGrid) -> NDArray[np.uint8]:
 
 def _unknown_grey(grid: OccupancyGrid) -> int | None:
     """Return a grey level that reads as unknown: map_server's own, which 0.25 would take for free, or the middle."""
-    middle = round(255 * (1.0 - (grid.free_thresh + grid.occupied_thresh) / 2.0))
-    for grey in (_UNKNOWN_GREY, middle):
+    for grey in (_UNKNOWN_GREY, _middle_grey(grid.free_thresh, grid.occupied_thresh)):
         if grid.free_thresh < 1.0 - grey / 255.0 < grid.occupied_thresh:
             return grey
     return None
+
+
+def _middle_grey(free_thresh: float, occupied_thresh: float) -> int:
+    return round(255 * (1.0 - (free_thresh + occupied_thresh) / 2.0))
 
 
 def _raw_grey(grid: OccupancyGrid) -> NDArray[np.uint8]:

@@ -9,11 +9,12 @@ from typing import Any
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder
+from beamfield.stacks.ros1_parameters import ros1_name
 
 SQRT_2PI = math.sqrt(2.0 * math.pi)
 # Stacks' short readings vanish at rate 0 instead of becoming uniform.
 LEAST_RATE = 0.01
-# Where nav2 leaves out the normaliser of short readings, it is that of an expected range of this share of max_range.
+# Where a stack leaves out the normaliser of short readings, it is that of an expected range of this share of max_range.
 TYPICAL_SHARE = 0.4
 
 
@@ -38,28 +39,45 @@ def from_likelihood(
     Returns
     -------
     The parameters, and whether anything was learned.
+    """
+    if learned is None:
+        return parameters, False
+    values = beam_values(stack, learned, TYPICAL_SHARE * finder.max_range, grid.resolution)
+    return replace(parameters, **values), True
+
+
+def beam_values(stack: str, learned: BeamParameters, typical_range: float, cell: float) -> dict[str, float]:
+    """Return the chapter's beam model in a stack's own parameters, by their names.
+
+    Parameters
+    ----------
+    stack
+        nav2, ros1, beluga or f1tenth.
+    learned
+        The chapter's parameters; range_offset and sigma_slope are left out.
+    typical_range
+        The expected range, metres, at which short readings keep their share where a stack does not normalise them.
+    cell
+        Side of the map's cells, metres, in which F1TENTH counts.
 
     Notes
     -----
     nav2's and ROS 1's hit has no constant, so that its weight is the height of its peak; their z_short lacks the
-    normaliser 1 / (1 - exp(-lambda_short z*)), which is taken at one typical expected range. The weights are scaled to
-    sum to 1. In Beluga the densities are the chapter's.
+    normaliser 1 / (1 - exp(-lambda_short z*)). F1TENTH's short readings sum to z_short (d + 1) where d pixels are
+    expected. The weights are scaled to sum to 1. In Beluga the densities are the chapter's.
     """
-    if learned is None:
-        return parameters, False
     sigma, rate = max(learned.sigma_hit, 1e-3), max(learned.lambda_short, LEAST_RATE)
-    weights = {
-        "z_hit": learned.z_hit, "z_short": learned.z_short, "z_max": learned.z_max, "z_rand": learned.z_rand
-    }  # fmt: skip
+    hit, short, most, rand = learned.weights
     if stack == "f1tenth":
-        return replace(parameters, **weights, sigma_hit=sigma / grid.resolution), True
-    values = {"sigma_hit": sigma, "lambda_short": rate}
-    if stack == "beluga":
-        return replace(parameters, **weights, **values), True
-    typical = TYPICAL_SHARE * finder.max_range
-    weights["z_hit"] /= SQRT_2PI * sigma
-    weights["z_short"] /= -math.expm1(-rate * typical)
-    total = sum(weights.values())
-    values |= {name: weight / total for name, weight in weights.items()}
-    prefix = "laser_" if stack == "ros1" else ""
-    return replace(parameters, **{prefix + name: value for name, value in values.items()}), True
+        short /= typical_range / cell + 1.0
+        sigma /= cell
+    elif stack != "beluga":
+        hit /= SQRT_2PI * sigma
+        short /= -math.expm1(-rate * typical_range)
+    # The chapter's weights sum to 1 as they are.
+    total = 1.0 if stack == "beluga" else hit + short + most + rand
+    values = {"z_hit": hit / total, "z_short": short / total, "z_max": most / total, "z_rand": rand / total}
+    values["sigma_hit"] = sigma
+    if stack != "f1tenth":
+        values["lambda_short"] = rate
+    return {ros1_name(name) if stack == "ros1" else name: value for name, value in values.items()}

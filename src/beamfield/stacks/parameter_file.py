@@ -12,8 +12,10 @@ from typing import Literal
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.atomic import atomic_file, write_file
 from beamfield.io.yaml_file import shorten
+from beamfield.stacks.calibration_record import with_record
 from beamfield.stacks.ini_sections import ini_sections
 from beamfield.stacks.launch_sections import launch_sections
+from beamfield.stacks.other_files import EXPECTED, read_parameter_yaml
 from beamfield.stacks.parameter_text import ParameterSection, Value
 from beamfield.stacks.ros1_parameters import PREFIXED, ros1_name
 from beamfield.stacks.yaml_sections import ROS_2_KEY, yaml_sections
@@ -70,6 +72,9 @@ class StackFile:
         Whose file it can be by what stands in it, the likeliest first: nav2's and Beluga's look alike.
     stack_is_said
         Whether `stack` was said, not found out.
+    is_prefixed
+        Whether the file has ROS 1's names (laser_z_hit) for parameters that the stack's dataclass calls as nav2 does
+        (z_hit): files of Beluga's node for ROS 1.
     """
 
     stack: Stack
@@ -77,11 +82,20 @@ class StackFile:
     section: ParameterSection
     possible: tuple[Stack, ...] = ()
     stack_is_said: bool = False
+    is_prefixed: bool = False
 
     @property
     def stack_is_certain(self) -> bool:
         """False if the file can be another stack's, and nobody said whose it is."""
         return self.stack_is_said or len(self.possible) < 2
+
+    def name_in_file(self, name: str) -> str:
+        """Return what this file calls a parameter of the stack's dataclass."""
+        return ros1_name(name) if self.is_prefixed else name
+
+    def by_names_in_file(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return values of the stack's parameters under the names that this file has for them."""
+        return {self.name_in_file(name): value for name, value in values.items()}
 
 
 def read_stack_file(
@@ -111,7 +125,8 @@ def read_stack_file(
     InvalidInputError
         If there is no such stack or model.
     FormatError
-        If the file cannot be read, has no parameters of a measurement model, or several sections that have.
+        If the file cannot be read, is one of another kind, has no parameters of a measurement model, or several
+        sections that have; or if a file of Beluga has names of both its nodes, for ROS 1 and ROS 2.
     OSError
         As the file system says.
     """
@@ -122,7 +137,8 @@ def read_stack_file(
     possible = _possible_stacks(chosen)
     found = possible[0] if stack is None else check_stack(stack)
     name = model or _model_of(found, chosen, unknown_model)
-    return StackFile(found, check_model(found, name), chosen, possible, stack is not None)
+    is_prefixed = found == "beluga" and _has_prefixed_names(chosen)
+    return StackFile(found, check_model(found, name), chosen, possible, stack is not None, is_prefixed)
 
 
 def check_stack(name: str) -> Stack:
@@ -141,7 +157,7 @@ def check_model(stack: str, model: str) -> str:
     return model
 
 
-def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path:
+def write_values(section: ParameterSection, values: Mapping[str, Value], *, record: str = "") -> Path:
     """Change parameters in the user's file, keeping everything else, and return the path of a backup.
 
     Parameters
@@ -150,6 +166,8 @@ def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path
         From `read_stack_file`.
     values
         By name, as in the file.
+    record
+        A comment for the file's last line; "" for none.
 
     Raises
     ------
@@ -169,6 +187,8 @@ def write_values(section: ParameterSection, values: Mapping[str, Value]) -> Path
     if before != mark + section.text.encode():
         raise InvalidInputError(f"{path}: the file has changed since it was read")
     after = section.with_values(values)
+    if record:
+        after = with_record(after, record, section.syntax)
     backup = _free_name(path)
     with atomic_file(path) as part:
         part.write_bytes(mark + after.encode())
@@ -195,7 +215,7 @@ def check_patch_target(file: StackFile) -> None:
     PermissionError
         If it is read-only.
     """
-    if file.possible and file.stack not in file.possible:
+    if file.possible and file.stack not in file.possible and not file.is_prefixed:
         raise InvalidInputError(
             f"{file.section.path}: expected a file of {file.stack}, this is one of {' or '.join(file.possible)}"
         )
@@ -219,7 +239,7 @@ def _sections(path: Path) -> list[ParameterSection]:
         return launch_sections(path, _KNOWN)
     if suffix in (".ini", ".cfg"):
         return ini_sections(path, _KNOWN)
-    return yaml_sections(path, _KNOWN)
+    return yaml_sections(read_parameter_yaml(path), _KNOWN)
 
 
 def _only(path: Path, sections: list[ParameterSection], label: str | None) -> ParameterSection:
@@ -235,7 +255,9 @@ def _only(path: Path, sections: list[ParameterSection], label: str | None) -> Pa
         sections = named
     if not sections:
         raise FormatError(
-            path, "no parameters of a measurement model found (z_hit, laser_z_hit, LF_stdHit, ... or an amcl node)"
+            path,
+            "no parameters of a measurement model found (z_hit, laser_z_hit, LF_stdHit, ... or an amcl node); "
+            + EXPECTED,
         )
     if len(sections) > 1:
         labels = ", ".join(f"{section.label!r} (line {section.line})" for section in sections)
@@ -258,8 +280,9 @@ def _possible_stacks(section: ParameterSection) -> tuple[Stack, ...]:
     if section.package == "beluga_amcl" and not counts["ros1"]:
         return ("beluga",)
     if section.syntax == "launch" or counts["ros1"]:
-        # Beluga's node for ROS 1 has amcl's names.
-        return ("ros1", "beluga") if counts["beluga"] or section.package == "beluga_amcl" else ("ros1",)
+        # Beluga's node for ROS 1 has amcl's names, and some of its own.
+        is_amcl = section.package == "amcl" or not (counts["beluga"] or section.package == "beluga_amcl")
+        return ("ros1",) if is_amcl else ("beluga",)
     if counts["mrpt"]:
         return ("mrpt",)
     if counts["beluga"]:
@@ -292,6 +315,20 @@ def _same(found: Value | None, expected: Value | None) -> bool:
         return math.isclose(found, expected, rel_tol=1e-5) or (math.isnan(found) and math.isnan(expected))
     numbers = isinstance(found, (int, float)) and isinstance(expected, (int, float))
     return found == expected and (numbers or type(found) is type(expected))
+
+
+def _has_prefixed_names(section: ParameterSection) -> bool:
+    """Whether a file of Beluga has the names of its node for ROS 1, or say that it mixes them with the other node's."""
+    prefixed = [name for name in map(ros1_name, PREFIXED) if name in section.entries]
+    # Where ROS 2 looks, ROS 1's names are only ignored.
+    if not prefixed or section.label.rsplit(".", 1)[-1] == ROS_2_KEY:
+        return False
+    for name in PREFIXED:
+        if name in section.entries:
+            raise section.error(
+                name, f"is a name of Beluga's node for ROS 2, {prefixed[0]} one of its node for ROS 1: keep one kind"
+            )
+    return True
 
 
 def _model_of(stack: str, section: ParameterSection, unknown_model: str) -> str:

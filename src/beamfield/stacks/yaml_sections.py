@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Set
-from pathlib import Path
 from typing import Any
 
 from beamfield.errors import FormatError
-from beamfield.io.yaml_file import Place, YamlFile, read_yaml, shorten
+from beamfield.io.yaml_file import Place, YamlFile, shorten
 from beamfield.stacks.line_ends import end_of_line, line_break, start_of_line, start_of_yaml_line
 from beamfield.stacks.parameter_text import Entry, ParameterSection
 
@@ -18,13 +17,13 @@ ROS_2_KEY = "ros__parameters"
 _NODES = ("amcl", "particle_filter")
 
 
-def yaml_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
+def yaml_sections(file: YamlFile, known: Set[str]) -> list[ParameterSection]:
     """Return the sections that hold parameters of a measurement model, in the order of the file.
 
     Parameters
     ----------
-    path
-        The file.
+    file
+        Read with `number_keys`.
     known
         Names by which a section is recognised; one is enough. If no section has one, those of nodes count that have
         "amcl" or "particle_filter" in their names.
@@ -32,9 +31,8 @@ def yaml_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
     Raises
     ------
     FormatError
-        If the file is no YAML that `read_yaml` takes, or a key without value is written in a way that is not found.
+        If a key without value is written in a way that is not found.
     """
-    file = read_yaml(path, number_keys=True)
     maps = [(place, values) for place, values in _maps(file.values, ()) if place or values]
     chosen = [item for item in maps if not known.isdisjoint(_scalars(item[1]))]
     # nav2's files have further nodes with amcl in their names; they only count where no node says anything.

@@ -10,8 +10,10 @@ import pytest
 from beamfield.errors import FormatError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, SensorLog
+from beamfield.stacks.calibration_record import record_text, with_record
 from beamfield.stacks.doctor.examine import CHECKS, examine
 from beamfield.stacks.doctor.patient import MapFile
+from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.parameter_file import read_stack_file
 
 N_BEAMS = 120
@@ -91,6 +93,12 @@ WITHOUT = NODE.replace("$(arg z)", "0.05").replace(
     "",
 )
 ROBOT = {"stack": "ros1", "name": "amcl.launch"}
+
+
+RECORDED = with_record(
+    "amcl:\n  ros__parameters:\n    sigma_hit: 0.6\n",
+    record_text("nav2", "likelihood_field", Nav2Parameters(sigma_hit=0.6), "1.0", "well"), "yaml",
+)  # fmt: skip
 
 
 # name, keywords for the file, map and log that trigger it, and what to change so that they do not.
@@ -207,6 +215,7 @@ FINDINGS = {
         {}, {"grid": OccupancyGrid(np.full((9, 9), 0.7, np.float32), 0.1), "map_file": MapFile("m.yaml")}),
     "thresholds-lose-cells": ({}, {"grid": room(), "map_file": MapFile("m.yaml", between_share=0.1)},
                               {}, {"grid": room(), "map_file": MapFile("m.yaml", between_share=0.01)}),
+    "calibrated": ({"text": RECORDED}, {}, {"text": RECORDED.replace("0.6", "0.7")}, {}),
     "stack-uncertain": ({"stack": None, "z_hit": 0.5}, {}, {"stack": "nav2", "z_hit": 0.5}, {}),
 }  # fmt: skip
 
@@ -302,7 +311,7 @@ def test_a_misspelt_model_is_named_with_the_right_one_and_examined_as_the_progra
         "unknown-model", "error", "laser_model_type", 3,
     )  # fmt: skip
     assert "laser_model_type is 'likelihood_feild_prob'" in unknown.seen
-    assert "nav2 runs likelihood_field instead, without a word" in unknown.why
+    assert "nav2 runs likelihood_field instead, without a message" in unknown.why
     assert unknown.remedy == "write likelihood_field_prob"
     assert {"sigma-huge", "nearly-flat"} <= {item.name for item in found}
     assert "logs a warning" in texts(examine(amcl(tmp_path, stack="ros1", **wrong)), "unknown-model")
@@ -369,9 +378,14 @@ def test_advice_on_names_fits_the_stacks(tmp_path):
     assert "default" not in both
 
 
-def test_belugas_node_for_ros_1_is_not_taken_for_amcl_in_silence(tmp_path):
-    found = examine(amcl(tmp_path, None, text="laser_z_hit: 0.5\nlaser_z_rand: 0.5\nexecution_policy: seq\n"))
-    assert "read as ros1's, though Beluga's node for ROS 1 has amcl's names" in texts(found, "stack-uncertain")
+def test_belugas_node_for_ros_1_is_known_by_its_own_names(tmp_path):
+    text = "laser_z_hit: 1\nlaser_z_rand: 0.0\nlaser_sigma_hit: -0.1\nexecution_policy: seq\nlaser_z_hti: 0.5\n"
+    file = amcl(tmp_path, None, text=text)
+    assert file.stack == "beluga"
+    found = {item.name: item for item in examine(file)}
+    # ROS 1 takes integers for doubles, reads no ros__parameters, and has these names.
+    assert found.keys() & {"wrong-type", "no-ros-parameters-key", "foreign-name", "stack-uncertain"} == set()
+    assert (found["out-of-range"].parameter, found["out-of-range"].line) == ("laser_sigma_hit", 3)
 
 
 def test_the_worst_comes_first_with_its_line(tmp_path):
@@ -422,3 +436,20 @@ def test_the_mean_of_mrpts_average_method_forbids_nothing(tmp_path):
     }
     assert "no-random-readings" in names[0]
     assert "no-random-readings" not in names[1]
+
+
+def test_calibrated_values_are_not_advised_to_be_calibrated(tmp_path):
+    names = {item.name for item in examine(amcl(tmp_path, text=RECORDED))}
+    assert names & {"sigma-huge", "nearly-flat"} == set()
+    # Anything changed voids the record, even where the model never reads it.
+    edited = {item.name for item in examine(amcl(tmp_path, text=f"{RECORDED}    z_short: 0.06\n"))}
+    assert {"sigma-huge", "nearly-flat"} <= edited
+    assert "calibrated" not in edited
+
+
+def test_a_scan_that_says_nothing_at_all_is_a_warning(tmp_path):
+    severities = {
+        sigma: next(item.severity for item in examine(amcl(tmp_path, sigma_hit=sigma)) if item.name == "nearly-flat")
+        for sigma in (0.2, 5.0)
+    }
+    assert severities == {0.2: "info", 5.0: "warning"}

@@ -15,6 +15,7 @@ from beamfield.stacks.doctor import (
     value_checks,
     weight_checks,
 )
+from beamfield.stacks.doctor.calibration_check import SETTLED, calibrated, is_calibrated
 from beamfield.stacks.doctor.diagnosis import Diagnosis, worst_first
 from beamfield.stacks.doctor.patient import MapFile, Patient
 from beamfield.stacks.parameter_file import StackFile
@@ -46,6 +47,7 @@ CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
     field_checks.uninitialised_queue,
     value_checks.loaded_elsewhere,
     value_checks.stack_guess,
+    calibrated,
 )
 
 
@@ -68,4 +70,7 @@ def examine(
         Scans of the robot; None leaves out what needs them.
     """
     patient = Patient(file, typed_values(file), grid, map_file, log)
-    return worst_first([found for check in CHECKS for found in check(patient)])
+    found = [item for check in CHECKS for item in check(patient)]
+    if is_calibrated(patient):
+        found = [item for item in found if item.name not in SETTLED]
+    return worst_first(found)

@@ -41,7 +41,7 @@ def half_cell(patient: Patient) -> Iterator[Diagnosis]:
     sigma = patient.value("sigma_hit")
     numbers = {"shift": shift} if sigma is None else {"shift": shift, "sigma": float(sigma)}
     yield patient.finds(
-        "half-cell-shift", "warning" if sigma is not None and shift > sigma else "info",
+        "half-cell-shift", "info",
         f"{patient.file.stack} centres cell (0, 0) on the map's origin: to it every wall lies {shift:g} m too low in x "
         "and y",
         "poses come out shifted with the walls; other programs on the robot (costmaps, planners) do not shift them",
@@ -61,7 +61,7 @@ def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
     model, stack = patient.file.model, patient.file.stack
     if model == "beam":
         yield patient.finds(
-            "unknown-stops-rays", "warning", seen,
+            "unknown-stops-rays", "info", seen,
             "rays stop at unknown cells as at walls: readings through open doors into unmapped rooms count against the "
             "true pose, and poses inside unknown space see walls at arm's length",
             "paint unknown cells that beams pass as free, or use a field model", values={"share": share},
@@ -82,7 +82,7 @@ def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
         )  # fmt: skip
     elif model == "rayTracing":
         yield patient.finds(
-            "unknown-ends-rays", "warning", seen,
+            "unknown-ends-rays", "info", seen,
             "a ray that meets an unknown cell expects the sensor's longest range: readings through open doors into "
             "unmapped rooms, and from walls behind unknown cells, count against the true pose",
             "paint unknown cells that beams pass as free, or use LF_Thrun", values={"share": share},
@@ -102,7 +102,7 @@ def lost_cells(patient: Patient) -> Iterator[Diagnosis]:
         return
     for note in patient.map_file.notes:
         yield patient.finds(
-            "unknown-read-as-free", "warning", f"{patient.map_file.name}: {note}",
+            "unknown-read-as-free", "info", f"{patient.map_file.name}: {note}",
             "space that nobody has seen counts as free: rays pass it, and particles are spread over it",
             "set free_thresh to 0.196 in the map's file",
         )  # fmt: skip

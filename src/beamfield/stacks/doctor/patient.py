@@ -85,7 +85,19 @@ class Patient:
         return self.typed.parameters
 
     def name_of(self, parameter: str) -> str:
-        """Return what the stack calls a parameter, given nav2's name."""
+        """Return what the file calls a parameter, given nav2's name."""
+        return self.file.name_in_file(self._stack_name(parameter))
+
+    def value(self, parameter: str) -> Any:
+        """Return a parameter's value by nav2's name, a default if the file says nothing.
+
+        None if there is no such parameter, or the file has something for it that cannot be used.
+        """
+        if any(item.name == self.name_of(parameter) and not item.is_clear for item in self.typed.unusable):
+            return None
+        return getattr(self.parameters, self._stack_name(parameter), None)
+
+    def _stack_name(self, parameter: str) -> str:
         if self.file.stack == "ros1":
             return ros1_name(parameter)
         if self.file.stack == "mrpt":
@@ -93,16 +105,6 @@ class Patient:
         if self.file.stack == "f1tenth":
             return _F1TENTH.get(parameter, parameter)
         return parameter
-
-    def value(self, parameter: str) -> Any:
-        """Return a parameter's value by nav2's name, a default if the file says nothing.
-
-        None if there is no such parameter, or the file has something for it that cannot be used.
-        """
-        name = self.name_of(parameter)
-        if any(item.name == name and not item.is_clear for item in self.typed.unusable):
-            return None
-        return getattr(self.parameters, name, None)
 
     def finds(
         self,

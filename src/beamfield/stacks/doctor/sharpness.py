@@ -22,8 +22,9 @@ N_PARTICLES = 2000
 POSITION_SD, HEADING_SD = 0.2, 0.035
 # Readings: walls of a room in four directions; noise of a laser on a map; some see something else.
 NOISE, OUTLIERS, ROOM = 0.04, 0.1, (1.0, 6.0)
-# A share of the particles beyond which the scan says nothing, and below which it says too much.
-FLAT, SHARP = 0.6, 0.01
+# A share of the particles beyond which the scan says little (as by default), beyond which it says nothing, and below
+# which it says too much.
+FLAT, FLATTEST, SHARP = 0.6, 0.99, 0.01
 DEFAULT_BEAMS = 60
 # The sensor's longest range where nobody knows it, metres.
 PLAIN_LIMIT = 10.0
@@ -59,7 +60,7 @@ def sharpness(patient: Patient) -> Iterator[Diagnosis]:
     numbers = {"effective_sample_size": effective, "particles": float(N_PARTICLES)}
     if share > FLAT:
         yield patient.finds(
-            "nearly-flat", "warning", seen,
+            "nearly-flat", "warning" if share > FLATTEST else "info", seen,
             "weights hardly differ: the filter follows odometry and corrects only over many scans",
             "calibrate (beamfield calibrate --stack), or use likelihood_field_prob with few beams"
             if patient.file.model == "likelihood_field" else "calibrate (beamfield calibrate --stack)",

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Iterator, Set
 from dataclasses import replace
-from typing import TypeGuard
+from typing import Any
 
 from beamfield.io.yaml_file import shorten
 from beamfield.stacks.doctor.diagnosis import Diagnosis
@@ -14,7 +13,7 @@ from beamfield.stacks.doctor.patient import Patient
 from beamfield.stacks.parameter_file import MODELS, STACKS
 from beamfield.stacks.parameter_text import Entry
 from beamfield.stacks.registry import parameter_names
-from beamfield.stacks.typed_values import FILLED_IN, INTEGER, MOST, STRICT_STACKS
+from beamfield.stacks.typed_values import MOST, is_strict
 from beamfield.stacks.yaml_sections import ROS_2_KEY
 
 # Names that differ by so little are a slip of the pen (difflib's ratio).
@@ -37,37 +36,37 @@ _OTHER_PREFIXES = (
 
 
 def unusable_values(patient: Patient) -> Iterator[Diagnosis]:
-    """Find values of the wrong type, out of range, infinite or NaN."""
-    for name, message, _ in patient.typed.unusable:
-        value = patient.file.section.entries[name].value
-        if name == "laser_model_type" and isinstance(value, str):
-            yield _unknown_model(patient, value)
-        elif message.startswith(FILLED_IN):
+    """Find values of the wrong type, out of range, infinite or NaN, and models that the program does not have."""
+    for name, fault, message in patient.typed.unusable:
+        value: Any = patient.file.section.entries[name].value
+        if fault == "filled-in":
             yield patient.finds(
                 "filled-in-at-start", "info", f"{name} {message}",
-                "what the value will be is not known here, so that nothing is said about it",
-                "say the value in the file, or a default for the argument", own=name,
+                "the value is not known here, so it is not examined",
+                "put the value in the file, or give the argument a default", own=name,
             )  # fmt: skip
-        elif isinstance(value, float) and not math.isfinite(value):
+        elif fault == "not-finite":
             yield _not_finite(patient, name, value)
-        elif message.startswith(INTEGER):
+        elif fault == "integer":
             yield patient.finds(
                 "wrong-type", "error", f"{name} is the integer {value}",
                 "ROS 2 declares it as a double and refuses an integer: the node does not start",
                 f"write {value}.0", own=name,
             )  # fmt: skip
-        elif _is_number(value) and not message.startswith("expected a number as") and "whole number" not in message:
+        elif fault == "range":
             yield patient.finds(
                 "out-of-range", "error", f"{name} is {shorten(value)}: {message}", _out_of_range(patient, name),
                 "see what it means and choose a value in its range", own=name,
                 values={"value": float(value)} if abs(value) <= MOST else {},
             )  # fmt: skip
+        elif fault == "model":
+            yield _unknown_model(patient, value)
         else:
             yield patient.finds(
                 "wrong-type", "error", f"{name}: {message}",
-                "ROS 2 refuses the value: the node does not start" if patient.file.stack in STRICT_STACKS
-                else "amcl takes its default without a word" if patient.file.stack == "ros1"
-                else "the program stops, or takes another value without a word",
+                "ROS 2 refuses the value: the node does not start" if is_strict(patient.file)
+                else "amcl uses its default without a message" if patient.file.stack == "ros1"
+                else "the program stops, or uses another value without a message",
                 "write a value of the right type", own=name,
             )  # fmt: skip
 
@@ -77,7 +76,7 @@ def loaded_elsewhere(patient: Patient) -> Iterator[Diagnosis]:
     for line, source in patient.file.section.elsewhere:
         yield replace(patient.finds(
             "loaded-elsewhere", "info", f"the node also takes parameters from {source}",
-            "they are not read here: parameters that this file does not have are taken for defaults",
+            "that file is not read here: parameters that this one lacks are taken to have their defaults",
             "examine that file as well",
         ), line=line)  # fmt: skip
 
@@ -85,7 +84,7 @@ def loaded_elsewhere(patient: Patient) -> Iterator[Diagnosis]:
 def missing_ros_key(patient: Patient) -> Iterator[Diagnosis]:
     """Find parameters of a ROS 2 node that do not stand where ROS 2 reads them."""
     section = patient.file.section
-    if patient.file.stack not in STRICT_STACKS or section.syntax != "yaml":
+    if not is_strict(patient.file) or section.syntax != "yaml":
         return
     if section.label.rsplit(".", 1)[-1] == ROS_2_KEY or "ros1" in patient.file.possible:
         return
@@ -98,7 +97,8 @@ def missing_ros_key(patient: Patient) -> Iterator[Diagnosis]:
 
 def foreign_names(patient: Patient) -> Iterator[Diagnosis]:
     """Find parameters of another stack, and names one letter off."""
-    own, entries = parameter_names(patient.file.stack), patient.file.section.entries
+    own = {patient.file.name_in_file(name) for name in parameter_names(patient.file.stack)}
+    entries = patient.file.section.entries
     strange = [
         name for name, entry in entries.items() if name not in own and (entry.value is not None or entry.filled_in)
     ]
@@ -114,7 +114,7 @@ def foreign_names(patient: Patient) -> Iterator[Diagnosis]:
         if name not in foreign and near and near[0] not in entries and not name.startswith(_OTHER_PREFIXES):
             yield patient.finds(
                 "misspelt-name", "warning", f"{name} looks like {near[0]}, which the file does not have",
-                "a parameter with an unknown name is ignored without a word",
+                "parameters with unknown names are ignored silently",
                 f"write {near[0]}, if that is meant", own=name,
             )  # fmt: skip
 
@@ -123,17 +123,10 @@ def stack_guess(patient: Patient) -> Iterator[Diagnosis]:
     """Say that a file could be another stack's."""
     if patient.file.stack_is_certain:
         return
-    nodes = {
-        "nav2": "nav2's and Beluga's files have the same names",
-        "ros1": "Beluga's node for ROS 1 has amcl's names",
-    }
-    remedy = "say --stack beluga if that is what the robot runs"
-    if patient.file.stack == "ros1":
-        remedy += ", and leave the laser_ of laser_z_hit and its like away in the file that you give"
     yield patient.finds(
-        "stack-uncertain", "info", f"read as {patient.file.stack}'s, though {nodes[patient.file.stack]}",
+        "stack-uncertain", "info", "read as nav2's, though nav2's and Beluga's files have the same names",
         "the same values mean different things there: Beluga's hit has the constant of a normal density",
-        remedy,
+        "say --stack beluga if that is what the robot runs",
     )  # fmt: skip
 
 
@@ -143,7 +136,7 @@ def _unknown_model(patient: Patient, value: str) -> Diagnosis:
     return patient.finds(
         "unknown-model", "error", f"laser_model_type is {shorten(value)}, which is no model of {patient.file.stack}",
         {
-            "nav2": f"nav2 runs {models[0]} instead, without a word",
+            "nav2": f"nav2 runs {models[0]} instead, without a message",
             "ros1": f"amcl runs {models[0]} instead; it only logs a warning",
             "beluga": "Beluga stops with an error: the robot does not localise",
         }[patient.file.stack] + f". The file is examined as one for {patient.file.model}",
@@ -172,10 +165,6 @@ def _out_of_range(patient: Patient, name: str) -> str:
     return "the model's formula means nothing with it"
 
 
-def _is_number(value: object) -> TypeGuard[int | float]:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
 def _stack_with(name: str) -> str | None:
     return next((stack for stack in STACKS if name in parameter_names(stack)), None)
 
@@ -188,7 +177,7 @@ def _foreign(patient: Patient, names: list[str], stack: str, other: str, has_oth
     return patient.finds(
         "foreign-name", "info" if is_off else "warning",
         f"{', '.join(names)} {are} of {stack}, not of {patient.file.stack}",
-        f"{patient.file.stack} ignores {'it' if len(names) == 1 else 'them'} without a word{instead}",
+        f"{patient.file.stack} silently ignores {'it' if len(names) == 1 else 'them'}{instead}",
         _rename(patient.file.stack, stack, other), own=names[0],
     )  # fmt: skip
 

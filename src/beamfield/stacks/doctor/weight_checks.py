@@ -34,7 +34,7 @@ def weights_sum(patient: Patient) -> Iterator[Diagnosis]:
             f": the beams count {total**3:.2g} times as much against that 1 as with a sum of 1" if total > 0.0 else ""
         )
     yield patient.finds(
-        "weights-sum", "info" if _factor_cancels(patient) else "warning",
+        "weights-sum", "info",
         f"the weights that {patient.file.model} uses sum to {total:.4g}: {terms}", why,
         "divide each by their sum, and look at nearly-flat afterwards" if total < 1.0 or _factor_cancels(patient)
         else "divide each by their sum; the scan then counts less, so calibrate or look at nearly-flat",
@@ -100,7 +100,7 @@ def sigma_against_resolution(patient: Patient) -> Iterator[Diagnosis]:
         )  # fmt: skip
     if sigma > 0.5:
         yield patient.finds(
-            "sigma-huge", "warning", f"{patient.name_of('sigma_hit')} is {sigma:g} m",
+            "sigma-huge", "info", f"{patient.name_of('sigma_hit')} is {sigma:g} m",
             "laser readings miss walls of a good map by centimetres; so wide a hit cannot tell a pose from the next",
             "calibrate it; 0.05 to 0.2 m is usual", parameter="sigma_hit", values={"sigma": sigma},
         )  # fmt: skip

@@ -1,0 +1,34 @@
+"""Values that beamfield calibrated: advice to calibrate them means nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from beamfield.stacks.calibration_record import is_as_calibrated
+from beamfield.stacks.doctor.diagnosis import Diagnosis
+from beamfield.stacks.doctor.patient import Patient
+
+# What calibration weighed against its effect on the posterior, on windows of a log held out.
+SETTLED = frozenset(
+    ("nearly-flat", "absurdly-sharp", "weights-sum", "sigma-huge", "sigma-below-resolution", "distance-limit",
+     "many-beams-in-product", "few-usable-beams")
+)  # fmt: skip
+
+
+def is_calibrated(patient: Patient) -> bool:
+    """Whether the file has the very values that beamfield calibrated, by its record of them."""
+    file = patient.file
+    return not patient.typed.unusable and is_as_calibrated(
+        file.section.text, file.stack, file.model, patient.parameters
+    )
+
+
+def calibrated(patient: Patient) -> Iterator[Diagnosis]:
+    """Say that the values are those of a calibration."""
+    if is_calibrated(patient):
+        yield patient.finds(
+            "calibrated", "info", "all values are as `beamfield calibrate --stack` wrote them",
+            "they were chosen by the posterior they make on held-out parts of a log: advice to calibrate, to use other "
+            "widths or fewer beams is left out",
+            "nothing; calibrate again if the sensor, the map or the place changes",
+        )  # fmt: skip

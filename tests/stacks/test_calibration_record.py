@@ -1,0 +1,46 @@
+"""The comment by which the doctor knows calibrated values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from beamfield.stacks.calibration_record import is_as_calibrated, record_text, with_record
+from beamfield.stacks.parameter_file import read_stack_file, write_values
+from beamfield.stacks.registry import parameter_class
+from beamfield.stacks.typed_values import checked_values
+
+FILES = {
+    "nav2": ("p.yaml", "amcl:\n  ros__parameters:\n    z_hit: 0.5\n    t: |\n      text\n"),
+    "ros1": ("p.launch", '<launch>\n  <node pkg="amcl" type="amcl" name="a">\n  </node>\n</launch>'),
+    "mrpt": ("p.ini", "[a_likelihoodOpts]\nLF_stdHit = 0.3"),
+    "f1tenth": ("q.yaml", "{squash_factor: 2.2, z_hit: 0.75}"),
+}
+
+
+@pytest.mark.parametrize("stack", FILES)
+def test_a_record_survives_in_a_patched_file_and_any_change_voids_it(tmp_path, stack):
+    name, text = FILES[stack]
+    path = tmp_path / name
+    path.write_text(text)
+    file = read_stack_file(path, stack=stack)
+    sigma = {"nav2": "sigma_hit", "ros1": "laser_sigma_hit", "mrpt": "LF_stdHit", "f1tenth": "sigma_hit"}[stack]
+    fitted = replace(checked_values(file), **{sigma: 0.123456789})
+    write_values(file.section, {sigma: 0.123456789}, record=record_text(stack, file.model, fitted, "1.0", "well"))
+    again = read_stack_file(path, stack=stack)
+    assert "1.0, well" in again.section.text
+    assert is_as_calibrated(again.section.text, stack, again.model, checked_values(again))
+    for item, value in ((sigma, 0.1235), *([("do_beamskip", True)] if stack == "nav2" else [])):
+        changed = replace(checked_values(again), **{item: value})
+        assert not is_as_calibrated(again.section.text, stack, again.model, changed)
+    assert not is_as_calibrated(text, stack, again.model, checked_values(again))
+
+
+def test_a_record_is_of_one_stack_and_model():
+    nav2, beluga = parameter_class("nav2")(), parameter_class("beluga")()
+    text = with_record("", record_text("nav2", "beam", nav2, "1.0", "well"), "yaml")
+    assert text.startswith("# nav2 beam: calibrated by beamfield 1.0, well; checksum ")
+    assert is_as_calibrated(text, "nav2", "beam", nav2)
+    assert not is_as_calibrated(text, "nav2", "likelihood_field", nav2)
+    assert not is_as_calibrated(text, "beluga", "beam", beluga)

@@ -440,6 +440,13 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 @pytest.fixture
+def of_unknown_id(case: Case) -> Case:
+    if not case.name.endswith("of unknown id"):
+        pytest.skip(f"{case.name} knows no correspondences")
+    return case
+
+
+@pytest.fixture
 def normalized(case: Case) -> Case:
     if case.integral is None:
         pytest.skip(f"{case.name} is no density over measurements")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from beamfield.detections import UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
 
@@ -97,6 +98,27 @@ def test_one_model_serves_several_threads_at_once(case, rng):
     with ThreadPoolExecutor(4) as pool:
         for result in pool.map(lambda _: model.log_likelihood(z, poses), range(16)):
             assert (result == alone).all()
+
+
+def test_a_best_correspondence_is_the_largest_term_of_the_sum(of_unknown_id, rng):
+    poses = np.vstack([of_unknown_id.poses, of_unknown_id.poses[0] + rng.normal(0.0, 0.5, (200, 3))])
+    by_rest: dict[str, dict[str, object]] = {}
+    for options in of_unknown_id.options:
+        rest = {name: value for name, value in options.items() if name != "correspondence"}
+        by_rest.setdefault(str(rest), {})[options["correspondence"]] = of_unknown_id.build(**options)
+    for models in by_rest.values():
+        for z in of_unknown_id.measurements:
+            sums = models["sum"].detection_log_likelihood(z, poses)
+            best = models["nearest"].detection_log_likelihood(z, poses)
+            assert (best <= sums + 1e-12).all()
+            unknown = [i for i in range(len(z)) if z.ids is None or z.ids[i] == UNKNOWN]
+            n_terms = 1 + len(models["sum"]._things)
+            finite = np.isfinite(sums[:, unknown])
+            assert (best[:, unknown][finite] >= sums[:, unknown][finite] - np.log(n_terms)).all()
+            same = models["nearest"].correspondences(z, poses) == models["sum"].correspondences(z, poses)
+            assert same.all()
+            exclusive = models["assignment"].log_likelihood(z, poses)
+            assert (exclusive <= best.sum(axis=1) + 1e-12).all()
 
 
 def test_normalised_models_integrate_to_one(normalized):

@@ -17,6 +17,7 @@ from beamfield.models.landmark_parameters import LandmarkParameters
 from tests.reference.landmark_tables import (
     best_exclusive,
     landmark_model_known_correspondence,
+    spurious_density,
     sum_over_correspondences,
     table_6_4_to_the_letter,
 )
@@ -126,6 +127,21 @@ def test_assignment_is_the_best_of_all_exclusive_correspondences(rate):
         assert math.exp(m.log_likelihood(z, pose)) == pytest.approx(best, rel=1e-8)
         expected = [SPURIOUS if j is None else MAP.ids[j] for j in choice]
         assert m.correspondences(z, pose).tolist() == expected
+
+
+def test_in_a_large_map_a_feature_far_from_its_nearest_landmark_is_of_none_by_every_correspondence():
+    """Every landmark has the prior 0.7 / 1000: over two sigmas off, the nearest has 1.6 % of the posterior."""
+    grid = np.stack(np.meshgrid(np.arange(1, 41) * 50.0, np.arange(25) * 50.0), axis=-1).reshape(-1, 2)
+    landmarks, parameters = LandmarkMap(grid), LandmarkParameters(0.5, 0.1, spurious_rate=0.3, max_range=60.0)
+    feature = (49.0, 0.25, None)
+    none = 0.3 * spurious_density(feature, 60.0)
+    whole = sum_over_correspondences(feature, (0.0, 0.0, 0.0), grid, (0.5, 0.1), 0.3, 60.0)
+    assert none / whole > 0.98
+    for how in ("sum", "nearest", "assignment"):
+        m = LandmarkModel(landmarks, parameters, correspondence=how)
+        assert m.correspondences(detections([feature]), np.zeros(3)).tolist() == [SPURIOUS]
+        expected = whole if how == "sum" else none
+        assert m.log_likelihood(detections([feature]), np.zeros(3)) == pytest.approx(math.log(expected), abs=1e-9)
 
 
 def test_two_features_of_one_landmark_exclude_each_other_only_under_assignment():

@@ -75,7 +75,7 @@ def test_nearest_has_the_least_mahalanobis_distance():
     for i, pose in enumerate(POSES):
         for k, measured in enumerate(MEASURED):
             each = [line_density(measured, line, pose, COVARIANCES[k]) for line in LINES]
-            assert got[i, k] == pytest.approx(math.log(max(each)), rel=1e-9, abs=1e-9)
+            assert got[i, k] == pytest.approx(math.log(max(each) / len(LINES)), rel=1e-9, abs=1e-9)
             assert chosen[i, k] == MAP.ids[int(np.argmax(each))]
 
 

@@ -23,8 +23,8 @@ def test_walls_of_scans_tell_where_across_them_the_robot_is(data, rng):
     log = attach_poses(read_log(folder / "robotdata1.log.gz"), read_trajectory(folder / "reference_robotdata1.csv.gz"))
     sensor = log.only_sensor()
     walls = map_features(read_map(folder / "derived_wean.yaml"), spacing=2.0).lines
-    noise = LineParameters(0.1, 0.03, spurious_rate=0.3, max_range=20.0)
-    model = LineModel(walls, noise, correspondence="nearest", min_overlap=0.5)
+    noise = LineParameters(0.1, 0.03, spurious_rate=0.1, max_range=20.0)
+    model = LineModel(walls, noise, correspondence="sum", min_overlap=0.5)
     away = rng.normal(0.0, [0.7, 0.7, 0.2], (300, 3))
     scores = np.zeros(301)
     for index in range(20, len(sensor), 40):

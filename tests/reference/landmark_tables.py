@@ -65,7 +65,8 @@ def best_exclusive(features, pose, positions, sigmas, rate, max_range) -> tuple[
             if j is None:
                 q *= rate * spurious_density(feature, max_range)
             else:
-                q *= (1.0 - rate) * landmark_model_known_correspondence(feature, j, pose, positions, sigmas)
+                prior = (1.0 - rate) / len(positions)
+                q *= prior * landmark_model_known_correspondence(feature, j, pose, positions, sigmas)
         if q > best:
             best, best_choice = q, choice
     return best, best_choice

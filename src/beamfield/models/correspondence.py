@@ -102,10 +102,10 @@ class CorrespondenceModel(ABC, Generic[Z]):
         features takes them off.
 
         - "known": refuse them.
-        - "nearest": the thing (or none) that explains the feature best. With equal noise for all things that is the
-          least Mahalanobis distance over all that was measured. Not a density over features.
         - "sum": the sum over all correspondences, ``spurious_rate p(f | none) + (1 - spurious_rate) / N sum_j p(f |
-          j)``: every thing is as likely as any other before the feature is seen. A density.
+          j)``: each of the N things is as likely as any other before the feature is seen. A density.
+        - "nearest": the largest term of that sum, the most probable thing or none. With equal noise for all things the
+          best thing is that of the least Mahalanobis distance over all that was measured. Not a density over features.
         - "assignment": as "nearest", for all features of unknown id together, and no thing explains two of them
           (things that known ids name are taken). -inf if there are more features than things and spurious_rate is 0.
           Not a density over features. A wall that is seen in pieces needs another.
@@ -121,8 +121,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     Notes
     -----
-    For "nearest" and "assignment", a thing's value is weighted with (1 - spurious_rate) and no thing's with
-    spurious_rate. Instances are immutable, can be pickled and may be used from several threads.
+    Instances are immutable, can be pickled and may be used from several threads.
 
     References
     ----------
@@ -319,7 +318,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         chosen: NDArray[np.int64],
     ) -> None:
         n_things = each.shape[-1]
-        prior = math.log1p(-self._spurious_rate) - (math.log(n_things) if self.correspondence == "sum" else 0.0)
+        prior = math.log1p(-self._spurious_rate) - math.log(n_things)
         if self.correspondence == "assignment":
             # Taken by a feature whose id is known.
             each[..., taken] = -np.inf

@@ -202,6 +202,21 @@ def test_rays_that_hit_nothing_are_left_out_and_counted():
     assert result.parameters == learn_intrinsic_parameters(z, expected, max_range).parameters
 
 
+def test_readings_without_measurement_contribute_nothing_and_are_counted():
+    z, expected, max_range, _, _ = draw("indoor", 3000)
+    holes, weights = [0, 1700, 1701, 2999], np.linspace(0.5, 1.5, 3000)
+    with_holes = z.copy()
+    with_holes[holes] = np.nan
+    beyond = np.where(np.arange(3000) == 1700, max_range, expected)  # its ray hits nothing: still no measurement
+    result = learn_intrinsic_parameters(with_holes, beyond, max_range, weights=weights)
+    assert (result.n_no_measurement, result.n_excluded, result.n_beams) == (4, 0, 2996)
+    without = [np.delete(column, holes) for column in (z, expected, weights)]
+    same = learn_intrinsic_parameters(*without[:2], max_range, weights=without[2])
+    assert (result.parameters, same.n_no_measurement) == (same.parameters, 0)
+    with pytest.raises(TooLittleDataError, match="of 40 beams 30 carry no measurement"):
+        learn_intrinsic_parameters([np.nan, np.nan, np.nan, 1.0] * 10, [1.0] * 40, 8.0)
+
+
 def test_all_readings_at_maximum_range():
     result = learn_intrinsic_parameters(np.full(50, 8.0), np.full(50, 3.0), 8.0)
     assert result.parameters.weights == (0.0, 0.0, 1.0, 0.0)
@@ -275,8 +290,8 @@ def test_stopping_early_is_a_finding():
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"ranges": [1.0, np.nan] * 20}, r"ranges\[1\]: expected a number >= 0, got nan"),
-        ({"ranges": [1.0, -0.5] * 20}, r"ranges\[1\].*got -0.5"),
+        ({"expected_ranges": [1.0, np.nan] * 20}, r"expected_ranges\[1\]: expected a number >= 0, got nan"),
+        ({"ranges": [np.nan, -0.5] * 20}, r"ranges\[1\].*got -0.5"),
         ({"expected_ranges": [1.0, -np.inf] * 20}, r"expected_ranges\[1\].*-inf"),
         ({"expected_ranges": [1.0] * 39}, "expected_ranges: expected the shape"),
         ({"ranges": [[1.0] * 40]}, "one dimension"),
@@ -313,7 +328,7 @@ def test_impossible_priors_are_named(arguments):
 
 def test_too_few_beams():
     n = FEWEST_BEAMS
-    with pytest.raises(TooLittleDataError, match=f"{n - 1} beams.*{n + 1} beams the rays of 2 hit"):
+    with pytest.raises(TooLittleDataError, match=f"{n - 1} beams.*{n + 1} beams 0 carry no measurement and the rays of 2 hit"):
         learn_intrinsic_parameters([1.0] * (n + 1), [1.0] * (n - 1) + [8.0] * 2, 8.0)
     with pytest.raises(TooLittleDataError, match="0 beams"):
         learn_intrinsic_parameters([], [], 8.0)

@@ -48,6 +48,21 @@ def test_the_density_is_that_of_the_causes_cut_to_what_is_measured(parameters, l
     assert np.exp(got) == pytest.approx(reference(z, z_star, parameters, low), rel=1e-10)
 
 
+@pytest.mark.parametrize(("low", "limit"), [(0.24, 4.0), (0.48, 5.6), (0.56, 8.0)])
+def test_a_range_just_below_max_range_is_a_return(low, limit):
+    below = np.nextafter(limit, 0.0)
+    assert below - low == limit - low  # what must not make it one
+    parameters = BeamParameters(0.0, 0.0, 0.4, 0.6, 0.1, 1.0)
+    density = np.log(0.6 / (limit - low))
+    assert beam_log_density([below, limit], 3.0, limit, parameters, min_range=low) == pytest.approx(
+        [density, np.log(0.4)]
+    )
+    grid = OccupancyGrid.from_ros(np.array([[0, 100]]), resolution=1.0)
+    scan = Scan([below, limit], RangeFinder.from_bearings([0.0, 0.0], min_range=low, max_range=limit))
+    each = BeamModel(grid, parameters).beam_log_likelihood(scan, [0.5, 0.5, 0.0])
+    assert each == pytest.approx([density, np.log(0.4)])
+
+
 def test_each_cause_is_that_of_the_whole_range_over_its_mass_above_min_range():
     low, z = 0.3, np.linspace(0.3, 4.99, 50)
     slope = BeamParameters(0.4, 0.2, 0.2, 0.2, 0.1, 0.7, 0.05, 0.2)

@@ -169,6 +169,7 @@ def _learned(truth: BeamParameters, n_beams: int) -> LearningResult:
         converged=True,
         n_beams=float(n_beams),
         n_excluded=0,
+        n_no_measurement=0,
         modes=(),
         findings=(),
     )

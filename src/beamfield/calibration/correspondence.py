@@ -98,7 +98,7 @@ def learn_from_known_causes(
     problem = learning_problem(
         float(max_range), min_range=float(min_range), fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
     )
-    z, expected = counted_from(min_range, z), expected_from(min_range, expected)
+    z, expected = counted_from(min_range, z, max_range), expected_from(min_range, expected)
     theta = _closed_form(z, expected, numbers, counts, problem)
     if not closed_form:
         theta = m_step(_known_statistics(z, expected, numbers, counts), theta, problem)

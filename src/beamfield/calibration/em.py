@@ -58,6 +58,8 @@ class LearningResult:
     n_excluded
         Beams left out because their ray hits nothing: with z* = max_range the model's readings pile up on two places at
         once, which ruins z_max.
+    n_no_measurement
+        Readings that are NaN, which say nothing and were left out.
     modes
         The distinct maxima that the starts led to, best first, as parameters with their log-likelihood per beam.
     findings
@@ -73,6 +75,7 @@ class LearningResult:
     converged: bool
     n_beams: int
     n_excluded: int
+    n_no_measurement: int
     modes: tuple[Mode, ...]
     findings: tuple[Finding, ...]
 
@@ -104,7 +107,8 @@ def learn_intrinsic_parameters(
     Parameters
     ----------
     ranges
-        Measured ranges, metres, shape (n,); `max_range` or more (also +inf) is no return.
+        Measured ranges, metres, shape (n,); `max_range` or more (also +inf) is no return, NaN no measurement: such a
+        beam contributes nothing.
     expected_ranges
         Ranges z* that the map lets expect, metres, shape (n,); `max_range` or more means that the ray hits nothing.
     max_range
@@ -144,8 +148,8 @@ def learn_intrinsic_parameters(
     Raises
     ------
     InvalidInputError
-        If shapes differ, a range is NaN, negative or below min_range (the message names its index), or an option is
-        impossible.
+        If shapes differ, a range is negative or below min_range, an expected range negative or NaN (the message names
+        its index), or an option is impossible.
     TooLittleDataError
         If fewer than 20 beams remain.
 
@@ -177,16 +181,19 @@ def learn_intrinsic_parameters(
     """
     check_threads(threads)
     z, expected, counts = _checked_beams(ranges, expected_ranges, max_range, min_range, weights)
-    used = expected < max_range
-    n_excluded = int(used.size - np.count_nonzero(used))
-    if n_excluded:
+    measured, hits = ~np.isnan(z), expected < max_range
+    n_no_measurement = int(z.size - np.count_nonzero(measured))
+    used = hits if n_no_measurement == 0 else hits & measured
+    n_unused = int(used.size - np.count_nonzero(used))
+    n_excluded = n_unused - n_no_measurement  # of the beams with a measurement
+    if n_unused:
         z, expected = z[used], expected[used]
         counts = None if counts is None else counts[used]
     n_counted = z.size if counts is None else int(np.count_nonzero(counts))
     if n_counted < FEWEST_BEAMS:
         raise TooLittleDataError(
-            f"{n_counted} beams to learn from, need {FEWEST_BEAMS}: of {used.size} beams the rays of {n_excluded} hit "
-            "nothing in the map"
+            f"{n_counted} beams to learn from, need {FEWEST_BEAMS}: of {used.size} beams {n_no_measurement} carry no "
+            f"measurement and the rays of {n_excluded} hit nothing in the map"
         )
     _check_options(n_starts, tolerance, max_iterations)
     problem = learning_problem(
@@ -218,7 +225,7 @@ def learn_intrinsic_parameters(
         for theta in finalists
     ]
     climbs.sort(key=lambda item: -item.objective)
-    return _result(likelihood, problem, climbs, n_counted, n_excluded)
+    return _result(likelihood, problem, climbs, n_counted, n_excluded, n_no_measurement)
 
 
 def _silent(stage: str, count: int) -> None:
@@ -229,7 +236,7 @@ def _checked_beams(
     ranges: ArrayLike, expected_ranges: ArrayLike, max_range: float, min_range: float, weights: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     check_limits(max_range, min_range)
-    z = _column("ranges", ranges, min_range)
+    z = _column("ranges", ranges, min_range, may_be_nan=True)
     expected = _column("expected_ranges", expected_ranges)
     counts = None if weights is None else _column("weights", weights)
     for name, column in (("expected_ranges", expected), ("weights", counts)):
@@ -240,14 +247,16 @@ def _checked_beams(
     return z, expected, counts
 
 
-def _column(name: str, values: ArrayLike, least: float = 0.0) -> FloatArray:
+def _column(name: str, values: ArrayLike, least: float = 0.0, *, may_be_nan: bool = False) -> FloatArray:
     column = np.asarray(values, dtype=np.float64)
     if column.ndim != 1:
         raise InvalidInputError(f"{name}: expected one dimension, got shape {column.shape}")
     # NaN fails the comparison too. One pass without a mask for the usual case: 10^7 beams are not rare.
     if column.size and not column.min() >= least:
-        index = int(np.flatnonzero(~(column >= least))[0])
-        raise InvalidInputError(f"{name}[{index}]: expected a number >= {least:g}, got {column[index]}")
+        wrong = column < least if may_be_nan else ~(column >= least)
+        if wrong.any():
+            index = int(np.flatnonzero(wrong)[0])
+            raise InvalidInputError(f"{name}[{index}]: expected a number >= {least:g}, got {column[index]}")
     return column
 
 
@@ -290,7 +299,12 @@ def _differ(theta: FloatArray, other: FloatArray) -> bool:
 
 
 def _result(
-    likelihood: IntrinsicLikelihood, problem: LearningProblem, climbs: list[Climb], n_used: int, n_excluded: int
+    likelihood: IntrinsicLikelihood,
+    problem: LearningProblem,
+    climbs: list[Climb],
+    n_used: int,
+    n_excluded: int,
+    n_no_measurement: int,
 ) -> LearningResult:
     best = climbs[0]
     distinct: list[Climb] = []
@@ -312,6 +326,7 @@ def _result(
         converged=best.converged,
         n_beams=n_used,
         n_excluded=n_excluded,
+        n_no_measurement=n_no_measurement,
         modes=modes,
         findings=(*_convergence_findings(best), *identifiability_findings(likelihood, problem, best.theta, modes)),
     )

@@ -96,7 +96,7 @@ class IntrinsicLikelihood:
         self.order = by_range if order is None else order[by_range]
         self.returned = returned
         self.expected = expected_from(min_range, np.ascontiguousarray(expected[by_range]))
-        self.ranges = counted_from(min_range, np.ascontiguousarray(ranges[self.order]))
+        self.ranges = counted_from(min_range, np.ascontiguousarray(ranges[self.order]), max_range)
         self.max_range = float(max_range) - float(min_range)
         self.min_range = float(min_range)
         self.threads = threads

@@ -269,7 +269,7 @@ def _fill(
     check_threads(threads)
     view = as_view(parameters, max_range, min_range)
     measured, expected = broadcast_beams(ranges, expected_ranges)
-    flat_measured = read_only(counted_from(min_range, np.ascontiguousarray(measured).reshape(-1)))
+    flat_measured = read_only(counted_from(min_range, np.ascontiguousarray(measured).reshape(-1), max_range))
     flat_expected = read_only(expected_from(min_range, np.ascontiguousarray(expected).reshape(-1)))
     out: FloatArray = np.empty((flat_measured.size, *per_beam))
     run_in_slices(

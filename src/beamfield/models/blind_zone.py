@@ -33,21 +33,27 @@ def check_limits(max_range: float, min_range: float) -> None:
         raise InvalidInputError(f"min_range: expected metres in [0, max_range = {max_range}), got {min_range}")
 
 
-def counted_from(min_range: float, ranges: FloatArray) -> FloatArray:
+def counted_from(min_range: float, ranges: FloatArray, max_range: float) -> FloatArray:
     """Return measured ranges counted from min_range; the array itself, if there is no blind zone.
 
     Parameters
     ----------
-    min_range
+    min_range, max_range
         Metres.
     ranges
         Metres, of any shape.
 
     Returns
     -------
-    Metres, of that shape; negative where nothing can be measured, NaN where the range is.
+    Metres, of that shape; below max_range - min_range exactly where the range is below max_range, negative where
+    nothing can be measured, NaN where the range is.
     """
-    return ranges if min_range == 0.0 else np.asarray(ranges - min_range)
+    if min_range == 0.0:
+        return ranges
+    counted = np.asarray(ranges - min_range)
+    # A rounding must not turn a range into "no return".
+    farthest = np.nextafter(max_range - min_range, 0.0)
+    return np.minimum(counted, farthest, out=counted, where=ranges < max_range)
 
 
 def expected_from(min_range: float, expected_ranges: FloatArray) -> FloatArray:

@@ -262,7 +262,7 @@ class RangeMixtureModel(ABC):
         """Fill out (n,) with the sum over beams, given the expected ranges (n, k)."""
         finder = scan.finder
         view = as_view(self.parameters, finder.max_range, finder.min_range)
-        ranges = read_only(counted_from(finder.min_range, usable_ranges(scan.ranges, finder)))
+        ranges = read_only(counted_from(finder.min_range, usable_ranges(scan.ranges, finder), finder.max_range))
         expected = read_only(expected_from(finder.min_range, expected))
         run_in_slices(
             lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]),

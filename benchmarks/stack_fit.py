@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
+from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 from beamfield.geometry import between, compose
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
@@ -34,7 +35,6 @@ from beamfield.stacks.particle_update import update_particles
 from beamfield.stacks.posterior_score import score_windows
 from beamfield.stacks.registry import build_model, parameter_class
 from beamfield.stacks.window_evidence import gather_evidence
-from beamfield.stacks.windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 
 WEAN = "wean_hall/derived_wean.yaml"
 # Fitted to the first; where there are no others, every third block of time is held out.

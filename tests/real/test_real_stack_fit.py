@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from beamfield.calibration.pose_windows import WindowOptions, cut_windows, draw_rivals
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
@@ -16,7 +17,6 @@ from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.posterior_score import score_windows
 from beamfield.stacks.registry import build_model
 from beamfield.stacks.window_evidence import gather_evidence
-from beamfield.stacks.windows import WindowOptions, cut_windows, draw_rivals
 
 pytestmark = pytest.mark.real
 DEFAULT = Nav2Parameters(laser_model_type="likelihood_field_prob")

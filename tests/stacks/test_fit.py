@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
+from beamfield.calibration.posterior_judge import PosteriorScores, judge_weights
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import as_poses, between, compose
 from beamfield.models.beam_parameters import BeamParameters
@@ -23,10 +25,9 @@ from beamfield.stacks.likelihood_values import from_likelihood
 from beamfield.stacks.nav2_parameters import Nav2Parameters
 from beamfield.stacks.parameter_file import MODELS
 from beamfield.stacks.particle_update import update_particles
-from beamfield.stacks.posterior_score import PosteriorScores, _judge, score_windows
+from beamfield.stacks.posterior_score import score_windows
 from beamfield.stacks.registry import build_model, parameter_class
 from beamfield.stacks.window_evidence import gather_evidence
-from beamfield.stacks.windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 
 # The simulated reference is exact.
 EXACT = WindowOptions(windows=45, near=150, far=40, reference_error=0.01, reference_turn_error=0.003)
@@ -140,7 +141,7 @@ def test_being_sure_of_another_place_is_no_coverage(office):
     rivals = draw_rivals(options, office)
     log_weights = np.zeros((1, 2, 60))
     log_weights[0, 0, 55] = 40.0
-    log_score, covered = _judge(log_weights, 50, rivals, options)
+    log_score, covered = judge_weights(log_weights, 50, rivals, options)
     np.testing.assert_array_equal(covered, [[0.0, 1.0]])
     # All but nothing of the posterior lies at one of ten far poses, half the prior.
     assert log_score[0, 0] == pytest.approx(np.log(20.0) - 40.0, abs=1e-6)
@@ -151,7 +152,7 @@ def test_a_factor_of_all_weights_changes_no_score(office):
     options = WindowOptions(near=50, far=10)
     rivals = draw_rivals(options, office)
     log_weights = np.random.default_rng(4).normal(0.0, 2.0, (2, 3, 60))
-    (score, covered), (shifted, still) = (_judge(log_weights + by, 50, rivals, options) for by in (0.0, -3000.0))
+    (score, covered), (shifted, still) = (judge_weights(log_weights + by, 50, rivals, options) for by in (0.0, -3000.0))
     np.testing.assert_allclose(shifted, score, rtol=1e-9)
     np.testing.assert_allclose(still, covered, rtol=1e-9)
     assert np.ptp(score) > 0.1

@@ -73,9 +73,9 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
 
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     """Check the options before any long work, and return the file to patch, if any."""
+    from beamfield.calibration.pose_windows import WindowOptions
     from beamfield.stacks.parameter_file import check_model, check_patch_target, check_stack, read_stack_file
     from beamfield.stacks.typed_values import checked_values
-    from beamfield.stacks.windows import WindowOptions
 
     if arguments.stack is None:
         for name in ("model", "patch", "section"):
@@ -104,12 +104,12 @@ def fit_for_stack(
     progress: StageProgress,
 ) -> StackResult:  # fmt: skip
     """Fit one model of the stack, or all of them, and return what comes of it."""
+    from beamfield.calibration.pose_windows import WindowOptions
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
     from beamfield.stacks.fit import fit_stack, net_score
     from beamfield.stacks.parameter_file import MODELS
     from beamfield.stacks.registry import parameter_class
     from beamfield.stacks.typed_values import checked_values
-    from beamfield.stacks.windows import WindowOptions
 
     stack = arguments.stack
     models = MODELS[stack]

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from beamfield.calibration.pose_windows import HELD_OUT, Rivals, Window, WindowOptions, cut_windows, draw_rivals
+from beamfield.calibration.posterior_judge import PosteriorScores
 from beamfield.calibration.selection import SelectionOptions
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
@@ -18,10 +20,9 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.emulator import StackModel
 from beamfield.stacks.fit_space import FitSpace, fit_space
 from beamfield.stacks.particle_update import ParticleUpdate, update_particles
-from beamfield.stacks.posterior_score import PosteriorScores, score_windows
+from beamfield.stacks.posterior_score import score_windows
 from beamfield.stacks.registry import build_model
 from beamfield.stacks.window_evidence import WindowEvidence, gather_evidence
-from beamfield.stacks.windows import HELD_OUT, Rivals, Window, WindowOptions, cut_windows, draw_rivals
 
 Progress = Callable[[str, int, int], None]
 

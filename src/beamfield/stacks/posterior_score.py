@@ -1,60 +1,15 @@
-"""Judge a stack's weights by the posterior they make: whether the reference is in it, and with how much weight."""
+"""Judge a stack's weights by the posterior they make."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from beamfield.geometry import FloatArray
-from beamfield.kernels.posterior import judge_posteriors
+from beamfield.calibration.pose_windows import Rivals, WindowOptions
+from beamfield.calibration.posterior_judge import PosteriorScores, judge_weights
 from beamfield.stacks.emulator import StackModel
 from beamfield.stacks.window_evidence import LANES, WindowEvidence
-from beamfield.stacks.windows import Rivals, WindowOptions
 from beamfield.thread_count import check_threads
-
-LEVEL = 0.95
-# Nats that a window can lose at most.
-LOWEST = -50.0
-
-
-@dataclass(frozen=True, eq=False)
-class PosteriorScores:
-    """Scores of windows, one each.
-
-    Parameters
-    ----------
-    log_score
-        (w,) nats: log of the posterior density at the truth over the prior's there, mean over guesses at both. 0 for
-        weights that say nothing; wrong and certain is punished, so that it is largest in the mean for a calibrated
-        posterior.
-    covered
-        (w,) share of the guesses whose posterior holds the truth in its 95 % region.
-    """
-
-    log_score: FloatArray
-    covered: FloatArray
-
-    @property
-    def mean(self) -> float:
-        """Mean log score, nats per window."""
-        return float(self.log_score.mean())
-
-    @property
-    def coverage(self) -> float:
-        """Share of the guesses at the truth, over all windows, that the 95 % region holds."""
-        return float(self.covered.mean())
-
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> PosteriorScores:
-        """Return the scores of some of the windows."""
-        return PosteriorScores(self.log_score[chosen], self.covered[chosen])
-
-    def __add__(self, other: PosteriorScores) -> PosteriorScores:
-        """Return the scores of both sets of windows."""
-        return PosteriorScores(np.append(self.log_score, other.log_score), np.append(self.covered, other.covered))
 
 
 def score_windows(
@@ -85,27 +40,6 @@ def score_windows(
     for first in range(0, len(candidates), LANES):
         chunk = candidates[first : first + LANES]
         log_weights = evidence.log_weights(model, chunk, threads)
-        log_score, covered = _judge(log_weights, evidence.n_near, rivals, options)
+        log_score, covered = judge_weights(log_weights, evidence.n_near, rivals, options)
         scores += [PosteriorScores(*pair) for pair in zip(log_score.T, covered.T, strict=True)]
     return scores
-
-
-def _judge(
-    log_weights: FloatArray, n_near: int, rivals: Rivals, options: WindowOptions
-) -> tuple[FloatArray, FloatArray]:
-    """Return log scores and coverage (w, c) of log weights (w, c, n), near poses before far ones."""
-    shape = log_weights.shape[:2]
-    rows = log_weights.reshape(-1, log_weights.shape[2])
-    top = rows.max(axis=1, keepdims=True)
-    # No pose has any weight: the filter learns nothing (nav2 then makes all weights equal).
-    weights = np.exp(np.where(top > -np.inf, rows - np.where(top > -np.inf, top, 0.0), 0.0))
-    near, far = np.ascontiguousarray(weights[:, :n_near]), np.ascontiguousarray(weights[:, n_near:])
-    share = options.far_share if far.shape[1] else 0.0
-    ratios, covered = np.empty((len(rows), len(rivals.mass))), np.empty(len(rows))
-    judge_posteriors(
-        near, far, (1.0 - share) * rivals.mass, (1.0 - share) * rivals.density, share / max(1, far.shape[1]),
-        share * rivals.far_density, LEVEL, ratios, covered,
-    )  # fmt: skip
-    # A weight that underflows next to the best pose is a loss that no fit should follow for ever.
-    scores = np.log(np.maximum(ratios, np.exp(LOWEST))).mean(axis=1)
-    return scores.reshape(shape), covered.reshape(shape)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.calibration.pose_windows import Window
 from beamfield.geometry import FloatArray
 from beamfield.kernels import posterior as kernels
 from beamfield.kernels.threads import run_in_slices
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulator import Evidence, FieldEvidence, FieldModel, StackModel
-from beamfield.stacks.windows import Window
 
 LANES = kernels.LANES
 

@@ -1,4 +1,4 @@
-"""Short drives through a log, with wrong poses beside the reference: what a stack's weights are judged on."""
+"""Short drives through a log, with wrong poses beside the reference: what a model's weights are judged on."""
 
 from __future__ import annotations
 

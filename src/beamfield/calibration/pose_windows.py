@@ -21,6 +21,8 @@ HELD_OUT = 2
 WINDOWS_PER_BLOCK = 2.5
 # Guesses at truth and prior around each reference.
 N_GUESSES = 20
+# A reference that is off by so many metres is off by a radian.
+REFERENCE_LEVER = 4.0
 
 
 @dataclass(frozen=True)
@@ -188,11 +190,8 @@ def cut_windows(
     TooLittleDataError
         If there are fewer than five windows in a part.
     """
-    used = np.flatnonzero(select_scans(log, grid, selection).used)
-    steps = _updates(log, used, options)
-    groups = [steps[i : i + options.scans] for i in range(len(steps) - options.scans + 1)]
-    length = _block_length(log, groups) if block_s is None else block_s
-    blocks = time_blocks(log.stamps, length)
+    groups = _groups(log, grid, options, selection)
+    blocks = time_blocks(log.stamps, _block_length(log, groups) if block_s is None else block_s)
     # A window across the border of two blocks would be fitted and held out at once.
     groups = [group for group in groups if blocks[group[0]] == blocks[group[-1]]]
     if len(groups) > options.windows:
@@ -213,6 +212,27 @@ def cut_windows(
             f"need {FEWEST_WINDOWS} of each"
         )
     return windows
+
+
+def window_block_s(
+    log: SensorLog, grid: OccupancyGrid, options: WindowOptions, selection: SelectionOptions | None = None
+) -> float | None:
+    """Return the length of blocks, seconds, that `cut_windows` takes if it is given none; None: that of `time_blocks`.
+
+    Parameters
+    ----------
+    log, grid, options, selection
+        As for `cut_windows`.
+    """
+    return _block_length(log, _groups(log, grid, options, selection))
+
+
+def _groups(
+    log: SensorLog, grid: OccupancyGrid, options: WindowOptions, selection: SelectionOptions | None
+) -> list[NDArray[np.int64]]:
+    """Return the scans of every window that there could be."""
+    steps = _updates(log, np.flatnonzero(select_scans(log, grid, selection).used), options)
+    return [steps[i : i + options.scans] for i in range(len(steps) - options.scans + 1)]
 
 
 def _updates(log: SensorLog, used: NDArray[np.int64], options: WindowOptions) -> NDArray[np.int64]:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.calibrate_stack import StackResult, add_stack_options, fit_for_stack, read_stack_request, write_patch
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """
 Learn the parameters of the beam model (z_hit, z_short, z_max, z_rand, sigma_hit, lambda_short) from a log with
-reference poses and a map. Prints a table and writes beam_model.yaml, calibration.json and report.html into the output
-folder, whole or not at all.
+reference poses and a map, and with --map those of the likelihood field. Prints tables and writes beam_model.yaml,
+likelihood_field.yaml, calibration.json and report.html into the output folder, whole or not at all.
 """
 ODOMETRY_NOTE = "reference poses: the odometry of the log, as asked for; its drift counts as noise of the sensor"
 
@@ -65,6 +66,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     model.add_argument("--bootstrap", type=int, default=200, metavar="N",
                        help="replicates for the intervals (default: %(default)s)")  # fmt: skip
+    model.add_argument("--reference-error", type=float, default=0.04, metavar="M",
+                       help="likelihood field and --stack: how wrong the reference poses may be, standard deviation "
+                       "per axis, and a quarter of it in radians (default: 0.04)")  # fmt: skip
     model.add_argument("--seed", type=int, default=0, help="seed of every random choice (default: 0)")
     model.add_argument("--no-refine", action="store_true", help="do not refine reference poses to see their error")
     choice = parser.add_argument_group("scans that are used")
@@ -316,6 +320,7 @@ def _calibrate_sensor(
         else:
             maps = grid
         result = calibrate(sensor, maps, options, progress=progress)
+        field = None if grid is None else learn_field(arguments, sensor, grid, result, origin, progress)
         stack = None
         if arguments.stack is not None and grid is not None:
             stack = fit_for_stack(arguments, sensor, grid, result, patched, progress)
@@ -323,6 +328,8 @@ def _calibrate_sensor(
         raise type(error)(f"{arguments.log}: {error}") from error
     progress("writing the report", 0, 1)
     document = {"provenance": origin, "notes": list(notes), **calibration_as_dict(result)}
+    if field is not None:
+        document["likelihood_field"] = field.document
     if stack is not None:
         document["stack"] = stack.document
     files = {
@@ -331,9 +338,15 @@ def _calibrate_sensor(
         ),
         "calibration.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
         "report.html": render_report(
-            result, maps, sensor, {**origin, "notes": notes}, sections=[] if stack is None else [stack.section]
+            result,
+            maps,
+            sensor,
+            {**origin, "notes": notes},
+            sections=[part.section for part in (field, stack) if part is not None],
         ),
     }
+    if field is not None:
+        files |= field.files
     if stack is not None:
         files[stack.file_name] = stack.file_text
     # Lines are broken for a terminal only: in a file or a pipe, one line is one parameter or warning.
@@ -343,6 +356,5 @@ def _calibrate_sensor(
         warnings = [textwrap.fill(text, width, subsequent_indent="  ") for text in warnings]
     parameters = parameter_table(result, width=width)
     table = "\n\n".join([result.selection.describe(), parameters, score_table(result), *warnings])
-    if stack is not None:
-        table += f"\n\n{stack.table}"
+    table = "\n\n".join([table, *(part.table for part in (field, stack) if part is not None)])
     return files, table, result.converged, stack

@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from beamfield.stacks.parameter_file import StackFile
 
 
-# A reference that is off by so many metres is off by a radian.
-REFERENCE_LEVER = 4.0
-
-
 @dataclass(frozen=True)
 class StackResult:
     """What fitting a stack adds to the outputs.
@@ -66,9 +62,6 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--patch", type=Path, metavar="FILE",
                        help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
     group.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
-    group.add_argument("--reference-error", type=float, default=0.04, metavar="M",
-                       help="how wrong the reference poses may be, standard deviation per axis, and a quarter of "
-                       "it in radians (default: 0.04)")  # fmt: skip
 
 
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
@@ -77,6 +70,10 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     from beamfield.stacks.parameter_file import check_model, check_patch_target, check_stack, read_stack_file
     from beamfield.stacks.typed_values import checked_values
 
+    if not 0.0 < arguments.reference_error < WindowOptions().spread:
+        raise InvalidInputError(
+            f"--reference-error: expected 0 to {WindowOptions().spread:g} m, without 0, got {arguments.reference_error}"
+        )
     if arguments.stack is None:
         for name in ("model", "patch", "section"):
             if getattr(arguments, name) is not None:
@@ -87,10 +84,6 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
         check_model(arguments.stack, arguments.model)
     if arguments.map is None:
         raise InvalidInputError("--stack: needs --map: other programs' models see the map in their own way")
-    if not 0.0 < arguments.reference_error < WindowOptions().spread:
-        raise InvalidInputError(
-            f"--reference-error: expected 0 to {WindowOptions().spread:g} m, without 0, got {arguments.reference_error}"
-        )
     if arguments.patch is None:
         return None
     file = read_stack_file(arguments.patch, stack=arguments.stack, model=arguments.model, section=arguments.section)
@@ -104,7 +97,7 @@ def fit_for_stack(
     progress: StageProgress,
 ) -> StackResult:  # fmt: skip
     """Fit one model of the stack, or all of them, and return what comes of it."""
-    from beamfield.calibration.pose_windows import WindowOptions
+    from beamfield.calibration.pose_windows import REFERENCE_LEVER, WindowOptions
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
     from beamfield.stacks.fit import fit_stack, net_score
     from beamfield.stacks.parameter_file import MODELS

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.models.base import MeasurementModel
     from beamfield.models.beam_parameters import BeamParameters
+    from beamfield.models.field_parameters import LikelihoodFieldParameters
     from beamfield.sensors import Scan, SensorLog
 
 DESCRIPTION = """
@@ -29,6 +30,8 @@ PICTURES = (".png", ".svg", ".pdf")
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.2, "lambda_short": 0.4}
 # And a sonar: many echoes are lost or take a detour.
 SONAR_DEFAULTS = {"z_hit": 0.5, "z_short": 0.05, "z_max": 0.2, "z_rand": 0.25, "sigma_hit": 0.1, "lambda_short": 0.4}
+# Without --beams, unless a file of a learned field says.
+DEFAULT_BEAMS = 30
 # Local maps for map matching have cells of at least this size, metres: time is proportional to their number.
 LOCAL_RESOLUTION = 0.2
 
@@ -45,7 +48,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="beam model, likelihood field or map matching (default: beam)")  # fmt: skip
     parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
     parser.add_argument("--params", "--parameters", dest="parameters", type=Path, metavar="FILE",
-                        help="a beam_model.yaml from beamfield calibrate (default: typical values)")  # fmt: skip
+                        help="a beam_model.yaml, or with --model field a likelihood_field.yaml, from beamfield "
+                        "calibrate (default: typical values)")  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="FILE", help=f"draw into this file ({', '.join(PICTURES)})")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="write the arrays into this NumPy .npz file")
     lattice = parser.add_argument_group("poses that are compared")
@@ -54,8 +58,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     lattice.add_argument("--no-widening", action="store_true",
                          help="do not widen the noise of hits by what lies between the poses")  # fmt: skip
     model = parser.add_argument_group("model")
-    model.add_argument("--beams", type=int, default=30, metavar="K",
-                       help="beams of the scan that count, equally spaced; 0: all (default: 30)")  # fmt: skip
+    model.add_argument("--beams", type=int, metavar="K",
+                       help="beams of the scan that count, equally spaced; 0: all (default: 30, or as a "
+                       "likelihood_field.yaml says; with another number its exponent is scaled)")  # fmt: skip
     model.add_argument("--local-scans", type=int, default=10, metavar="N",
                        help="matching: scans in the local map, up to this one (default: 10)")  # fmt: skip
     add_log_options(parser)
@@ -111,7 +116,7 @@ def _check(arguments: argparse.Namespace) -> None:
     for path in (arguments.out, arguments.npz):
         if path is not None:
             check_writable(path)
-    if arguments.beams < 0:
+    if arguments.beams is not None and arguments.beams < 0:
         raise InvalidInputError(f"--beams: expected 0 (all) or more, got {arguments.beams}")
     if arguments.local_scans < 1:
         raise InvalidInputError(f"--local-scans: expected at least 1, got {arguments.local_scans}")
@@ -150,24 +155,24 @@ def _measurement_and_model(
     """Return what is measured (a scan or a local map) and the model that scores it."""
     from beamfield.localization.lattice_noise import widened_field_for_lattice, widened_for_lattice
     from beamfield.models.beam import BeamModel
-    from beamfield.models.field_parameters import LikelihoodFieldParameters
     from beamfield.models.likelihood_field import LikelihoodFieldModel
     from beamfield.models.map_matching import MapMatchingModel
     from beamfield.models.sonar import SonarModel
 
     if arguments.model == "matching":
         return _local_map(sensor, grid, arguments), MapMatchingModel(grid, threads=arguments.threads)
-    parameters = _parameters(arguments, scan)
     lattice = {"resolution": arguments.resolution, "headings": arguments.headings}
-    options: dict[str, Any] = {"n_beams": arguments.beams or None, "threads": arguments.threads}
+    n_beams = DEFAULT_BEAMS if arguments.beams is None else arguments.beams or None
+    options: dict[str, Any] = {"n_beams": n_beams, "threads": arguments.threads}
     if arguments.model == "beam":
+        parameters = _parameters(arguments, scan)
         if not arguments.no_widening:
             parameters = widened_for_lattice(parameters, **lattice)
         return scan, (SonarModel if scan.finder.opening_angle > 0.0 else BeamModel)(grid, parameters, **options)
-    of_field = LikelihoodFieldParameters.from_beam_parameters(parameters)
+    of_field, learned = _field(arguments, scan)
     if not arguments.no_widening:
         of_field = widened_field_for_lattice(of_field, scan, **lattice)
-    return scan, LikelihoodFieldModel.from_grid(grid, of_field, **options)
+    return scan, LikelihoodFieldModel.from_grid(grid, of_field, **options | learned)
 
 
 def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
@@ -177,6 +182,28 @@ def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
     if arguments.parameters is None:
         return BeamParameters(**(SONAR_DEFAULTS if scan.finder.opening_angle > 0.0 else DEFAULTS))
     return read_beam_model(arguments.parameters).parameters
+
+
+def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, dict[str, Any]]:
+    """Return the parameters of the field, and the options that a file of learned ones adds."""
+    from beamfield.io.field_file import is_likelihood_field, read_likelihood_field
+    from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
+
+    if arguments.parameters is not None and is_likelihood_field(arguments.parameters):
+        saved = read_likelihood_field(arguments.parameters)
+        if arguments.beams is None:
+            return saved.parameters, {"exponent": saved.exponent, "n_beams": saved.n_beams}
+        # A scan is worth about as many independent beams, however many of its beams are used.
+        used = min(arguments.beams or scan.finder.n_beams, scan.finder.n_beams)
+        return saved.parameters, {"exponent": min(1.0, saved.exponent * saved.n_beams / used)}
+    beam = _parameters(arguments, scan)
+    for name in NOT_OF_A_FIELD:
+        if getattr(beam, name) != 0.0:
+            print(
+                f"note: {arguments.parameters} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot "
+                "have; it is left out. The likelihood_field.yaml of beamfield calibrate is learned without."
+            )
+    return LikelihoodFieldParameters.from_beam_parameters(beam, drop=NOT_OF_A_FIELD), {}
 
 
 def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> OccupancyGrid:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from beamfield.errors import InvalidInputError
 from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, BeamParameters
+
+# What a beam model may have and a likelihood field has not.
+NOT_OF_A_FIELD = ("range_offset", "sigma_slope")
 
 
 @dataclass(frozen=True)
@@ -59,13 +63,21 @@ class LikelihoodFieldParameters:
             raise InvalidInputError(f"sigma_hit: expected a positive number of metres, got {self.sigma_hit}")
 
     @classmethod
-    def from_beam_parameters(cls, parameters: BeamParameters) -> LikelihoodFieldParameters:
+    def from_beam_parameters(
+        cls, parameters: BeamParameters, *, drop: Collection[str] = ()
+    ) -> LikelihoodFieldParameters:
         """Take over z_hit, z_rand and sigma_hit of a beam model.
+
+        A field has no range_offset, nor a sigma_slope. With an offset, its hits lie beside the mapped walls; with a
+        slope, sigma_hit is that of the shortest ranges alone. Learn the field's own parameters instead:
+        `beamfield.calibration.field_learning.learn_field_parameters`.
 
         Parameters
         ----------
         parameters
             The weights are taken as they are: the rest to 1 stays with causes that this model does not score.
+        drop
+            Which of "range_offset" and "sigma_slope" may be lost.
 
         Returns
         -------
@@ -74,6 +86,15 @@ class LikelihoodFieldParameters:
         Raises
         ------
         InvalidInputError
-            If z_hit and z_rand are both 0.
+            If z_hit and z_rand are both 0, or the beam model has an offset or a slope that `drop` does not name.
         """
+        if unknown := set(drop) - set(NOT_OF_A_FIELD):
+            raise InvalidInputError(f"drop: expected names among {', '.join(NOT_OF_A_FIELD)}, got {min(unknown)!r}")
+        for name in NOT_OF_A_FIELD:
+            value = getattr(parameters, name)
+            if value != 0.0 and name not in drop:
+                raise InvalidInputError(
+                    f"{name}: a likelihood field has none, expected 0, got {value:g}; learn the field itself, "
+                    f"or say drop=[{name!r}]"
+                )
         return cls(parameters.z_hit, parameters.z_rand, parameters.sigma_hit)

@@ -1,0 +1,110 @@
+"""What learning the likelihood field found: tables for the terminal and a section of the page."""
+
+from __future__ import annotations
+
+import html
+import math
+
+from beamfield.calibration.field_learning import FieldLearning, FieldScore
+from beamfield.report.page_section import PageSection
+from beamfield.report.text_table import aligned, plus_minus
+
+TITLE = "Likelihood field"
+MEANINGS = {
+    "z_hit": ("-", "share of readings that end near an obstacle on their beam's axis"),
+    "z_rand": ("-", "share of readings that nothing explains, spread evenly over all ranges"),
+    "sigma_hit": ("m", "deviation of a hit from its obstacle, with the error of the reference poses"),
+    "exponent": ("-", "power of each beam's value, because beams depend on each other"),
+}
+PARAMETER_HEADER = ("likelihood field", "value", "95 % interval", "unit", "meaning")
+SCORE_HEADER = ("held-out blocks", "nats per reading ± s.e.", "nats per posterior ± s.e.", "covered")
+
+
+def field_tables(learned: FieldLearning) -> str:
+    """Return the tables for the terminal: the parameters, how they do on held-out blocks, and warnings.
+
+    Parameters
+    ----------
+    learned
+        The result of `learn_field_parameters`.
+    """
+    parts = [
+        aligned(PARAMETER_HEADER, _parameter_rows(learned), right=(1,)),
+        aligned(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3)),
+        f"The exponent is for {learned.n_beams} beams of each scan.",
+    ]
+    parts += [f"warning ({f.name}): {f.text}" for f in learned.findings if f.severity == "warning"]
+    return "\n\n".join(parts)
+
+
+def field_section(learned: FieldLearning, file_text: str) -> PageSection:
+    """Return the section of the report.
+
+    Parameters
+    ----------
+    learned
+        The result of `learn_field_parameters`.
+    file_text
+        The parameter file.
+    """
+    items = "".join(f"<li>{html.escape(finding.text)}</li>" for finding in learned.findings)
+    findings = f'<ul class="findings">{items}</ul>' if items else ""
+    markup = (
+        f"{_table(PARAMETER_HEADER, _parameter_rows(learned), (1,))}"
+        f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "
+        "sigma_hit make the readings most likely along the axes of their beams; without the reference poses' error "
+        f"sigma_hit is {learned.density_sigma:.4g} m. The exponent is the one whose posteriors around the reference "
+        f"poses hold them best.</p>{findings}"
+        f"{_table(SCORE_HEADER, [_score_row(score) for score in learned.scores], (1, 2, 3))}"
+        "<p>Nats per reading: mean log density along the axis, given that the reading is a range. Nats per posterior: "
+        "mean logarithm of the posterior's density at the reference over the prior's, of a few scans each; 0 for a "
+        "field that says nothing, far below 0 for one that is certain and wrong. Covered: share of those posteriors "
+        f"whose 95 % region holds the reference.</p><p>The file:</p><pre>{html.escape(file_text)}</pre>"
+    )
+    return PageSection("field", TITLE, markup)
+
+
+def field_missing(reason: str) -> PageSection:
+    """Return the section of a report whose log is too short to learn a field.
+
+    Parameters
+    ----------
+    reason
+        Why.
+    """
+    return PageSection("field", TITLE, f"<p>Not learned: {html.escape(reason)}.</p>")
+
+
+def _parameter_rows(learned: FieldLearning) -> list[tuple[str, ...]]:
+    values = {
+        "z_hit": learned.parameters.z_hit,
+        "z_rand": learned.parameters.z_rand,
+        "sigma_hit": learned.parameters.sigma_hit,
+        "exponent": learned.exponent,
+    }
+    return [
+        (name, f"{values[name]:.3g}", _interval_text(*learned.intervals[name]), unit, meaning)
+        for name, (unit, meaning) in MEANINGS.items()
+    ]
+
+
+def _interval_text(low: float, high: float) -> str:
+    return f"[{low:.3g}, {high:.3g}]" if math.isfinite(high) else "not determined"
+
+
+def _score_row(score: FieldScore) -> tuple[str, ...]:
+    density = plus_minus(score.log_density, score.log_density_se)
+    if score.posterior is None or score.posterior_se is None:
+        return (score.name, density, "", "")
+    covered = "" if score.coverage is None else f"{score.coverage:.0%}"
+    return (score.name, density, plus_minus(score.posterior, score.posterior_se), covered)
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]], right: tuple[int, ...]) -> str:
+    def cells(tag: str, row: tuple[str, ...]) -> str:
+        classes = [' class="n"' if i in right else "" for i in range(len(row))]
+        parts = (f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for kind, cell in zip(classes, row, strict=True))
+        return f"<tr>{''.join(parts)}</tr>"
+
+    body = "".join(cells("td", row) for row in rows)
+    return f'<div class="scroll"><table><thead>{cells("th", header)}</thead><tbody>{body}</tbody></table></div>'

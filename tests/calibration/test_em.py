@@ -328,9 +328,7 @@ def test_impossible_priors_are_named(arguments):
 
 def test_too_few_beams():
     n = FEWEST_BEAMS
-    with pytest.raises(
-        TooLittleDataError, match=f"{n - 1} beams.*{n + 1} beams 0 carry.* the rays of 2 hit"
-    ):
+    with pytest.raises(TooLittleDataError, match=f"{n - 1} beams.*{n + 1} beams 0 carry.* the rays of 2 hit"):
         learn_intrinsic_parameters([1.0] * (n + 1), [1.0] * (n - 1) + [8.0] * 2, 8.0)
     with pytest.raises(TooLittleDataError, match="0 beams"):
         learn_intrinsic_parameters([], [], 8.0)

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.io.field_file import read_likelihood_field
 from beamfield.io.parameters import read_beam_model
 from beamfield.models.beam_parameters import BeamParameters
 
-FILES = ("beam_model.yaml", "calibration.json", "report.html")
+FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html")
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def out(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class TestResult:
-    def test_three_files_are_written(self, out: Path):
+    def test_four_files_are_written(self, out: Path):
         assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
 
     def test_the_yaml_holds_the_same_parameters_as_the_json(self, out: Path):
@@ -74,6 +75,19 @@ class TestResult:
         for name, entry in document["parameters"].items():
             assert getattr(parameters, name) == entry["value"]
         assert max_range == 12.0
+
+    def test_the_likelihood_field_is_learned_too(self, out: Path):
+        saved = read_likelihood_field(out / "likelihood_field.yaml")
+        document = json.loads((out / "calibration.json").read_text())["likelihood_field"]
+        assert document["parameters"] == vars(saved.parameters)
+        assert (document["exponent"], document["n_beams"]) == (saved.exponent, saved.n_beams)
+        assert (saved.n_beams, saved.max_range) == (60, 12.0)
+        assert saved.parameters.z_hit > 0.6
+        assert 0.0 < saved.exponent < 1.0
+        assert [score["name"] for score in document["scores"]][-1] == "uniform"
+        page = (out / "report.html").read_text()
+        assert '<h2 id="field">Likelihood field</h2>' in page
+        assert f"sigma_hit: {saved.parameters.sigma_hit}" in page
 
     def test_the_provenance_names_inputs_by_hash_and_no_folder(self, out: Path, world: Path):
         origin = json.loads((out / "calibration.json").read_text())["provenance"]
@@ -94,7 +108,10 @@ class TestResult:
 def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert calibrate(world, tmp_path / "out") == 0
     text = capsys.readouterr().out
-    for words in ("scans used", "sigma_hit", "95 % interval", "nav2 defaults", "ROS 1 defaults", "uniform"):
+    for words in (
+        "scans used", "sigma_hit", "95 % interval", "nav2 defaults", "ROS 1 defaults", "uniform", "likelihood field",
+        "beam model's, exponent 1", "The exponent is for 60 beams",
+    ):  # fmt: skip
         assert words in text
 
 
@@ -133,6 +150,7 @@ def test_without_a_map_one_is_drawn_and_the_report_says_so(world: Path, tmp_path
     log, out = str(world / "log.carmen"), tmp_path / "out"
     assert main(["calibrate", log, "--out", str(out), "--quiet", "--bootstrap", "40", "--resolution", "0.1"]) == 0
     report = (out / "report.html").read_text()
+    assert not (out / "likelihood_field.yaml").exists()
     assert "No map was given" in report
     assert "map <b>drawn from the log</b>" in report
     # Each scan is judged by the other half's map, and the caption says what that cannot show.

@@ -11,10 +11,14 @@ import pytest
 from beamfield.cli.main import main
 from beamfield.geometry import between
 from beamfield.io.carmen import write_carmen
+from beamfield.io.field_file import likelihood_field_text
+from beamfield.io.parameters import beam_model_text
 from beamfield.io.ros_map import save_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
 
 TRUTH = BeamParameters(z_hit=0.9, z_short=0.04, z_max=0.02, z_rand=0.04, sigma_hit=0.04, lambda_short=0.5)
@@ -169,3 +173,42 @@ def test_no_thread_at_all_is_wrong_usage(folder, capsys):
         run(folder, "--threads", "0")
     assert exit_code.value.code == 2
     assert "--threads: expected at least 1, got 0" in capsys.readouterr().err
+
+
+def summary(folder: Path, capsys, *words: str) -> str:
+    assert run(folder, "--model", "field", "--no-widening", *words) == 0
+    return capsys.readouterr().out
+
+
+def test_a_learned_field_brings_its_exponent_and_number_of_beams(folder, tmp_path, capsys):
+    parameters, finder = LikelihoodFieldParameters(0.8, 0.15, 0.1), make_log(make_grid()).finder
+    path = tmp_path / "likelihood_field.yaml"
+    path.write_text(likelihood_field_text(parameters, finder, exponent=0.25, n_beams=40))
+    log, grid = make_log(make_grid()), make_grid()
+
+    def at_the_reference(text: str) -> float:
+        top, below = (
+            float(re.search(words, text)[1]) for words in (r"= (-?[0-9.]+) nats", r"reference: ([0-9.]+) nats")
+        )
+        return top - below
+
+    for beams, exponent, n_beams in ((None, 0.25, 40), ("20", 0.5, 20), ("5", 1.0, 5), ("0", 0.25 * 40 / 91, None)):
+        more = () if beams is None else ("--beams", beams)
+        text = summary(folder, capsys, "--params", str(path), *more)
+        model = LikelihoodFieldModel.from_grid(grid, parameters, exponent=exponent, n_beams=n_beams)
+        expected = float(model.log_likelihood(log.scan(2), log.poses[2]))
+        if "below the maximum" in text:
+            assert at_the_reference(text) == pytest.approx(expected, abs=0.05)
+        else:
+            assert "likelier still" in text
+
+
+def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, capsys):
+    beam = BeamParameters(0.8, 0.05, 0.05, 0.1, sigma_hit=0.1, lambda_short=0.5, range_offset=0.03)
+    path = tmp_path / "beam_model.yaml"
+    path.write_text(beam_model_text(beam, make_log(make_grid()).finder))
+    text = summary(folder, capsys, "--params", str(path))
+    assert "beam_model.yaml has range_offset 0.03, which a likelihood field cannot have; it is left out" in text
+    assert "sigma_slope" not in text
+    path.write_text(beam_model_text(TRUTH, make_log(make_grid()).finder))
+    assert "note:" not in summary(folder, capsys, "--params", str(path))

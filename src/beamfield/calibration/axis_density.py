@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beamfield.calibration.axis_table import AxisTable
 from beamfield.geometry import FloatArray
 
 # sigma_hit is searched from this share of a cell, below which all distances but 0 are out of reach, up to metres that
 # no hit is off by.
-SMALLEST_SIGMA_CELLS = 0.1
+SMALLEST_SIGMA_CELLS = 0.25
 LARGEST_SIGMA = 1.0
 # A share below half a reading cannot be told from none, and no random readings at all would make poses impossible.
 FEWEST_OF_A_CAUSE = 0.5
@@ -69,9 +68,8 @@ def log_axis_density(table: AxisTable, mixture: Mixture) -> FloatArray:
     mixture
         w and sigma.
     """
-    hit = _Hits.at(table, mixture.sigma).density
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(mixture.hit_share * hit + (1.0 - mixture.hit_share) / table.span))
+    hit = np.exp(_Hits.at(table, mixture.sigma).log_density)
+    return np.asarray(np.log(mixture.hit_share * hit + (1.0 - mixture.hit_share) / table.span))
 
 
 def fit_axis_density(
@@ -126,26 +124,21 @@ def share_bounds(n_readings: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Hits:
-    """The density of hits along each axis at one sigma, (n,), and the mean and variance of the squared distance."""
+    """The log density of hits along each axis at one sigma, (n,), and the mean and variance of the squared distance."""
 
-    density: FloatArray
+    log_density: FloatArray
     mean_square: FloatArray
     variance: FloatArray
 
     @classmethod
     def at(cls, table: AxisTable, sigma: float) -> _Hits:
         precision = 1.0 / sigma**2
-        finite = np.append(table.class_squares[:-1], 0.0)
-        height = np.append(np.exp(-0.5 * precision * finite[:-1]), 0.0)
-        # One product of matrices in single precision, whose sums are far more exact than the classes.
-        moments = table.counts @ np.column_stack([height, height * finite, height * finite**2]).astype(np.float32)
-        mass, first, second = moments.T.astype(np.float64)
+        squares = np.append(table.class_squares[:-1], 0.0)
+        height = np.exp(-0.5 * precision * table.class_squares)
+        mass, first, second = (table.counts @ np.column_stack([height, height * squares, height * squares**2])).T
         mean = first / mass
-        return cls(
-            np.exp(-0.5 * precision * table.squares) / (mass * table.spacing),
-            mean,
-            np.maximum(second / mass - mean**2, 0.0),
-        )
+        log_density = -0.5 * precision * table.squares - np.log(mass * table.spacing)
+        return cls(log_density, mean, np.maximum(second / mass - mean**2, 0.0))
 
 
 def _best_start(table: AxisTable, counts: FloatArray) -> Mixture:
@@ -176,7 +169,7 @@ def _climb(table: AxisTable, counts: FloatArray, start: Mixture) -> DensityFit:
 
 def _expectation(table: AxisTable, hits: _Hits, hit_share: float, counts: FloatArray) -> tuple[float, FloatArray]:
     """Return the log-likelihood, and how probably each reading is a hit (n,)."""
-    hit = hit_share * hits.density
+    hit = hit_share * np.exp(hits.log_density)
     density = hit + (1.0 - hit_share) / table.span
     return float(counts @ np.log(density)), hit / density
 
@@ -206,7 +199,5 @@ def _better_sigma(table: AxisTable, shares: FloatArray, sigma: float, hits: _Hit
 
 
 def _expected(hits: _Hits, shares: FloatArray) -> float:
-    """Return the expected log-likelihood of the hits."""
-    possible: NDArray[np.bool_] = shares > 0.0
-    with np.errstate(divide="ignore"):
-        return float(shares[possible] @ np.log(hits.density[possible]))
+    """Return the expected log-likelihood of the hits; what is none may have a log density of -inf."""
+    return float(shares @ np.where(shares > 0.0, hits.log_density, 0.0))

@@ -56,7 +56,7 @@ class AxisTable:
     """
 
     squares: FloatArray
-    counts: NDArray[np.float32]
+    counts: FloatArray
     class_squares: FloatArray
     spacing: float
     span: float
@@ -138,7 +138,7 @@ def build_axis_table(
     starts = _starts(compose(log.poses[scan], finder.mounts[beam]), distances)
     n_pieces = int(np.ceil((finder.max_range - finder.min_range) / (PIECE_CELLS * grid.resolution)))
     spacing = (finder.max_range - finder.min_range) / n_pieces
-    counts = np.empty((len(ranges), len(classes.squares)), np.float32)
+    counts = np.empty((len(ranges), len(classes.squares)))
     first, step = finder.min_range / grid.resolution, spacing / grid.resolution
     off = len(classes.squares) - 1
     run_in_slices(

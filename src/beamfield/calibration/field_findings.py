@@ -46,7 +46,7 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
             Finding(
                 "field-sigma-at-floor",
                 "warning",
-                f"All hits end in occupied cells: sigma_hit stops at {low:.4g} m, a tenth of a cell, and could be "
+                f"All hits end in occupied cells: sigma_hit stops at {low:.4g} m, a quarter of a cell, and could be "
                 "less. Walls drawn too thick hide the sensor's noise.",
                 {"sigma_hit": sigma, "resolution": table.resolution},
             )
@@ -87,14 +87,14 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
     return found
 
 
-def exponent_findings(reason: str, score: float | None) -> list[Finding]:
+def exponent_findings(reason: str, score: float | None, standard_error: float | None) -> list[Finding]:
     """Return what is to be known of the exponent and of the posteriors it makes.
 
     Parameters
     ----------
     reason
         Why the exponent was not learned; empty if it was.
-    score
+    score, standard_error
         Of held-out windows, nats over knowing nothing; None without windows.
     """
     if reason:
@@ -107,7 +107,7 @@ def exponent_findings(reason: str, score: float | None) -> list[Finding]:
                 {},
             )
         ]
-    if score is not None and score <= 0.0:
+    if score is not None and standard_error is not None and score <= 2.0 * standard_error:
         return [
             Finding(
                 "field-says-nothing",

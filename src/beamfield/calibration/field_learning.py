@@ -207,7 +207,7 @@ def learn_field_parameters(
     scores.append(FieldScore("uniform", -float(np.log(table.span)), 0.0, nothing, nothing, None))
     findings = [
         *density_findings(fitted, fit, n_blocks),
-        *exponent_findings(reason, scores[0].posterior),
+        *exponent_findings(reason, scores[0].posterior, scores[0].posterior_se),
     ]
     return FieldLearning(
         parameters=widened,

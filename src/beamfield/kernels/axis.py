@@ -18,7 +18,7 @@ def count_along_axes(
     first: float,
     spacing: float,
     n: int,
-    counts: NDArray[np.float32],
+    counts: NDArray[np.float64],
 ) -> None:
     """Count the classes of the cells at the midpoints of n equal pieces of each axis.
 

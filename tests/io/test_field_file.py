@@ -1,0 +1,58 @@
+"""likelihood_field.yaml: what is written is read back to the last bit, and what is wrong is named with its line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from beamfield.errors import FormatError
+from beamfield.io.field_file import is_likelihood_field, likelihood_field_text, read_likelihood_field
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.sensors import RangeFinder
+
+FINDER = RangeFinder.from_bearings([0.0, 0.1], max_range=12.5, min_range=0.15, name="laser")
+PARAMETERS = LikelihoodFieldParameters(0.1 + 0.2, 1.0 / 3.0, 0.07)
+
+
+@pytest.fixture
+def text() -> str:
+    intervals = {"z_hit": (0.2, 0.4), "exponent": (0.0, float("inf"))}
+    return likelihood_field_text(PARAMETERS, FINDER, exponent=1.0 / 7.0, n_beams=60, intervals=intervals)
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "likelihood_field.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_reading_returns_what_was_written(tmp_path, text):
+    path = written(tmp_path, text)
+    assert read_likelihood_field(path) == (PARAMETERS, 1.0 / 7.0, 60, 12.5, 0.15)
+    assert is_likelihood_field(path)
+    assert "  exponent: null\n" in text.split("intervals_95")[1]
+    assert not is_likelihood_field(written(tmp_path, "beam_model:\n  z_hit: 1.0\n"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("  exponent: 0.14285714285714285", "  exponent: 1.5", 10, r"expected a number in \(0, 1\], got 1.5"),
+        ("  exponent: 0.14285714285714285", "  exponent: 0", 10, "expected a number in"),
+        ("  n_beams: 60", "  n_beams: 2.5", 11, "expected a whole number >= 1, got 2.5"),
+        ("  n_beams: 60", "  n_beams: 0", 11, "expected a whole number >= 1, got 0"),
+        ("  n_beams: 60\n", "", None, "n_beams"),
+        ("  n_beams: 60", "  n_beans: 60", 11, "unknown parameter 'n_beans'"),
+        ("  sigma_hit: 0.07", "  sigma_hit: -1", 6, "sigma_hit: expected a positive number of metres"),
+        ("  sigma_hit: 0.07", "  sigma_hit: wide", 9, "wide"),
+        ("  min_range: 0.15", "  min_range: 13", 14, "expected 0 <= min_range < max_range = 12.5, got 13"),
+        ("likelihood_field:", "something_else:", None, "likelihood_field"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, text, old, new, line, message):
+    assert old in text
+    with pytest.raises(FormatError, match=message) as caught:
+        read_likelihood_field(written(tmp_path, text.replace(old, new, 1)))
+    if line is not None:
+        assert caught.value.line == line

@@ -14,7 +14,9 @@ from beamfield.calibration.calibrate import Calibration, calibrate
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report.text_table import parameter_table, score_table
+from beamfield.sensors import SensorLog
 
 LOGS = (
     ("Wean Hall log 1, text", "wean_hall/robotdata1.log.gz", "wean_hall/derived_wean.yaml",
@@ -29,14 +31,17 @@ LOGS = (
 
 def run(folder: Path) -> list[dict[str, Any]]:
     """Return one row per log: its name and its calibration."""
-    return [{"log": name, "calibration": _calibrate(folder, *paths)} for name, *paths in LOGS]
+    return [{"log": name, "calibration": calibrate(*read_log_and_map(folder, *paths))} for name, *paths in LOGS]
 
 
-def _calibrate(folder: Path, log_path: str, map_path: str, poses_path: str | None) -> Calibration:
+def read_log_and_map(
+    folder: Path, log_path: str, map_path: str, poses_path: str | None
+) -> tuple[SensorLog, OccupancyGrid]:
+    """Return the only sensor of a log, with its reference poses, and the map."""
     log = read_log(folder / log_path)
     if poses_path is not None:
         log = attach_poses(log, read_trajectory(folder / poses_path))
-    return calibrate(log.only_sensor(), read_map(folder / map_path))
+    return log.only_sensor(), read_map(folder / map_path)
 
 
 def main(folder: Path) -> None:

@@ -146,7 +146,7 @@ def landmarks(world: World) -> dict[str, Any]:
 
 
 def likelihood_field(world: World) -> dict[str, Any]:
-    return {"grid": world.grid, "scan": world.scan, "poses": world.particles}
+    return {"grid": world.grid, "log": world.log, "scan": world.scan, "poses": world.particles}
 
 
 def lines(world: World) -> dict[str, Any]:

@@ -414,6 +414,10 @@ OTHER_FILES = {
         "beam_model:\n  z_hit: 0.5\n  sigma_hit: 0.1\n",
         "this is beamfield's own beam model: `beamfield t",
     ),
+    "likelihood_field.yaml": (
+        "likelihood_field:\n  z_hit: 0.5\n  z_rand: 0.4\n  sigma_hit: 0.1\n",
+        "this is beamfield's own likelihood field",
+    ),
     "landmark_model.yaml": ("landmark_model:\n  sigma_range: 0.1\n", "this is beamfield's own landmark model"),
     "map.yaml": (
         "image: a.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n",

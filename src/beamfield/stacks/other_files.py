@@ -17,6 +17,10 @@ _KINDS: Mapping[frozenset[str], str] = {
         "this is beamfield's own beam model: `beamfield translate` converts it, and "
         "`beamfield calibrate LOG --map MAP --stack nav2` (or another stack) fits that program's own formula"
     ),
+    frozenset(("likelihood_field",)): (
+        "this is beamfield's own likelihood field: the same names mean other things in these programs' formulas, and "
+        "`beamfield calibrate LOG --map MAP --stack nav2` (or another stack) fits those"
+    ),
     frozenset(("landmark_model",)): "this is beamfield's own landmark model, which none of these programs has",
     frozenset(("image", "resolution", "origin")): "this is the YAML file of a map (give it with --map)",
     frozenset(("rosbag2_bagfile_information",)): "this is the metadata of a ROS 2 bag (give its folder with --log)",

@@ -44,8 +44,8 @@ FEWEST_MATCHES = 3.0
 # A slide along the surfaces is looked for if it meets less than this share of the end points' resistance, and reported
 # if it has this standard deviation in metres.
 WEAK, AMBIGUOUS_DEVIATION = 0.35, 0.1
-# The end points determine such a direction to this (metres aside per metre); after a slide, or where the initial pose is
-# off along it, the rest is wrong by as much. Chosen on simulated corridors.
+# The end points determine such a direction to this (metres aside per metre): after a slide, or where the initial pose
+# is off along it, the rest is wrong by as much. Chosen on simulated corridors.
 DIRECTION_DEVIATION = 0.01
 # Standard deviation along an undetermined direction, metres of end points.
 UNDETERMINED_DEVIATION = 100.0

@@ -26,8 +26,8 @@ def sandwich_covariance(points: FloatArray, pose: FloatArray, field: ScanField, 
     To first order its error is A^-1 g(true pose), with A the fall of g per move, so that its covariance is
     A^-1 B A^-1 with B the covariance of g (the "sandwich" of an M-estimator).
 
-    - **A** is measured: differences of g, two thirds of sigma to both sides. It is less than the Gauss-Newton information
-      where end points change from element to element, where normals are noisy and where robust weights fall.
+    - **A** is measured: differences of g, two thirds of sigma to both sides. It is less than the Gauss-Newton
+      information where end points change from element to element, normals are noisy and robust weights fall.
     - **B** is at least what independent errors give: the sum of the squared pulls, and for each patch of surface the
       noise of the field's own end points, which shifts all pulls of the patch. Where the pulls of whole patches, half a
       metre long, scatter more than that, B is their sum of squares: rough surfaces, other heights, people.

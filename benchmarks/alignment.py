@@ -23,7 +23,7 @@ import time
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from beamfield.sensors import RangeFinder, Scan, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from tables import print_table
+
+if TYPE_CHECKING:
+    from alignment_worlds import ScanPair
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FR079_CLOCK = 1211.36
@@ -153,11 +156,16 @@ def simulated_pairs() -> dict[str, Pairs]:
     worlds = {}
     for name, make in {"corridors": corridor_pairs, "rooms": room_pairs}.items():
         found = [pair for seed in SIMULATED_SEEDS for pair in make(SIMULATED_PAIRS, seed)]
-        worlds[name] = Pairs(
-            [pair.onto for pair in found], [pair.scan for pair in found],
-            np.array([pair.truth for pair in found]), np.array([pair.start for pair in found]),
-        )  # fmt: skip
+        worlds[name] = pairs_of_worlds(found)
     return worlds | {"office": office_pairs()}
+
+
+def pairs_of_worlds(found: list[ScanPair]) -> Pairs:
+    """Return the pairs of simulated worlds in one."""
+    return Pairs(
+        [pair.onto for pair in found], [pair.scan for pair in found],
+        np.array([pair.truth for pair in found]), np.array([pair.start for pair in found]),
+    )  # fmt: skip
 
 
 def office_pairs() -> Pairs:
@@ -244,27 +252,35 @@ def sure_and_wrong(truth: np.ndarray, results: list[AlignmentResult]) -> np.ndar
 
 
 def three_way_row(name: str, pairs: Pairs, poses: np.ndarray) -> dict[str, Any]:
-    """Return the deviations per axis that relations, corrected poses and alignments have, if they err independently.
+    """Return the deviations per axis that relations, corrected poses and alignments have, if they err independently."""
+    row: dict[str, Any] = {"log": name}
+    own = own_variances(pairs, poses)
+    for unit, axes, factor in (("m", [0, 1], 1.0), ("deg", [2], np.degrees(1.0))):
+        for one, variances in own.items():
+            variance = float(variances[axes].mean())
+            row[f"{one}, {unit}"] = f"{factor * np.sqrt(variance):.4f}" if variance > 0.0 else "0"
+    return row
+
+
+def own_variances(pairs: Pairs, poses: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the variances (3,) of relations, corrected poses and alignments, if they err independently.
 
     Of three sources, the variances of the three differences give each source's own: var a = (ab + ac - bc) / 2.
-    Variances come from medians of absolute differences, so that wrong relations and wrong optima do not count.
+    Variances come from medians of absolute differences, so that wrong relations and wrong optima do not count. They may
+    come out negative.
     """
     sources = {"relations": pairs.truth, "corrected poses": pairs.corrected, "align": poses}
-    names = list(sources)
-    row: dict[str, Any] = {"log": name}
-    for unit, axes, factor in (("m", (0, 1), 1.0), ("deg", (2,), np.degrees(1.0))):
-        variance = {
-            frozenset((a, b)): np.mean([_variance(between(sources[a], sources[b])[:, axis]) for axis in axes])
-            for a in names
-            for b in names
-            if a < b
-        }
-        for one in names:
-            other, third = (other for other in names if other != one)
-            own = variance[frozenset((one, other))] + variance[frozenset((one, third))]
-            own = 0.5 * (own - variance[frozenset((other, third))])
-            row[f"{one}, {unit}"] = f"{factor * np.sqrt(own):.4f}" if own > 0.0 else "0"
-    return row
+
+    def between_sources(a: str, b: str) -> np.ndarray:
+        difference = between(sources[a], sources[b])
+        return np.array([_variance(difference[:, axis]) for axis in range(3)])
+
+    own = {}
+    for one in sources:
+        other, third = (name for name in sources if name != one)
+        shared = between_sources(one, other) + between_sources(one, third) - between_sources(other, third)
+        own[one] = 0.5 * shared
+    return own
 
 
 def closure_row(pairs: Pairs, poses: np.ndarray) -> dict[str, Any]:

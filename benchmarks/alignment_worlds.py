@@ -20,6 +20,21 @@ START_NOISE = np.array([0.1, 0.1, np.radians(4.0)])
 
 
 @dataclass(frozen=True, eq=False)
+class Conditions:
+    """What pairs have in common: sensors and noise (drawn for each if None), outliers, people and how far they turn."""
+
+    onto: RangeFinder | None = None
+    scan: RangeFinder | None = None
+    sigma: float | None = None
+    outliers: float = 1.0
+    people: float = PEOPLE
+    turn: float = 0.15
+
+
+USUAL = Conditions()
+
+
+@dataclass(frozen=True, eq=False)
 class ScanPair:
     """Two scans, the second's pose seen from the first and where to start."""
 
@@ -29,24 +44,24 @@ class ScanPair:
     start: np.ndarray
 
 
-def corridor_pairs(n: int, seed: int) -> list[ScanPair]:
+def corridor_pairs(n: int, seed: int, conditions: Conditions = USUAL) -> list[ScanPair]:
     """Return pairs in corridors 1.6 to 3 m wide and 12 to 100 m long, a third of them without a door."""
     rng = np.random.default_rng(seed)
     pairs: list[ScanPair] = []
     while len(pairs) < n:
         walls = corridor(rng)
         along = rng.normal() * 0.15 + np.pi * rng.integers(2) if rng.random() < 0.8 else rng.uniform(-np.pi, np.pi)
-        pairs += _pair(walls, np.array([0.0, rng.uniform(-0.4, 0.4), along]), rng)
+        pairs += _pair(walls, np.array([0.0, rng.uniform(-0.4, 0.4), along]), rng, conditions)
     return pairs
 
 
-def room_pairs(n: int, seed: int) -> list[ScanPair]:
+def room_pairs(n: int, seed: int, conditions: Conditions = USUAL) -> list[ScanPair]:
     """Return pairs in rooms 3 to 9 m long and wide with boxes and legs."""
     rng = np.random.default_rng(seed)
     pairs: list[ScanPair] = []
     while len(pairs) < n:
         walls = room(rng)
-        pairs += _pair(walls, np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(-np.pi, np.pi)]), rng)
+        pairs += _pair(walls, np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(-np.pi, np.pi)]), rng, conditions)
     return pairs
 
 
@@ -102,15 +117,21 @@ def _box(x: float, y: float, width: float, height: float, turn: float = 0.0) -> 
     return [(*corners[i], *corners[(i + 1) % 4]) for i in range(4)]
 
 
-def _pair(walls: np.ndarray, first: np.ndarray, rng: np.random.Generator) -> list[ScanPair]:
+def _pair(walls: np.ndarray, first: np.ndarray, rng: np.random.Generator, conditions: Conditions) -> list[ScanPair]:
     """Return a pair of disturbed scans, or none if the robot would touch a wall."""
-    finder = FINDERS[rng.integers(len(FINDERS))]
-    motion = np.array([rng.uniform(0.0, 0.6), 0.05 * rng.normal(), 0.15 * rng.normal()])
-    exact = [cast(walls, pose, finder) for pose in (first, compose(first, motion))]
+    drawn = FINDERS[rng.integers(len(FINDERS))]
+    finders = (conditions.onto or drawn, conditions.scan or drawn)
+    motion = np.array([rng.uniform(0.0, 0.6), 0.05 * rng.normal(), conditions.turn * rng.normal()])
+    poses = (first, compose(first, motion))
+    exact = [cast(walls, pose, finder) for pose, finder in zip(poses, finders, strict=True)]
     if min(ranges.min() for ranges in exact) < 0.15:
         return []
     sigma = rng.choice([0.01, 0.02, 0.03])
-    onto, scan = (Scan(_disturb(ranges, finder, sigma, rng), finder) for ranges in exact)
+    sigma = sigma if conditions.sigma is None else conditions.sigma
+    onto, scan = (
+        Scan(_disturb(ranges, finder, sigma, rng, conditions), finder)
+        for ranges, finder in zip(exact, finders, strict=True)
+    )
     return [ScanPair(onto, scan, motion, motion + START_NOISE * rng.normal(size=3))]
 
 
@@ -127,16 +148,17 @@ def cast(walls: np.ndarray, pose: np.ndarray, finder: RangeFinder) -> np.ndarray
     return np.where((distance > 0) & (along >= 0) & (along <= 1), distance, np.inf).min(axis=1)
 
 
-def _disturb(exact: np.ndarray, finder: RangeFinder, sigma: float, rng: np.random.Generator) -> np.ndarray:
+def _disturb(exact: np.ndarray, finder: RangeFinder, sigma: float, rng: np.random.Generator,
+             conditions: Conditions) -> np.ndarray:  # fmt: skip
     """Return readings: normal noise, short, random and lost ones, and people who stand before the walls."""
     n, max_range = len(exact), finder.max_range
     nearest = np.minimum(exact, max_range)
     ranges = exact + sigma * rng.normal(size=n)
     kind = rng.random(n)
-    ranges = np.where(kind < Z_SHORT, rng.random(n) ** 2 * nearest, ranges)
-    ranges = np.where((kind >= 0.5) & (kind < 0.5 + Z_RAND), rng.random(n) * max_range, ranges)
-    ranges = np.where(kind >= 1.0 - Z_MAX, np.inf, ranges)
-    for _ in range(rng.poisson(PEOPLE)):
+    ranges = np.where(kind < conditions.outliers * Z_SHORT, rng.random(n) ** 2 * nearest, ranges)
+    ranges = np.where((kind >= 0.5) & (kind < 0.5 + conditions.outliers * Z_RAND), rng.random(n) * max_range, ranges)
+    ranges = np.where(kind >= 1.0 - conditions.outliers * Z_MAX, np.inf, ranges)
+    for _ in range(rng.poisson(conditions.people)):
         bearing, distance = finder.bearings[rng.integers(n)], rng.uniform(0.7, 5.0)
         beside = np.abs(np.angle(np.exp(1j * (finder.bearings - bearing))))
         hidden = (beside < np.arctan(0.2 / distance)) & (ranges > distance)

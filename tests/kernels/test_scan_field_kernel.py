@@ -115,3 +115,74 @@ def test_free_share_rises_smoothly_in_front_of_a_wall(scan: Scan) -> None:
     assert share[:2] == pytest.approx([0.0, 0.0], abs=1e-5)
     assert share[3] == pytest.approx(0.5, abs=2e-3)
     assert share[-1] == 1.0
+
+
+def test_pulls_are_summed_by_patches_of_surface(scan: Scan, rng: np.random.Generator) -> None:
+    noisy = Scan(scan.ranges + 0.02 * rng.normal(size=len(BEARINGS)), scan.finder)
+    view = ScanField.from_scan(noisy).view
+    points = hit_points(scan.ranges, scan.finder)
+    pose, sigma, reach, patch = np.array([0.02, -0.01, 0.005]), 0.03, 0.12, 0.5
+    pulls, noise, sums = np.empty((3, 3)), np.empty((3, 3)), np.empty((len(view.elements), kernels.SUMS))
+    kernels.sum_patches(points, pose, sigma, reach, patch, view, sums, pulls, noise)
+
+    # One list of (residual, pull of one metre) per element.
+    found: list[list[tuple[float, np.ndarray, float]]] = [[] for _ in view.elements]
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    for arm in points @ np.array([(cos, sin), (-sin, cos)]):
+        at = pose[:2] + arm
+        i, square = kernels.nearest_element(*at, reach, view)
+        if i < 0 or view.elements[i, kernels.PULL] == kernels.NONE:
+            continue
+        free = kernels.free_share(*at, 2.0 * sigma, view)
+        hit = 0.9 * np.exp(-0.5 * square / sigma**2) / np.sqrt(2.0 * np.pi) / sigma
+        weight = hit / (hit + free * 0.1 / 20.0 + (1.0 - free) / 20.0)
+        normal = view.elements[i, kernels.NX : kernels.NY + 1]
+        normals = [normal, np.array([-normal[1], normal[0]])][: 1 + (view.elements[i, kernels.PULL] == kernels.POINT)]
+        for n in normals:
+            residual = float((at - view.elements[i, :2]) @ n)
+            found[i].append((residual, weight * np.array([*n, n @ (-arm[1], arm[0])]), weight))
+    expected_pulls, expected_noise, patches = np.zeros((3, 3)), np.zeros((3, 3)), 0
+    for members in _patches(view.elements, patch):
+        inside = [one for i in members for one in found[i]]
+        if not inside:
+            continue
+        patches += 1
+        together = sum(residual * pull for residual, pull, _ in inside)
+        expected_pulls += np.outer(together, together)
+        for residual, pull, _ in inside:
+            expected_noise += residual**2 * np.outer(pull, pull)
+        square = sum(w * r * r for r, _, w in inside) / sum(w for _, _, w in inside)
+        offset = sum(pull for _, pull, _ in inside)
+        expected_noise += square / max(view.elements[members, kernels.COUNT].sum(), 1.0) * np.outer(offset, offset)
+    assert patches > 10
+    np.testing.assert_allclose(pulls, expected_pulls, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(noise, expected_noise, rtol=1e-9, atol=1e-12)
+
+
+def _patches(elements: np.ndarray, patch: float) -> list[list[int]]:
+    """Return the elements of each patch: as they follow one another, so long or with so many end points."""
+    patches: list[list[int]] = []
+    for i in np.flatnonzero(elements[:, kernels.PULL] != kernels.NONE):
+        if patches:
+            apart = np.hypot(*(elements[[patches[-1][0], patches[-1][-1]], :2] - elements[i, :2]).T)
+            if apart[1] <= patch and (apart[0] <= patch or elements[patches[-1], kernels.COUNT].sum() < 4):
+                patches[-1].append(int(i))
+                continue
+        patches.append([int(i)])
+    return patches
+
+
+def test_settling_ends_where_pulls_balance(scan: Scan, rng: np.random.Generator) -> None:
+    noisy = Scan(scan.ranges + 0.02 * rng.normal(size=len(BEARINGS)), scan.finder)
+    view, points = ScanField.from_scan(noisy).view, hit_points(scan.ranges, scan.finder)
+    pose, gradient, information = np.array([0.01, -0.01, 0.003]), np.empty(3), np.empty((3, 3))
+    kernels.settle(points, pose, 0.03, 2.5, 0.02, 1e-6, 20, view)
+    kernels.linearise(points, pose, 1, 0.03, 0.12, view, gradient, information)
+    assert np.abs(np.linalg.solve(information, gradient) * (1.0, 1.0, 2.5)).max() < 1e-5
+
+
+def test_settling_leaves_a_pose_far_from_an_optimum_alone(scan: Scan) -> None:
+    view, points = ScanField.from_scan(scan).view, hit_points(scan.ranges, scan.finder)
+    pose = np.array([0.08, 0.08, 0.0])
+    kernels.settle(points, pose, 0.03, 2.5, 0.02, 1e-6, 20, view)
+    np.testing.assert_array_equal(pose, [0.08, 0.08, 0.0])

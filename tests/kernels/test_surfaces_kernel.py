@@ -58,7 +58,13 @@ def test_a_corner_is_not_rounded_by_wide_fits() -> None:
     assert off.max() < 0.01
 
 
+@pytest.mark.parametrize("spacing_deg", [0.25, 1.0, 10.0])
+def test_elements_stand_for_each_end_point_once(spacing_deg: float, rng: np.random.Generator) -> None:
+    mounts, ranges = wall(spacing_deg, 0.01, rng)
+    assert elements_of(mounts, ranges)[:, surfaces.COUNT].sum() == len(ranges)
+
+
 def test_both_files_mean_the_same_columns() -> None:
-    columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COLUMNS")
+    columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COUNT", "COLUMNS")
     for name in (*columns, "POINT", "NONE", "ELEMENT", "SHORTEST_ELEMENT"):
         assert getattr(scan_field, name) == getattr(surfaces, name)

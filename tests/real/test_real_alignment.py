@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,19 +19,17 @@ pytestmark = pytest.mark.real
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
     """The benchmark's way to find scans and verified relations that belong together."""
-    path = Path(__file__).resolve().parents[2] / "benchmarks" / "alignment.py"
-    spec = importlib.util.spec_from_file_location("alignment_benchmark", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    # A script finds what stands beside it.
-    sys.path.insert(0, str(path.parent))
+    return load("alignment")
+
+
+def load(name: str) -> ModuleType:
+    """Load a benchmark, which finds what stands beside it as a script does."""
+    folder = str(Path(__file__).resolve().parents[2] / "benchmarks")
+    sys.path.insert(0, folder)
     try:
-        spec.loader.exec_module(module)
+        return importlib.import_module(name)
     finally:
-        sys.path.remove(str(path.parent))
-    return module
+        sys.path.remove(folder)
 
 
 def median_errors(truth: np.ndarray, poses: np.ndarray) -> tuple[float, float]:
@@ -48,7 +45,6 @@ def test_intel_aligns_three_times_better_than_its_odometry(data: Path, benchmark
     odometry_translation, odometry_rotation = median_errors(pairs.truth, pairs.starts)
     assert translation < odometry_translation / 3.0
     assert rotation < odometry_rotation / 10.0
-    assert 0.9 <= share_held(benchmark, pairs, results) <= 0.98
     assert benchmark.sure_and_wrong(pairs.truth, results).sum() <= 4
 
 
@@ -60,7 +56,6 @@ def test_fr079_aligns_from_perturbed_poses(data: Path, benchmark: ModuleType) ->
     start_translation, start_rotation = median_errors(pairs.truth, pairs.starts)
     assert translation < min(start_translation / 5.0, 0.025)
     assert rotation < min(start_rotation / 10.0, np.radians(0.35))
-    assert 0.9 <= share_held(benchmark, pairs, results) <= 0.98
 
 
 def test_killian_aligns_though_nothing_was_chosen_on_it(data: Path, benchmark: ModuleType) -> None:
@@ -70,15 +65,29 @@ def test_killian_aligns_though_nothing_was_chosen_on_it(data: Path, benchmark: M
     translation, rotation = median_errors(pairs.truth, np.array([result.pose for result in results]))
     assert translation < 0.025
     assert rotation < np.radians(0.3)
-    assert share_held(benchmark, pairs, results) >= 0.9
     # Its corridors leave some pairs undetermined, but not many.
     assert np.mean([len(result.undetermined) > 0 for result in results]) < 0.1
     assert benchmark.sure_and_wrong(pairs.truth, results).mean() < 0.01
 
 
-def share_held(benchmark: ModuleType, pairs: Any, results: list[Any]) -> float:
-    """Share of the pairs whose verified pose lies in the 95 % ellipse."""
-    return float(np.mean(benchmark.mahalanobis_squares(pairs.truth, results) < benchmark.CHI_SQUARE[95]))
+@pytest.mark.parametrize("log", ["intel", "fr079"])
+def test_two_halves_of_a_scan_agree_as_their_covariances_say(data: Path, log: str) -> None:
+    """The halves see other surfaces. NEES would be 3; it was 0.3 with 1.5 cm and 5 mrad for what cannot be told."""
+    covariance = load("alignment_covariance")
+    pairs = getattr(covariance, f"{log}_pairs")(data)
+    found = [
+        covariance.align_halves(*pair) for pair in list(zip(pairs.scans, pairs.onto, pairs.starts, strict=True))[:200]
+    ]
+    halves = [half for half in found if half is not None]
+    assert len(halves) > 80
+    difference = np.array([even.pose - odd.pose for even, odd in halves])
+    sums = np.array([even.covariance + odd.covariance for even, odd in halves])
+    squares = np.einsum("ni,ni->n", difference, np.linalg.solve(sums, difference[..., None])[..., 0])
+    # Both medians and tails: wrong optima, which no covariance covers, do not count.
+    near = np.hypot(difference[:, 0], difference[:, 1]) < 0.1
+    assert near.mean() > 0.85
+    assert 1.0 < np.median(squares[near]) < 3.5
+    assert np.mean(squares[near] < 7.815) > 0.88
 
 
 @pytest.mark.parametrize(("name", "n"), [("intel", 2984), ("fr079", 1685), ("mit-killian", 4677)])

@@ -24,11 +24,15 @@ Integers = NDArray[np.int64]
 INV_SQRT_2PI = 0.3989422804014327
 
 # As in `kernels.surfaces`, whose elements these are: constants of other files would not renew a cached kernel.
-X, Y, NX, NY, BACK, AHEAD, PULL, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
+X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8
 POINT, NONE = 0.0, -1.0
 ELEMENT, SHORTEST_ELEMENT = 0.25, 0.05
 # An element that stands for several end points reaches this far from its middle.
 LONGEST_HALF = 0.5 * ELEMENT + SHORTEST_ELEMENT
+# A patch of surface has at least this many end points, so that its noise shows what their mean may be off.
+FEWEST_IN_PATCH = 4.0
+# What is summed per element: pulls (3), pulls of an offset of one metre (3), weighted squared residuals, weights.
+SUMS = 8
 
 
 class FieldView(NamedTuple):
@@ -61,7 +65,7 @@ class FieldView(NamedTuple):
 def fill_buckets(
     elements: Floats, left: float, bottom: float, bucket: float, cols: int, start: Integers, items: Integers
 ) -> None:
-    """Sort the elements (m, 7) into buckets: bucket b is items[start[b] : start[b + 1]]; start is all 0 before."""
+    """Sort the elements (m, 8) into buckets: bucket b is items[start[b] : start[b + 1]]; start is all 0 before."""
     for i in range(elements.shape[0]):
         start[_bucket_of(elements, i, left, bottom, bucket, cols) + 1] += 1
     for b in range(1, start.size):
@@ -256,25 +260,13 @@ def ascend(points: Floats, pose: Floats, stride: int, sigma: float, lever: float
     gradient, information = np.zeros(3), np.zeros((3, 3))
     reach = 4.0 * sigma
     score, weight, _, _ = linearise(points, pose, stride, sigma, reach, view, gradient, information)
-    trial, g, h = np.empty(3), np.zeros(3), np.zeros((3, 3))
+    trial, move, g, h = np.empty(3), np.empty(3), np.zeros(3), np.zeros((3, 3))
     scale = np.array([1.0, 1.0, 1.0 / lever])
     damping = 1e-3
     for step in range(steps):
         if weight < 1e-9:
             return score, False, step
-        values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / weight)
-        move, size = np.zeros(3), 0.0
-        for v in range(3):
-            if values[v] < threshold:
-                continue
-            slope = 0.0
-            for a in range(3):
-                slope += vectors[a, v] * gradient[a] * scale[a]
-            length = slope / weight / (values[v] + damping)
-            size += length * length
-            for a in range(3):
-                move[a] += length * vectors[a, v] * scale[a]
-        size = math.sqrt(size)
+        size = _newton_step(gradient, information, weight, scale, threshold, damping, move)
         if size < tolerance:
             return score, True, step
         for a in range(3):  # not in one assignment: Numba would compile the text of its error, for a second
@@ -292,3 +284,125 @@ def ascend(points: Floats, pose: Floats, stride: int, sigma: float, lever: float
             if damping > 1e4:
                 return score, True, step
     return score, False, steps
+
+
+@kernel
+def settle(points: Floats, pose: Floats, sigma: float, lever: float, threshold: float, tolerance: float, steps: int,
+           view: FieldView) -> None:  # fmt: skip
+    """Move the pose (3,) near an optimum to where the end points' pulls balance, by undamped Gauss-Newton steps.
+
+    The score has small steps where end points change from element to element, and the ascent stops at them; the pulls
+    average over them. A step longer than sigma ends this without being taken.
+    """
+    gradient, information, move = np.zeros(3), np.zeros((3, 3)), np.empty(3)
+    scale = np.array([1.0, 1.0, 1.0 / lever])
+    for _ in range(steps):
+        _, weight, _, _ = linearise(points, pose, 1, sigma, 4.0 * sigma, view, gradient, information)
+        if weight < 1e-9:
+            return
+        size = _newton_step(gradient, information, weight, scale, threshold, 0.0, move)
+        if size > sigma:
+            return
+        for a in range(3):
+            pose[a] += move[a]
+        if size < tolerance:
+            return
+
+
+@kernel
+def _newton_step(gradient: Floats, information: Floats, weight: float, scale: Floats, threshold: float, damping: float,
+                 move: Floats) -> float:  # fmt: skip
+    """Fill move (3,) with a damped step along the determined directions; return its length in metres of end points."""
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale) / weight)
+    move[:] = 0.0
+    square = 0.0
+    for v in range(3):
+        if values[v] < threshold:
+            continue
+        slope = 0.0
+        for a in range(3):
+            slope += vectors[a, v] * gradient[a] * scale[a]
+        length = slope / weight / (values[v] + damping)
+        square += length * length
+        for a in range(3):
+            move[a] += length * vectors[a, v] * scale[a]
+    return math.sqrt(square)
+
+
+# --- how far the pulls scatter ----------------------------------------------------------------------------------------
+
+
+@kernel
+def sum_patches(points: Floats, pose: Floats, sigma: float, reach: float, patch: float, view: FieldView,
+                sums: Floats, pulls: Floats, noise: Floats) -> None:  # fmt: skip
+    """Fill pulls and noise (3, 3): two ways to say how `linearise`'s gradient scatters.
+
+    `noise` holds if residuals err independently: squared pulls of the end points, and per patch of surface what the
+    mean error of the field's own end points there pulls, if they err like the residuals. `pulls` sums the squares of
+    whole patches' pulls, whatever makes them agree. A patch is a stretch of elements that follow one another, `patch`
+    metres long or longer where there are few end points. `sums` (m, SUMS) is work space, one row per element.
+    """
+    sums[:] = 0.0
+    pulls[:] = 0.0
+    noise[:] = 0.0
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for j in range(points.shape[0]):
+        rx = cos * points[j, 0] - sin * points[j, 1]
+        ry = sin * points[j, 0] + cos * points[j, 1]
+        x, y = pose[0] + rx, pose[1] + ry
+        i, square = nearest_element(x, y, reach, view)
+        if i < 0 or view.elements[i, PULL] == NONE:
+            continue
+        _, share = _point_density(square, free_share(x, y, 2.0 * sigma, view), sigma, view)
+        nx, ny = view.elements[i, NX], view.elements[i, NY]
+        dx, dy = x - view.elements[i, X], y - view.elements[i, Y]
+        _add_pull(i, nx, ny, dx * nx + dy * ny, share, rx, ry, sums, noise)
+        if view.elements[i, PULL] == POINT:
+            _add_pull(i, -ny, nx, dy * nx - dx * ny, share, rx, ry, sums, noise)
+    total = np.zeros(SUMS)
+    first, last, count = 0, 0, 0.0
+    for i in range(sums.shape[0]):
+        if view.elements[i, PULL] == NONE:
+            continue
+        long = _apart(view.elements, first, i) > patch and count >= FEWEST_IN_PATCH
+        if long or _apart(view.elements, last, i) > patch:
+            _add_patch(total, count, pulls, noise)
+            total[:] = 0.0
+            first, count = i, 0.0
+        last = i
+        count += view.elements[i, COUNT]
+        for a in range(SUMS):
+            total[a] += sums[i, a]
+    _add_patch(total, count, pulls, noise)
+
+
+@kernel
+def _add_pull(i: int, nx: float, ny: float, residual: float, weight: float, rx: float, ry: float,
+              sums: Floats, noise: Floats) -> None:  # fmt: skip
+    """Add one residual along (nx, ny) to the sums of its element, and its squared pull to the noise."""
+    pull = (weight * nx, weight * ny, weight * (rx * ny - ry * nx))
+    for a in range(3):
+        sums[i, a] += residual * pull[a]
+        sums[i, 3 + a] += pull[a]
+        for b in range(3):
+            noise[a, b] += residual * residual * pull[a] * pull[b]
+    sums[i, 6] += weight * residual * residual
+    sums[i, 7] += weight
+
+
+@kernel
+def _apart(elements: Floats, i: int, j: int) -> float:
+    """Return the distance of two elements."""
+    return math.hypot(elements[j, X] - elements[i, X], elements[j, Y] - elements[i, Y])
+
+
+@kernel
+def _add_patch(total: Floats, count: float, pulls: Floats, noise: Floats) -> None:
+    """Add one patch, in which the field has `count` end points."""
+    if total[7] <= 0.0:
+        return
+    variance = total[6] / total[7] / max(count, 1.0)
+    for a in range(3):
+        for b in range(3):
+            pulls[a, b] += total[a] * total[b]
+            noise[a, b] += variance * total[3 + a] * total[3 + b]

@@ -15,9 +15,9 @@ from beamfield.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
 
-# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, and how it pulls.
-# `kernels.scan_field` has the same numbers.
-X, Y, NX, NY, BACK, AHEAD, PULL, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
+# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, how it pulls, and
+# how many end points it stands for. `kernels.scan_field` has the same numbers.
+X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8
 # A line pulls across, a point from all sides. A lone end point does not pull at all: where surfaces are seen sparsely
 # (the far end of a corridor), the next scan meets them elsewhere; and random and short readings are lone end points.
 LINE, POINT, NONE = 1.0, 0.0, -1.0
@@ -101,7 +101,7 @@ def range_noise(bearings: Floats, ranges: Floats, joined: NDArray[np.bool_]) -> 
 
 @kernel
 def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], noise: float, out: Floats) -> int:
-    """Fill out (>= 4 k, 7) with the elements of the end points (k, 2) of one origin; return how many there are.
+    """Fill out (>= 4 k, 8) with the elements of the end points (k, 2) of one origin; return how many there are.
 
     `noise` is that of `range_noise`. Where beams are dense, it makes a wall's nearest end points look like a cloud that
     has no direction, or any; a line through more of them has the wall's.
@@ -126,6 +126,7 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
             dx, dy = points[i, 0] - out[n - 1, X], points[i, 1] - out[n - 1, Y]
             along = dy * out[n - 1, NX] - dx * out[n - 1, NY]
             out[n - 1, AHEAD] = along + 0.5 * gap_ahead
+            out[n - 1, COUNT] += 1.0
             continue
         gap_behind = _gap(points, h, i) if k > 1 and joined[h] else 0.0
         radius = max(FIT_RADIUS, 1.01 * max(gap_ahead, gap_behind))
@@ -149,6 +150,7 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
         out[n, BACK] = (reach_behind if gap_behind > 0.0 else reach_ahead) if flat else 0.0
         dense = (joined[i] or joined[h]) and max(gap_ahead, gap_behind) <= FIT_RADIUS
         out[n, PULL] = LINE if flat else POINT if dense else NONE
+        out[n, COUNT] = 1.0
         n += 1
         kept = i if flat else -1
         if gap_ahead > ELEMENT:
@@ -211,5 +213,7 @@ def _fill_gap(points: Floats, i: int, j: int, gap: float, n: int, out: Floats) -
         out[n, NX], out[n, NY] = dy / gap, -dx / gap
         out[n, AHEAD] = out[n, BACK] = 0.5 * gap / pieces
         out[n, PULL] = LINE
+        # It rests on the two end points beside the gap, which have elements of their own.
+        out[n, COUNT] = 0.0
         n += 1
     return n

@@ -9,12 +9,13 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, wrap_angle
 from beamfield.kernels import scan_field as kernels
-from beamfield.localization.weak_direction import weigh_slides
+from beamfield.localization.alignment_covariance import sandwich_covariance
+from beamfield.localization.weak_direction import START_DEVIATION, weigh_slides
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_field import ScanField
 from beamfield.sensors import Scan
@@ -28,6 +29,8 @@ COARSE_POINTS = 60
 # The ascent of a level ends with steps shorter than this, in sigma.
 COARSE_TOLERANCE, FINE_TOLERANCE = 0.06, 0.002
 COARSE_STEPS = 10
+# Steps after the ascent, which ends where the score has a small step.
+SETTLING_STEPS = 6
 # Surfaces pull on end points up to this many sigma away.
 REACH_SIGMAS = 4.0
 # Starts of a search lie this close: within what the widest level catches. The best few are followed further.
@@ -38,14 +41,12 @@ MAX_STARTS = 20_000
 BETTER = 0.02
 # Fewer end points on surfaces than this say nothing.
 FEWEST_MATCHES = 3.0
-# A scan is worth one independent beam per this angle: see `align`.
-INDEPENDENT_ANGLE = math.radians(45.0)
-# What no number of beams averages away: the scan was taken on the move, its plane tilts, surfaces are not lines.
-FLOOR_DISTANCE, FLOOR_ANGLE = 0.015, 0.005
-SMALLEST_SPREAD = 0.01
 # A slide along the surfaces is looked for if it meets less than this share of the end points' resistance, and reported
 # if it has this standard deviation in metres.
 WEAK, AMBIGUOUS_DEVIATION = 0.35, 0.1
+# The end points determine such a direction to this (metres aside per metre): after a slide, or where the initial pose
+# is off along it, the rest is wrong by as much. Chosen on simulated corridors.
+DIRECTION_DEVIATION = 0.01
 # Standard deviation along an undetermined direction, metres of end points.
 UNDETERMINED_DEVIATION = 100.0
 
@@ -156,12 +157,14 @@ def align(
     every sigma, up to 0.5 m from the initial pose. The best peaks are climbed, and all places are weighed by their
     scores (one independent beam per 11 degrees) and by their distance from the initial pose (deviation 0.2 m).
 
-    **Covariance.** If all n matched end points erred independently, it would be s^2 H^-1 with the spread s and the
-    information H = sum of w J J^T. They do not: neighbouring beams hit the same surface, whose shape, height and
-    fit err alike. A scan counts as one independent beam per 45 degrees of view that it matches, whatever its
-    resolution: the covariance is (45 degrees / beam spacing) s^2 H^-1, or along a slide the mean square distance of all
-    places by their weights if that is more, plus (1.5 cm)^2 and (0.005 rad)^2. The relations by which this was chosen
-    err by about as much themselves: docs/alignment.md.
+    **Covariance.** Estimated from the two scans alone, without a floor: the sandwich A^-1 B A^-1 of
+    `alignment_covariance.sandwich_covariance`. The curvature A is measured by differences. The scatter B of the end
+    points' pulls holds both scans' noise, and what whole patches of surface (half a metre) scatter beyond it. Places
+    further along a slide than 2 sigma add their mean square distance by their weights. In simulated worlds the mean
+    squared error in units of this covariance (NEES) is 2 to 4 for 3 degrees of freedom: docs/alignment.md.
+
+    It does not know of errors that bend or shift a scan as a whole: a sweep taken in fast motion, a tilted scanner, a
+    wrong calibration. Add their covariance where they matter.
 
     An ascent that ended in a wrong optimum elsewhere has an error that no covariance covers: look at `overlap` and
     `score`, and use `search`.
@@ -194,27 +197,25 @@ def align(
     fit = _inspect(points, pose, field, lever)
     if fit.n_matched < FEWEST_MATCHES:
         return _failure(start, fit.score, fit.overlap, lever, "no overlap")
-    dependence = max(INDEPENDENT_ANGLE / _beam_spacing(scan), 1.0)
     sliding = 0.0
     if fit.eigenvalues[0] >= threshold and fit.slide_information < WEAK:
         slide = weigh_slides(
             points, field, pose, fit.slide, start,
-            lever=lever, threshold=threshold, dependence=dependence, window=search[0],
+            lever=lever, threshold=threshold, beam_spacing=_beam_spacing(scan), window=search[0],
         )  # fmt: skip
-        fit, sliding = _inspect(points, slide.pose, field, lever), slide.variance
+        pose, sliding = slide.pose, slide.variance
+    kernels.settle(points, pose, sigma, lever, threshold, FINE_TOLERANCE * sigma, SETTLING_STEPS, field.view)
+    fit = _inspect(points, pose, field, lever)
     free = fit.eigenvalues < threshold
-    determined = max(fit.n_matched, FEWEST_MATCHES) * np.maximum(fit.eigenvalues, threshold)
-    variances = dependence * max(fit.spread, SMALLEST_SPREAD) ** 2 / determined
-    variances[free] = UNDETERMINED_DEVIATION**2
-    covariance = (fit.directions.T * variances) @ fit.directions
-    known = float(fit.slide[:2] @ covariance[:2, :2] @ fit.slide[:2])
-    covariance += max(sliding - known, 0.0) * np.outer(fit.slide, fit.slide)
-    covariance += np.diag([FLOOR_DISTANCE**2, FLOOR_DISTANCE**2, FLOOR_ANGLE**2])
+    covariance = _covariance(points, field, fit, free, lever)
+    covariance += sliding * np.outer(fit.slide, fit.slide)
+    moved = sliding + (START_DEVIATION**2 if free.any() else 0.0)
+    covariance += moved * np.diag((DIRECTION_DEVIATION * np.array([1.0, 1.0, 1.0 / lever])) ** 2)
     found = np.array([*fit.pose[:2], wrap_angle(fit.pose[2])])
     problem: Problem = "" if converged else "not converged"
     if free.any():
         problem = "undetermined"
-    elif sliding > AMBIGUOUS_DEVIATION**2:
+    elif sliding > 0.0 and fit.slide[:2] @ covariance[:2, :2] @ fit.slide[:2] > AMBIGUOUS_DEVIATION**2:
         problem = "ambiguous"
     return AlignmentResult(
         found, 0.5 * (covariance + covariance.T), fit.score, fit.overlap, fit.n_matched, fit.spread, converged,
@@ -259,6 +260,19 @@ def _inspect(points: FloatArray, pose: FloatArray, field: ScanField, lever: floa
     return _Fit(
         pose, score, overlap, matched, math.sqrt(squares / some), values, vectors.T * scale, slide,
         float(resistance[0]) / some,
+    )  # fmt: skip
+
+
+def _covariance(points: FloatArray, field: ScanField, fit: _Fit, free: NDArray[np.bool_], lever: float) -> FloatArray:
+    """Return the covariance at one optimum, free directions included."""
+    unknown = UNDETERMINED_DEVIATION * fit.directions[free]
+    covariance = np.asarray(unknown.T @ unknown)
+    if free.all():
+        return covariance
+    information = max(fit.n_matched, FEWEST_MATCHES) * fit.eigenvalues[~free]
+    return covariance + sandwich_covariance(
+        points, fit.pose, field, directions=fit.directions[~free], information=information, lever=lever,
+        reach=REACH_SIGMAS * field.sigma_hit,
     )  # fmt: skip
 
 
@@ -336,8 +350,8 @@ def _starts(start: FloatArray, search: tuple[float, float]) -> list[FloatArray]:
 
 
 def _beam_spacing(scan: Scan) -> float:
-    """Return the mean angle between neighbouring beams, whatever their origins; the independent angle for one beam."""
+    """Return the mean angle between neighbouring beams, whatever their origins; pi for one beam."""
     bearings = np.sort(scan.finder.bearings)
     if len(bearings) < 2:
-        return INDEPENDENT_ANGLE
+        return math.pi
     return max(float(bearings[-1] - bearings[0]) / (len(bearings) - 1), 1e-5)

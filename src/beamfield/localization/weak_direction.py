@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +14,15 @@ from beamfield.maps.scan_field import MARGIN_SIGMAS, ScanField
 # The line is searched this far to both sides of the initial pose, metres, in steps of one sigma, with at most so many
 # end points. The best few peaks are climbed.
 REACH, PROFILE_POINTS, CLIMBED_PEAKS = 0.5, 120, 2
+# Places this many sigma from the best one belong to its own peak, whose width is known from its curvature.
+NEAR = 2.0
 # Surfaces count up to this many sigma away; an ascent ends with steps shorter than this, in sigma.
 REACH_SIGMAS, TOLERANCE, STEPS = 4.0, 0.01, 10
 # How far off the initial pose is taken to be (standard deviation, metres) when poses are weighed against each other.
 START_DEVIATION = 0.2
-# Which of two places fits better is told by this many times as many independent beams as how well a place fits: errors
-# of surfaces that neighbouring beams share move an optimum, but seldom make another one.
-MORE_INDEPENDENT = 4.0
+# Which of two places fits better is told by one independent beam per this angle, however dense the beams are: what
+# neighbouring beams share seldom makes another place fit. Chosen on simulated corridors.
+INDEPENDENT_ANGLE = math.radians(11.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,7 @@ class Slide:
 
 
 def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, direction: FloatArray, start: FloatArray, *,
-                 lever: float, threshold: float, dependence: float, window: float) -> Slide:  # fmt: skip
+                 lever: float, threshold: float, beam_spacing: float, window: float) -> Slide:  # fmt: skip
     """Look for better poses along a line through an optimum, and weigh the whole line by its scores.
 
     Along a corridor, the score has many peaks: a door frame that fits another, random readings that meet. The climb
@@ -60,8 +63,8 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
         (3,) initial pose of the alignment.
     lever, threshold
         As in `kernels.scan_field.ascend`.
-    dependence
-        Number of beams that are worth one independent beam: scores are divided by a quarter of it.
+    beam_spacing
+        Angle between neighbouring beams, radians: scores are divided by the number of beams per independent one.
     window
         Half-width of the window that the caller searches, metres: how far off `start` may be.
 
@@ -69,7 +72,7 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
     -------
     The best pose that was found, and how far the poses that fit about as well are spread along the line.
     """
-    deviation, dependence = max(START_DEVIATION, window), max(dependence / MORE_INDEPENDENT, 1.0)
+    deviation, dependence = max(START_DEVIATION, window), max(INDEPENDENT_ANGLE / beam_spacing, 1.0)
     offsets = float(direction[:2] @ (start - pose)[:2]) + _steps(field.sigma_hit)
     line = pose + offsets[:, None] * direction
     scores = _profile(points, line, field)
@@ -85,7 +88,8 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
     log_weight = _log_posterior(scores, line, start, dependence, deviation)
     weight = np.exp(log_weight - log_weight.max())
     along = offsets - float(direction[:2] @ (best - pose)[:2])
-    return Slide(best, float(weight @ along**2 / weight.sum()))
+    elsewhere = np.abs(along) > NEAR * field.sigma_hit
+    return Slide(best, float(weight[elsewhere] @ along[elsewhere] ** 2 / weight.sum()))
 
 
 def _steps(sigma: float) -> FloatArray:

@@ -130,7 +130,8 @@ def test_weights_are_averaged_over_walls_and_clutter(rng):
     zeros = np.zeros(6000, np.int32)
     clutter = BeamTable(sample_beams(expected, 10.0, there, rng), expected, zeros, zeros, stamps, 10.0)
     ends = {name: (value - 0.01, value + 0.01) for name, value in vars(TRUTH).items() if name.startswith("z_")}
-    walls = replace(NONE, intervals=ends, standard_errors=dict.fromkeys(ends, 0.005))
+    rate = {"lambda_short": (0.79, 0.81)}  # clutter's is near 0.6
+    walls = replace(NONE, intervals={**ends, **rate}, standard_errors=dict.fromkeys(ends, 0.005))
     fit, intervals = with_clutter(TRUTH, walls, 12_000, clutter, CalibrationOptions(n_bootstrap=40))
     for name, (low, high) in ends.items():
         average = (2.0 * getattr(TRUTH, name) + getattr(there, name)) / 3.0
@@ -138,6 +139,7 @@ def test_weights_are_averaged_over_walls_and_clutter(rng):
         assert intervals.intervals[name][0] <= min(low, average)
         assert intervals.intervals[name][1] >= max(high, average)
     assert (fit.sigma_hit, fit.lambda_short) == (TRUTH.sigma_hit, TRUTH.lambda_short)
+    assert intervals.intervals["lambda_short"] == (pytest.approx(there.lambda_short, abs=0.15), 0.81)
     assert sum(fit.weights) == pytest.approx(1.0, abs=1e-12)
     few = with_clutter(TRUTH, walls, 12_000, clutter.select(np.arange(400)), CalibrationOptions(n_bootstrap=40))
     assert few == (TRUTH, walls)

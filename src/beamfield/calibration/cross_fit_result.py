@@ -60,8 +60,9 @@ def with_clutter(
     Returns
     -------
     Weights averaged by the numbers of beams, the other parameters as they were. Ends of the weights' intervals are
-    averaged too, as if both fits erred together, and then moved out to hold the interval of walls alone: where clutter
-    has other weights, it may be the drawn map that errs. Unchanged if too few beams met clutter.
+    averaged too, as if both fits erred together, and then moved out to hold the interval of walls alone; that of
+    lambda_short is moved out to hold clutter's estimate: where the two differ, it may be the drawn map that errs.
+    Unchanged if too few beams met clutter.
     """
     clutter = clutter.select(~clutter.hits_nothing)
     if len(clutter) < FEWEST_IN_CLUTTER:
@@ -101,6 +102,9 @@ def with_clutter(
     for name in names:
         (low, high), (low_there, high_there) = intervals.intervals[name], there.intervals[name]
         ends[name] = min(low, average(low, low_there)), max(high, average(high, high_there))
+    if "lambda_short" in intervals.intervals and np.isfinite(there.intervals.get("lambda_short", (0.0, np.inf))[1]):
+        low, high = intervals.intervals["lambda_short"]
+        ends["lambda_short"] = min(low, fit.lambda_short), max(high, fit.lambda_short)
     errors = {name: average(intervals.standard_errors[name], there.standard_errors[name]) for name in names}
     return replace(parameters, **weights), replace(
         intervals,

@@ -4,7 +4,7 @@ Each log is calibrated with the true map and with the maps that its halves draw.
 estimate minus truth, over logs; its coverage the share of logs whose 95 % interval holds the truth. Where the interval
 of lambda_short is (0, inf), it counts as holding it.
 
-Run: python benchmarks/cross_fit.py [--worlds N] [--real FOLDER WITH DATA]
+Run: python benchmarks/cross_fit.py [--worlds N] [--first SEED] [--real FOLDER WITH DATA]
 """
 
 from __future__ import annotations
@@ -100,13 +100,13 @@ def share_used(result: Calibration) -> float:
     return notes[0] if notes else len(table) / (len(table) + table.n_unknown)
 
 
-def simulate(worlds: int) -> None:
+def simulate(worlds: range) -> None:
     print("| log | judged by | beams used | " + " | ".join(NAMES) + " |\n|---|---|---|" + "---|" * len(NAMES))
     held = {"map": [], "no map": []}
     for case in CASES:
         truth = np.array([getattr(case.truth, name) for name in NAMES])
         estimates, inside, used = ({"map": [], "no map": []} for _ in range(3))
-        for world in range(worlds):
+        for world in worlds:
             log, grid = simulated(case, world)
             for way, result, _ in fits(log, grid):
                 estimates[way].append([getattr(result.parameters, name) for name in NAMES])
@@ -140,11 +140,12 @@ def real(data: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--worlds", type=int, default=20)
+    parser.add_argument("--worlds", type=int, default=4)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first world")
     parser.add_argument("--real", type=Path)
     arguments = parser.parse_args()
     if arguments.real is None:
-        simulate(arguments.worlds)
+        simulate(range(arguments.first, arguments.first + arguments.worlds))
     else:
         real(arguments.real)
 

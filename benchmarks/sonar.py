@@ -178,7 +178,7 @@ def held_out_score(log: SensorLog, opening_angle: float, resolution: float = RES
     log = replace(log, finder=replace(log.finder, opening_angle=opening_angle))
     maps = build_cross_fit_maps(log, resolution=resolution)
     posed = np.isfinite(log.poses).all(axis=1)
-    table = cross_fit_table(log, maps, posed, unknown="free")
+    table, _ = cross_fit_table(log, maps, posed, unknown="free")
     held_out = held_out_mask(table.stamps, None)
     learned = ~held_out & ~table.hits_nothing
     parameters = learn_intrinsic_parameters(

@@ -54,6 +54,7 @@ def test_beam_counts_add_up(case):
     assert sum(beams["n_most_likely"].values()) + beams["n_hits_nothing"] == beams["n_table"]
     assert beams["n_no_measurement"] == 5
     assert beams["n_unknown"] == 7
+    assert beams["n_unsure"] == 0
 
 
 def test_what_is_not_known_is_null(case):

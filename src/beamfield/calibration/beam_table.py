@@ -46,6 +46,8 @@ class BeamTable:
         before an obstacle.
     min_range
         Nearer readings are not in the table, metres; densities of what is in it start here.
+    n_unsure
+        Beams left out because a map drawn from the log itself does not say exactly enough where they should end.
     """
 
     ranges: FloatArray
@@ -57,6 +59,7 @@ class BeamTable:
     n_no_measurement: int = 0
     n_unknown: int = 0
     min_range: float = 0.0
+    n_unsure: int = 0
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -89,6 +92,7 @@ class BeamTable:
             self.n_no_measurement,
             self.n_unknown,
             self.min_range,
+            self.n_unsure,
         )
 
     @property

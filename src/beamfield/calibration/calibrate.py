@@ -17,7 +17,13 @@ from beamfield.calibration.calibration_findings import (
     table_findings,
 )
 from beamfield.calibration.calibration_options import CalibrationOptions
-from beamfield.calibration.cross_fit import CrossFitMaps, cross_fit_finding, cross_fit_table
+from beamfield.calibration.cross_fit import CrossFitMaps, cross_fit_table
+from beamfield.calibration.cross_fit_result import (
+    cross_fit_findings,
+    wall_variance,
+    with_clutter,
+    without_wall_error,
+)
 from beamfield.calibration.em import LearningResult
 from beamfield.calibration.evaluation import (
     DEFAULTS,
@@ -162,12 +168,12 @@ def calibrate(
     selection = select_scans(log, whole, options.selection)
 
     # 2. Expected ranges.
-    table = _cast(log, grid, selection.used, options, report)
+    table, clutter = _cast(log, grid, selection.used, options, report)
 
     # 3. Whole blocks of time are held out.
     blocks = time_blocks(table.stamps, options.block_s)
     held_out = held_out_mask(table.stamps, options.block_s)
-    _require_beams(table, held_out, selection)
+    _require_beams(table, held_out, selection, drawn=isinstance(grid, CrossFitMaps))
 
     # 4. Learn each form of the hit component, keep the one that held-out likelihood asks for.
     candidates = fit_candidates(table, blocks, held_out, options, report)
@@ -175,6 +181,13 @@ def calibrate(
     fit = chosen.result.parameters
     fitted = table.select(~held_out & ~table.hits_nothing)
     intervals = _intervals(fitted, chosen, options, report)
+    drawn: list[Finding] = []
+    if isinstance(grid, CrossFitMaps):
+        if clutter is not None:
+            seen = clutter.select(~np.isin(clutter.scan, table.scan[held_out]))
+            fit, intervals = with_clutter(fit, intervals, len(fitted), seen, options)
+            fit, intervals = without_wall_error(fit, intervals, wall_variance(log, grid, table, fit.sigma_hit))
+        drawn = cross_fit_findings(grid, table, 0 if clutter is None else len(clutter), fit, intervals)
 
     # 5. Judge it on the held-out blocks.
     judged = table.select(held_out)
@@ -195,7 +208,7 @@ def calibrate(
         *cone_findings(log),
         *chosen.result.findings,
         *intervals.findings,
-        *([cross_fit_finding(grid, table)] if isinstance(grid, CrossFitMaps) else table_findings(table)),
+        *(drawn if isinstance(grid, CrossFitMaps) else table_findings(table)),
     ]
     return Calibration(
         parameters=fit,
@@ -227,15 +240,15 @@ def _cast(
     scans: NDArray[np.bool_],
     options: CalibrationOptions,
     report: Progress,
-) -> BeamTable:
-    """Cast the beams of the chosen scans in the map, or in the map that the other half drew."""
+) -> tuple[BeamTable, BeamTable | None]:
+    """Cast the beams of the chosen scans in the map, or in the map that the other half drew, as `cross_fit_table`."""
     unknown, threads, progress = options.unknown, options.threads, partial(report, "casting rays")
     if isinstance(grid, CrossFitMaps):
         return cross_fit_table(log, grid, scans, unknown=unknown, threads=threads, progress=progress)
-    return build_beam_table(log, grid, scans, unknown=unknown, threads=threads, progress=progress)
+    return build_beam_table(log, grid, scans, unknown=unknown, threads=threads, progress=progress), None
 
 
-def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Selection) -> None:
+def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Selection, *, drawn: bool) -> None:
     usable = ~table.hits_nothing
     for name, rows in (("fit", ~held_out), ("held-out", held_out)):
         n = int((usable & rows).sum())
@@ -243,6 +256,11 @@ def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Sel
             nothing = int(table.hits_nothing.sum())
             without = table.n_unknown + nothing
             question = "; is it the map of this place, and are the poses in its frame?" if without > n else ""
+            if drawn:
+                question = (
+                    f", {table.n_unsure} meet something that the other half of the scans has not drawn exactly; give a "
+                    "map, or a log that sees each place more often"
+                )
             raise TooLittleDataError(
                 f"{n} beams in the {name} blocks, need {FEWEST_BEAMS}: {selection.describe()}; of their beams "
                 f"{table.n_no_measurement} carry no measurement, {table.n_unknown} cross unknown space, "

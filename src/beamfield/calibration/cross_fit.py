@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable, UnknownRule, build_beam_table
-from beamfield.calibration.finding import Finding
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.maps.drawn_walls import CLUTTER, LINE, NOTHING, UNSEEN, UNSURE, ranges_to_walls
+from beamfield.maps.hit_counts import FREE_AFTER_ONE_PASS, HitCounts, count_hits, grid_of_counts
 from beamfield.maps.mapping import build_map
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import SensorLog
+from beamfield.sensors import SensorLog, usable_ranges
 from beamfield.thread_count import check_threads
 
 Progress = Callable[[str, int, int], None]
@@ -35,11 +37,14 @@ class CrossFitMaps:
         (t,) 0 or 1: which of the two maps a scan helped to draw.
     whole
         Map of all scans: for pictures and for choosing scans, never for judging beams.
+    counts
+        What the two maps were drawn from; None for a sensor with an opening angle, whose maps are drawn from cones.
     """
 
     halves: tuple[OccupancyGrid, OccupancyGrid]
     half: NDArray[np.int8]
     whole: OccupancyGrid
+    counts: tuple[HitCounts, HitCounts] | None = None
 
 
 def build_cross_fit_maps(
@@ -80,18 +85,25 @@ def build_cross_fit_maps(
         raise TooLittleDataError(f"{len(log)} scans; two maps need at least {2 * group_scans}")
     half = ((np.arange(len(log)) // group_scans) % 2).astype(np.int8)
 
-    def draw(name: str, scans: NDArray[np.bool_]) -> OccupancyGrid:
-        def show(done: int, total: int) -> None:
-            if progress is not None:
-                progress(f"drawing {name}", done, total)
-
-        return build_map(log, resolution=resolution, scans=scans, progress=show)
-
-    return CrossFitMaps(
-        (draw("the first half's map", half == 0), draw("the second half's map", half == 1)),
-        half,
-        draw("the whole map", np.ones(len(log), dtype=np.bool_)),
+    names = "the first half's map", "the second half's map"
+    if log.finder.opening_angle > 0.0:
+        first, second, whole = (
+            replace(
+                build_map(log, resolution=resolution, scans=scans, progress=_drawing(progress, name)),
+                free_thresh=FREE_AFTER_ONE_PASS,
+            )
+            for name, scans in zip((*names, "the whole map"), (half == 0, half == 1, half >= 0), strict=True)
+        )
+        return CrossFitMaps((first, second), half, whole)
+    even, odd = (
+        count_hits(log, half == i, resolution, progress=_drawing(progress, name)) for i, name in enumerate(names)
     )
+    whole = grid_of_counts(even.hits + odd.hits, even.passes + odd.passes, even.first, resolution)
+    return CrossFitMaps((even.to_grid(), odd.to_grid()), half, whole, (even, odd))
+
+
+def _drawing(progress: Progress | None, name: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else partial(progress, f"drawing {name}")
 
 
 def cross_fit_table(
@@ -102,7 +114,7 @@ def cross_fit_table(
     unknown: UnknownRule = "skip",
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> BeamTable:
+) -> tuple[BeamTable, BeamTable | None]:
     """Cast each scan's beams in the map of the other half.
 
     Parameters
@@ -111,12 +123,18 @@ def cross_fit_table(
         The log, and what `build_cross_fit_maps` made of it.
     scans
         (t,) mask of the scans to use.
-    unknown, threads, progress
+    unknown
+        "skip" takes expected ranges from the end points that drew the walls, see `ranges_to_walls`, and leaves out
+        beams that enter unseen space or meet something that the map is not sure of. Otherwise, and for a sensor with an
+        opening angle, expected ranges are those of cells as in `build_beam_table`.
+    threads, progress
         As for `build_beam_table`.
 
     Returns
     -------
-    One row per beam, in the order of the scans.
+    Beams that meet a wall's line, or nothing, and those that meet clutter, whose expected ranges are less exact (None
+    where expected ranges are those of cells); one row per beam, in the order of the scans. The first table counts
+    beams that are not in it.
 
     Raises
     ------
@@ -125,7 +143,7 @@ def cross_fit_table(
     """
     check_threads(threads)
     total = int(scans.sum())
-    parts: list[BeamTable] = []
+    parts: list[tuple[BeamTable, BeamTable | None]] = []
     done = 0
     for half in (0, 1):
         chosen = scans & (maps.half == half)
@@ -136,11 +154,47 @@ def cross_fit_table(
             if progress is not None:
                 progress(before + in_half, total)
 
-        parts.append(
-            build_beam_table(log, maps.halves[1 - half], chosen, unknown=unknown, threads=threads, progress=show)
-        )
+        if maps.counts is not None and unknown == "skip":
+            parts.append(_tables_of_walls(log, maps.counts[1 - half], chosen, threads))
+            show(int(chosen.sum()), total)
+        else:
+            grid = maps.halves[1 - half]
+            parts.append((build_beam_table(log, grid, chosen, unknown=unknown, threads=threads, progress=show), None))
         done += int(chosen.sum())
-    return _in_order_of_scans(parts)
+    clutter = [part[1] for part in parts if part[1] is not None]
+    return _in_order_of_scans([part[0] for part in parts]), _in_order_of_scans(clutter) if clutter else None
+
+
+def _tables_of_walls(
+    log: SensorLog, counts: HitCounts, scans: NDArray[np.bool_], threads: int | None
+) -> tuple[BeamTable, BeamTable]:
+    """Return the beams that meet a line, or nothing, and those that meet clutter."""
+    chosen = np.flatnonzero(scans)
+    expected, met = ranges_to_walls(counts, log.poses[chosen], log.finder, threads=threads)
+    ranges = usable_ranges(log.ranges[chosen], log.finder)
+    measured = np.isfinite(ranges)
+    n_unseen, n_unsure = (
+        int((measured & (met == UNSEEN)).sum()),
+        int((measured & np.isin(met, (UNSURE, CLUTTER))).sum()),
+    )
+
+    def table(keep: NDArray[np.bool_], n_no_measurement: int, n_unknown: int, n_unsure: int) -> BeamTable:
+        scan, beam = np.nonzero(keep)
+        return BeamTable(
+            ranges[keep],
+            expected[keep],
+            chosen[scan].astype(np.int32),
+            beam.astype(np.int32),
+            log.stamps[chosen[scan]],
+            log.finder.max_range,
+            n_no_measurement,
+            n_unknown,
+            log.finder.min_range,
+            n_unsure,
+        )
+
+    lines = measured & ((met == LINE) | (met == NOTHING))
+    return table(lines, int((~measured).sum()), n_unseen, n_unsure), table(measured & (met == CLUTTER), 0, 0, 0)
 
 
 def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:
@@ -156,18 +210,5 @@ def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:
         sum(part.n_no_measurement for part in parts),
         sum(part.n_unknown for part in parts),
         parts[0].min_range,
-    )
-
-
-def cross_fit_finding(maps: CrossFitMaps, table: BeamTable) -> Finding:
-    """Say that the map comes from the log itself, and what that means; `table` is what `cross_fit_table` returned."""
-    known = len(table) / max(1, len(table) + table.n_unknown)
-    return Finding(
-        "cross-fitted-map",
-        "info",
-        "No map was given. Each half of the scans was judged by a map drawn from the other half, so no beam met a wall "
-        f"that it drew itself; {known:.0%} of the beams stay within what the other half has seen. What the map and the "
-        "poses get wrong together does not show: sigma_hit is the repeatability of the sensor at these poses, on a "
-        f"grid of {maps.whole.resolution:g} m.",
-        {"resolution": maps.whole.resolution, "share_known": known},
+        sum(part.n_unsure for part in parts),
     )

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import mapping as kernels
+from beamfield.maps.followed_beams import FollowedBeams, followed_beams
 from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
-from beamfield.maps.log_odds import check_resolution, check_size, grid_of_log_odds, lengths_and_kinds
+from beamfield.maps.log_odds import check_resolution, check_size, grid_of_log_odds
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
 
@@ -75,7 +72,7 @@ class OccupancyMapper:
         InvalidInputError
             If shapes do not fit, poses are not finite, or the map would grow beyond its limit.
         """
-        beams = self._follow(ranges, finder, poses)
+        beams = followed_beams(ranges, finder, poses, self.resolution, self.inverse_model)
         self._grow(beams)
         starts = beams.starts.copy()
         starts[:, :2] -= self._first
@@ -100,7 +97,7 @@ class OccupancyMapper:
         InvalidInputError
             As for `add`.
         """
-        self._grow(self._follow(ranges, finder, poses))
+        self._grow(followed_beams(ranges, finder, poses, self.resolution, self.inverse_model))
 
     def to_grid(self) -> OccupancyGrid:
         """Return the map so far.
@@ -111,24 +108,9 @@ class OccupancyMapper:
         """
         return grid_of_log_odds(self._log_odds, self._stamps >= 0, self._first, self.resolution)
 
-    def _follow(self, ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> _Beams:
-        """Say where beams start, how far they are followed, and what their last cell is."""
-        robots = as_poses(poses)
-        z, kinds = lengths_and_kinds(ranges, finder, self.inverse_model)
-        if robots.ndim != 2 or z.shape != (len(robots), finder.n_beams):
-            raise InvalidInputError(
-                f"scans: expected ranges (t, {finder.n_beams}) and poses (t, 3), got {z.shape} and {robots.shape}"
-            )
-        mounts = finder.mounts
-        starts = np.column_stack([robots[:, :2] / self.resolution, np.cos(robots[:, 2]), np.sin(robots[:, 2])])
-        fan = np.stack(
-            [mounts[:, 0] / self.resolution, mounts[:, 1] / self.resolution, np.cos(mounts[:, 2]), np.sin(mounts[:, 2])]
-        )
-        return _Beams(starts, fan, z / self.resolution, kinds)
-
-    def _grow(self, beams: _Beams) -> None:
+    def _grow(self, beams: FollowedBeams) -> None:
         """Make the array hold all cells of the beams."""
-        extent = _extent(beams)
+        extent = beams.extent()
         if extent is None:
             return
         low, high = extent
@@ -156,27 +138,3 @@ class OccupancyMapper:
             log_odds[row : row + rows, col : col + cols] = self._log_odds
             stamps[row : row + rows, col : col + cols] = self._stamps
         self._first, self._log_odds, self._stamps = first, log_odds, stamps
-
-
-class _Beams(NamedTuple):
-    """Beams of scans as the kernel takes them; lengths in cells, from the map's zero."""
-
-    starts: FloatArray
-    fan: FloatArray
-    lengths: FloatArray
-    kinds: NDArray[np.uint8]
-
-
-def _extent(beams: _Beams) -> tuple[FloatArray, FloatArray] | None:
-    """Return lowest and highest (col, row) that the beams can touch, as whole floats; None if they touch none."""
-    used = beams.kinds != kernels.SKIP
-    if not used.any():
-        return None
-    x, y, c, s = (beams.starts[:, i, None] for i in range(4))
-    start_x, start_y = x + c * beams.fan[0] - s * beams.fan[1], y + s * beams.fan[0] + c * beams.fan[1]
-    end_x = start_x + beams.lengths * (c * beams.fan[2] - s * beams.fan[3])
-    end_y = start_y + beams.lengths * (s * beams.fan[2] + c * beams.fan[3])
-    # One cell more on each side, for end points on a border.
-    low = np.array([min(a[used].min(), b[used].min()) for a, b in ((start_x, end_x), (start_y, end_y))])
-    high = np.array([max(a[used].max(), b[used].max()) for a, b in ((start_x, end_x), (start_y, end_y))])
-    return np.floor(low) - 1.0, np.floor(high) + 1.0

@@ -118,6 +118,7 @@ def _beams(calibration: Calibration) -> dict[str, Any]:
         "n_hits_nothing": int(nothing.sum()),
         "n_no_measurement": int(table.n_no_measurement),
         "n_unknown": int(table.n_unknown),
+        "n_unsure": int(table.n_unsure),
         "n_no_return": int(((table.ranges >= table.max_range) & ~nothing).sum()),
         "n_most_likely": {name: int(n) for name, n in zip(CAUSES, counts, strict=True)},
     }

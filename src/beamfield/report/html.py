@@ -33,6 +33,7 @@ AMCL = (
     "f1tenth) fits the program's own model."
 )
 
+UNSURE = "left out, or for the weights alone: the drawn map has no straight wall there"
 SECTIONS = {
     "parameters": "Parameters",
     "score": "Score",
@@ -245,11 +246,12 @@ def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -
     scans = [("scans in the log", len(selection.used)), ("used", int(selection.used.sum()))]
     scans += [(f"dropped: {reason}", n) for reason, n in selection.dropped.items()]
     beams = [
-        ("readings in the used scans", len(table) + table.n_no_measurement + table.n_unknown),
+        ("readings in the used scans", len(table) + table.n_no_measurement + table.n_unknown + table.n_unsure),
         ("fitted", round(calibration.n_fit)),
         ("held out", int((calibration.held_out & ~table.hits_nothing).sum())),
         ("left out: no measurement (NaN, too close)", table.n_no_measurement),
         ("left out: the ray enters unknown space first", table.n_unknown),
+        *([(UNSURE, table.n_unsure)] if table.n_unsure else []),
         (f"left out: the ray hits nothing within {table.max_range:g} m", nothing),
     ]
     policy = log.no_return

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 
 
+@checked
 def chosen_indices(choice: ArrayLike, n: int, name: str) -> NDArray[np.int64]:
     """Return which of n things are meant, as indices from 0 to n - 1.
 

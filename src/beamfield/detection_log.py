@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.choice import chosen_indices
 from beamfield.detections import Detections, as_ids
 from beamfield.errors import InvalidInputError
@@ -48,6 +49,7 @@ class DetectionLog:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        check_fields(self)
         object.__setattr__(self, "detections", tuple(self.detections))
         poses = np.array(self.poses, dtype=np.float64)
         if poses.shape != (len(self), 3):

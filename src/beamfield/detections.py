@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -57,6 +58,7 @@ class Detections:
     stamp: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         ranges = _frozen(self.ranges, "ranges")
         if ranges.ndim != 1:
             raise InvalidInputError(f"ranges: expected shape (k,), got {ranges.shape}")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import as_floats, checked
 from beamfield.errors import InvalidInputError
 
 FloatArray = NDArray[np.float64]
@@ -59,9 +60,13 @@ def as_unchecked_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
     InvalidInputError
         If the last axis is not 3 long.
     """
-    array = np.asarray(poses, dtype=np.float64)
-    if array.ndim == 0 or array.shape[-1] != 3:
-        raise InvalidInputError(f"{name}: expected shape (..., 3), got {array.shape}")
+    return _rows(poses, 3, name)
+
+
+def _rows(values: ArrayLike, length: int, name: str) -> FloatArray:
+    array = as_floats(values, name)
+    if array.ndim == 0 or array.shape[-1] != length:
+        raise InvalidInputError(f"{name}: expected shape (..., {length}), got {array.shape}")
     return array
 
 
@@ -92,8 +97,9 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
     >>> float(wrap_angle(-np.pi)) == np.pi
     True
     """
-    angle = np.asarray(angle, dtype=np.float64)
-    wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    angle = as_floats(angle, "angle")
+    with np.errstate(invalid="ignore"):
+        wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
     return np.asarray(wrapped)
 
 
@@ -109,21 +115,27 @@ def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> FloatArray:
     -------
     (..., 3) poses, the heading in (-pi, pi]; NaN where an argument is.
 
+    Raises
+    ------
+    InvalidInputError
+        If the last axis of an argument is not 3 long.
+
     Examples
     --------
     >>> compose([1.0, 0.0, np.pi / 2], [1.0, 0.0, 0.0]).round(12).tolist()
     [1.0, 1.0, 1.570796326795]
     """
-    a, b = np.asarray(a_from_b, dtype=np.float64), np.asarray(b_from_c, dtype=np.float64)
-    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [
-            a[..., 0] + cos * b[..., 0] - sin * b[..., 1],
-            a[..., 1] + sin * b[..., 0] + cos * b[..., 1],
-            wrap_angle(a[..., 2] + b[..., 2]),
-        ],
-        axis=-1,
-    )
+    a, b = _rows(a_from_b, 3, "a_from_b"), _rows(b_from_c, 3, "b_from_c")
+    with np.errstate(over="ignore", invalid="ignore"):
+        cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+        return np.stack(
+            [
+                a[..., 0] + cos * b[..., 0] - sin * b[..., 1],
+                a[..., 1] + sin * b[..., 0] + cos * b[..., 1],
+                wrap_angle(a[..., 2] + b[..., 2]),
+            ],
+            axis=-1,
+        )
 
 
 def invert(a_from_b: ArrayLike) -> FloatArray:
@@ -144,12 +156,13 @@ def invert(a_from_b: ArrayLike) -> FloatArray:
     >>> compose(a_from_b, invert(a_from_b)).round(12).tolist()
     [0.0, 0.0, 0.0]
     """
-    a = np.asarray(a_from_b, dtype=np.float64)
-    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [-cos * a[..., 0] - sin * a[..., 1], sin * a[..., 0] - cos * a[..., 1], wrap_angle(-a[..., 2])],
-        axis=-1,
-    )
+    a = _rows(a_from_b, 3, "a_from_b")
+    with np.errstate(over="ignore", invalid="ignore"):
+        cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+        return np.stack(
+            [-cos * a[..., 0] - sin * a[..., 1], sin * a[..., 0] - cos * a[..., 1], wrap_angle(-a[..., 2])],
+            axis=-1,
+        )
 
 
 def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
@@ -169,7 +182,7 @@ def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     >>> between([1.0, 1.0, np.pi / 2], [1.0, 3.0, np.pi / 2]).round(12).tolist()
     [2.0, 0.0, 0.0]
     """
-    return compose(invert(a), b)
+    return compose(invert(_rows(a, 3, "a")), _rows(b, 3, "b"))
 
 
 def transform_points(a_from_b: ArrayLike, points: ArrayLike) -> FloatArray:
@@ -191,14 +204,16 @@ def transform_points(a_from_b: ArrayLike, points: ArrayLike) -> FloatArray:
     >>> transform_points([1.0, 0.0, np.pi / 2], [2.0, 0.0]).round(12).tolist()
     [1.0, 2.0]
     """
-    a, p = np.asarray(a_from_b, dtype=np.float64), np.asarray(points, dtype=np.float64)
-    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [a[..., 0] + cos * p[..., 0] - sin * p[..., 1], a[..., 1] + sin * p[..., 0] + cos * p[..., 1]],
-        axis=-1,
-    )
+    a, p = _rows(a_from_b, 3, "a_from_b"), _rows(points, 2, "points")
+    with np.errstate(over="ignore", invalid="ignore"):
+        cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+        return np.stack(
+            [a[..., 0] + cos * p[..., 0] - sin * p[..., 1], a[..., 1] + sin * p[..., 0] + cos * p[..., 1]],
+            axis=-1,
+        )
 
 
+@checked
 def interpolate_poses(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike, *, max_gap: float = np.inf) -> FloatArray:
     """Return poses at other times: positions and headings interpolated linearly, headings the short way round.
 
@@ -217,25 +232,37 @@ def interpolate_poses(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike, *, max
     -------
     (n, 3) poses; NaN outside the stamps, in gaps longer than `max_gap`, and beside a pose that is NaN.
 
+    Raises
+    ------
+    InvalidInputError
+        If an array has another shape.
+
     Examples
     --------
     >>> interpolate_poses([0.0, 1.0], [[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]], [0.5, 2.0]).round(3).tolist()
     [[0.5, 1.0, 3.142], [nan, nan, nan]]
     """
-    times = np.asarray(stamps, dtype=np.float64)
-    track = np.asarray(poses, dtype=np.float64)
-    when = np.atleast_1d(np.asarray(at, dtype=np.float64))
+    times, track = as_floats(stamps, "stamps"), _rows(poses, 3, "poses")
+    when = np.atleast_1d(as_floats(at, "at"))
+    for name, array, shape in (
+        ("poses", track, (len(track), 3)),
+        ("stamps", times, (len(track),)),
+        ("at", when, (when.size,)),
+    ):
+        if array.shape != shape:
+            raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
     result: FloatArray = np.full((len(when), 3), np.nan)
     if len(times) == 0:
         return result
+    inside = (when >= times[0]) & (when <= times[-1])
+    when = np.where(inside, when, times[0])
     after = np.clip(np.searchsorted(times, when, side="left"), 1, max(1, len(times) - 1))
     before = after - 1
     after = np.minimum(after, len(times) - 1)
     gap = times[after] - times[before]
     fraction = np.divide(when - times[before], gap, out=np.zeros_like(when), where=gap > 0)
-    inside = (when >= times[0]) & (when <= times[-1])
     exact = (when == times[before]) | (when == times[after])
-    good = inside & ((gap <= max_gap) | exact)
+    good = inside & ((gap <= float(max_gap)) | exact)
     turn = wrap_angle(track[after, 2] - track[before, 2])
     result[:, :2] = track[before, :2] + fraction[:, None] * (track[after, :2] - track[before, :2])
     result[:, 2] = wrap_angle(track[before, 2] + fraction * turn)
@@ -260,5 +287,6 @@ def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> FloatArray:
     >>> float(yaw_from_quaternion(0.0, 0.0, 1.0, 0.0)) == np.pi
     True
     """
-    x, y, z, w = (np.asarray(v, dtype=np.float64) for v in (x, y, z, w))
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    x, y, z, w = (as_floats(value, name) for name, value in zip("xyzw", (x, y, z, w), strict=True))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

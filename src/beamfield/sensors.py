@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import LARGEST, as_floats, check_fields, checked
 from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 
+# Metres between a sensor's limits. In less, the densities of wide hits and steep shorts cannot be told from 0 / 0.
+SHORTEST_SPAN = 1e-6
 NO_POSE = np.full(3, np.nan)
 
 
@@ -37,7 +40,7 @@ class RangeFinder:
     Raises
     ------
     InvalidInputError
-        If the mounts are not finite (k, 3), the limits are not 0 <= min_range < max_range < inf, or the opening angle
+        If the mounts are not finite (k, 3), the limits are not 0 <= min_range < max_range <= 1e9, or the opening angle
         is not in [0, pi).
 
     Examples
@@ -57,20 +60,22 @@ class RangeFinder:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         mounts = np.array(as_poses(self.mounts, "mounts"))
         if mounts.ndim != 2:
             raise InvalidInputError(f"mounts: expected shape (k, 3), got {mounts.shape}")
         mounts.flags.writeable = False
         object.__setattr__(self, "mounts", mounts)
-        if not (0.0 <= self.min_range < self.max_range < np.inf):
+        if not (0.0 <= self.min_range <= self.max_range - SHORTEST_SPAN and self.max_range <= LARGEST):
             raise InvalidInputError(
-                "range limits: expected 0 <= min_range < max_range < inf, "
+                f"range limits: expected 0 <= min_range < max_range <= {LARGEST:g}, {SHORTEST_SPAN:g} m or more apart, "
                 f"got min_range {self.min_range} and max_range {self.max_range}"
             )
         if not 0.0 <= self.opening_angle < np.pi:
             raise InvalidInputError(f"opening_angle: expected [0, pi) radians, got {self.opening_angle}")
 
     @classmethod
+    @checked
     def from_bearings(cls, bearings: ArrayLike, max_range: float, *, mount: ArrayLike = (0.0, 0.0, 0.0),
                       **limits: Any) -> RangeFinder:  # fmt: skip
         """Build a finder whose beams start at one point.
@@ -95,7 +100,7 @@ class RangeFinder:
         InvalidInputError
             If the bearings are not finite (k,), the mount is not a finite pose, or as for the class.
         """
-        angles = np.asarray(bearings, dtype=np.float64)
+        angles = as_floats(bearings, "bearings")
         if angles.ndim != 1:
             raise InvalidInputError(f"bearings: expected shape (k,), got {angles.shape}")
         in_sensor = np.column_stack([np.zeros_like(angles), np.zeros_like(angles), angles])
@@ -111,6 +116,7 @@ class RangeFinder:
         """(k,) direction of each beam in the robot frame, radians."""
         return self.mounts[:, 2]
 
+    @checked
     def subset(self, beams: ArrayLike) -> RangeFinder:
         """Return the finder with only the given beams, in the given order.
 
@@ -163,12 +169,14 @@ class Scan:
     stamp: float = 0.0
 
     def __post_init__(self) -> None:
-        ranges = np.array(self.ranges, dtype=np.float64)
+        check_fields(self)
+        ranges = np.array(as_floats(self.ranges, "ranges"))
         if ranges.shape != (self.finder.n_beams,):
             raise InvalidInputError(f"ranges: expected shape ({self.finder.n_beams},), got {ranges.shape}")
         ranges.flags.writeable = False
         object.__setattr__(self, "ranges", ranges)
 
+    @checked
     def subset(self, beams: ArrayLike) -> Scan:
         """Return the scan with only the given beams, in the given order.
 
@@ -189,6 +197,7 @@ class Scan:
         chosen = chosen_indices(beams, self.finder.n_beams, "beams")
         return Scan(self.ranges[chosen], self.finder.subset(chosen), self.stamp)
 
+    @checked
     def every(self, n_beams: int) -> Scan:
         """Return about equally spaced beams (6.3.4), whether they carry a measurement or not.
 
@@ -220,6 +229,7 @@ class Scan:
         return self.subset(np.round(np.linspace(0, k - 1, n_beams)).astype(np.int64))
 
 
+@checked
 def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
     """Return ranges with "no return" as max_range and everything that is no measurement as NaN.
 
@@ -241,7 +251,7 @@ def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
     >>> usable_ranges([2.0, np.inf, np.nan, 0.05, 8.19], laser).tolist()
     [2.0, 8.0, nan, nan, 8.0]
     """
-    z = np.array(ranges, dtype=np.float64)
+    z = np.array(as_floats(ranges, "ranges"))
     with np.errstate(invalid="ignore"):
         z[z < finder.min_range] = np.nan
         z[z >= finder.max_range] = finder.max_range
@@ -313,9 +323,10 @@ class SensorLog:
     no_return: NoReturnPolicy = field(default_factory=NoReturnPolicy)
 
     def __post_init__(self) -> None:
-        t, k = len(self.stamps), self.finder.n_beams
+        check_fields(self)
+        t, k = np.size(self.stamps), self.finder.n_beams
         for name, shape in (("stamps", (t,)), ("ranges", (t, k)), ("poses", (t, 3)), ("odometry", (t, 3))):
-            array = np.array(getattr(self, name), dtype=np.float64)
+            array = np.array(as_floats(getattr(self, name), name))
             if array.shape != shape:
                 raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
             array.flags.writeable = False
@@ -327,6 +338,7 @@ class SensorLog:
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(i) for i in range(len(self)))
 
+    @checked
     def scan(self, index: int) -> Scan:
         """Return one scan.
 
@@ -346,6 +358,7 @@ class SensorLog:
         """
         return Scan(self.ranges[index], self.finder, float(self.stamps[index]))
 
+    @checked
     def select(self, scans: ArrayLike) -> SensorLog:
         """Return the log with only the given scans, in the given order.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Integral
+
 from beamfield.errors import InvalidInputError
 
 
@@ -27,5 +29,5 @@ def check_threads(threads: int | None) -> None:
     Traceback (most recent call last):
     beamfield.errors.InvalidInputError: threads: expected at least 1 or None, got 0
     """
-    if threads is not None and not threads >= 1:
-        raise InvalidInputError(f"threads: expected at least 1 or None, got {threads}")
+    if threads is not None and (not isinstance(threads, Integral) or threads < 1):
+        raise InvalidInputError(f"threads: expected at least 1 or None, got {threads!r}")

@@ -104,7 +104,7 @@ def test_a_position_that_is_no_number_is_refused(wrong, tmp_path):
 @pytest.mark.parametrize("wrong", [0.0, -0.1, np.nan, np.inf])
 @pytest.mark.parametrize("name", ["sigma_range", "sigma_bearing", "sigma_signature"])
 def test_a_deviation_that_is_not_positive_is_refused(name, wrong):
-    with pytest.raises(InvalidInputError, match=f"{name}: expected a positive, finite number, got {wrong}"):
+    with pytest.raises(InvalidInputError, match=f"{name}: expected a positive number .*, got {wrong}"):
         LandmarkParameters(**{"sigma_range": 0.1, "sigma_bearing": 0.1, name: wrong})
 
 

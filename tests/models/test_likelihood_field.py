@@ -380,7 +380,7 @@ def test_what_a_field_cannot_have_is_dropped_only_if_told(name):
         ((0.5, -0.1, 0.1), r"z_rand: expected a weight in \[0, 1\], got -0.1"),
         ((0.7, 0.5, 0.1), r"z_hit \+ z_rand: expected more than 0 and at most 1, got 1.2"),
         ((0.0, 0.0, 0.1), r"z_hit \+ z_rand: expected more than 0 and at most 1, got 0"),
-        ((0.5, 0.5, 0.0), "sigma_hit: expected a positive number of metres, got 0.0"),
+        ((0.5, 0.5, 0.0), "sigma_hit: expected a positive number from 1e-12 to 1e\\+09, got 0.0"),
         ((0.5, math.inf, 0.1), "z_rand: expected a finite number, got inf"),
     ],
 )

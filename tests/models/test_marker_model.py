@@ -146,8 +146,8 @@ def test_without_an_angle_the_robot_is_on_a_circle_around_the_marker(rng):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"sigma_pixel": 0.0}, "sigma_pixel: expected a positive, finite number of pixels, got 0.0"),
-        ({"sigma_pixel": np.inf}, "sigma_pixel: expected a positive, finite number of pixels, got inf"),
+        ({"sigma_pixel": 0.0}, r"sigma_pixel: expected a positive number from 1e-12 to 1e\+09, got 0.0"),
+        ({"sigma_pixel": np.inf}, r"sigma_pixel: expected a positive number from 1e-12 to 1e\+09, got inf"),
         ({"sigma_angle": -0.1}, r"sigma_angle: expected radians in \(0, pi\], got -0.1"),
         ({"sigma_angle": 3.2}, r"sigma_angle: expected radians in \(0, pi\], got 3.2"),
         ({"sigma_angle": np.nan}, r"sigma_angle: expected radians in \(0, pi\], got nan"),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, stdtrit
 
+from beamfield.arguments import as_count, as_floats, checked
 from beamfield.calibration.climb import climb
 from beamfield.calibration.finding import Finding
 from beamfield.calibration.identifiability import FEWEST_BEAMS_OF_A_CAUSE
@@ -66,6 +67,7 @@ class IntervalResult:
     findings: tuple[Finding, ...]
 
 
+@checked
 def bootstrap_intervals(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,
@@ -152,8 +154,8 @@ def bootstrap_intervals(
     """
     check_threads(threads)
     z, expected, blocks = _checked(ranges, expected_ranges, stamps, max_range, min_range, block_s)
-    if n_replicates < 2:
-        raise InvalidInputError(f"n_replicates: expected at least 2, got {n_replicates}")
+    as_count(n_replicates, "n_replicates", least=2, most=1_000_000)
+    as_count(seed, "seed", least=0)
     if not 0.0 < level < 1.0:
         raise InvalidInputError(f"level: expected a share between 0 and 1, got {level}")
     problem = learning_problem(
@@ -206,9 +208,10 @@ def _checked(
     min_range: float,
     block_s: float | None,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-    z = np.asarray(ranges, dtype=np.float64)
-    expected = np.asarray(expected_ranges, dtype=np.float64)
-    times = np.asarray(stamps, dtype=np.float64)
+    z, expected, times = (
+        as_floats(values, name)
+        for name, values in (("ranges", ranges), ("expected_ranges", expected_ranges), ("stamps", stamps))
+    )
     for name, column in (("ranges", z), ("expected_ranges", expected), ("stamps", times)):
         if column.shape != z.shape or column.ndim != 1:
             raise InvalidInputError(f"{name}: expected one dimension as long as ranges, got shape {column.shape}")

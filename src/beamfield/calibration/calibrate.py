@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import checked
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
 from beamfield.calibration.bootstrap import IntervalResult, bootstrap_intervals
 from beamfield.calibration.calibration_findings import (
@@ -120,6 +121,7 @@ class Calibration:
         return self.learning.n_beams
 
 
+@checked
 def calibrate(
     log: SensorLog,
     grid: OccupancyGrid | CrossFitMaps,

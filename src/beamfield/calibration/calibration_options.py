@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from beamfield.arguments import check_fields
 from beamfield.calibration.beam_table import UnknownRule
 from beamfield.calibration.selection import SelectionOptions
 from beamfield.errors import InvalidInputError
@@ -55,6 +56,7 @@ class CalibrationOptions:
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         for name, allowed in (
             ("unknown", ("skip", "free", "occupied")),
             ("range_offset", ("auto", "on", "off")),

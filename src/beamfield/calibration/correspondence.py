@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import checked
 from beamfield.calibration.intrinsic_likelihood import (
     RATE,
     VARIANCE,
@@ -24,6 +25,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits, counted_from, expected_from
 
 
+@checked
 def learn_from_known_causes(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import checked
 from beamfield.calibration.beam_table import BeamTable, UnknownRule, build_beam_table
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.maps.drawn_walls import CLUTTER, LINE, NOTHING, UNSEEN, UNSURE, ranges_to_walls
@@ -47,6 +48,7 @@ class CrossFitMaps:
     counts: tuple[HitCounts, HitCounts] | None = None
 
 
+@checked
 def build_cross_fit_maps(
     log: SensorLog, *, resolution: float = 0.05, group_scans: int = GROUP_SCANS, progress: Progress | None = None
 ) -> CrossFitMaps:

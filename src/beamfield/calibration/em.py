@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import as_floats, checked
 from beamfield.calibration.climb import Climb, climb
 from beamfield.calibration.finding import Finding
 from beamfield.calibration.identifiability import Mode, identifiability_findings
@@ -80,6 +81,7 @@ class LearningResult:
     findings: tuple[Finding, ...]
 
 
+@checked
 def learn_intrinsic_parameters(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,
@@ -248,7 +250,7 @@ def _checked_beams(
 
 
 def _column(name: str, values: ArrayLike, least: float = 0.0, *, may_be_nan: bool = False) -> FloatArray:
-    column = np.asarray(values, dtype=np.float64)
+    column = as_floats(values, name)
     if column.ndim != 1:
         raise InvalidInputError(f"{name}: expected one dimension, got shape {column.shape}")
     # NaN fails the comparison too. One pass without a mask for the usual case: 10^7 beams are not rare.
@@ -263,7 +265,7 @@ def _column(name: str, values: ArrayLike, least: float = 0.0, *, may_be_nan: boo
 def _check_options(n_starts: int, tolerance: float, max_iterations: int) -> None:
     if not 1 <= n_starts <= MOST_STARTS:
         raise InvalidInputError(f"n_starts: expected 1 to {MOST_STARTS}, got {n_starts}")
-    if not (np.isfinite(tolerance) and tolerance > 0.0):
+    if not 0.0 < tolerance < np.inf:
         raise InvalidInputError(f"tolerance: expected a positive number of nats per beam, got {tolerance}")
     if max_iterations < 1:
         raise InvalidInputError(f"max_iterations: expected at least 1, got {max_iterations}")

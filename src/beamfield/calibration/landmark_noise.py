@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import checked
 from beamfield.calibration.finding import Finding
 from beamfield.calibration.landmark_em import NoiseLikelihood, NoiseProblem, NoiseTheta
 from beamfield.calibration.landmark_findings import noise_findings
@@ -80,6 +81,7 @@ class LandmarkLearningResult:
     findings: tuple[Finding, ...]
 
 
+@checked
 def learn_landmark_parameters(
     landmark_map: LandmarkMap,
     log: DetectionLog,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from beamfield.arguments import check_fields
 from beamfield.calibration.intrinsic_likelihood import N_PARAMETERS, RATE, VARIANCE
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -49,16 +50,17 @@ class IntrinsicPriors:
     short_beams: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         unknown = sorted(set(self.weight_counts) - set(_WEIGHTS))
         if unknown:
             raise InvalidInputError(f"weight_counts: expected names among {', '.join(_WEIGHTS)}, got {unknown[0]!r}")
         counts = {**self.weight_counts, "sigma_beams": self.sigma_beams, "short_beams": self.short_beams}
         for name, count in counts.items():
-            if not (np.isfinite(count) and count >= 0.0):
+            if not 0.0 <= count < np.inf:
                 raise InvalidInputError(f"{name}: expected a number of beams >= 0, got {count}")
         for name in ("sigma_hit", "mean_short"):
             length = getattr(self, name)
-            if not (np.isfinite(length) and length > 0.0):
+            if not 0.0 < length < np.inf:
                 raise InvalidInputError(f"{name}: expected a positive number of metres, got {length}")
 
     @property

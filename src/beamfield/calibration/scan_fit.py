@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import checked
 from beamfield.calibration.scan_fit_lost import LostRates, lost_probability
 from beamfield.calibration.scan_fit_reference import ScanFitReference
 from beamfield.calibration.scan_fit_statistics import FitModel, FitStatistics, Progress, fit_statistics, grid_of
+from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.sensors import Scan, SensorLog
 
@@ -126,6 +128,7 @@ class ScanFits:
         return np.array(chosen, dtype=np.int64)
 
 
+@checked
 def scan_fit(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitReference | None = None) -> ScanFit:
     """Say how well a scan fits the map at a pose.
 
@@ -171,7 +174,10 @@ def scan_fit(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitRef
     >>> wrong.misfit > 2.0 * right.misfit
     True
     """
-    robot = as_poses(pose, "pose").reshape(1, 3)
+    robot = as_poses(pose, "pose")
+    if robot.size != 3:
+        raise InvalidInputError(f"pose: expected shape (3,), got {robot.shape}")
+    robot = robot.reshape(1, 3)
     if reference is not None:
         reference.require_model(model, scan.finder.max_range)
     statistics = fit_statistics(model, scan.ranges[None, :], scan.finder, robot)
@@ -188,6 +194,7 @@ def scan_fit(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitRef
     )
 
 
+@checked
 def judge_log(
     model: FitModel,
     log: SensorLog,

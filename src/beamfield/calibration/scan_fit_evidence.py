@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -42,6 +43,7 @@ class LostEvidence:
     correlation_s: float
 
     def __post_init__(self) -> None:
+        check_fields(self)
         knots, ratio = (np.array(v, dtype=np.float64) for v in (self.knots, self.log_ratio))
         if knots.ndim != 1 or knots.shape != ratio.shape or len(knots) == 0:
             raise InvalidInputError(f"evidence: expected knots and ratios (b,), got {knots.shape} and {ratio.shape}")

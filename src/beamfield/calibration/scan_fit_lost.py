@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.calibration.scan_fit_evidence import LostEvidence, evidence_weights
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -33,6 +34,7 @@ class LostRates:
     find: float = 1.0 / 60.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("lose", "find"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InvalidInputError(f"{name}: expected a positive rate in 1/s, got {getattr(self, name)}")

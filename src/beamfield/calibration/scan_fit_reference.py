@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.calibration.scan_fit_conformal import conformal_p_values, cross_conformal_p_values
 from beamfield.calibration.scan_fit_evidence import LostEvidence, correlation_time, effective_number, learn_evidence
 from beamfield.calibration.scan_fit_lost import (
@@ -76,6 +77,7 @@ class ScanFitReference:
     inputs: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("stamps", "surprise", "misfit"):
             array = np.array(getattr(self, name), dtype=np.float64)
             if array.ndim != 1 or len(array) != len(self.stamps) or not np.isfinite(array).all():

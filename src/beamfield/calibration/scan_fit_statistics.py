@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.calibration.scan_fit_surprise import MOST_SURPRISE, BeamSurprise, beam_surprise
 from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
@@ -143,6 +144,7 @@ class _Judge:
     window: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] = field(init=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not isinstance(self.model, RangeMixtureModel | LikelihoodFieldModel):
             raise InvalidInputError(
                 "model: expected a BeamModel, SonarModel or LikelihoodFieldModel, got " + type(self.model).__name__

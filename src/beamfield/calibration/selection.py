@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.maps.occupancy import OccupancyGrid
@@ -57,6 +58,7 @@ class SelectionOptions:
     min_scans: int = 10
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("min_travel", "min_turn", "max_turn_rate", "max_jump", "max_jump_turn", "min_scans"):
             value = getattr(self, name)
             if not value >= 0:

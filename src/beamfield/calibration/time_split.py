@@ -10,6 +10,7 @@ from beamfield.errors import InvalidInputError
 # Beams of one scan and of scans within some 20 s depend on each other; shorter blocks would share their errors.
 LONGEST_BLOCK_S = 20.0
 FEWEST_BLOCKS = 12
+MOST_BLOCKS = 1_000_000
 
 
 def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.int64]:
@@ -43,6 +44,8 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     length = min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS) if block_s is None else block_s
     if block_s is not None and not block_s > 0:
         raise InvalidInputError(f"block_s: expected a positive number of seconds, got {block_s}")
+    if duration > MOST_BLOCKS * length > 0:
+        raise InvalidInputError(f"block_s: {duration:g} s in blocks of {length:g} s are more than {MOST_BLOCKS:,}")
     if length <= 0:
         return np.zeros(len(times), dtype=np.int64)
     blocks = np.floor((times - times.min()) / length).astype(np.int64)

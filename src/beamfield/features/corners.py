@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.straight_line import Line, axes
@@ -25,6 +26,7 @@ class Corner(Feature):
     """
 
 
+@checked
 def find_corners(
     lines: Sequence[Line], *, max_distance: float = 0.3, min_turn: float = np.deg2rad(20.0)
 ) -> list[Corner]:

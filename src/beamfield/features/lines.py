@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.features.partition import straight_pieces
 from beamfield.features.straight_line import Line, fit_line
@@ -23,6 +24,7 @@ NEXT_PIECES = 3
 BAD_FIT = 1e-6
 
 
+@checked
 def find_lines(
     scan: Scan, noise: RangeNoise, *, min_points: int = 6, min_length: float = 0.3, max_gap: float = 0.5
 ) -> list[Line]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.sweep import RangeNoise, Sweep, split_at_gaps, sweeps
@@ -38,6 +39,7 @@ class LocalMinimum(Feature):
     chi_square: float
 
 
+@checked
 def find_local_minima(
     scan: Scan, noise: RangeNoise, *, half_width: float = np.deg2rad(15.0), max_gap: float = 0.5
 ) -> list[LocalMinimum]:

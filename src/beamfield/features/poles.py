@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtr, ndtri
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.straight_line import fit_line
@@ -55,6 +56,7 @@ class Pole(Feature):
         return float(self.measurement[2])
 
 
+@checked
 def find_poles(
     scan: Scan,
     noise: RangeNoise,

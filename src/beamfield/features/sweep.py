@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.sensors import Scan, usable_ranges
@@ -42,6 +43,7 @@ class RangeNoise:
     sigma_slope: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0.0 < self.sigma_range < np.inf:
             raise InvalidInputError(f"sigma_range: expected a positive number of metres, got {self.sigma_range}")
         if not 0.0 <= self.sigma_bearing < np.inf:

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import as_count, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, wrap_angle
 from beamfield.kernels import scan_field as kernels
@@ -100,6 +101,7 @@ class AlignmentResult:
     problem: Problem
 
 
+@checked
 def align(
     scan: Scan,
     onto: ScanField | Scan | Sequence[Scan],
@@ -183,7 +185,8 @@ def align(
     >>> bool(np.abs(result.pose).max() < 1e-3), result.problem
     (True, '')
     """
-    start = _checked_start(initial, search, threshold, max_steps)
+    start = _checked_start(initial, search, threshold)
+    max_steps = as_count(max_steps, "max_steps", least=1, most=10_000)
     field = _as_field(onto, onto_poses)
     points = hit_points(scan.ranges, scan.finder)
     lever = _lever(points)
@@ -276,7 +279,7 @@ def _covariance(points: FloatArray, field: ScanField, fit: _Fit, free: NDArray[n
     )  # fmt: skip
 
 
-def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: float, max_steps: int) -> FloatArray:
+def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: float) -> FloatArray:
     """Return the initial pose, a copy."""
     start = np.array(as_poses(initial, "initial"))
     if start.shape != (3,):
@@ -285,8 +288,6 @@ def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: f
         raise InvalidInputError(f"search: expected half-widths >= 0 in metres and radians, got {search!r}")
     if not 0.0 < threshold < 1.0:
         raise InvalidInputError(f"threshold: expected a share between 0 and 1, got {threshold}")
-    if max_steps < 1:
-        raise InvalidInputError(f"max_steps: expected at least 1, got {max_steps}")
     return start
 
 

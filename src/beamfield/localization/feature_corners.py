@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.features.corners import Corner
 from beamfield.features.feature import stack_features
@@ -55,6 +56,7 @@ class CornerLikelihood:
     cell: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.corners.kind != "number":
             raise InvalidInputError(f"corners: expected opening angles as signatures, got kind {self.corners.kind!r}")
         if self.in_sight.shape != (len(self.positions), len(self.corners)):

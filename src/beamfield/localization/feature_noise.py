@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import gammaln
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.models.line import LineParameters
@@ -74,6 +75,7 @@ class CornerNoise:
     exponent: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, value in vars(self).items():
             if not 0.0 <= value < np.inf or (value == 0.0 and name != "tail_share"):
                 raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")
@@ -151,6 +153,7 @@ class LineNoise:
     exponent: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0.0 < self.exponent <= 1.0:
             raise InvalidInputError(f"exponent: expected a number in (0, 1], got {self.exponent}")
 

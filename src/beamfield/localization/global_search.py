@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
 from beamfield.kernels import global_search as kernels
@@ -62,6 +63,7 @@ class SearchWindow:
     turn: float = 2.0 * np.pi
 
     def __post_init__(self) -> None:
+        check_fields(self)
         center = np.array(as_poses(self.center, "center"))
         if center.shape != (3,):
             raise InvalidInputError(f"center: expected (x, y, theta), got shape {center.shape}")
@@ -185,9 +187,9 @@ class GlobalSearch:
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         for name in ("sigma", "angle_step"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")
+            check_magnitude(name, getattr(self, name))
         longest = max(self.grid.shape) * self.grid.resolution
         if self.sigma > longest:
             raise InvalidInputError(f"sigma: expected at most the map's longer side, {longest:g} m, got {self.sigma}")
@@ -195,6 +197,7 @@ class GlobalSearch:
         values.flags.writeable = False
         object.__setattr__(self, "_field", values)
 
+    @checked
     def search(
         self, z: Scan | OccupancyGrid, window: SearchWindow, *, apart: tuple[float, float] = (1.0, np.radians(30.0))
     ) -> SearchResult:
@@ -292,6 +295,12 @@ class _Lattice(NamedTuple):
 
     @classmethod
     def of(cls, grid: OccupancyGrid, window: SearchWindow, angle_step: float) -> _Lattice:
+        for name, extent, step in (
+            ("width", window.width, grid.resolution), ("height", window.height, grid.resolution),
+            ("angle_step", min(window.turn, 2.0 * np.pi), angle_step),
+        ):  # fmt: skip
+            if not extent <= MAX_ENTRIES * step:
+                raise InvalidInputError(f"{name}: {extent:g} in steps of {step:g} are more than {MAX_ENTRIES:,} poses")
         # 20 m at 5 cm are 400 steps, also where the division gives 399.999.
         n_cols, n_rows = (2 * int(side / grid.resolution / 2.0 + SNAP) + 1 for side in (window.width, window.height))
         if window.turn >= 2.0 * np.pi - SNAP:

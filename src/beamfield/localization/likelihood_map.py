@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
 from beamfield.localization.fan_headings import fan_headings
@@ -120,6 +121,7 @@ class LikelihoodMap:
         return float((self.log_likelihood[self.evaluated] > log_likelihood).mean())
 
 
+@checked
 def likelihood_map(
     model: MeasurementModel[Any],
     scan: LocalMap,
@@ -234,13 +236,14 @@ class _Lattice(NamedTuple):
 
 
 def _lattice_shape(grid: OccupancyGrid, resolution: float) -> tuple[int, int]:
-    if not 0.0 < resolution < np.inf:
-        raise InvalidInputError(f"resolution: expected a positive number of metres, got {resolution}")
+    check_magnitude("resolution", resolution)
     # The sides of a map are rarely exact multiples in floating point.
-    rows, cols = (max(1, int(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape)
-    if rows * cols > MAX_CELLS:
-        raise InvalidInputError(f"resolution: {resolution:g} m makes {rows} x {cols} cells, more than {MAX_CELLS:,}")
-    return rows, cols
+    rows, cols = (max(1.0, float(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape)
+    if not rows * cols <= MAX_CELLS:
+        raise InvalidInputError(
+            f"resolution: {resolution:g} m makes {rows:.0f} x {cols:.0f} cells, more than {MAX_CELLS:,}"
+        )
+    return int(rows), int(cols)
 
 
 def _mask(

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import as_count, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
@@ -58,6 +59,7 @@ class PoseLattice:
     heading_step: float
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("resolution", "heading_step"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InvalidInputError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")
@@ -71,6 +73,7 @@ class PoseLattice:
             raise InvalidInputError(f"resolution: {self.n_poses:,} poses are more than {MAX_POSES:,}")
 
     @classmethod
+    @checked
     def over_map(
         cls,
         grid: OccupancyGrid,
@@ -101,12 +104,15 @@ class PoseLattice:
         InvalidInputError
             As for the class, or if `where` has another value.
         """
-        if not 0.0 < resolution < np.inf or headings < 1:
-            raise InvalidInputError(f"resolution, headings: expected positive numbers, got {resolution}, {headings}")
+        check_magnitude("resolution", resolution)
+        as_count(headings, "headings", least=1, most=MAX_POSES)
         if where not in ("free", "all"):
             raise InvalidInputError(f"where: expected 'free' or 'all', got {where!r}")
         # The sides of a map are rarely exact multiples in floating point.
-        rows, cols = (max(1, int(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape)
+        sides = [max(1.0, float(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape]
+        if not sides[0] * sides[1] * headings <= MAX_POSES:
+            raise InvalidInputError(f"resolution: {resolution:g} m makes more than {MAX_POSES:,} poses")
+        rows, cols = map(int, sides)
         angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
         every = cls(grid.origin, resolution, np.ones((rows, cols), np.bool_), angles, 2.0 * np.pi / headings)
         if where == "all":
@@ -114,6 +120,7 @@ class PoseLattice:
         return replace(every, inside=grid.look_up(grid.free, every.centres()).reshape(rows, cols))
 
     @classmethod
+    @checked
     def around(
         cls, pose: ArrayLike, *, reach: float, resolution: float, heading_reach: float, heading_step: float
     ) -> PoseLattice:
@@ -143,6 +150,8 @@ class PoseLattice:
                 f"reach, heading_reach: expected at least one positive step, got {reach} / {resolution}, "
                 f"{heading_reach} / {heading_step}"
             )
+        if not (reach / resolution) ** 2 * max(1.0, min(heading_reach, np.pi) / heading_step) <= MAX_POSES:
+            raise InvalidInputError(f"resolution, heading_step: these make more than {MAX_POSES:,} poses")
         n = 2 * round(reach / resolution) + 1
         if heading_reach >= np.pi:
             h = max(1, round(2.0 * np.pi / heading_step))
@@ -285,6 +294,7 @@ class PosePosterior:
         return np.array([*self.lattice.centres()[cell], self.lattice.headings[heading]])
 
 
+@checked
 def pose_posterior(
     model: MeasurementModel[Any], z: Any, lattice: PoseLattice, *, progress: Progress | None = None
 ) -> PosePosterior:

@@ -12,6 +12,8 @@ from beamfield.sensors import RangeFinder, Scan
 
 # Mounts that agree within this many metres are one point.
 SAME_POINT = 1e-6
+# Rays per heading step at most; so fine a fan is shared by nobody.
+FINEST_FACTOR = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,7 @@ def _coarsest_step(bearings: FloatArray, n_headings: int, tolerance: float) -> t
         factor += 1
         step = 2.0 * np.pi / (factor * n_headings)
         phase, error = _best_phase(bearings, step)
-        if error <= tolerance or step <= 2.0 * tolerance:
+        if error <= tolerance or step <= 2.0 * tolerance or factor > FINEST_FACTOR:
             return factor, phase, error
 
 

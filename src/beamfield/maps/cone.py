@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import check_fields, checked
 from beamfield.geometry import FloatArray, as_poses, compose, transform_points
 from beamfield.kernels import cone as kernels
 from beamfield.kernels.threads import run_in_slices
@@ -77,6 +78,7 @@ class ConeCaster:
     _bands: kernels.Bits = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         object.__setattr__(self, "_rays", RayCaster(self.grid, unknown=self.unknown))
         rows, cols = self.grid.shape
         bits = np.empty((rows, (cols + 31) // 32), np.uint32)
@@ -91,6 +93,7 @@ class ConeCaster:
         """Memory of the tables: those of the ray caster and 9 bits for 8 cells."""
         return self._rays.table_bytes + self._bits.nbytes + self._bands.nbytes
 
+    @checked
     def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
         """Return the expected range z* of every cone of a sensor at every pose.
 
@@ -212,6 +215,7 @@ class ConeCaster:
         self._bits.flags.writeable = self._bands.flags.writeable = False
 
 
+@checked
 def make_caster(
     grid: OccupancyGrid, finder: RangeFinder, *, unknown: Literal["free", "occupied"] = "free"
 ) -> RayCaster | ConeCaster:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import checked
 from beamfield.geometry import FloatArray, compose
 from beamfield.kernels import mapping as kernels
 from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
@@ -22,6 +23,7 @@ SCANS_PER_CHUNK = 128
 BEHIND_READING = 0.5
 
 
+@checked
 def build_cone_map(
     ranges: FloatArray,
     finder: RangeFinder,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.kernels.field import to_metres
 from beamfield.kernels.threads import run_in_slices
@@ -18,6 +19,7 @@ DistanceArray = NDArray[np.float32]
 MAX_SIDE_CELLS = 65_535
 
 
+@checked
 def distance_to_obstacles(
     grid: OccupancyGrid, *, max_distance: float | None = None, only_boundaries: bool = False, margin_cells: int = 0
 ) -> DistanceArray:
@@ -74,7 +76,8 @@ def distance_to_obstacles(
     if max(shape) > MAX_SIDE_CELLS:
         raise InvalidInputError(f"grid: expected at most {MAX_SIDE_CELLS} cells a side with margin, got {shape}")
     obstacles = _boundaries(grid.occupied) if only_boundaries else grid.occupied
-    limit = np.float32(np.inf if max_distance is None else max_distance)
+    with np.errstate(over="ignore"):
+        limit = np.float32(np.inf if max_distance is None else max_distance)
     if not obstacles.any():
         return np.full(shape, limit)
     distance = _euclidean(np.pad(obstacles, margin_cells))
@@ -133,6 +136,7 @@ class DistanceField:
     max_distance: float = math.inf
 
     def __post_init__(self) -> None:
+        check_fields(self)
         rows, cols = self.grid.shape
         expected = (rows + 2 * self.margin_cells, cols + 2 * self.margin_cells)
         distance = np.asarray(self.distance, dtype=np.float32)
@@ -150,6 +154,7 @@ class DistanceField:
         object.__setattr__(self, "distance", distance)
 
     @classmethod
+    @checked
     def from_grid(
         cls,
         grid: OccupancyGrid,
@@ -176,8 +181,8 @@ class DistanceField:
         InvalidInputError
             As for `distance_to_obstacles`, or if the margin is negative or not finite.
         """
-        if not 0.0 <= margin < np.inf:
-            raise InvalidInputError(f"margin: expected a finite number of metres >= 0, got {margin}")
+        if not 0.0 <= margin <= MAX_SIDE_CELLS * grid.resolution:
+            raise InvalidInputError(f"margin: expected metres >= 0 and at most {MAX_SIDE_CELLS} cells, got {margin}")
         margin_cells = math.ceil(margin / grid.resolution)
         distance = distance_to_obstacles(
             grid, max_distance=max_distance, only_boundaries=only_boundaries, margin_cells=margin_cells

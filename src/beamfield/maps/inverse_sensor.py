@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 
 
@@ -59,6 +60,7 @@ class InverseSensorModel:
     longest_hit: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0.5 < self.hit < 1.0:
             raise InvalidInputError(f"hit: expected a probability in (0.5, 1), got {self.hit}")
         if not 0.0 < self.passed < 0.5:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.landmark_cone import nearest_in_cones
@@ -56,6 +57,7 @@ class LandmarkCones:
     _discs: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         radius = np.asarray(self.radius, dtype=np.float64)
         n = len(self.landmarks)
         if radius.shape not in ((), (n,)):

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -54,6 +55,7 @@ class LandmarkMap:
     kind: SignatureKind = None  # type: ignore[assignment]  # the same
 
     def __post_init__(self) -> None:
+        check_fields(self)
         positions = finite_copy(self.positions, "positions")
         if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
             raise InvalidInputError(f"positions: expected shape (n, 2) with n >= 1, got {positions.shape}")

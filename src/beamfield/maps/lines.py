@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
@@ -53,6 +54,7 @@ class LineMap:
     segments: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         given = finite_copy(self.lines, "lines")
         if given.ndim != 2 or given.shape[1] != 2 or not len(given):
             raise InvalidInputError(f"lines: expected shape (n, 2) with n >= 1, got {given.shape}")
@@ -71,6 +73,7 @@ class LineMap:
             object.__setattr__(self, "segments", segments)
 
     @classmethod
+    @checked
     def from_segments(cls, segments: ArrayLike, ids: ArrayLike | None = None) -> LineMap:
         """Build a map from end points; which end comes first makes no difference to a line.
 

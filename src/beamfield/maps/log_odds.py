@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_magnitude
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import mapping as kernels
@@ -57,10 +58,9 @@ def check_resolution(resolution: float) -> None:
     Raises
     ------
     InvalidInputError
-        If it is not positive and finite.
+        If it is not from 1e-12 to 1e9.
     """
-    if not 0.0 < resolution < np.inf:
-        raise InvalidInputError(f"resolution: expected a positive number of metres, got {resolution}")
+    check_magnitude("resolution", resolution)
 
 
 def check_size(size: FloatArray, resolution: float, max_cells: int) -> None:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import as_count, as_floats, checked
+from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert
 from beamfield.maps.cone_mapping import build_cone_map
@@ -22,6 +24,7 @@ Progress = Callable[[int, int], None]
 SCANS_PER_CHUNK = 128
 
 
+@checked
 def build_map(
     log: SensorLog,
     *,
@@ -87,7 +90,7 @@ def build_map(
     [[0.4..., 0.3..., 0.3..., 0.8...]]
     """
     track = _poses_of(log, poses)
-    chosen = np.arange(len(log))[slice(None) if scans is None else np.asarray(scans)]
+    chosen = np.arange(len(log)) if scans is None else chosen_indices(scans, len(log), "scans")
     chosen = chosen[np.isfinite(track[chosen]).all(axis=-1)]
     if len(chosen) == 0:
         raise TooLittleDataError("building a map: no scan that was chosen has a pose")
@@ -109,6 +112,7 @@ def build_map(
     return mapper.to_grid()
 
 
+@checked
 def local_map(
     log: SensorLog,
     index: int,
@@ -157,10 +161,8 @@ def local_map(
     >>> local_map(log, 1, n=2, resolution=0.5).occupied.tolist()
     [[False, False, False, True]]
     """
-    if n < 1:
-        raise InvalidInputError(f"n: expected at least 1 scan, got {n}")
-    if not 0 <= index < len(log):
-        raise InvalidInputError(f"index: expected 0 to {len(log) - 1}, got {index}")
+    n = as_count(n, "n", least=1)
+    index = as_count(index, "index", least=0, most=len(log) - 1)
     track = _poses_of(log, poses)
     if not np.isfinite(track[index]).all():
         raise TooLittleDataError(f"building a local map: scan {index} has no pose")
@@ -173,6 +175,7 @@ def local_map(
     )
 
 
+@checked
 def scan_map(scan: Scan, *, resolution: float, inverse_model: InverseSensorModel | None = None) -> OccupancyGrid:
     """Build the local map of a single scan, in the robot's frame.
 
@@ -248,7 +251,7 @@ def share_of_hits_in_obstacles(
 
 
 def _poses_of(log: SensorLog, poses: ArrayLike | None) -> FloatArray:
-    track = log.poses if poses is None else np.asarray(poses, dtype=np.float64)
+    track = log.poses if poses is None else as_floats(poses, "poses")
     if track.shape != (len(log), 3):
         raise InvalidInputError(f"poses: expected shape ({len(log)}, 3), one per scan, got {track.shape}")
     return track

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 
@@ -42,6 +43,7 @@ class MarkerMap:
     _rows: dict[MarkerId, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         poses = np.array(as_poses(self.poses, "poses"))
         ids = as_ids(self.ids)
         if poses.shape != (len(ids), 3):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import as_floats, check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, invert, transform_points
 
@@ -56,7 +57,9 @@ class OccupancyGrid:
     free_thresh: float = 0.25
 
     def __post_init__(self) -> None:
-        probability = np.array(self.probability, dtype=np.float32)
+        check_fields(self)
+        with np.errstate(over="ignore"):  # what overflows is refused below
+            probability = np.array(self.probability, dtype=np.float32)
         if probability.ndim != 2 or probability.size == 0:
             raise InvalidInputError(f"probability: expected a 2-D array with cells, got shape {probability.shape}")
         with np.errstate(invalid="ignore"):
@@ -66,7 +69,7 @@ class OccupancyGrid:
             raise InvalidInputError(
                 f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col})"
             )
-        if not (np.isfinite(self.resolution) and self.resolution > 0):
+        if not 0.0 < self.resolution < np.inf:
             raise InvalidInputError(f"resolution: expected a positive number of metres, got {self.resolution}")
         if not 0.0 <= self.free_thresh < self.occupied_thresh <= 1.0:
             raise InvalidInputError(
@@ -83,6 +86,7 @@ class OccupancyGrid:
         object.__setattr__(self, "resolution", float(self.resolution))
 
     @classmethod
+    @checked
     def from_ros(cls, data: ArrayLike, resolution: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> OccupancyGrid:
         """Build a grid from the values of a nav_msgs/OccupancyGrid.
 
@@ -108,11 +112,15 @@ class OccupancyGrid:
         [[0.0, nan, 1.0]]
         """
         values = np.asarray(data)
+        if values.dtype.kind not in "biuf":
+            raise InvalidInputError(f"data: expected numbers, got {values.dtype}")
         if values.ndim == 2 and values.size and (values.min() < -1 or values.max() > 100):
             bad = values[(values < -1) | (values > 100)][0]
             raise InvalidInputError(f"data: expected -1 or 0 to 100, got {bad}")
+        if values.ndim != 2:
+            raise InvalidInputError(f"data: expected shape (rows, cols), got {values.shape}")
         probability = np.where(values < 0, np.nan, values / 100.0).astype(np.float32)
-        return cls(probability, resolution, np.asarray(origin, dtype=np.float64))
+        return cls(probability, resolution, as_floats(origin, "origin"))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -137,6 +145,7 @@ class OccupancyGrid:
         """(rows, cols) mask of cells that are neither free nor occupied."""
         return ~(self.occupied | self.free)
 
+    @checked
     def to_cells(self, points: ArrayLike) -> FloatArray:
         """Return where points of the map are in the grid, in cells.
 
@@ -154,8 +163,10 @@ class OccupancyGrid:
         >>> OccupancyGrid([[0.0, 1.0]], resolution=0.5, origin=(1.0, 0.0, 0.0)).to_cells([1.75, 0.25]).tolist()
         [1.5, 0.5]
         """
-        return transform_points(invert(self.origin), points) / self.resolution
+        with np.errstate(over="ignore"):
+            return transform_points(invert(self.origin), points) / self.resolution
 
+    @checked
     def to_map(self, cells: ArrayLike) -> FloatArray:
         """Return where places of the grid are in the map; inverse of `to_cells`.
 
@@ -168,8 +179,10 @@ class OccupancyGrid:
         -------
         (..., 2) metres.
         """
-        return transform_points(self.origin, np.asarray(cells, dtype=np.float64) * self.resolution)
+        with np.errstate(over="ignore"):
+            return transform_points(self.origin, as_floats(cells, "cells") * self.resolution)
 
+    @checked
     def look_up(self, mask: BoolArray, points: ArrayLike, *, outside: bool = False) -> BoolArray:
         """Return the value of a mask at points of the map.
 
@@ -186,7 +199,9 @@ class OccupancyGrid:
         -------
         (...) bool.
         """
-        cells = np.floor(self.to_cells(points)).astype(np.int64)
-        col, row = cells[..., 0], cells[..., 1]
-        inside = (col >= 0) & (row >= 0) & (col < self.shape[1]) & (row < self.shape[0])
-        return np.where(inside, mask[np.clip(row, 0, self.shape[0] - 1), np.clip(col, 0, self.shape[1] - 1)], outside)
+        rows, cols = self.shape
+        # A cell off the map on each side stands for all beyond, however far.
+        places = np.floor(np.clip(self.to_cells(points), -1.0, [cols, rows])).astype(np.int64)
+        col, row = places[..., 0], places[..., 1]
+        inside = (col >= 0) & (row >= 0) & (col < cols) & (row < rows)
+        return np.where(inside, mask[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], outside)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import checked
 from beamfield.kernels import mapping as kernels
 from beamfield.maps.followed_beams import FollowedBeams, followed_beams
 from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
@@ -42,6 +43,7 @@ class OccupancyMapper:
     [[False, False, False, True]]
     """
 
+    @checked
     def __init__(
         self, resolution: float, *, inverse_model: InverseSensorModel | None = None, max_cells: int = MAX_CELLS
     ) -> None:

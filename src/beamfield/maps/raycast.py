@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import raycast as kernels
@@ -73,6 +74,7 @@ class RayCaster:
     _rectangles: NDArray[np.uint16] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.unknown not in ("free", "occupied"):
             raise InvalidInputError(f"unknown: expected 'free' or 'occupied', got {self.unknown!r}")
         rows, cols = self.grid.shape
@@ -89,6 +91,7 @@ class RayCaster:
         """Memory of the tables: eight bytes per cell, and a frame of one cell around the map."""
         return self._rectangles.nbytes
 
+    @checked
     def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
         """Return the expected range z* of every beam of a sensor at every pose.
 
@@ -132,6 +135,7 @@ class RayCaster:
         run_in_slices(work, len(rows), threads=threads, work_per_row=k)
         return ranges
 
+    @checked
     def expected_hits(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> IntArray:
         """Return which cell every beam hits.
 
@@ -165,6 +169,7 @@ class RayCaster:
         run_in_slices(work, len(rows), threads=threads, work_per_row=k)
         return cells
 
+    @checked
     def cast(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> FloatArray:
         """Return the range of single rays.
 
@@ -198,6 +203,7 @@ class RayCaster:
         run_in_slices(work, len(rows), threads=threads)
         return ranges
 
+    @checked
     def cast_hits(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> IntArray:
         """Return which cell each single ray hits.
 

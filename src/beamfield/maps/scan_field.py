@@ -10,6 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import scan_field as kernels
@@ -94,6 +95,7 @@ class ScanField:
     """The field as the kernels see it."""
 
     @classmethod
+    @checked
     def from_scan(cls, scan: Scan, *, pose: ArrayLike = (0.0, 0.0, 0.0), z_hit: float = 0.9, z_rand: float = 0.1,
                   sigma_hit: float = 0.03, no_return: Literal["unseen", "free"] = "unseen") -> ScanField:  # fmt: skip
         """Return the field of one scan, in the robot's frame or, with the robot's pose, in the frame of the pose.
@@ -137,6 +139,7 @@ class ScanField:
         )
 
     @classmethod
+    @checked
     def from_scans(cls, scans: Sequence[Scan], poses: ArrayLike, *, z_hit: float = 0.9, z_rand: float = 0.1,
                    sigma_hit: float = 0.03, no_return: Literal["unseen", "free"] = "unseen") -> ScanField:  # fmt: skip
         """Return the field of several scans: free is what any of them saw through.
@@ -250,6 +253,7 @@ class ScanField:
         seen = np.where(free > 0.5, Category.FREE, Category.UNSEEN)
         return np.asarray(np.where(distance <= HIT_SIGMAS * self.sigma_hit, Category.HIT, seen), dtype=np.int8)
 
+    @checked
     def log_likelihood(self, z: Scan, poses: ArrayLike, *, threads: int | None = None) -> FloatArray:
         """Return the sum over a scan's end points of the field's logarithm, for robot poses in the field's frame.
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 
@@ -14,6 +15,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 CUT_OFF = 4.0
 
 
+@checked
 def smooth_map(grid: OccupancyGrid, sigma: float) -> OccupancyGrid:
     """Convolve a map with a Gaussian kernel, so that scores of map matching vary smoothly with the pose.
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels.beam import (
@@ -32,6 +33,7 @@ CAUSES = ("hit", "short", "max", "rand")
 Fill = Callable[[FloatArray, FloatArray, BeamView, FloatArray], object]
 
 
+@checked
 def beam_log_density(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,
@@ -101,6 +103,7 @@ def beam_log_density(
     return _fill(fill_log_density, ranges, expected_ranges, max_range, parameters, min_range, threads, ())
 
 
+@checked
 def beam_responsibilities(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,
@@ -127,6 +130,7 @@ def beam_responsibilities(
     return _fill(fill_responsibilities, ranges, expected_ranges, max_range, parameters, min_range, threads, (4,))
 
 
+@checked
 def beam_components(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,
@@ -153,6 +157,7 @@ def beam_components(
     return _fill(fill_components, ranges, expected_ranges, max_range, parameters, min_range, threads, (4,))
 
 
+@checked
 def beam_cdf(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,
@@ -176,6 +181,7 @@ def beam_cdf(
     return _fill(fill_cdf, ranges, expected_ranges, max_range, parameters, min_range, threads, ())
 
 
+@checked
 def beam_pit(
     ranges: ArrayLike,
     expected_ranges: ArrayLike,

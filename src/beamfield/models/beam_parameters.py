@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from beamfield.arguments import LARGEST, check_fields, check_magnitude
 from beamfield.errors import InvalidInputError
 
 # Weights may miss the sum 1 by this much: they are read from files with a few digits.
@@ -34,8 +35,9 @@ class BeamParameters:
     Raises
     ------
     InvalidInputError
-        If a weight is outside [0, 1], the weights do not sum to 1 within 1e-6, sigma_hit <= 0, lambda_short or
-        sigma_slope is negative, or a value is not finite.
+        If a weight is outside [0, 1], the weights do not sum to 1 within 1e-6, lambda_short or sigma_slope is
+        negative, a value is not finite, or one is too small or too large for its density to be computed: sigma_hit
+        below 1e-12, or any beyond 1e9.
 
     References
     ----------
@@ -57,22 +59,24 @@ class BeamParameters:
     sigma_slope: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for item in fields(self):
-            value = getattr(self, item.name)
+            value = float(getattr(self, item.name))
             if not np.isfinite(value):
                 raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
-            object.__setattr__(self, item.name, float(value))
+            object.__setattr__(self, item.name, value)
         for name in ("z_hit", "z_short", "z_max", "z_rand"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidInputError(f"{name}: expected a weight in [0, 1], got {getattr(self, name)}")
         total = self.z_hit + self.z_short + self.z_max + self.z_rand
         if abs(total - 1.0) > WEIGHT_SUM_TOLERANCE:
             raise InvalidInputError(f"z_hit + z_short + z_max + z_rand: expected 1, got {total:.9g}")
-        if self.sigma_hit <= 0.0:
-            raise InvalidInputError(f"sigma_hit: expected a positive number of metres, got {self.sigma_hit}")
+        check_magnitude("sigma_hit", self.sigma_hit)
         for name in ("lambda_short", "sigma_slope"):
-            if getattr(self, name) < 0.0:
-                raise InvalidInputError(f"{name}: expected a number >= 0, got {getattr(self, name)}")
+            if not 0.0 <= getattr(self, name) <= LARGEST:
+                raise InvalidInputError(f"{name}: expected a number from 0 to {LARGEST:g}, got {getattr(self, name)}")
+        if abs(self.range_offset) > LARGEST:
+            raise InvalidInputError(f"range_offset: expected at most {LARGEST:g} m, got {self.range_offset}")
 
     @property
     def weights(self) -> tuple[float, float, float, float]:

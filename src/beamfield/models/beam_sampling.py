@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtri_exp
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels.beam import SHORTEST_SUPPORT, BeamView
@@ -17,6 +18,7 @@ from beamfield.models.blind_zone import expected_from
 CHUNK = 1 << 16
 
 
+@checked
 def sample_beams(
     expected_ranges: ArrayLike,
     max_range: float,

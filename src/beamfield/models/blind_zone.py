@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from beamfield.arguments import LARGEST
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.sensors import SHORTEST_SPAN
 
 
 def check_limits(max_range: float, min_range: float) -> None:
-    """Say which of a sensor's limits is impossible: 0 <= min_range < max_range < inf, metres.
+    """Say which of a sensor's limits is impossible: 0 <= min_range < max_range <= 1e9, metres.
 
     Parameters
     ----------
@@ -27,10 +29,14 @@ def check_limits(max_range: float, min_range: float) -> None:
     InvalidInputError
         If one is.
     """
-    if not 0.0 < max_range < np.inf:
-        raise InvalidInputError(f"max_range: expected a positive, finite number of metres, got {max_range}")
+    if not 0.0 < max_range <= LARGEST:
+        raise InvalidInputError(f"max_range: expected a positive number of metres up to {LARGEST:g}, got {max_range}")
     if not 0.0 <= min_range < max_range:
         raise InvalidInputError(f"min_range: expected metres in [0, max_range = {max_range}), got {min_range}")
+    if not max_range - min_range >= SHORTEST_SPAN:
+        raise InvalidInputError(
+            f"min_range: expected at least {SHORTEST_SPAN:g} m less than max_range = {max_range}, got {min_range}"
+        )
 
 
 def counted_from(min_range: float, ranges: FloatArray, max_range: float) -> FloatArray:

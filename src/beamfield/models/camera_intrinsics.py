@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.models.ceiling_camera import CeilingCamera
@@ -54,6 +55,7 @@ class CameraIntrinsics:
     image_size: FloatArray
 
     def __post_init__(self) -> None:
+        check_fields(self)
         matrix, distortion, size = (
             np.array(value, dtype=np.float64) for value in (self.matrix, self.distortion, self.image_size)
         )

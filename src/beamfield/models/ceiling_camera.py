@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, between, compose, invert
 
@@ -87,6 +88,7 @@ class CeilingCamera:
     image_size: FloatArray | tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, unit in (("focal_length", "pixels"), ("height", "metres")):
             value = getattr(self, name)
             if not 0.0 < value < np.inf:

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
@@ -66,11 +67,13 @@ class CellDifferenceModel:
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         if not 0.0 < self.sigma < np.inf:
             raise InvalidInputError(f"sigma: expected a positive, finite number, got {self.sigma}")
         check_min_overlap(self.min_overlap)
         object.__setattr__(self, "_table", value_table(self.grid))
 
+    @checked
     def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
         """Return -D / (2 sigma^2) at many poses.
 

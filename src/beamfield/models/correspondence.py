@@ -11,6 +11,7 @@ from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert
@@ -139,6 +140,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         if self.correspondence not in ("known", "nearest", "sum", "assignment"):
             raise InvalidInputError(
                 f"correspondence: expected 'known', 'nearest', 'sum' or 'assignment', got {self.correspondence!r}"
@@ -149,6 +151,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         mount.flags.writeable = False
         object.__setattr__(self, "mount", mount)
 
+    @checked
     def log_likelihood(self, z: Z, poses: ArrayLike) -> FloatArray:
         """Return log p(f(z) | x, m) of one observation at many poses: (6.39).
 
@@ -179,6 +182,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
             total += self._unknown(z, given, tables, robot.reshape(-1, 3))[0].sum(axis=1).reshape(total.shape)
         return total
 
+    @checked
     def detection_log_likelihood(self, z: Z, poses: ArrayLike) -> FloatArray:
         """Return what each feature contributes to `log_likelihood`; its sum over features is that value.
 
@@ -199,6 +203,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         """
         return self._evaluate(z, poses)[0]
 
+    @checked
     def correspondences(self, z: Z, poses: ArrayLike) -> NDArray[np.int64]:
         """Return the id of the thing that each feature is taken for.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from beamfield.arguments import check_fields, check_magnitude
 from beamfield.errors import InvalidInputError
 from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, BeamParameters
 
@@ -29,7 +30,7 @@ class LikelihoodFieldParameters:
     Raises
     ------
     InvalidInputError
-        If a weight is outside [0, 1], both are 0, their sum exceeds 1, or sigma_hit is not positive and finite.
+        If a weight is outside [0, 1], both are 0, their sum exceeds 1, or sigma_hit is not from 1e-12 to 1e9.
 
     References
     ----------
@@ -47,11 +48,12 @@ class LikelihoodFieldParameters:
     sigma_hit: float
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for item in fields(self):
-            value = getattr(self, item.name)
+            value = float(getattr(self, item.name))
             if not np.isfinite(value):
                 raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
-            object.__setattr__(self, item.name, float(value))
+            object.__setattr__(self, item.name, value)
         for name in ("z_hit", "z_rand"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidInputError(f"{name}: expected a weight in [0, 1], got {getattr(self, name)}")
@@ -59,8 +61,7 @@ class LikelihoodFieldParameters:
             raise InvalidInputError(
                 f"z_hit + z_rand: expected more than 0 and at most 1, got {self.z_hit + self.z_rand:.9g}"
             )
-        if self.sigma_hit <= 0.0:
-            raise InvalidInputError(f"sigma_hit: expected a positive number of metres, got {self.sigma_hit}")
+        check_magnitude("sigma_hit", self.sigma_hit)
 
     @classmethod
     def from_beam_parameters(

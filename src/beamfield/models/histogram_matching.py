@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.correlation import fill_histogram_overlap
 from beamfield.kernels.threads import run_in_slices
@@ -68,6 +69,7 @@ class HistogramMatchingModel:
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         check_min_overlap(self.min_overlap)
         table = np.full((self.grid.shape[0] + 2, self.grid.shape[1] + 2), 2, np.uint8)
         table[1:-1, 1:-1][self.grid.probability < 0.5] = 0
@@ -75,6 +77,7 @@ class HistogramMatchingModel:
         table.flags.writeable = False
         object.__setattr__(self, "_table", table.reshape(-1))
 
+    @checked
     def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
         """Return the log of the common share at many poses.
 

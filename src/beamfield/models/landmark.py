@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import checked
 from beamfield.detections import Detections
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
@@ -98,6 +99,7 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         """Whether it is a density over the features' values; a best correspondence makes it none."""
         return self.correspondence in ("known", "sum")
 
+    @checked
     def expected(self, poses: ArrayLike) -> FloatArray:
         """Return range and bearing (6.40) of every landmark without noise, biases included.
 
@@ -128,6 +130,7 @@ class LandmarkModel(CorrespondenceModel[Detections]):
             axis=-1,
         )
 
+    @checked
     def sample(self, poses: ArrayLike, rng: np.random.Generator, *, ids: ArrayLike | None = None) -> list[Detections]:
         """Draw one observation per pose, given the correspondences; the features carry their ids.
 

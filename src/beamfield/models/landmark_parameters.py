@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from beamfield.arguments import LARGEST, check_fields, check_magnitude
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -43,7 +44,7 @@ class LandmarkParameters:
     Raises
     ------
     InvalidInputError
-        If a standard deviation, the scale or max_range is not positive and finite, spurious_rate is not in [0, 1), it
+        If a standard deviation, the scale or max_range is not from 1e-12 to 1e9, spurious_rate is not in [0, 1), it
         is positive without a max_range for a sensor that measures ranges, the covariance is not symmetric and positive
         definite, a row of the confusion matrix does not sum to 1 or has an entry outside [0, 1], or a bias is not
         finite.
@@ -71,15 +72,15 @@ class LandmarkParameters:
     range_scale: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("sigma_range", "sigma_bearing", "sigma_signature", "max_range", "range_scale"):
             value = getattr(self, name)
             if value is None and name != "range_scale":
                 continue
-            if not 0.0 < value < np.inf:
-                raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")
+            check_magnitude(name, value)
         for name in ("range_bias", "bearing_bias"):
-            if not np.isfinite(getattr(self, name)):
-                raise InvalidInputError(f"{name}: expected a finite number, got {getattr(self, name)}")
+            if not abs(getattr(self, name)) <= LARGEST:
+                raise InvalidInputError(f"{name}: expected at most {LARGEST:g}, got {getattr(self, name)}")
         if not 0.0 <= self.spurious_rate < 1.0:
             raise InvalidInputError(f"spurious_rate: expected a probability in [0, 1), got {self.spurious_rate}")
         if self.spurious_rate > 0.0 and self.max_range is None and self.sigma_range is not None:

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.special import erfcx, ndtr
 
+from beamfield.arguments import LARGEST, as_count, checked
 from beamfield.detections import SPURIOUS, Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert, wrap_angle
@@ -20,6 +21,10 @@ from beamfield.models.wrapped_normal import sample_wrapped
 
 # With a grid, drawing stops when less than one pose in so many lies in free space.
 MAX_DRAWS_PER_POSE = 10_000
+# 2.4 GB.
+# From so many standard deviations below 0 on, the mass is that of its leading term, density / a^2, to 3e-8.
+FAR_BELOW = -1e4
+MOST_POSES = 100_000_000
 # Poses drawn at a time, at most.
 MAX_BATCH = 1_000_000
 
@@ -51,6 +56,7 @@ class _Proposal(NamedTuple):
     """Integral of the feature's likelihood over all poses, averaged over the landmarks if unknown."""
 
 
+@checked
 def sample_poses(
     model: LandmarkModel,
     detections: Detections,
@@ -94,8 +100,9 @@ def sample_poses(
     Raises
     ------
     InvalidInputError
-        If n < 1, a feature is spurious, has no range while there is no max_range, has neither range nor bearing, or an
-        id or signature does not fit the map; or method "table" is asked for more than one feature.
+        If n is not from 1 to 10^8; a feature is spurious, has a range beyond 10^9 m, none while there is no max_range,
+        or neither range nor bearing; an id or signature does not fit the map; or method "table" is asked for more than
+        one feature.
     TooLittleDataError
         If less than one pose in 10,000 lies in free space, no pose explains all features, or no landmark can have a
         feature's type.
@@ -122,8 +129,7 @@ def sample_poses(
     """
     if method not in ("exact", "table"):
         raise InvalidInputError(f"method: expected 'exact' or 'table', got {method!r}")
-    if n < 1:
-        raise InvalidInputError(f"n: expected at least 1, got {n}")
+    n = as_count(n, "n", least=1, most=MOST_POSES)
     proposals = _proposals(model, detections)
     if method == "table" and (len(detections) > 1 or np.isnan(detections.ranges).any()):
         raise InvalidInputError(f"method: 'table' takes one feature with a range, got {len(detections)} features")
@@ -184,6 +190,8 @@ def log_distance_mass(mean: float, sigma: float) -> float:
     """
     a = mean / sigma
     # sigma (density(a) + a share below a); far negative means would cancel to 0 unless the density is taken out.
+    if a < FAR_BELOW:
+        return math.log(sigma) - 0.5 * (a * a + LOG_2PI) - 2.0 * math.log(-a)
     if a < 0.0:
         share = math.sqrt(math.pi / 2.0) * float(erfcx(-a / math.sqrt(2.0)))
         return math.log(sigma) - 0.5 * (a * a + LOG_2PI) + math.log1p(a * share)
@@ -202,6 +210,8 @@ def _proposals(model: LandmarkModel, detections: Detections) -> list[_Proposal]:
         measured, bearing = float(detections.ranges[k]), float(detections.bearings[k])
         if math.isnan(measured) and math.isnan(bearing):
             raise InvalidInputError(f"detections: feature {k} has neither range nor bearing")
+        if abs(measured) > LARGEST:
+            raise InvalidInputError(f"ranges: expected at most {LARGEST:g} m, got {measured:g} of feature {k}")
         if not math.isnan(measured) and p.sigma_range is None:
             raise InvalidInputError(f"sigma_range: feature {k} has a range, and there is no sigma")
         if not math.isnan(bearing) and p.sigma_bearing is None:

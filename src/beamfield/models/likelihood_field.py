@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses
 from beamfield.kernels import crew, smooth_field
@@ -136,6 +137,7 @@ class LikelihoodFieldModel:
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
         if self.n_beams is not None and self.n_beams < 1:
@@ -149,6 +151,7 @@ class LikelihoodFieldModel:
         self._make_tables()
 
     @classmethod
+    @checked
     def from_grid(
         cls,
         grid: OccupancyGrid,
@@ -211,6 +214,7 @@ class LikelihoodFieldModel:
             return 4 * int(rows + 2) * int(cols + 2)
         return (5 if self.unknown == "uniform" else 4) * int(rows + 4) * int(cols + 2)
 
+    @checked
     def log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return log q of one scan at many poses: Table 6.3 in log space.
 
@@ -240,6 +244,7 @@ class LikelihoodFieldModel:
         self._run(self._sums(z), robot.reshape(-1, 3), total.reshape(-1), z.finder.n_beams)
         return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
 
+    @checked
     def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return what each beam contributes to `log_likelihood`, (..., k); its sum over beams is that value.
 
@@ -314,6 +319,7 @@ class LikelihoodFieldModel:
         result[..., beams] = values.reshape(*robot.shape[:-1], len(beams))
         return result
 
+    @checked
     def profile(self, pose: ArrayLike, finder: RangeFinder, beam: int = 0, *, n: int = 2000) -> BeamProfile:
         """Return p(z^k | x, m) along one beam, made a density: (6.33) and (6.34), Figure 6.9.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
+from beamfield.arguments import check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.kernels import line as kernels
@@ -52,9 +53,10 @@ class LineParameters:
     max_range: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("sigma_rho", "sigma_alpha"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
+            if getattr(self, name) != 0.0:
+                check_magnitude(name, getattr(self, name))
         if self.max_range is not None and not 0.0 < self.max_range < np.inf:
             raise InvalidInputError(f"max_range: expected a positive, finite number, got {self.max_range}")
         if not 0.0 <= self.spurious_rate < 1.0:
@@ -143,6 +145,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         """Whether it is a density over (rho, alpha); a best correspondence or a look at end points makes it none."""
         return self.correspondence == "known" or (self.correspondence == "sum" and self.min_overlap is None)
 
+    @checked
     def expected(self, poses: ArrayLike) -> FloatArray:
         """Return rho and alpha of every mapped line in the sensor's frame, without noise.
 
@@ -165,6 +168,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         signed = rho - sensor[..., 0] * np.cos(alpha) - sensor[..., 1] * np.sin(alpha)
         return normal_form(np.stack([signed, alpha - sensor[..., 2]], axis=-1))
 
+    @checked
     def sample(
         self,
         poses: ArrayLike,

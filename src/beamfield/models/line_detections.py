@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.choice import chosen_indices
 from beamfield.detections import UNKNOWN, as_ids, finite_copy
 from beamfield.errors import InvalidInputError
@@ -81,6 +82,7 @@ class LineDetections:
     stamp: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         given = finite_copy(self.lines, "lines")
         if given.size == 0:
             given = given.reshape(0, 2)

@@ -8,6 +8,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
@@ -112,10 +113,12 @@ class MapMatchingModel:
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         check_min_overlap(self.min_overlap)
         grid = self.grid if self.smoothing is None else smooth_map(self.grid, self.smoothing)
         object.__setattr__(self, "_table", value_table(grid))
 
+    @checked
     def match(self, z: LocalMap, poses: ArrayLike) -> MapMatch:
         """Return the correlation at many poses, with the overlap and whether it is determined.
 
@@ -151,6 +154,7 @@ class MapMatchingModel:
         """
         return self.match(z, poses).correlation
 
+    @checked
     def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
         """Return log max(rho, 0) of (6.37) at many poses.
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import SMALLEST, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
@@ -53,6 +54,7 @@ class MarkerDetections:
     stamp: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         ids, image = as_ids(self.ids), np.array(self.image, dtype=np.float64)
         if not ids and image.size == 0:
             image = image.reshape(0, 3)
@@ -71,6 +73,7 @@ class MarkerDetections:
         return len(self.ids)
 
 
+@checked
 def image_of_corners(corners: ArrayLike) -> FloatArray:
     """Return the image coordinates (..., 3) of square markers from their corners.
 
@@ -182,13 +185,12 @@ class MarkerModel:
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
-        if not 0.0 < self.sigma_pixel < np.inf:
-            raise InvalidInputError(
-                f"sigma_pixel: expected a positive, finite number of pixels, got {self.sigma_pixel}"
-            )
-        if not 0.0 < self.sigma_angle <= np.pi:
+        check_fields(self)
+        check_magnitude("sigma_pixel", self.sigma_pixel)
+        if not SMALLEST <= self.sigma_angle <= np.pi:
             raise InvalidInputError(f"sigma_angle: expected radians in (0, pi], got {self.sigma_angle}")
 
+    @checked
     def log_likelihood(self, z: MarkerDetections, poses: ArrayLike) -> FloatArray:
         """Return log p(z | x, m) of the detections of one image at many poses.
 
@@ -249,6 +251,7 @@ class MarkerModel:
         )
         return result.reshape(*robot.shape[:-1], len(z))
 
+    @checked
     def expected(self, poses: ArrayLike) -> FloatArray:
         """Return where the image shows all markers of the map, in view or not.
 
@@ -268,6 +271,7 @@ class MarkerModel:
         """
         return self.camera.image_of(self.markers.poses, as_poses(poses)[..., None, :])
 
+    @checked
     def sample(self, poses: ArrayLike, rng: np.random.Generator) -> list[MarkerDetections]:
         """Draw the detections of one image at each pose.
 
@@ -296,6 +300,7 @@ class MarkerModel:
             for seen, image in zip(in_view, noisy, strict=True)
         ]
 
+    @checked
     def sample_poses(self, z: MarkerDetections, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw robot poses from p(x | z, m) for one or more detections and a uniform prior, exactly.
 

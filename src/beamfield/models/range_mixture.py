@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
@@ -67,6 +68,7 @@ class RangeMixtureModel(ABC):
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
+        check_fields(self)
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
         if self.n_beams is not None and self.n_beams < 1:
@@ -90,6 +92,7 @@ class RangeMixtureModel(ABC):
             object.__setattr__(other, name, value)
         return other
 
+    @checked
     def log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return log p(z | x, m) of one scan at many poses: Table 6.1 in log space.
 
@@ -118,6 +121,7 @@ class RangeMixtureModel(ABC):
             self._add_up(z.subset(beams), flat, total)
         return (self.exponent * total).reshape(robot.shape[:-1])
 
+    @checked
     def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return what each beam contributes to `log_likelihood`, (..., k); its sum over beams is that value.
 
@@ -197,6 +201,7 @@ class RangeMixtureModel(ABC):
             threads=self.threads,
         )
 
+    @checked
     def expected(self, poses: ArrayLike, finder: RangeFinder | None = None) -> FloatArray:
         """Return the expected ranges z* of a sensor, blind zone or not.
 
@@ -218,6 +223,7 @@ class RangeMixtureModel(ABC):
         """
         return self._source.expected_ranges(as_poses(poses), self._finder(finder), threads=self.threads)
 
+    @checked
     def sample(self, poses: ArrayLike, rng: np.random.Generator, finder: RangeFinder | None = None) -> list[Scan]:
         """Draw one scan at each pose.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -34,6 +35,7 @@ class Dependence:
     time: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("angle", "time"):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.simulation import furniture
@@ -30,6 +31,7 @@ MIN_WIDTH, MIN_HEIGHT = 26.0, 20.0
 SEEN_DEPTH = 0.16
 
 
+@checked
 def draw_floor_plan(
     *, seed: int = 0, width: float = 40.0, height: float = 24.0, resolution: float = 0.05, furnished: bool = True
 ) -> OccupancyGrid:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from beamfield.arguments import as_count, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.maps.cone import ConeCaster, make_caster
@@ -28,6 +29,7 @@ SCANS_PER_CHUNK = 256
 MAX_SCANS = 1_000_000
 
 
+@checked
 def simulate_log(
     grid: OccupancyGrid,
     finder: RangeFinder,
@@ -108,6 +110,7 @@ def simulate_log(
     (50, 16)
     """
     check_threads(threads)
+    as_count(seed, "seed", least=0)
     stamps = scan_stamps(duration, scan_rate, start)
     drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
     if not grid.occupied.any():
@@ -149,7 +152,7 @@ def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
     for name, value in (("duration", duration), ("scan_rate", scan_rate)):
         if not 0.0 < value < np.inf:
             raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")
-    if not np.isfinite(start):
+    if isinstance(start, complex) or not abs(start) < np.inf:
         raise InvalidInputError(f"start: expected a finite number of seconds, got {start}")
     n_scans = duration * scan_rate
     if not 1.0 <= n_scans <= MAX_SCANS:

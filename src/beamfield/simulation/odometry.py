@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, between, wrap_angle
 
@@ -43,6 +44,7 @@ class OdometryNoise:
     turn_scale: float = -0.006
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for item in fields(self):
             value = getattr(self, item.name)
             low = -1.0 if item.name.endswith("scale") else 0.0

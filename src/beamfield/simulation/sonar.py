@@ -9,6 +9,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.kernels import acoustics as kernels
@@ -108,6 +109,7 @@ class SonarPhysics:
     phantoms: float = 0.005
 
     def __post_init__(self) -> None:
+        check_fields(self)
         positive = ("object_rate", "firing_interval")
         for item in fields(self):
             value = getattr(self, item.name)
@@ -222,6 +224,7 @@ def sonar_ring(
     return RangeFinder(mounts, max_range, min_range=min_range, opening_angle=opening_angle, name=name)
 
 
+@checked
 def simulate_sonar(
     world: Surfaces | OccupancyGrid,
     poses: ArrayLike,

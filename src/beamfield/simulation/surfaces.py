@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import acoustics as kernels
@@ -43,6 +44,7 @@ class Surfaces:
     following: NDArray[np.int64]
 
     def __post_init__(self) -> None:
+        check_fields(self)
         starts, ends = (np.array(points, dtype=np.float64) for points in (self.starts, self.ends))
         following = np.array(self.following, dtype=np.int64)
         if starts.ndim != 2 or starts.shape[1] != 2 or starts.shape != ends.shape or len(starts) == 0:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
+from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
@@ -65,6 +66,7 @@ class DriveOptions:
     pause: float = 0.4
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for item in fields(self):
             value = getattr(self, item.name)
             if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and item.name in ("pause", "comfort")))):

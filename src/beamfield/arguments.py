@@ -1,0 +1,314 @@
+"""Arguments of the wrong type: refused with the argument's name, what was expected, and what was given.
+
+`checked` costs next to nothing where a call succeeds: only when one fails with an error that is not ours are its
+arguments held against the annotations. `check_fields` does so at once for the fields of a dataclass, which would
+otherwise keep what does not belong there until it is used.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import inspect
+from collections.abc import Callable
+from dataclasses import fields
+from functools import cache, wraps
+from numbers import Integral, Real
+from types import UnionType
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.errors import BeamfieldError, InvalidInputError
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# What code raises that meets an argument of the wrong type.
+_SYMPTOMS = (TypeError, ValueError, AttributeError, IndexError, KeyError, OverflowError, AssertionError)
+_NUMBERS = "biuf"
+# Beyond these, squares and quotients of metres overflow or vanish, and densities with them.
+SMALLEST, LARGEST = 1e-12, 1e9
+
+
+def checked(function: F) -> F:
+    """Let a function name an argument of the wrong type instead of failing somewhere inside.
+
+    Parameters
+    ----------
+    function
+        Annotated; a method counts from its second argument on.
+
+    Returns
+    -------
+    The function. Where a call of it fails and an argument does not fit its annotation, the error is an
+    InvalidInputError that says so, with the first error as its cause.
+
+    Examples
+    --------
+    >>> @checked
+    ... def half(distance: float) -> float:
+    ...     return distance / 2
+    >>> half("far")
+    Traceback (most recent call last):
+    beamfield.errors.InvalidInputError: distance: expected a number, got the text 'far'
+    """
+
+    @wraps(function)
+    def named(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return function(*args, **kwargs)
+        except BeamfieldError:
+            raise
+        except _SYMPTOMS as error:
+            _blame(function, args, kwargs, error)
+            raise
+
+    return cast(F, named)
+
+
+def check_fields(instance: Any) -> None:
+    """Say which field of a dataclass does not fit its annotation.
+
+    Parameters
+    ----------
+    instance
+        The dataclass, in its `__post_init__`.
+
+    Raises
+    ------
+    InvalidInputError
+        If one does not.
+    """
+    hints = _hints(instance.__class__)
+    for item in fields(instance):
+        value = getattr(instance, item.name, item.default)
+        if value is not item.default:
+            _expect(item.name, value, hints[item.name])
+
+
+def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return numbers as float64, or say that they are none.
+
+    Parameters
+    ----------
+    values
+        Of any shape.
+    name
+        How to call them in the error.
+
+    Returns
+    -------
+    The numbers in their shape; no copy of an array of doubles.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are no numbers, or rows of different lengths.
+
+    Examples
+    --------
+    >>> as_floats([1, 2.5], "ranges").tolist()
+    [1.0, 2.5]
+    >>> as_floats([1, None], "ranges")
+    Traceback (most recent call last):
+    beamfield.errors.InvalidInputError: ranges: expected an array of numbers, got the list [1, None]
+    """
+    if isinstance(values, np.ndarray) and values.dtype == np.float64:
+        return values
+    if not _is_array_of_numbers(values):
+        raise InvalidInputError(f"{name}: expected an array of numbers, got {_described(values)}")
+    return np.asarray(values, dtype=np.float64)
+
+
+def as_count(value: Any, name: str, *, least: int, most: int | None = None) -> int:
+    """Return a whole number, or say why it is none that will do.
+
+    Parameters
+    ----------
+    value
+        An integer, of Python's or NumPy's kinds.
+    name
+        How to call it in the error.
+    least, most
+        Bounds; None: there is none.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is no whole number or beyond a bound.
+
+    Examples
+    --------
+    >>> as_count(2.5, "n_beams", least=1)
+    Traceback (most recent call last):
+    beamfield.errors.InvalidInputError: n_beams: expected a whole number, got 2.5
+    """
+    if not isinstance(value, Integral):
+        raise InvalidInputError(f"{name}: expected a whole number, got {_described(value)}")
+    count = int(value)
+    if count < least:
+        raise InvalidInputError(f"{name}: expected at least {least}, got {count}")
+    if most is not None and count > most:
+        raise InvalidInputError(f"{name}: expected at most {most:,}, got {count:,}")
+    return count
+
+
+def check_magnitude(name: str, sigma: float) -> None:
+    """Refuse a standard deviation whose density cannot be computed.
+
+    Parameters
+    ----------
+    name
+        What it is.
+    sigma
+        Metres, radians or another unit.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is not from 1e-12 to 1e9.
+    """
+    if not SMALLEST <= sigma <= LARGEST:
+        raise InvalidInputError(f"{name}: expected a positive number from {SMALLEST:g} to {LARGEST:g}, got {sigma}")
+
+
+def _blame(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], error: Exception) -> None:
+    """Raise if an argument does not fit; do nothing if the call itself is wrong or all arguments fit."""
+    try:
+        given = inspect.signature(function).bind(*args, **kwargs).arguments
+    except TypeError:
+        return
+    hints = _hints(function)
+    for name, value in given.items():
+        if name in hints:
+            try:
+                _expect(name, value, hints[name])
+            except InvalidInputError as named:
+                raise named from error
+
+
+@cache
+def _hints(annotated: Any) -> dict[str, Any]:
+    return get_type_hints(annotated)
+
+
+def _expect(name: str, value: Any, hint: Any) -> None:
+    if not _test_of(hint)(value):
+        raise InvalidInputError(f"{name}: expected {_wanted(hint)}, got {_described(value)}")
+
+
+@cache
+def _test_of(hint: Any) -> Callable[[Any], bool]:
+    """Return the test of whether a value may stand where the annotation is; what it leaves open, it may."""
+    if isinstance(hint, TypeVar):
+        hint = hint.__bound__ or Any
+    origin, inner = get_origin(hint), get_args(hint)
+    if hint == ArrayLike or origin is np.ndarray:
+        return _is_array_of_numbers
+    if origin in (Union, UnionType):
+        tests = [_test_of(one) for one in inner]
+        return lambda value: any(test(value) for test in tests)
+    if origin is Literal:
+        # Which of the values it is, is checked where it is used, and said better there.
+        kinds = tuple({type(one) for one in inner})
+        return lambda value: isinstance(value, kinds)
+    if hint in _SIMPLE:
+        return _SIMPLE[hint][0]
+    if _is_fixed_tuple(hint):
+        tests = [_test_of(one) for one in inner]
+        return lambda value: (
+            _is_row(value)
+            and len(value) == len(tests)
+            and all(test(one) for test, one in zip(tests, value, strict=True))
+        )
+    if origin in (collections.abc.Sequence, list, tuple):
+        return _is_row
+    kind = origin or hint
+    if kind is Any or not isinstance(kind, type):
+        return lambda _: True
+    if getattr(kind, "_is_protocol", False):
+        members = _members(kind)
+        return lambda value: all(hasattr(value, member) for member in members)
+    return lambda value: isinstance(value, kind)
+
+
+def _members(protocol: type) -> set[str]:
+    """Return the names of what a protocol asks for."""
+    own = {name for base in protocol.__mro__ for name in vars(base) if getattr(base, "_is_protocol", False)}
+    return {name for name in own if not name.startswith("_")}
+
+
+def _is_fixed_tuple(hint: Any) -> bool:
+    return get_origin(hint) is tuple and bool(get_args(hint)) and get_args(hint)[-1] is not Ellipsis
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, collections.abc.Sequence | np.ndarray) and not isinstance(value, str | bytes)
+
+
+def _is_scalar_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in _NUMBERS
+
+
+def _is_array_of_numbers(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in _NUMBERS
+    if isinstance(value, collections.abc.Mapping | set | frozenset):
+        return False
+    try:
+        return np.asarray(value).dtype.kind in _NUMBERS
+    except (ValueError, TypeError):
+        return False
+
+
+def _wanted(hint: Any) -> str:
+    """Return an annotation in words."""
+    hint = hint.__bound__ if isinstance(hint, TypeVar) else hint
+    origin, inner = get_origin(hint), get_args(hint)
+    if hint == ArrayLike or origin is np.ndarray:
+        return "an array of numbers"
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(_wanted(one) for one in inner))
+    if origin is Literal:
+        return " or ".join(repr(one) for one in inner)
+    if _is_fixed_tuple(hint):
+        return "(" + ", ".join(_wanted(one) for one in inner) + ")"
+    if origin in (collections.abc.Sequence, list, tuple):
+        return "a sequence"
+    if hint in _SIMPLE:
+        return _SIMPLE[hint][1]
+    if origin is collections.abc.Callable:
+        return "a function"
+    return _with_article(getattr(origin or hint, "__name__", str(hint)))
+
+
+def _described(value: Any) -> str:
+    """Return what was given in a few words."""
+    if value is None or isinstance(value, bool | int | float | complex | np.number | np.bool_):
+        return _short(repr(value) if not isinstance(value, np.generic) else str(value))
+    if isinstance(value, str):
+        return f"the text {_short(repr(value))}"
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype} with shape {value.shape}"
+    if isinstance(value, list | tuple | dict | set):
+        return f"the {type(value).__name__} {_short(repr(value))}"
+    return _with_article(type(value).__name__)
+
+
+# Tests of the simplest annotations, and these in words.
+_SIMPLE: dict[Any, tuple[Callable[[Any], bool], str]] = {
+    float: (lambda value: isinstance(value, float | int | Real) or _is_scalar_array(value), "a number"),
+    int: (lambda value: isinstance(value, int | Integral), "a whole number"),
+    bool: (lambda value: isinstance(value, bool | np.bool_), "True or False"),
+    str: (lambda value: isinstance(value, str), "a text"),
+    type(None): (lambda value: value is None, "None"),
+    None: (lambda value: value is None, "None"),
+}
+
+
+def _with_article(noun: str) -> str:
+    return f"{'an' if noun[:1] in 'AEIOUaeiou' else 'a'} {noun}"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -118,7 +118,7 @@ def test_numbers_are_taken_as_they_are_or_refused():
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0, "at least 1, got 0"), (11, "at most 10, got 11"), (1.0, "a whole number, got 1.0"), (None, "a whole number")],
+    [(0, "1 to 10, got 0"), (11, "1 to 10, got 11"), (1.0, "a whole number, got 1.0"), (None, "a whole number")],
 )
 def test_counts_have_bounds(value, text):
     assert as_count(np.int32(5), "n", least=1, most=10) == 5

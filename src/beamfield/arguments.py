@@ -146,10 +146,9 @@ def as_count(value: Any, name: str, *, least: int, most: int | None = None) -> i
     if not isinstance(value, Integral):
         raise InvalidInputError(f"{name}: expected a whole number, got {_described(value)}")
     count = int(value)
-    if count < least:
-        raise InvalidInputError(f"{name}: expected at least {least}, got {count}")
-    if most is not None and count > most:
-        raise InvalidInputError(f"{name}: expected at most {most:,}, got {count:,}")
+    if count < least or (most is not None and count > most):
+        bounds = f"at least {least}" if most is None else f"{least} to {most}"
+        raise InvalidInputError(f"{name}: expected {bounds}, got {count}")
     return count
 
 
@@ -183,6 +182,7 @@ def _blame(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str
         if name in hints:
             try:
                 _expect(name, value, hints[name])
+                _expect_each(name, value, hints[name])
             except InvalidInputError as named:
                 raise named from error
 
@@ -195,6 +195,13 @@ def _hints(annotated: Any) -> dict[str, Any]:
 def _expect(name: str, value: Any, hint: Any) -> None:
     if not _test_of(hint)(value):
         raise InvalidInputError(f"{name}: expected {_wanted(hint)}, got {_described(value)}")
+
+
+def _expect_each(name: str, values: Any, hint: Any) -> None:
+    """Say which item of a sequence does not fit."""
+    if get_origin(hint) in (collections.abc.Sequence, list) and get_args(hint):
+        for index, value in enumerate(values):
+            _expect(f"{name}[{index}]", value, get_args(hint)[0])
 
 
 @cache

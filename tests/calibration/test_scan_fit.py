@@ -267,5 +267,7 @@ class TestBadInput:
             fit_statistics(model, fresh.ranges, fresh.finder, fresh.poses[:-1])
 
     def test_an_unknown_kind_of_model_is_refused(self, fresh):
-        with pytest.raises(InvalidInputError, match="BeamModel"):
+        with pytest.raises(
+            InvalidInputError, match="model: expected a RangeMixtureModel or a LikelihoodFieldModel, got"
+        ):
             fit_statistics(object(), fresh.ranges, fresh.finder, fresh.poses)  # type: ignore[arg-type]

@@ -166,7 +166,7 @@ def test_a_field_that_does_not_fit_its_map_is_refused(arguments, message):
 
 
 def test_a_margin_that_is_no_length_is_refused():
-    with pytest.raises(InvalidInputError, match="margin: expected a finite number of metres >= 0, got inf"):
+    with pytest.raises(InvalidInputError, match="margin: expected metres >= 0 and at most 65535 cells, got inf"):
         DistanceField.from_grid(grid_of(np.ones((2, 2))), margin=math.inf)
 
 

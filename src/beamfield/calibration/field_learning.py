@@ -35,6 +35,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import SensorLog
+from beamfield.thread_count import check_threads
 
 __all__ = ["FieldLearning", "FieldScore", "learn_field_parameters"]
 
@@ -162,6 +163,7 @@ def learn_field_parameters(
     ----------
     Probabilistic Robotics, 6.4.1: (6.33), (6.34), Table 6.3; 6.3.4 for the exponent.
     """
+    check_threads(threads)
     if n_beams < 1:
         raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
     n_beams = min(n_beams, log.finder.n_beams)

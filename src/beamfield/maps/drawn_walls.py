@@ -14,6 +14,7 @@ from beamfield.maps.hit_counts import N_MOMENTS, N_SECTORS, HitCounts
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
+from beamfield.thread_count import check_threads
 
 # A ray is stopped by the first cell in which more than this share of the scans that reached it ended, the prior
 # included: "most cells are empty", worth three passes and half a hit. Six passes outvote one hit.
@@ -96,6 +97,7 @@ def ranges_to_walls(
     InvalidInputError
         As for `RayCaster.cast`.
     """
+    check_threads(threads)
     grid = _stopping_cells(counts)
     free, stopping = RayCaster(grid), RayCaster(grid, unknown="occupied")
     hits, passes = (ndimage.uniform_filter(n, 3, mode="constant") for n in (counts.hits, counts.passes))

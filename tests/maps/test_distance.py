@@ -232,14 +232,21 @@ def test_the_map_is_left_alone(rng):
         ({"max_distance": math.inf}, "max_distance: .* got inf"),
         ({"margin_cells": -1}, "margin_cells: expected a number >= 0, got -1"),
         (
-            {"margin_cells": 2**25},
-            r"grid: expected at most 67108864 cells a side .* got \(67108865, 67108865\)",
+            {"margin_cells": 2**15},
+            r"grid: expected .* a side and 4294967296 in all with margin, got \(65537, 65537\)",
         ),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, message):
     with pytest.raises(InvalidInputError, match=message):
         distance_to_obstacles(grid_of(np.ones((1, 1))), **options)
+
+
+def test_a_side_whose_squares_would_be_rounded_is_refused(monkeypatch):
+    monkeypatch.setattr("beamfield.maps.distance.MAX_SIDE_CELLS", 20)
+    assert distance_to_obstacles(grid_of(np.ones((1, 20)))).shape == (1, 20)
+    with pytest.raises(InvalidInputError, match=r"expected at most 20 cells a side .* got \(1, 21\)"):
+        distance_to_obstacles(grid_of(np.ones((1, 21))))
 
 
 def test_a_field_extends_past_the_map_by_whole_cells():
@@ -267,7 +274,7 @@ def test_a_field_that_does_not_fit_its_map_is_refused(arguments, message):
 
 
 def test_a_margin_that_is_no_length_is_refused():
-    with pytest.raises(InvalidInputError, match="margin: expected metres >= 0 and at most 65535 cells, got inf"):
+    with pytest.raises(InvalidInputError, match="margin: expected metres >= 0 and at most 67108864 cells, got inf"):
         DistanceField.from_grid(grid_of(np.ones((2, 2))), margin=math.inf)
 
 

@@ -15,6 +15,8 @@ from beamfield.kernels.threads import run_in_slices
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 
 DistanceArray = NDArray[np.float32]
+# 16 GiB, and what tables of a field can count in 32 bits.
+MAX_CELLS = 2**32
 # A second thread is asked for from 2 ms of work on: on a busy machine it takes about as long to come.
 DISTANCES_PER_UNIT_OF_WORK, HEIGHTS_PER_UNIT_OF_WORK = 32, 256
 
@@ -49,8 +51,8 @@ def distance_to_obstacles(
     Raises
     ------
     InvalidInputError
-        If max_distance is not positive and finite, margin_cells is negative, or a side of the result has more than
-        67,108,864 cells.
+        If max_distance is not positive and finite, margin_cells is negative, or the result has more than 67,108,864
+        cells a side or 4,294,967,296 in all.
 
     Notes
     -----
@@ -73,8 +75,10 @@ def distance_to_obstacles(
     if margin_cells < 0:
         raise InvalidInputError(f"margin_cells: expected a number >= 0, got {margin_cells}")
     shape = (grid.shape[0] + 2 * margin_cells, grid.shape[1] + 2 * margin_cells)
-    if max(shape) > MAX_SIDE_CELLS:
-        raise InvalidInputError(f"grid: expected at most {MAX_SIDE_CELLS} cells a side with margin, got {shape}")
+    if max(shape) > MAX_SIDE_CELLS or shape[0] * shape[1] > MAX_CELLS:
+        raise InvalidInputError(
+            f"grid: expected at most {MAX_SIDE_CELLS} cells a side and {MAX_CELLS} in all with margin, got {shape}"
+        )
     obstacles = _boundaries(grid.occupied) if only_boundaries else grid.occupied
     with np.errstate(over="ignore"):
         limit = np.float32(np.inf if max_distance is None else max_distance)

@@ -3,14 +3,13 @@
 Run: python examples/ceiling_marker.py [IMAGES.bag POSES.bag]
 
 Two bags of the ROS package fiducials, one with CameraInfo and images, one with the poses that its detector found in
-them, show the same on real images: corners are found anew, and answer (a) is compared with those poses.
+them, show the same on real images: corners are found anew by OpenCV, and answer (a) is compared with those poses.
 """
 
 from __future__ import annotations
 
 import sys
 
-import cv2
 import numpy as np
 
 from beamfield.io.fiducial_detections import read_camera, read_camera_images, read_fiducials
@@ -54,6 +53,9 @@ def simulate() -> None:
 
 def look_at_bags(images: str, poses: str) -> None:
     """Find markers in the images of a bag and say where they are, beside what another detector said."""
+    # Only for images, and no dependency of beamfield: pip install opencv-python-headless
+    import cv2
+
     intrinsics = read_camera(images)
     others = {detections.stamp: detections for detections in read_fiducials(poses)}
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))

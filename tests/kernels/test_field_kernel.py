@@ -15,29 +15,19 @@ NO_RAND = VIEW._replace(rand=0.0, log_rand=-math.inf)
 FRAME = field.FrameView(1.3, -0.7, math.cos(0.4), math.sin(0.4), 0.4, 20.0, 3.0)
 
 
-def test_a_distance_off_by_its_last_digit_becomes_the_right_number_of_metres():
-    """sqrt(58) cells, and what a library may return for it."""
-    right = np.float32(math.sqrt(58.0))
-    near = np.array([[np.nextafter(right, np.float32(0)), right, np.nextafter(right, np.float32(9))]], np.float32)
-    field.to_metres(near, 0.05, math.inf)
-    assert (near == np.float32(math.sqrt(58.0) * 0.05)).all()
+def test_a_distance_in_single_precision_tells_its_whole_square():
+    """Even if its last digit is off."""
     squares = np.arange(1020**2, 1023**2)
     for direction in (0.0, 1e9):
-        shifted = np.nextafter(np.sqrt(squares).astype(np.float32), np.float32(direction))[None]
-        field.to_metres(shifted, 1.0, math.inf)
-        assert (shifted == np.sqrt(squares).astype(np.float32)).all()
+        shifted = np.nextafter(np.sqrt(squares).astype(np.float32), np.float32(direction))
+        assert [field.exact_distance(float(d)) for d in shifted] == np.sqrt(squares).tolist()
 
 
 def test_a_distance_that_is_not_between_cells_stays():
     assert field.exact_distance(1.5) == 1.5
     assert field.exact_distance(float(np.float32(math.sqrt(58.0)))) == math.sqrt(58.0)
     assert field.exact_distance(math.inf) == math.inf
-
-
-def test_distances_too_large_for_that_and_infinite_ones_are_only_scaled():
-    far = np.array([[2000.25, math.inf, 3.0]], np.float32)
-    field.to_metres(far, 0.5, 1e9)
-    assert far.tolist() == [[1000.125, 1e9, 1.5]]
+    assert field.exact_distance(2000.25) == 2000.25
 
 
 @pytest.mark.parametrize("distance", [0.0, 0.01, 0.2, 1.0, 3.0, 50.0, math.inf])

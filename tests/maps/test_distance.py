@@ -53,17 +53,115 @@ def test_another_obstacle_never_makes_anything_further(occupied, data):
     assert (distance_to_obstacles(grid_of(more)) <= distance_to_obstacles(grid_of(occupied))).all()
 
 
-def test_agrees_with_scipy_on_a_large_map(rng):
-    occupied = rng.random((700, 900)) < 0.0005
-    expected = ndimage.distance_transform_edt(~occupied) * 0.05
-    assert (distance_to_obstacles(grid_of(occupied)) == expected.astype(np.float32)).all()
+@settings(max_examples=100, deadline=None)
+@given(MAPS, st.integers(0, 3), st.booleans(), st.floats(0.01, 1.0))
+def test_every_option_leaves_the_other_distances_exact(occupied, margin, only_boundaries, max_distance):
+    """Squares by brute force in whole numbers."""
+    counted = np.zeros_like(occupied)
+    for row, col in np.argwhere(occupied):
+        beside = [(row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1)]
+        on_map = [cell for cell in beside if 0 <= cell[0] < occupied.shape[0] and 0 <= cell[1] < occupied.shape[1]]
+        counted[row, col] = not only_boundaries or not all(occupied[cell] for cell in on_map)
+    distance = distance_to_obstacles(
+        grid_of(occupied), max_distance=max_distance, only_boundaries=only_boundaries, margin_cells=margin
+    )
+    for (row, col), value in np.ndenumerate(distance):
+        squares = [(row - margin - r) ** 2 + (col - margin - c) ** 2 for r, c in np.argwhere(counted).tolist()]
+        expected = math.sqrt(min(squares)) * 0.05 if squares else math.inf
+        assert value == min(np.float32(expected), np.float32(max_distance))
 
 
-def test_distances_of_ten_thousand_cells_keep_single_precision():
-    occupied = np.zeros((3, 12_000), np.bool_)
-    occupied[0, 0] = True
-    expected = np.hypot(*np.mgrid[:3, :12_000])
-    np.testing.assert_allclose(distance_to_obstacles(grid_of(occupied, 1.0)), expected, rtol=2**-22)
+def walls(shape, *, every):
+    occupied = np.zeros(shape, np.bool_)
+    occupied[:: every[0]] = occupied[:, :: every[1]] = True
+    return occupied
+
+
+def large_map(kind, rng):
+    """Maps with distances on both sides of 180 cells, up to which columns are tried, and beside each other."""
+    shape = (600, 1000)
+    occupied = np.zeros(shape, np.bool_)
+    match kind:
+        case "rooms":
+            return walls(shape, every=(97, 140))
+        case "halls":
+            return walls(shape, every=(450, 620))
+        case "clutter beside a hall":
+            occupied[:, :400] = rng.random((600, 400)) < 0.1
+        case "clutter below a hall":
+            occupied[:200] = rng.random((200, 1000)) < 0.3
+        case "sparse":
+            occupied = rng.random(shape) < 2e-5
+        case "half":
+            occupied = rng.random(shape) < 0.5
+        case "one obstacle":
+            occupied[421, 77] = True
+        case "one free cell":
+            occupied[:] = True
+            occupied[300, 500] = False
+        case "empty room":
+            occupied = walls(shape, every=(599, 999))
+    return occupied
+
+
+KINDS = [
+    "rooms",
+    "halls",
+    "clutter beside a hall",
+    "clutter below a hall",
+    "sparse",
+    "half",
+    "one obstacle",
+    "one free cell",
+    "empty room",
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_agrees_with_scipy_in_every_cell_of_a_large_map(kind, rng):
+    occupied = large_map(kind, rng)
+    expected = (ndimage.distance_transform_edt(~occupied) * 0.05).astype(np.float32)
+    assert np.array_equal(distance_to_obstacles(grid_of(occupied)), expected)
+    for cells in (1.0, 30.5, 178.0, 179.0, 180.0, 181.0, 400.0):
+        cut = distance_to_obstacles(grid_of(occupied), max_distance=cells * 0.05)
+        assert np.array_equal(cut, np.minimum(expected, np.float32(cells * 0.05)))
+
+
+@pytest.mark.parametrize("shape", [(1, 200_000), (200_000, 1), (3, 200_000), (200_000, 3)])
+def test_sides_of_many_cells_stay_exact(shape):
+    occupied = np.zeros(shape, np.bool_)
+    occupied[-1, -1] = True
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    squares = (rows - shape[0] + 1) ** 2 + (cols - shape[1] + 1) ** 2
+    assert np.array_equal(distance_to_obstacles(grid_of(occupied, 0.05)), (np.sqrt(squares) * 0.05).astype(np.float32))
+
+
+@pytest.mark.parametrize("parts", [2, 3, 7])
+def test_any_number_of_slices_gives_the_same_bits(parts, rng, monkeypatch):
+    occupied = large_map("clutter beside a hall", rng)
+    expected = distance_to_obstacles(grid_of(occupied))
+    works = []
+
+    def in_parts(work, n_rows, *, work_per_row):
+        works.append(work_per_row)
+        for i in reversed(range(parts)):
+            work(n_rows * i // parts, n_rows * (i + 1) // parts)
+
+    monkeypatch.setattr("beamfield.maps.distance.run_in_slices", in_parts)
+    assert np.array_equal(distance_to_obstacles(grid_of(occupied)), expected)
+    assert len(works) == 2
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_the_order_of_the_cells_in_memory_changes_nothing(order, rng):
+    occupied = rng.random((60, 90)) < 0.02
+    probability = np.zeros((120, 180), np.float32, order=order)
+    probability[::2, ::2] = occupied
+    grid = OccupancyGrid(probability[::2, ::2], 0.05)
+    for options in ({}, {"margin_cells": 3}, {"only_boundaries": True}, {"only_boundaries": True, "margin_cells": 3}):
+        distance = distance_to_obstacles(grid, **options)
+        assert np.array_equal(distance, distance_to_obstacles(grid_of(occupied), **options))
+        assert distance.flags.c_contiguous
 
 
 def test_obstacles_on_the_border_and_in_the_corners_count():
@@ -133,12 +231,22 @@ def test_the_map_is_left_alone(rng):
         ({"max_distance": math.nan}, "max_distance: .* got nan"),
         ({"max_distance": math.inf}, "max_distance: .* got inf"),
         ({"margin_cells": -1}, "margin_cells: expected a number >= 0, got -1"),
-        ({"margin_cells": 40_000}, r"grid: expected at most 65535 cells a side with margin, got \(80001, 80001\)"),
+        (
+            {"margin_cells": 2**15},
+            r"grid: expected .* a side and 4294967296 in all with margin, got \(65537, 65537\)",
+        ),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, message):
     with pytest.raises(InvalidInputError, match=message):
         distance_to_obstacles(grid_of(np.ones((1, 1))), **options)
+
+
+def test_a_side_whose_squares_would_be_rounded_is_refused(monkeypatch):
+    monkeypatch.setattr("beamfield.maps.distance.MAX_SIDE_CELLS", 20)
+    assert distance_to_obstacles(grid_of(np.ones((1, 20)))).shape == (1, 20)
+    with pytest.raises(InvalidInputError, match=r"expected at most 20 cells a side .* got \(1, 21\)"):
+        distance_to_obstacles(grid_of(np.ones((1, 21))))
 
 
 def test_a_field_extends_past_the_map_by_whole_cells():
@@ -166,7 +274,7 @@ def test_a_field_that_does_not_fit_its_map_is_refused(arguments, message):
 
 
 def test_a_margin_that_is_no_length_is_refused():
-    with pytest.raises(InvalidInputError, match="margin: expected metres >= 0 and at most 65535 cells, got inf"):
+    with pytest.raises(InvalidInputError, match="margin: expected metres >= 0 and at most 67108864 cells, got inf"):
         DistanceField.from_grid(grid_of(np.ones((2, 2))), margin=math.inf)
 
 

@@ -90,17 +90,6 @@ def exact_distance(cells: float) -> float:
     return math.sqrt(whole) if cells < WHOLE_SQUARES and abs(square - whole) <= 4e-7 * square else cells
 
 
-@kernel
-def to_metres(distance: Singles, resolution: float, limit: float) -> None:
-    """Turn distances (rows, cols) between cells' centres from cells into metres, at most `limit`, in place.
-
-    Equal distances become equal numbers, whichever way they were computed.
-    """
-    for i in range(distance.shape[0]):
-        for j in range(distance.shape[1]):
-            distance[i, j] = np.float32(min(exact_distance(np.float64(distance[i, j])) * resolution, limit))
-
-
 # --- one beam ---------------------------------------------------------------------------------------------------------
 
 

@@ -18,8 +18,8 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from beamfield.calibration.bootstrap import bootstrap_intervals
 
+from beamfield.calibration.block_intervals import block_intervals
 from beamfield.calibration.climb import climb
 from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, parameters_of, theta_of
 from beamfield.calibration.learning_problem import learning_problem
@@ -104,7 +104,7 @@ def one_log(duration: float, truth: BeamParameters, kind: str, rng: np.random.Ge
     likelihood = IntrinsicLikelihood(*beams, MAX_RANGE, threads=1)
     end = climb(likelihood, learning_problem(MAX_RANGE), theta_of(truth), tolerance=1e-10, max_iterations=200,
                 em_steps_first=2)  # fmt: skip
-    result = bootstrap_intervals(*beams, stamps[fitted], MAX_RANGE, parameters_of(end.theta), block_s=None, threads=1)
+    result = block_intervals(*beams, stamps[fitted], MAX_RANGE, parameters_of(end.theta), threads=1)
     return {name: np.array(result.intervals[name]) for name in NAMES}
 
 

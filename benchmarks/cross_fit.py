@@ -32,7 +32,7 @@ from beamfield.simulation.log import simulate_log
 NAMES = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
 DEGREES = np.radians(np.arange(-90.0, 90.5))
 PEOPLE = Dependence(angle=0.1, time=1.0)
-OPTIONS = CalibrationOptions(n_bootstrap=100, refine=False)
+OPTIONS = CalibrationOptions(refine=False)
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ def place(
     if parameters is None:
         poses = np.full((len(log), 3), np.nan)
         poses[np.setdiff1d(scans, judged)] = log.poses[np.setdiff1d(scans, judged)]
-        parameters = calibrate(log.with_poses(poses), grid, CalibrationOptions(n_bootstrap=20, refine=False)).parameters
+        parameters = calibrate(log.with_poses(poses), grid, CalibrationOptions(refine=False)).parameters
     lattice = PoseLattice.over_map(grid, resolution=RESOLUTION, headings=HEADINGS)
     return Place(
         name, log, grid, parameters, map_features(grid), thinned(lattice, log.poses[chosen]), learned_from, judged

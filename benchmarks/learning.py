@@ -1,4 +1,4 @@
-"""Time learning: passes over beams, the whole fit, the bootstrap, and the peak memory of a fresh process.
+"""Time learning: passes over beams, the whole fit, the intervals, and the peak memory of a fresh process.
 
 Run: python benchmarks/learning.py [largest number of beams]
 """
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.calibration.bootstrap import bootstrap_intervals
+from beamfield.calibration.block_intervals import block_intervals
 from beamfield.calibration.em import learn_intrinsic_parameters
 from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, theta_of
 from beamfield.calibration.learning_problem import learning_problem
@@ -60,7 +60,7 @@ def measure(n: int, form: str) -> dict[str, Any]:
     fit_all = time.perf_counter() - start
     stamps = np.linspace(0.0, 1800.0, n)
     start = time.perf_counter()
-    bootstrap_intervals(z, expected, stamps, MAX_RANGE, result.parameters, **options)
+    block_intervals(z, expected, stamps, MAX_RANGE, result.parameters, **options)
     return {
         "beams": n,
         "form": form,
@@ -70,7 +70,7 @@ def measure(n: int, form: str) -> dict[str, Any]:
         "iterations": result.iterations,
         "fit_s": fit,
         "fit_all_s": fit_all,
-        "bootstrap_s": time.perf_counter() - start,
+        "intervals_s": time.perf_counter() - start,
         "input_mib": 2 * z.nbytes / 2**20,
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }
@@ -102,18 +102,18 @@ def timed(call: Callable[[], object]) -> float:
 
 def main(sizes: tuple[int, ...] = SIZES) -> None:
     print(
-        "EM and Newton: median ns per beam and iteration, one thread, M-step included. Bootstrap: 200 replicates, all\n"
+        "EM and Newton: median ns per beam and iteration, one thread, M-step included. Intervals: all\n"
         "processors. Peak memory: of the whole process, Python, Numba and the input included.\n"
     )
     print(
         "| beams | model | EM, ns | of it M-step | Newton, ns | iterations on all | fit, 1 thread | fit, all threads "
-        "| bootstrap | input | peak memory |"
+        "| intervals | input | peak memory |"
     )
     print("|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for r in run(sizes):
         print(
             f"| {r['beams']:,} | {r['form']} | {r['em_ns']:.1f} | {r['m_ns']:.1f} | {r['newton_ns']:.1f} "
-            f"| {r['iterations']} | {r['fit_s']:.2f} s | {r['fit_all_s']:.2f} s | {r['bootstrap_s']:.1f} s "
+            f"| {r['iterations']} | {r['fit_s']:.2f} s | {r['fit_all_s']:.2f} s | {r['intervals_s']:.2f} s "
             f"| {r['input_mib']:.0f} MiB | {r['peak_mib']:.0f} MiB |"
         )
 

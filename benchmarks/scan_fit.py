@@ -41,7 +41,7 @@ FINDER = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 91), 12.0,
 # Wrong readings come in bursts, and the reference poses are some centimetres and a degree off.
 DEPENDENCE = Dependence(angle=np.radians(6.0), time=1.0)
 POSE_NOISE = np.array([0.04, 0.04, 0.015])
-OPTIONS = CalibrationOptions(n_bootstrap=20, refine=False)
+OPTIONS = CalibrationOptions(refine=False)
 STATISTICS = ("mean likelihood", "mean log-likelihood", "surprise", "misfit")
 # A scan is in a changed map if so many of its beams should now be so much longer or shorter.
 SEEN_SHARE, SEEN_M = 0.1, 0.3

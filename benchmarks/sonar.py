@@ -107,7 +107,7 @@ def simulated_rings() -> list[dict[str, Any]]:
     rows = []
     for n_sensors in (8, 16, 24):
         log = drawn_log(grid, ring(n_sensors), 400, seed=n_sensors)
-        options = CalibrationOptions(n_bootstrap=200, refine=False)
+        options = CalibrationOptions(refine=False)
         result = calibrate(log, grid, options)
         row: dict[str, Any] = {"sensors": n_sensors, "readings fitted": result.n_fit}
         for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):

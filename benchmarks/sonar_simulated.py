@@ -83,7 +83,7 @@ def as_beams(log: SensorLog) -> SensorLog:
 def fit(grid: Any, log: SensorLog) -> dict[str, str]:
     """Calibrate, and return the parameters and the time."""
     start = time.perf_counter()
-    result = calibrate(log, grid, CalibrationOptions(n_bootstrap=20, refine=False))
+    result = calibrate(log, grid, CalibrationOptions(refine=False))
     seconds = time.perf_counter() - start
     p = result.parameters
     values = {name: f"{getattr(p, name):.3f}" for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit")}

@@ -59,7 +59,7 @@ def rows(folder: Path, name: str, stacks: Iterable[str]) -> list[dict[str, Any]]
     error = REFERENCE_ERROR.get(name, 0.04)
     options = WindowOptions(reference_error=error, reference_turn_error=error / 4.0)
     _, log, grid = logs[0]
-    learned = calibrate(log, grid, CalibrationOptions(n_bootstrap=20, refine=False))
+    learned = calibrate(log, grid, CalibrationOptions(refine=False))
     chapter = next(form.result.parameters for form in learned.candidates if form.name == "chapter")
     table = []
     for stack in stacks:

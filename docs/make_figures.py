@@ -42,7 +42,7 @@ def main() -> None:
         beamfield(["demo", "--out", folder, "--quiet"])
         world = Path(folder) / "world"
         log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
-    result = calibrate(log, grid, CalibrationOptions(n_bootstrap=20, refine=False))
+    result = calibrate(log, grid, CalibrationOptions(refine=False))
     (HERE / "images").mkdir(exist_ok=True)
     figure = readme_picture(result, grid, log)
     figure.savefig(HERE / "images" / "demo.svg", metadata={"Date": None}, bbox_inches="tight")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
-from beamfield.calibration.bootstrap import IntervalResult
+from beamfield.calibration.block_intervals import IntervalResult
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps, cross_fit_table
 from beamfield.calibration.cross_fit_result import (
@@ -24,7 +24,7 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.log import simulate_log
 
 TRUTH = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
-NONE = IntervalResult({}, {}, np.empty((0, 8)), 0.95, 12, ())
+NONE = IntervalResult({}, {}, 0.95, 12, ())
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_a_cell_seen_once_by_the_other_half_is_seen():
 
 def test_the_truth_lies_in_the_intervals_without_a_map(office, drive, truth):
     log = simulate_log(office, drive.finder, truth, duration=120.0, scan_rate=4.0, seed=6).only_sensor()
-    result = calibrate(log, build_cross_fit_maps(log), CalibrationOptions(n_bootstrap=40, refine=False))
+    result = calibrate(log, build_cross_fit_maps(log), CalibrationOptions(refine=False))
     for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
         low, high = result.intervals.intervals[name]
         assert low <= getattr(truth, name) <= high, name
@@ -132,7 +132,7 @@ def test_weights_are_averaged_over_walls_and_clutter(rng):
     ends = {name: (value - 0.01, value + 0.01) for name, value in vars(TRUTH).items() if name.startswith("z_")}
     rate = {"lambda_short": (0.79, 0.81)}  # clutter's is near 0.6
     walls = replace(NONE, intervals={**ends, **rate}, standard_errors=dict.fromkeys(ends, 0.005))
-    fit, intervals = with_clutter(TRUTH, walls, 12_000, clutter, CalibrationOptions(n_bootstrap=40))
+    fit, intervals = with_clutter(TRUTH, walls, 12_000, clutter, CalibrationOptions())
     for name, (low, high) in ends.items():
         average = (2.0 * getattr(TRUTH, name) + getattr(there, name)) / 3.0
         assert getattr(fit, name) == pytest.approx(average, abs=0.01)
@@ -141,7 +141,7 @@ def test_weights_are_averaged_over_walls_and_clutter(rng):
     assert (fit.sigma_hit, fit.lambda_short) == (TRUTH.sigma_hit, TRUTH.lambda_short)
     assert intervals.intervals["lambda_short"] == (pytest.approx(there.lambda_short, abs=0.15), 0.81)
     assert sum(fit.weights) == pytest.approx(1.0, abs=1e-12)
-    few = with_clutter(TRUTH, walls, 12_000, clutter.select(np.arange(400)), CalibrationOptions(n_bootstrap=40))
+    few = with_clutter(TRUTH, walls, 12_000, clutter.select(np.arange(400)), CalibrationOptions())
     assert few == (TRUTH, walls)
 
 
@@ -176,7 +176,7 @@ def test_much_uncertainty_is_a_warning(maps, drive):
 def test_too_few_walls_do_not_raise_the_question_of_the_map(drive):
     few = drive.select(np.arange(40))
     with pytest.raises(TooLittleDataError, match="has not drawn exactly; give a map") as error:
-        calibrate(few, build_cross_fit_maps(few), CalibrationOptions(n_bootstrap=40, refine=False))
+        calibrate(few, build_cross_fit_maps(few), CalibrationOptions(refine=False))
     assert "is it the map of this place" not in str(error.value)
 
 

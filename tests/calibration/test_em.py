@@ -280,6 +280,29 @@ def test_progress_is_reported_and_input_left_alone():
     assert np.array_equal(expected, before[1])
 
 
+@pytest.mark.parametrize("n", [2_000, 60_000], ids=["starts tried on all beams", "starts tried on a sample"])
+def test_the_trace_holds_every_iteration_on_all_beams(n):
+    z, expected, max_range, _, _ = draw("indoor", n)
+    seen: list[tuple[str, int]] = []
+    result = learn_intrinsic_parameters(
+        z, expected, max_range, n_starts=1, progress=lambda stage, count: seen.append((stage, count))
+    )
+    assert len(result.trace) == 1 + result.iterations == 1 + result.em_steps + result.newton_steps
+    assert_never_falls(result.trace)
+    assert result.trace[-1] == pytest.approx(result.log_likelihood, rel=1e-12)
+    if n < 40_000:
+        assert result.em_steps >= 5
+        start = result.trace[0]
+        assert start < result.log_likelihood - 1e-3
+
+
+def test_iterations_spent_on_finding_a_start_count():
+    z, expected, max_range, _, _ = draw("cut at the top", 3_000)
+    result = learn_intrinsic_parameters(z, expected, max_range, accelerate=False, max_iterations=30)
+    assert result.iterations == 30
+    assert not result.converged
+
+
 def test_stopping_early_is_a_finding():
     z, expected, max_range, _, _ = draw("cut at the top", 30_000)
     result = learn_intrinsic_parameters(z, expected, max_range, accelerate=False, max_iterations=1)

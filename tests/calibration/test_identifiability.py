@@ -37,6 +37,23 @@ def test_no_shorts():
     assert {"no-shorts", "lambda-undetermined"} <= {finding.name for finding in result.findings}
 
 
+@pytest.mark.parametrize(("share", "is_named"), [(0.0, False), (0.0004, False), (0.002, True), (0.02, True)])
+@pytest.mark.parametrize("min_range", [0.0, 0.2])
+def test_readings_at_the_near_limit_are_named_before_they_spoil_the_rate(share, is_named, min_range):
+    rng = np.random.default_rng(6)
+    expected = rng.uniform(1.0, 7.0, 20_000)
+    truth = BeamParameters(0.75, 0.1, 0.05, 0.1, 0.05, 0.5)
+    z = sample_beams(expected, MAX_RANGE, truth, rng, min_range=min_range)
+    z[: round(share * z.size)] = min_range
+    result = learn_intrinsic_parameters(z, expected, MAX_RANGE, min_range=min_range)
+    found = [finding for finding in result.findings if finding.name == "readings-at-near-limit"]
+    assert len(found) == is_named
+    if share == 0.02:
+        assert result.parameters.lambda_short > 0.8
+        assert f"2 % of the readings are exactly {min_range:g} m" in found[0].text
+        assert found[0].severity == "warning"
+
+
 def test_no_max_readings():
     assert names(BeamParameters(0.75, 0.15, 0.0, 0.1, 0.05, 0.8)) == {"no-max-readings"}
 

@@ -220,6 +220,14 @@ class TestReference:
             scan_fit(BeamModel(office, PARAMETERS[0].__class__(0.8, 0.1, 0.03, 0.07, 0.05, 0.7)), fresh.scan(0),
                      fresh.poses[0], reference)  # fmt: skip
 
+    def test_six_digits_of_the_model_are_enough(self, office, reference, truth, fresh):
+        def with_noise(factor):
+            return BeamModel(office, replace(truth, sigma_hit=factor * truth.sigma_hit))
+
+        reference.require_model(with_noise(1.0 + 4e-6), fresh.finder.max_range)
+        with pytest.raises(InvalidInputError, match="another model: sigma_hit"):
+            reference.require_model(with_noise(1.0 + 1e-4), fresh.finder.max_range)
+
     def test_too_few_good_scans_are_too_little_data(self, model, drive):
         with pytest.raises(TooLittleDataError, match="need 20"):
             calibrate_scan_fit(model, drive.select(np.arange(0, 300, 20)))

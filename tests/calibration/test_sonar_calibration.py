@@ -18,7 +18,7 @@ from beamfield.sensors import RangeFinder, SensorLog
 
 TRUTH = BeamParameters(z_hit=0.7, z_short=0.1, z_max=0.12, z_rand=0.08, sigma_hit=0.06, lambda_short=0.6)
 LEARNED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
-OPTIONS = CalibrationOptions(n_bootstrap=40, refine=False)
+OPTIONS = CalibrationOptions(refine=False)
 
 
 def room() -> OccupancyGrid:

@@ -47,7 +47,7 @@ def short_work(monkeypatch: pytest.MonkeyPatch) -> None:
 def calibrate(world: Path, out: Path, *more: str) -> int:
     return main([
         "calibrate", str(next(world.glob("log.*"))), "--map", str(world / "map.yaml"), "--out", str(out), "--quiet",
-        "--bootstrap", "20", "--no-refine", *more,
+        "--no-refine", *more,
     ])  # fmt: skip
 
 

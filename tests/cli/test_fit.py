@@ -103,7 +103,12 @@ def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, cap
 def test_what_was_learned_can_be_used_again(world, result, tmp_path):
     words = ("--params", str(result / "beam_model.yaml"), "--reference", str(result / "scan_fit_reference.json"))
     assert fit(world, tmp_path / "out", *words, "--poses", str(world / "kidnapped.tum")) == 0
-    assert (tmp_path / "out" / "fit.csv").read_text() == (result / "fit.csv").read_text()
+    again, first = (
+        np.genfromtxt(path / "fit.csv", delimiter=",", skip_header=1) for path in (tmp_path / "out", result)
+    )
+    # The model's file has six digits; a p-value is a rank among some 200 scans.
+    np.testing.assert_allclose(again, first, rtol=1e-3, atol=1e-2)
+    assert np.nanmean(np.abs(again - first)) < 1e-4
 
 
 def test_a_sensor_of_another_reach_is_refused(world, result, tmp_path, capsys):

@@ -52,7 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def calibrate(folder: Path, out: Path, *more: str) -> dict:
-    options = ("--map", str(folder / "map.yaml"), "--out", str(out), "--quiet", "--bootstrap", "20", "--no-refine")
+    options = ("--map", str(folder / "map.yaml"), "--out", str(out), "--quiet", "--no-refine")
     assert main(["calibrate", str(folder), *options, *more]) == 0
     return json.loads((out / "calibration.json").read_text())
 

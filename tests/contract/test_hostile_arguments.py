@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from beamfield import geometry
-from beamfield.calibration.bootstrap import bootstrap_intervals
+from beamfield.calibration.block_intervals import block_intervals
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.em import learn_intrinsic_parameters
 from beamfield.calibration.priors import IntrinsicPriors
@@ -266,7 +266,7 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
         },
     ),
     (
-        bootstrap_intervals,
+        block_intervals,
         {
             "ranges": np.linspace(0.1, 4.9, 40),
             "expected_ranges": np.linspace(1.0, 4.0, 40),
@@ -274,9 +274,7 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
             "max_range": 5.0,
             "parameters": BEAM,
             "block_s": 5.0,
-            "n_replicates": 2,
             "level": 0.9,
-            "seed": 1,
         },
     ),
     (IntrinsicPriors, {}),

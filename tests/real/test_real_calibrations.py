@@ -16,7 +16,7 @@ from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.sensors import SensorLog
 
 pytestmark = pytest.mark.real
-OPTIONS = CalibrationOptions(n_bootstrap=40)
+OPTIONS = CalibrationOptions()
 
 
 def sensor_log(folder: Path, log: str, poses: str | None = None) -> SensorLog:

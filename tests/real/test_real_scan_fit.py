@@ -21,7 +21,7 @@ from beamfield.models.beam import BeamModel
 from beamfield.sensors import SensorLog
 
 pytestmark = pytest.mark.real
-OPTIONS = CalibrationOptions(n_bootstrap=20, refine=False)
+OPTIONS = CalibrationOptions(refine=False)
 MAX_RANGE = 81.83
 
 

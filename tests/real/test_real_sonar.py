@@ -49,7 +49,7 @@ def test_the_drones_rangers_are_as_wide_as_their_data_sheet_says(data: Path, nam
 
 
 def test_the_main_job_calibrates_the_corridors_sonars_without_a_map(corridor: SensorLog):
-    result = calibrate(corridor, build_cross_fit_maps(corridor), CalibrationOptions(n_bootstrap=40, refine=False))
+    result = calibrate(corridor, build_cross_fit_maps(corridor), CalibrationOptions(refine=False))
     assert result.converged
     assert {"cones", "cross-fitted-map"} <= {finding.name for finding in result.findings}
     assert all(score.behind_fit > 2.0 * score.behind_fit_se > 0.0 for score in result.scores[1:])
@@ -65,7 +65,7 @@ def test_the_main_job_calibrates_the_corridors_sonars_without_a_map(corridor: Se
 
 def test_the_main_job_calibrates_the_drones_rangers_without_a_map(data: Path):
     log = crazyflie(data / "crazyflie_multiranger" / "olsson-3loop.bag")
-    result = calibrate(log, build_cross_fit_maps(log), CalibrationOptions(n_bootstrap=40, refine=False))
+    result = calibrate(log, build_cross_fit_maps(log), CalibrationOptions(refine=False))
     # Drifting odometry makes the noise about as large as the defaults have it; they are behind all the same.
     assert all(score.behind_fit > score.behind_fit_se > 0.0 for score in result.scores[1:])
     uniform = next(score for score in result.scores if score.name == "uniform")
@@ -76,7 +76,7 @@ def test_the_main_job_calibrates_the_drones_rangers_without_a_map(data: Path):
 
 def test_a_ring_without_poses_is_calibrated_on_its_odometry(data: Path, tmp_path: Path, capsys) -> None:
     bag = str(data / "crazyflie_multiranger" / "rice.bag")
-    common = ["--quiet", "--out", str(tmp_path / "out"), "--bootstrap", "20", "--no-refine"]
+    common = ["--quiet", "--out", str(tmp_path / "out"), "--no-refine"]
     assert main(["calibrate", bag, *common]) == 1
     assert "give --poses, or --odometry" in capsys.readouterr().err
     assert main(["calibrate", bag, "--odometry", "--map", "map.yaml", *common]) == 1

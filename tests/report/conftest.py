@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.bootstrap import IntervalResult
+from beamfield.calibration.block_intervals import IntervalResult
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions
 from beamfield.calibration.em import LearningResult
 from beamfield.calibration.evaluation import (
@@ -180,7 +180,6 @@ def _intervals(truth: BeamParameters) -> IntervalResult:
     return IntervalResult(
         intervals={name: (0.96 * getattr(truth, name), 1.05 * getattr(truth, name)) for name in names},
         standard_errors={name: 0.02 * getattr(truth, name) for name in names},
-        replicates=np.zeros((20, 8)),
         level=0.95,
         n_blocks=9,
         findings=(),

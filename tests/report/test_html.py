@@ -166,8 +166,8 @@ def test_warnings_come_before_the_parameters_and_the_rest_is_folded(text):
 
 
 def test_dropped_scans_and_beams_are_counted(page):
-    assert "scans in the log120used117dropped: standing still3" in page.text.replace(" used ", "used")
-    assert "left out: no measurement (NaN, too close)5" in page.text
+    assert "scans in the log120100.0%used11797.5%dropped: standing still32.5%" in page.text.replace(" used ", "used")
+    assert "left out: no measurement (NaN)50.1%left out: nearer than min_range = 0 m00.0%" in page.text
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions
 from beamfield.report.parameter_rows import decimals_for, parameter_rows
-from beamfield.report.text_table import form_line, parameter_table, plus_minus, score_table
+from beamfield.report.text_table import form_line, parameter_table, plus_minus, readings_line, score_table
 
 
 def cells(table: str) -> dict[str, str]:
@@ -22,6 +22,49 @@ def test_each_parameter_stands_with_its_value_interval_and_unit(case):
     assert lines["sigma_hit"].split()[1:5] == ["0.0500", "[0.0480,", "0.0525]", "m"]
     assert lines["lambda_short"].split()[1:5] == ["0.300", "[0.288,", "0.315]", "1/m"]
     assert lines["z_hit"].split()[1:5] == ["0.800", "[0.768,", "0.840]", "-"]
+
+
+def with_interval(case, name: str, value: float, interval: tuple[float, float]):
+    intervals = {**case.calibration.intervals.intervals, name: interval}
+    return replace(
+        case.calibration,
+        parameters=replace(case.calibration.parameters, **{name: value}),
+        intervals=replace(case.calibration.intervals, intervals=intervals),
+    )
+
+
+def row(calibration, name: str):
+    return next(row for row in parameter_rows(calibration) if row.name == name)
+
+
+def test_a_rate_of_zero_says_that_it_means_uniform(case):
+    found = row(with_interval(case, "lambda_short", 0.0, (0.0, 0.12)), "lambda_short")
+    assert (found.value, found.interval_text) == ("0 (uniform)", "[0.000, 0.120]")
+
+
+def test_a_rate_that_is_not_determined_has_no_value(case):
+    found = row(with_interval(case, "lambda_short", 0.0, (0.0, np.inf)), "lambda_short")
+    assert (found.value, found.interval_text) == ("-", "not determined")
+
+
+def test_the_floor_of_the_search_is_not_printed_as_noise(case):
+    """The room's sensor reaches 10 m: its floor is 0.0001 m."""
+    found = row(with_interval(case, "sigma_hit", 1e-4, (0.0, 0.0042)), "sigma_hit")
+    assert (found.value, found.interval_text) == ("below 0.0042", "[0.0000, 0.0042]")
+    found = row(with_interval(case, "sigma_hit", 0.002, (0.0, 0.0042)), "sigma_hit")
+    assert found.value == "0.0020"
+
+
+def test_noise_that_grows_is_spelt_out_at_some_ranges(case):
+    found = row(with_interval(case, "sigma_slope", 0.01, (0.008, 0.012)), "sigma_slope")
+    assert found.meaning.endswith("0.051, 0.058, 0.112 m at 1, 3, 10 m")
+
+
+def test_readings_are_accounted_for(case):
+    table = replace(case.calibration.table, n_no_measurement=3000, n_too_close=1000, n_unknown=360, min_range=0.15)
+    line = readings_line(replace(case.calibration, table=table))
+    assert "of their 12,000 readings used" in line
+    assert "2,000 (16.7%) NaN, 1,000 (8.3%) nearer than 0.15 m, 360 (3.0%) into unknown space" in line
 
 
 def test_extensions_stand_only_where_they_are_in_use(case):

@@ -25,8 +25,7 @@ OFFICE = draw_floor_plan(seed=1)
 TRUTH = BeamParameters(z_hit=0.62, z_short=0.16, z_max=0.13, z_rand=0.09, sigma_hit=0.12, lambda_short=0.45)
 DIFFUSE = SonarPhysics.diffuse(sigma=0.06, dropout=0.08, phantoms=0.05)
 WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
-# Intervals are not looked at: the fewest replicates will do.
-OPTIONS = CalibrationOptions(n_bootstrap=20, refine=False)
+OPTIONS = CalibrationOptions(refine=False)
 
 
 @cache
@@ -102,7 +101,7 @@ def test_what_simulate_writes_calibrate_reads_with_its_cones(tmp_path: Path) -> 
     rough = ("--roughness", "1", "--cross-talk", "0", "--dropout", "0.1", "--phantoms", "0.04", "--sigma", "0.05")
     assert run("simulate", str(world), "--sensor", "sonar", "--ring", "12", "--duration", "90", *rough) == 0
     log, where = str(world / "log.carmen"), str(world / "map.yaml")
-    assert run("calibrate", log, "--map", where, "--out", str(out), "--bootstrap", "20", "--no-refine") == 0
+    assert run("calibrate", log, "--map", where, "--out", str(out), "--no-refine") == 0
     found = json.loads((out / "calibration.json").read_text())
     values = {name: entry["value"] if isinstance(entry, dict) else entry for name, entry in found["parameters"].items()}
     assert values["z_hit"] == pytest.approx(0.96 * 0.9, abs=0.025)

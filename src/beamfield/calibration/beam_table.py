@@ -48,6 +48,8 @@ class BeamTable:
         Nearer readings are not in the table, metres; densities of what is in it start here.
     n_unsure
         Beams left out because a map drawn from the log itself does not say exactly enough where they should end.
+    n_too_close
+        How many of `n_no_measurement` are readings nearer than `min_range`; the others are NaN.
     """
 
     ranges: FloatArray
@@ -60,6 +62,7 @@ class BeamTable:
     n_unknown: int = 0
     min_range: float = 0.0
     n_unsure: int = 0
+    n_too_close: int = 0
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -93,7 +96,18 @@ class BeamTable:
             self.n_unknown,
             self.min_range,
             self.n_unsure,
+            self.n_too_close,
         )
+
+    @property
+    def n_nan(self) -> int:
+        """Beams left out because their reading is NaN."""
+        return self.n_no_measurement - self.n_too_close
+
+    @property
+    def n_readings(self) -> int:
+        """Readings of the scans, with those that are not in the table."""
+        return len(self) + self.n_no_measurement + self.n_unknown + self.n_unsure
 
     @property
     def hits_nothing(self) -> NDArray[np.bool_]:
@@ -143,13 +157,14 @@ def build_beam_table(
     caster = make_caster(grid, log.finder, unknown="occupied" if unknown == "occupied" else "free")
     stopping = RayCaster(grid, unknown="occupied") if unknown == "skip" and grid.unknown.any() else None
     parts: list[tuple[FloatArray, FloatArray, NDArray[np.int32], NDArray[np.int32]]] = []
-    n_no_measurement = n_unknown = 0
+    n_no_measurement = n_unknown = n_too_close = 0
     for start in range(0, len(chosen), SCANS_PER_CHUNK):
         rows = chosen[start : start + SCANS_PER_CHUNK]
         ranges = usable_ranges(log.ranges[rows], log.finder)
         expected = caster.expected_ranges(log.poses[rows], log.finder, threads=threads)
         keep = np.isfinite(ranges)
         n_no_measurement += int((~keep).sum())
+        n_too_close += int((~keep & ~np.isnan(log.ranges[rows])).sum())
         if stopping is not None:
             # The ray stopped by unknown cells is shorter exactly if it enters one before the obstacle.
             doubtful = keep & (stopping.expected_ranges(log.poses[rows], log.finder, threads=threads) < expected)
@@ -173,4 +188,5 @@ def build_beam_table(
         n_no_measurement,
         n_unknown,
         log.finder.min_range,
+        n_too_close,
     )

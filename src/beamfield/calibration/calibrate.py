@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from beamfield.arguments import checked
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
-from beamfield.calibration.bootstrap import IntervalResult, bootstrap_intervals
+from beamfield.calibration.block_intervals import IntervalResult, block_intervals
 from beamfield.calibration.calibration_findings import (
     cone_findings,
+    left_out_findings,
     score_findings,
     selection_findings,
     table_findings,
@@ -182,7 +183,8 @@ def calibrate(
     chosen = next(c for c in candidates if c.chosen)
     fit = chosen.result.parameters
     fitted = table.select(~held_out & ~table.hits_nothing)
-    intervals = _intervals(fitted, chosen, options, report)
+    report("intervals", 0, 1)
+    intervals = _intervals(fitted, chosen, options)
     drawn: list[Finding] = []
     if isinstance(grid, CrossFitMaps):
         if clutter is not None:
@@ -190,6 +192,7 @@ def calibrate(
             fit, intervals = with_clutter(fit, intervals, len(fitted), seen, options)
             fit, intervals = without_wall_error(fit, intervals, wall_variance(log, grid, table, fit.sigma_hit))
         drawn = cross_fit_findings(grid, table, 0 if clutter is None else len(clutter), fit, intervals)
+    report("intervals", 1, 1)
 
     # 5. Judge it on the held-out blocks.
     judged = table.select(held_out)
@@ -208,6 +211,7 @@ def calibrate(
         *selection_findings(selection),
         *score_findings(scores),
         *cone_findings(log),
+        *left_out_findings(table),
         *chosen.result.findings,
         *intervals.findings,
         *(drawn if isinstance(grid, CrossFitMaps) else table_findings(table)),
@@ -265,14 +269,14 @@ def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Sel
                 )
             raise TooLittleDataError(
                 f"{n} beams in the {name} blocks, need {FEWEST_BEAMS}: {selection.describe()}; of their beams "
-                f"{table.n_no_measurement} carry no measurement, {table.n_unknown} cross unknown space, "
+                f"{table.n_nan} are NaN, {table.n_too_close} too close, {table.n_unknown} cross unknown space, "
                 f"{nothing} hit nothing{question}"
             )
 
 
-def _intervals(table: BeamTable, chosen: Candidate, options: CalibrationOptions, report: Progress) -> IntervalResult:
+def _intervals(table: BeamTable, chosen: Candidate, options: CalibrationOptions) -> IntervalResult:
     """Return intervals from the beams that the parameters were fitted to."""
-    return bootstrap_intervals(
+    return block_intervals(
         table.ranges,
         table.expected_ranges,
         table.stamps,
@@ -283,10 +287,7 @@ def _intervals(table: BeamTable, chosen: Candidate, options: CalibrationOptions,
         fit_sigma_slope="sigma slope" in chosen.name,
         hold=options.hold,
         block_s=options.block_s,
-        n_replicates=options.n_bootstrap,
-        seed=options.seed,
         threads=options.threads,
-        progress=partial(report, "bootstrap"),
     )
 
 

@@ -13,6 +13,8 @@ from beamfield.sensors import SensorLog
 # A fit that gains less than this per held-out beam (nats) over a uniform has learned hardly anything from the map: with
 # maps of other places the gain is 0 to 0.3, good fits on real logs gain 2 to 5.
 LEAST_GAIN_OVER_UNIFORM = 0.5
+# More readings without a measurement than this are worth a word: they may be meant as "no return".
+NOTABLE_SHARE_LEFT_OUT = 0.03
 
 
 def selection_findings(selection: Selection) -> list[Finding]:
@@ -73,6 +75,26 @@ def cone_findings(log: SensorLog) -> list[Finding]:
             {"opening_angle": opening},
         )
     ]
+
+
+def left_out_findings(table: BeamTable) -> list[Finding]:
+    """Say where many readings carry no measurement: they are in no parameter, z_max included."""
+    total = max(table.n_readings, 1)
+    nan, close = table.n_nan / total, table.n_too_close / total
+    found = []
+    if nan > NOTABLE_SHARE_LEFT_OUT:
+        text = (
+            f"{nan:.1%} of the readings are NaN (no measurement) and were left out. If that is how this sensor says "
+            "that nothing came back, they are missing from z_max: read the log with no_return='nan'."
+        )
+        found.append(Finding("nan-readings", "warning", text, {"n": float(table.n_nan), "share": nan}))
+    if close > NOTABLE_SHARE_LEFT_OUT:
+        text = (
+            f"{close:.1%} of the readings are nearer than min_range = {table.min_range:.6g} m and were left out: parts "
+            "of the robot, or readings that the sensor does not vouch for."
+        )
+        found.append(Finding("too-close-readings", "info", text, {"n": float(table.n_too_close), "share": close}))
+    return found
 
 
 def table_findings(table: BeamTable) -> list[Finding]:

@@ -33,12 +33,10 @@ class CalibrationOptions:
         Whether sigma may grow with the expected range: likewise.
     hold
         Parameters held at given values.
-    n_bootstrap
-        Replicates for the intervals.
     refine
         Whether to refine reference poses to see their share in sigma_hit.
     seed
-        For the bootstrap and the randomised PIT.
+        For the randomised PIT.
     threads
         None uses what pays.
     """
@@ -49,7 +47,6 @@ class CalibrationOptions:
     range_offset: Choice = "auto"
     sigma_slope: Choice = "auto"
     hold: Mapping[str, float] = field(default_factory=dict)
-    n_bootstrap: int = 200
     refine: bool = True
     seed: int = 0
     threads: int | None = None
@@ -64,5 +61,3 @@ class CalibrationOptions:
         ):
             if getattr(self, name) not in allowed:
                 raise InvalidInputError(f"{name}: expected one of {allowed}, got {getattr(self, name)!r}")
-        if self.n_bootstrap < 20:
-            raise InvalidInputError(f"n_bootstrap: expected at least 20, got {self.n_bootstrap}")

@@ -213,4 +213,5 @@ def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:
         sum(part.n_unknown for part in parts),
         parts[0].min_range,
         sum(part.n_unsure for part in parts),
+        sum(part.n_too_close for part in parts),
     )

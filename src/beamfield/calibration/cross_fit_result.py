@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.bootstrap import IntervalResult, bootstrap_intervals
+from beamfield.calibration.block_intervals import IntervalResult, block_intervals
 from beamfield.calibration.calibration_options import CalibrationOptions
 from beamfield.calibration.cross_fit import CrossFitMaps
 from beamfield.calibration.em import learn_intrinsic_parameters
@@ -77,7 +77,7 @@ def with_clutter(
         hold=hold,
         threads=options.threads,
     ).parameters
-    there = bootstrap_intervals(
+    there = block_intervals(
         clutter.ranges,
         clutter.expected_ranges,
         clutter.stamps,
@@ -87,8 +87,6 @@ def with_clutter(
         fit_offset=True,
         hold=hold,
         block_s=options.block_s,
-        n_replicates=options.n_bootstrap,
-        seed=options.seed,
         threads=options.threads,
     )
     share = n_beams / (n_beams + len(clutter))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.calibration.intrinsic_likelihood import N_PARAMETERS, IntrinsicLikelihood
 from beamfield.calibration.learning_problem import LearningProblem
@@ -33,24 +34,47 @@ def naive_covariance(likelihood: IntrinsicLikelihood, problem: LearningProblem, 
     """
     _, _, hessian = likelihood.derivatives(theta)
     hessian = hessian + problem.priors.log_density(theta)[2]
-    basis = _free_directions(problem, theta)
-    information = -basis.T @ hessian @ basis
-    if not information.size:
-        return np.zeros((N_PARAMETERS, N_PARAMETERS))
+    inside = problem.free & (theta > problem.lower) & (theta < problem.upper)
+    basis = free_directions(inside, theta)
+    root = basis @ inverse_root(-basis.T @ hessian @ basis)
+    return np.asarray(root @ root.T)
+
+
+def inverse_root(information: FloatArray) -> FloatArray:
+    """Return R with R R' the inverse of an information matrix, flat and falling directions taken as nearly flat.
+
+    Parameters
+    ----------
+    information
+        (m, m) symmetric; negative of a Hessian at a maximum.
+
+    Returns
+    -------
+    (m, m), so that R' information R is the unit matrix.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(information)), _LEAST_INFORMATION))
     curvature, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    curvature = np.maximum(curvature, _LEAST_CURVATURE)
-    inverse = (directions / curvature) @ directions.T * np.outer(scale, scale)
-    return np.asarray(basis @ inverse @ basis.T)
+    return np.asarray(scale[:, None] * directions / np.sqrt(np.maximum(curvature, _LEAST_CURVATURE)))
 
 
-def _free_directions(problem: LearningProblem, theta: FloatArray) -> FloatArray:
-    """Return the directions in which the maximum may move, as columns."""
-    inside = problem.free & (theta > problem.lower) & (theta < problem.upper)
-    weights = [i for i in range(4) if inside[i]]
+def free_directions(moving: NDArray[np.bool_], theta: FloatArray) -> FloatArray:
+    """Return the directions in which the maximum may move.
+
+    Parameters
+    ----------
+    moving
+        (8,) which entries of the working vector may change.
+    theta
+        (8,) working vector; the largest moving weight gives or takes what the others change.
+
+    Returns
+    -------
+    (8, m) one column per entry that moves on its own, in their order.
+    """
+    weights = [i for i in range(4) if moving[i]]
     pivot = max(weights, key=lambda i: float(theta[i]), default=-1)
     columns = []
-    for i in np.flatnonzero(inside):
+    for i in np.flatnonzero(moving):
         if i == pivot:
             continue
         column = np.zeros(N_PARAMETERS)

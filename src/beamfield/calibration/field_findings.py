@@ -6,8 +6,8 @@ import math
 
 from beamfield.calibration.axis_density import DensityFit, share_bounds, sigma_bounds
 from beamfield.calibration.axis_table import AxisTable
-from beamfield.calibration.bootstrap import FEWEST_TRUSTED_BLOCKS
 from beamfield.calibration.finding import Finding
+from beamfield.calibration.time_split import FEWEST_TRUSTED_BLOCKS
 
 # A hit component that gains less than this over a uniform, nats over all readings, may be chance.
 LEAST_GAIN = 20.0

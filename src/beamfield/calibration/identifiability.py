@@ -38,6 +38,11 @@ SMALL_SHARE = 0.1
 # Modes within this many nats per beam are nearly equal; dependence makes a log worth a sixteenth of its beams or less.
 NEARLY_EQUAL = 1e-3
 _EFFECTIVE_NATS = 3.0
+# Readings exactly at the near limit move lambda_short by a standard error if they are more than 0.2 to 0.4 % of all in
+# a log of 2 minutes, 0.05 to 0.2 % in one of 10 minutes (docs/learning.md).
+NOTABLE_SHARE_AT_LIMIT = 0.001
+# They are the same number but for rounding: of the maximum range.
+_SAME_RANGE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -61,10 +66,10 @@ def identifiability_findings(
 ) -> tuple[Finding, ...]:
     """Name what these beams leave open at the maximum `theta`.
 
-    The names: ``no-returns``, ``no-max-readings``, ``no-hits``, ``no-shorts``, ``no-random``, ``lambda-undetermined``,
-    ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``, ``noise-all-slope``, ``sigma-confounded``,
-    ``offset-at-limit``, ``hits-and-shorts-confounded``, ``hits-and-random-confounded``,
-    ``shorts-and-random-confounded``, ``several-modes``.
+    The names: ``no-returns``, ``no-max-readings``, ``no-hits``, ``no-shorts``, ``no-random``,
+    ``readings-at-near-limit``, ``lambda-undetermined``, ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``,
+    ``noise-all-slope``, ``sigma-confounded``, ``offset-at-limit``, ``hits-and-shorts-confounded``,
+    ``hits-and-random-confounded``, ``shorts-and-random-confounded``, ``several-modes``.
 
     Parameters
     ----------
@@ -92,6 +97,7 @@ def identifiability_findings(
     covariance = naive_covariance(likelihood, problem, theta)
     return (
         *_absent_causes(counts, problem),
+        *_near_limit_findings(likelihood, problem),
         *_rate_findings(likelihood, problem, theta, counts, covariance),
         *_sigma_findings(problem, theta, counts, covariance),
         *_offset_findings(problem, theta),
@@ -112,6 +118,20 @@ def _absent_causes(counts: FloatArray, problem: LearningProblem) -> list[Finding
         for cause, name, severity, text in absent
         if counts[cause] < FEWEST_BEAMS_OF_A_CAUSE and problem.free[cause]
     ]
+
+
+def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProblem) -> list[Finding]:
+    at_limit = likelihood.ranges <= _SAME_RANGE * likelihood.max_range
+    n = float(likelihood.weights[at_limit].sum()) if likelihood.weights.size else float(np.count_nonzero(at_limit))
+    share = n / likelihood.n_beams
+    if not problem.free[W_SHORT] or n < FEWEST_BEAMS_OF_A_CAUSE or share < NOTABLE_SHARE_AT_LIMIT:
+        return []
+    text = (
+        f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, as sensors write that have no "
+        "valid one. They pose as unexpected objects and raise z_short and lambda_short: set a min_range above that "
+        "value to drop them, or name it as no_return if it means that nothing came back."
+    )
+    return [Finding("readings-at-near-limit", "warning", text, {"n": n, "share": share})]
 
 
 def _rate_findings(

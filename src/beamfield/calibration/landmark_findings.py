@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.calibration.bootstrap import FEWEST_TRUSTED_BLOCKS
 from beamfield.calibration.finding import Finding
 from beamfield.calibration.landmark_em import (
     LEAST_SIGMA_BEARING,
@@ -21,6 +20,7 @@ from beamfield.calibration.landmark_forms import NoiseForm
 from beamfield.calibration.landmark_intervals import NoiseIntervals
 from beamfield.calibration.landmark_residuals import ResidualGroup
 from beamfield.calibration.sighting_table import SightingTable
+from beamfield.calibration.time_split import FEWEST_TRUSTED_BLOCKS
 from beamfield.geometry import FloatArray
 
 # A bias of less than this share of sigma hardly moves a likelihood.

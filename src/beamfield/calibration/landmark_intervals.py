@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
 
-from beamfield.calibration.bootstrap import expanded_tail
 from beamfield.calibration.landmark_em import NoiseLikelihood, NoiseTheta, climb_noise
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
@@ -83,8 +83,12 @@ def noise_intervals(
 
     Notes
     -----
-    Percentiles are taken further out than `level` says, as in `bootstrap_intervals`: few blocks vary less than what
-    they are drawn from.
+    Percentiles are taken further out than `level` says, by Student's t for the number of blocks (Hesterberg's expanded
+    percentile interval): few blocks vary less than what they are drawn from.
+
+    References
+    ----------
+    Hesterberg, "What teachers should know about the bootstrap", American Statistician 69, 2015.
     """
     check_threads(threads)
     if n_replicates < 2:
@@ -98,7 +102,7 @@ def noise_intervals(
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(n_blocks, np.full(n_blocks, 1.0 / n_blocks), size=n_replicates)
     replicates = _replicates(likelihood, number, theta, draws, threads, progress)
-    tail = expanded_tail(level, n_blocks)
+    tail = _expanded_tail(level, n_blocks)
     low, high = np.quantile(replicates, [tail, 1.0 - tail], axis=0)
     learned = [NoiseTheta._fields.index(name) for name in _learned(likelihood)]
     names = NoiseTheta._fields
@@ -164,3 +168,12 @@ def _learned(likelihood: NoiseLikelihood) -> list[str]:
         "spurious_rate": problem.fit_spurious,
     }
     return [name for name, is_learned in learned.items() if is_learned]
+
+
+def _expanded_tail(level: float, n_blocks: int) -> float:
+    """Return the share of the replicates beyond each end of an interval from so many blocks (Hesterberg).
+
+    It is below (1 - level) / 2, which it approaches with more blocks.
+    """
+    quantile = stdtrit(n_blocks - 1, 0.5 * (1.0 - level))
+    return float(ndtr(np.sqrt(n_blocks / (n_blocks - 1.0)) * quantile))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -148,7 +149,7 @@ class ScanFitReference:
             If its name, a parameter, what it does in unknown space or the limit differs; it is named.
         """
         mine, other = dict(self.model), _model_identity(model, max_range)
-        different = sorted(name for name in {*mine, *other} if mine.get(name) != other.get(name))
+        different = sorted(name for name in {*mine, *other} if not _same(mine.get(name), other.get(name)))
         if different:
             name = different[0]
             raise InvalidInputError(
@@ -226,6 +227,13 @@ class ScanFitReference:
             raise InvalidInputError(f"reference: the entry {error} is missing") from error
         except (ValueError, TypeError, AttributeError) as error:
             raise InvalidInputError(f"reference: {error}") from error
+
+
+def _same(mine: object, other: object) -> bool:
+    """Whether two entries of identities are one: numbers as far as a file of six digits tells."""
+    if isinstance(mine, float) and isinstance(other, float):
+        return math.isclose(mine, other, rel_tol=1e-5, abs_tol=1e-9)
+    return mine == other
 
 
 def _model_identity(model: FitModel, max_range: float) -> dict[str, Any]:

@@ -11,6 +11,8 @@ from beamfield.errors import InvalidInputError
 LONGEST_BLOCK_S = 20.0
 FEWEST_BLOCKS = 12
 MOST_BLOCKS = 1_000_000
+# A bootstrap of fewer blocks tells too little of how parameters vary from one stretch of time to the next.
+FEWEST_TRUSTED_BLOCKS = 8
 
 
 def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.int64]:
@@ -41,9 +43,7 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     if len(times) == 0:
         return np.zeros(0, dtype=np.int64)
     duration = float(times.max() - times.min())
-    length = min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS) if block_s is None else block_s
-    if block_s is not None and not block_s > 0:
-        raise InvalidInputError(f"block_s: expected a positive number of seconds, got {block_s}")
+    length = block_length(times, block_s)
     if duration > MOST_BLOCKS * length > 0:
         raise InvalidInputError(f"block_s: {duration:g} s in blocks of {length:g} s are more than {MOST_BLOCKS:,}")
     if length <= 0:
@@ -51,6 +51,31 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     blocks = np.floor((times - times.min()) / length).astype(np.int64)
     # The last stamp would start a block of its own.
     return np.asarray(np.minimum(blocks, max(0, int(np.ceil(duration / length)) - 1)))
+
+
+def block_length(stamps: ArrayLike, block_s: float | None = None) -> float:
+    """Return how long the blocks of `time_blocks` are.
+
+    Parameters
+    ----------
+    stamps, block_s
+        As `time_blocks`.
+
+    Returns
+    -------
+    Seconds; 0 if no time passes and no length is given.
+
+    Raises
+    ------
+    InvalidInputError
+        If the length is not positive.
+    """
+    if block_s is None:
+        times = np.asarray(stamps, dtype=np.float64)
+        return min(LONGEST_BLOCK_S, float(np.ptp(times)) / FEWEST_BLOCKS) if times.size else 0.0
+    if not block_s > 0:
+        raise InvalidInputError(f"block_s: expected a positive number of seconds, got {block_s}")
+    return float(block_s)
 
 
 def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 3) -> NDArray[np.bool_]:

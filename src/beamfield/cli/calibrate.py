@@ -64,8 +64,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="S",
         help="length of fit and held-out blocks (default: 20, or a twelfth of a shorter log)",
     )
-    model.add_argument("--bootstrap", type=int, default=200, metavar="N",
-                       help="replicates for the intervals (default: %(default)s)")  # fmt: skip
     model.add_argument("--reference-error", type=float, default=0.04, metavar="M",
                        help="likelihood field and --stack: how wrong the reference poses may be, standard deviation "
                        "per axis, and a quarter of it in radians (default: 0.04)")  # fmt: skip
@@ -229,7 +227,6 @@ def _options(arguments: argparse.Namespace) -> CalibrationOptions:
         range_offset=arguments.range_offset,
         sigma_slope=arguments.sigma_slope,
         hold=_held(arguments.hold),
-        n_bootstrap=arguments.bootstrap,
         refine=not arguments.no_refine,
         seed=arguments.seed,
         threads=arguments.threads,
@@ -311,7 +308,7 @@ def _calibrate_sensor(
     from beamfield.io.parameters import beam_model_text
     from beamfield.report.as_json import calibration_as_dict
     from beamfield.report.html import render_report
-    from beamfield.report.text_table import parameter_table, score_table
+    from beamfield.report.text_table import parameter_table, readings_line, score_table
 
     try:
         maps: OccupancyGrid | CrossFitMaps
@@ -351,10 +348,11 @@ def _calibrate_sensor(
         files[stack.file_name] = stack.file_text
     # Lines are broken for a terminal only: in a file or a pipe, one line is one parameter or warning.
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    warnings = [f"warning ({f.name}): {f.text}" for f in result.findings if f.severity == "warning"]
+    warnings = [f"warning ({f.name}): {in_options(f.text)}" for f in result.findings if f.severity == "warning"]
     if width is not None:
         warnings = [textwrap.fill(text, width, subsequent_indent="  ") for text in warnings]
     parameters = parameter_table(result, width=width)
-    table = "\n\n".join([result.selection.describe(), parameters, score_table(result), *warnings])
+    data = f"{result.selection.describe()}\n{readings_line(result)}"
+    table = "\n\n".join([data, parameters, score_table(result), *warnings])
     table = "\n\n".join([table, *(part.table for part in (field, stack) if part is not None)])
     return files, table, result.converged, stack

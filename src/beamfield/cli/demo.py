@@ -24,7 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                         help="output folder (default: %(default)s)")  # fmt: skip
     parser.add_argument("--seed", type=int, default=SEED,
                         help="of the office, the drive and the readings (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--duration", type=float, default=240.0, metavar="S", help="of the drive (default: 240)")
+    parser.add_argument("--duration", type=float, default=300.0, metavar="S", help="of the drive (default: 300)")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.set_defaults(run=run)
 

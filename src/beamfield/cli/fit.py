@@ -197,8 +197,7 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
 
     if given.parameters is not None:
         return given.parameters
-    # The intervals are not needed, so the least number of replicates will do.
-    options = CalibrationOptions(n_bootstrap=20, refine=False, seed=arguments.seed, threads=arguments.threads)
+    options = CalibrationOptions(refine=False, seed=arguments.seed, threads=arguments.threads)
     return calibrate(given.good, given.grid, options, progress=progress).parameters
 
 

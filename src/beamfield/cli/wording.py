@@ -10,7 +10,6 @@ _OPTIONS = {
     "block_s": "--block",
     "lone_poses": "--lone-poses",
     "map_frame": "--map-frame",
-    "n_bootstrap": "--bootstrap",
     "n_replicates": "--replicates",
     "no_return": "--no-return",
     "poses_topic": "--poses-topic",

@@ -88,7 +88,7 @@ class FigureWorld:
         InvalidInputError, TooLittleDataError
             If a log does not teach it; says why.
         """
-        options = CalibrationOptions(n_bootstrap=20, refine=False)
+        options = CalibrationOptions(refine=False)
         try:
             return {name: calibrate(log, self.grid, options) for name, log in self.sensors.items()}
         except (InvalidInputError, TooLittleDataError) as error:

@@ -24,6 +24,7 @@ HEADER = """\
 """
 # Left out, they have the defaults of `BeamParameters`.
 OPTIONAL = ("range_offset", "sigma_slope")
+WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 
 
 class SavedBeamModel(NamedTuple):
@@ -54,20 +55,36 @@ def beam_model_text(
     Parameters
     ----------
     parameters
-        The parameters, written so that reading returns the same bits.
+        The parameters, written with six digits; the largest weight has more, so that the weights sum to 1.
     finder
         The sensor they belong to.
     intervals, provenance
-        As for `beamfield.io.parameter_document.document_text`.
+        As for `beamfield.io.parameter_document.document_text`; bounds are written with six digits.
     """
+    min_range, max_range = _six_digits(finder.min_range), _six_digits(finder.max_range)
+    if max_range > finder.max_range:
+        max_range = float(finder.max_range)  # rounded up, readings at the limit would no longer be "no return"
     document: dict[str, Any] = {
-        "beam_model": asdict(parameters),
-        "sensor": {"name": finder.name, "min_range": float(finder.min_range), "max_range": float(finder.max_range)},
+        "beam_model": _rounded(parameters),
+        "sensor": {"name": finder.name, "min_range": min_range, "max_range": max_range},
     }
+    if intervals is not None:
+        intervals = {name: (_six_digits(low), _six_digits(high)) for name, (low, high) in intervals.items()}
     if finder.opening_angle > 0.0:
         # Radians: parameters of cones mean nothing to a model of beams.
         document["sensor"]["opening_angle"] = float(finder.opening_angle)
     return document_text(HEADER, document, intervals=intervals, provenance=provenance)
+
+
+def _rounded(parameters: BeamParameters) -> dict[str, float]:
+    rounded = {name: _six_digits(value) for name, value in asdict(parameters).items()}
+    largest = max(WEIGHTS, key=lambda name: rounded[name])
+    rounded[largest] = round(1.0 - sum(rounded[name] for name in WEIGHTS if name != largest), 12)
+    return rounded
+
+
+def _six_digits(value: float) -> float:
+    return float(f"{value:.6g}")
 
 
 def read_beam_model(path: str | Path) -> SavedBeamModel:

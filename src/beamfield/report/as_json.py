@@ -41,7 +41,7 @@ def calibration_as_dict(calibration: Calibration) -> dict[str, Any]:
         "parameters": _parameters(calibration),
         "max_range": float(calibration.table.max_range),
         "min_range": float(calibration.table.min_range),
-        "intervals": plain(_without(calibration.intervals, "samples", "replicates")),
+        "intervals": plain(calibration.intervals),
         "learning": plain(calibration.learning),
         "candidates": [_candidate(candidate) for candidate in calibration.candidates],
         "scores": plain(calibration.scores),
@@ -71,11 +71,6 @@ def plain(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | str):
         return value
     return str(value)
-
-
-def _without(result: Any, *large: str) -> dict[str, Any]:
-    """Fields of a dataclass but those that hold an array per replicate."""
-    return {f.name: getattr(result, f.name) for f in dataclasses.fields(result) if f.name not in large}
 
 
 def _parameters(calibration: Calibration) -> dict[str, Any]:
@@ -112,11 +107,14 @@ def _beams(calibration: Calibration) -> dict[str, Any]:
     nothing = table.hits_nothing
     counts = np.bincount(calibration.causes[~nothing], minlength=len(CAUSES))
     return {
+        "n_readings": table.n_readings,
         "n_table": len(table),
         "n_fit": int(calibration.n_fit),
         "n_held_out": int((calibration.held_out & ~nothing).sum()),
         "n_hits_nothing": int(nothing.sum()),
         "n_no_measurement": int(table.n_no_measurement),
+        "n_nan": int(table.n_nan),
+        "n_too_close": int(table.n_too_close),
         "n_unknown": int(table.n_unknown),
         "n_unsure": int(table.n_unsure),
         "n_no_return": int(((table.ranges >= table.max_range) & ~nothing).sum()),

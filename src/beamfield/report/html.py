@@ -187,10 +187,9 @@ def _parameters(calibration: Calibration, log: SensorLog) -> str:
 def _interval_line(calibration: Calibration) -> str:
     if not calibration.intervals.intervals:
         return "There are no intervals: they need several blocks of time, and there is only one."
-    n_blocks, n_replicates = calibration.intervals.n_blocks, calibration.options.n_bootstrap
     return (
-        f"The intervals come from drawing {n_blocks} blocks of time anew, {n_replicates} times: beams of one scan and "
-        "neighbouring scans share their errors and do not count as independent."
+        f"The intervals come from leaving out one of {calibration.intervals.n_blocks} blocks of time after the other: "
+        "beams of one scan and neighbouring scans share their errors and do not count as independent."
     )
 
 
@@ -246,10 +245,11 @@ def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -
     scans = [("scans in the log", len(selection.used)), ("used", int(selection.used.sum()))]
     scans += [(f"dropped: {reason}", n) for reason, n in selection.dropped.items()]
     beams = [
-        ("readings in the used scans", len(table) + table.n_no_measurement + table.n_unknown + table.n_unsure),
+        ("readings in the used scans", table.n_readings),
         ("fitted", round(calibration.n_fit)),
         ("held out", int((calibration.held_out & ~table.hits_nothing).sum())),
-        ("left out: no measurement (NaN, too close)", table.n_no_measurement),
+        ("left out: no measurement (NaN)", table.n_nan),
+        (f"left out: nearer than min_range = {table.min_range:g} m", table.n_too_close),
         ("left out: the ray enters unknown space first", table.n_unknown),
         *([(UNSURE, table.n_unsure)] if table.n_unsure else []),
         (f"left out: the ray hits nothing within {table.max_range:g} m", nothing),
@@ -280,7 +280,10 @@ def _duration(calibration: Calibration) -> str:
 
 
 def _counts(rows: list[tuple[str, int]]) -> str:
-    cells = "".join(f'<tr><td>{_text(name)}</td><td class="n">{n:,}</td></tr>' for name, n in rows)
+    total = max(rows[0][1], 1)
+    cells = "".join(
+        f'<tr><td>{_text(name)}</td><td class="n">{n:,}</td><td class="n">{n / total:.1%}</td></tr>' for name, n in rows
+    )
     return f"<table><tbody>{cells}</tbody></table>"
 
 

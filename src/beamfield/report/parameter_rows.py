@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.learning_problem import SIGMA_FLOOR_SHARE
 from beamfield.models.beam_parameters import BeamParameters
 
 UNITS = {
@@ -30,6 +31,9 @@ MEANINGS = {
     "sigma_slope": "growth of the noise with the expected range z*: variance sigma_hit^2 + (sigma_slope z*)^2",
 }
 
+# Expected ranges, metres, at which the noise of a hit is spelt out where it grows.
+NOISE_AT = (1.0, 3.0, 10.0)
+
 # Beyond the chapter: shown only where they are fitted or held.
 EXTENSIONS = ("range_offset", "sigma_slope")
 
@@ -43,7 +47,8 @@ class ParameterRow:
     name
         Field of `BeamParameters`.
     value
-        The fitted value with as many digits as its interval supports.
+        The fitted value with as many digits as its interval supports; "below ..." where the fit stopped at the floor of
+        sigma_hit, "-" where the log does not determine it.
     interval
         (low, high) of the 95 % interval, in the same digits; None if there is none.
     unit
@@ -106,12 +111,39 @@ def _row(calibration: Calibration, name: str) -> ParameterRow:
     decimals = decimals_for(half_width)
     return ParameterRow(
         name,
-        _fixed(value, decimals),
+        _value(calibration, name, value, interval, decimals),
         None if interval is None else (_fixed(interval[0], decimals), _fixed(interval[1], decimals)),
         UNITS[name],
-        MEANINGS[name],
+        _noise(calibration) if name == "sigma_slope" else MEANINGS[name],
         name in calibration.options.hold,
     )
+
+
+def _value(
+    calibration: Calibration, name: str, value: float, interval: tuple[float, float] | None, decimals: int
+) -> str:
+    """Return the value as text: a bound of the search is no value."""
+    if name == "sigma_hit" and interval is not None and interval[0] == 0.0 and at_floor(calibration):
+        return f"below {_fixed(interval[1], decimals)}"
+    if name == "lambda_short" and name not in calibration.options.hold:
+        if value == 0.0 and interval is not None:
+            return "0 (uniform)"
+        if interval is None and name in calibration.intervals.intervals:
+            return "-"
+    return _fixed(value, decimals)
+
+
+def at_floor(calibration: Calibration) -> bool:
+    """Return whether sigma_hit stopped where the search does: the noise is smaller, or all of it grows with range."""
+    floor = SIGMA_FLOOR_SHARE * calibration.table.max_range
+    return "sigma_hit" not in calibration.options.hold and calibration.parameters.sigma_hit <= 1.000001 * floor
+
+
+def _noise(calibration: Calibration) -> str:
+    """Return what a sigma that grows with range comes to."""
+    sigma, slope = calibration.parameters.sigma_hit, calibration.parameters.sigma_slope
+    noise = ", ".join(f"{math.hypot(sigma, slope * z):.3f}" for z in NOISE_AT)
+    return f"{MEANINGS['sigma_slope']}: {noise} m at {', '.join(f'{z:g}' for z in NOISE_AT)} m"
 
 
 def _fixed(value: float, decimals: int) -> str:

@@ -30,6 +30,25 @@ def parameter_table(calibration: Calibration, *, width: int | None = None) -> st
     return aligned(("parameter", "value", "95 % interval", "unit", "meaning"), rows, right=(1,), width=width)
 
 
+def readings_line(calibration: Calibration) -> str:
+    """Return one sentence: what became of the readings of the used scans."""
+    table = calibration.table
+    total = max(table.n_readings, 1)
+    nothing = int(table.hits_nothing.sum())
+    left_out = (
+        ("NaN", table.n_nan),
+        (f"nearer than {table.min_range:g} m", table.n_too_close),
+        ("into unknown space", table.n_unknown),
+        ("at what the other half has not drawn exactly", table.n_unsure),
+        ("at nothing within max_range", nothing),
+    )
+    reasons = ", ".join(f"{n:,} ({n / total:.1%}) {why}" for why, n in left_out if n)
+    used = len(table) - nothing
+    return f"{used:,} of their {table.n_readings:,} readings used ({used / total:.1%})" + (
+        f"; left out: {reasons}" if reasons else ""
+    )
+
+
 def score_table(calibration: Calibration) -> str:
     """Return a table of the held-out log-likelihoods per beam in nats, and a line on the form of the model.
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from PIL.BmpImagePlugin import BmpImageFile
+from PIL.ImageFile import ImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from beamfield.errors import FormatError, InvalidInputError
@@ -205,16 +206,17 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
         raise FormatError(path, f"damaged picture: {reason}") from error
 
 
-def _require_all_pixels(file: BinaryIO, path: Path, picture: PngImageFile | BmpImageFile) -> None:
+def _require_all_pixels(file: BinaryIO, path: Path, picture: ImageFile) -> None:
     # Before Pillow makes room for them.
     if len(picture.tile) != 1 or picture.tile[0][1] != (0, 0, *picture.size):
         raise FormatError(path, "damaged picture: truncated, it has no data for some of its pixels")
     decoder, _, data_start, details = picture.tile[0]
+    stride: Any = details[1] if decoder == "raw" and details else 0
     where = file.tell()
     if decoder == "zip":
         require_all_pixels(file, path, data_start)
     elif decoder == "raw":
-        needed, found = details[1] * picture.height, os.fstat(file.fileno()).st_size - data_start
+        needed, found = stride * picture.height, os.fstat(file.fileno()).st_size - data_start
         if found < needed:
             raise FormatError(path, f"damaged picture: truncated, its pixels take {needed} bytes, got {max(found, 0)}")
     else:
@@ -254,8 +256,6 @@ def _band(picture: Image.Image) -> tuple[GreyArray, NDArray[np.bool_] | None]:
 
 def _luma(rgb: GreyArray) -> GreyArray:
     # Integers keep grey exactly grey: the weights (Rec. 709, in millionths) sum to a million.
-    grey = np.empty(rgb.shape[:2], dtype=np.uint8)
-    for row, colours in enumerate(rgb):
-        red, green, blue = colours.astype(np.int64).T
-        grey[row] = (212_656 * red + 715_158 * green + 72_186 * blue + 500_000) // 1_000_000
-    return grey
+    red, green, blue = np.moveaxis(rgb.astype(np.int32), -1, 0)
+    luma = (212_656 * red + 715_158 * green + 72_186 * blue + 500_000) // 1_000_000
+    return np.asarray(luma, dtype=np.uint8)

@@ -85,7 +85,7 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
     """
     targets = [_replaceable(Path(path)) for path in paths]
     with ExitStack() as stack:
-        scratch = [stack.enter_context(_scratch_folder(target.parent, target.name)) for target in targets]
+        scratch = [stack.enter_context(scratch_folder(target.parent, target.name)) for target in targets]
         parts = [folder / target.name for folder, target in zip(scratch, targets, strict=True)]
         yield parts
         for target, part in zip(targets, parts, strict=True):
@@ -161,7 +161,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     created = _create_parents(target)
     try:
         # In a folder that exists, for its parent may be another disk (a mount point) or not ours to write (a home).
-        with _scratch_folder(target if target.exists() else target.parent, target.name) as scratch:
+        with scratch_folder(target if target.exists() else target.parent, target.name) as scratch:
             part = scratch / target.name
             part.mkdir()
             yield part
@@ -191,6 +191,42 @@ def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
         part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
 
+@contextmanager
+def scratch_folder(parent: Path, name: str) -> Iterator[Path]:
+    """Make a folder that only its owner can open, for files that are needed for a while.
+
+    Parameters
+    ----------
+    parent
+        Where.
+    name
+        Of what it is for. Folders that killed runs left under this name are removed.
+
+    Yields
+    ------
+    The folder, which is removed with its content at the end.
+
+    Raises
+    ------
+    OSError
+        As the file system says.
+    """
+    start, end = f".{name[:50]}.", f".{_kernel()}.beamfield-part"
+    _remove_abandoned(parent, start, end)
+    while True:
+        folder = parent / f"{start}{secrets.token_hex(6)}{end}"
+        folder.mkdir(mode=0o700)
+        with suppress(BlockingIOError, FileNotFoundError):  # another run took it for abandoned before we locked it
+            lock = _lock(folder)
+            break
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
 def _replaceable(path: Path) -> Path:
     # A link stays a link: what it points to is replaced.
     target = Path(os.path.realpath(path))
@@ -206,25 +242,6 @@ def _replaceable(path: Path) -> Path:
 def _require_access(folder: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(13, "Permission denied", str(folder))
-
-
-@contextmanager
-def _scratch_folder(parent: Path, name: str) -> Iterator[Path]:
-    """Make a folder that only we can open, locked until it is removed; remove those that killed runs left."""
-    start, end = f".{name[:50]}.", f".{_kernel()}.beamfield-part"
-    _remove_abandoned(parent, start, end)
-    while True:
-        folder = parent / f"{start}{secrets.token_hex(6)}{end}"
-        folder.mkdir(mode=0o700)
-        with suppress(BlockingIOError, FileNotFoundError):  # another run took it for abandoned before we locked it
-            lock = _lock(folder)
-            break
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
 
 
 @cache

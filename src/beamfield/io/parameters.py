@@ -11,6 +11,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.io.parameter_document import document_text, named_numbers
 from beamfield.io.yaml_file import read_yaml
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -62,7 +63,11 @@ def beam_model_text(
     """
     document: dict[str, Any] = {
         "beam_model": asdict(parameters),
-        "sensor": {"name": finder.name, "min_range": float(finder.min_range), "max_range": float(finder.max_range)},
+        "sensor": {
+            "name": printable(finder.name),
+            "min_range": float(finder.min_range),
+            "max_range": float(finder.max_range),
+        },
     }
     if finder.opening_angle > 0.0:
         # Radians: parameters of cones mean nothing to a model of beams.

@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test lint rays bench docs wheel clean help
+.PHONY: demo test lint rays kills bench docs wheel clean help
 
 help:  ## Show the commands
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -35,6 +35,9 @@ rays: $(STAMP)  ## Compare RAYS=1e8 adversarial rays with an exact traversal
 
 bench: $(STAMP)  ## Measure speed and memory beside their baselines
 	$(BIN)/python benchmarks/run.py
+
+kills: $(STAMP)  ## Kill every command that writes, fill its disk, run it twice at once
+	$(BIN)/python -m tests.faults
 
 docs: $(STAMP)  ## Redraw the pictures and tables of the documentation
 	$(BIN)/python docs/make_figures.py

@@ -150,15 +150,23 @@ class MiniBag:
     def _with_covariance(self, xy: tuple[float, float], q: tuple[float, ...]) -> object:
         return self.make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose_message(xy, q), covariance=np.zeros(36))
 
-    def write(self, folder: Path, name: str = "log") -> Path:
-        """Write the bag and return what a user would name."""
+    def write(self, folder: Path, name: str = "log", *, compression: str | None = None) -> Path:
+        """Write the bag and return what a user would name.
+
+        `compression` is bz2 or lz4 in ROS 1, and file, message or (MCAP) storage in ROS 2, which has zstd only.
+        """
         if self.ros1:
             path = folder / f"{name}.bag"
             writer = rosbag1.Writer(path)
+            if compression:
+                writer.set_compression(writer.CompressionFormat[compression.upper()])
         else:
             path = folder / name
             plugin = rosbag2.StoragePlugin.MCAP if self.storage == "mcap" else rosbag2.StoragePlugin.SQLITE3
             writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+            if compression:
+                mode = rosbag2.CompressionMode[compression.upper()]
+                writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
         with writer:
             connections = {t: writer.add_connection(t, m, typestore=self.types) for t, m in self.topics.items()}
             for topic, msgtype, recorded, message in self.messages:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import signal
 import subprocess
@@ -40,7 +42,7 @@ def test_a_file_appears_with_its_content_and_nothing_is_left_beside_it(tmp_path)
 def test_the_temporary_name_keeps_the_suffix_because_writers_choose_the_format_by_it(tmp_path):
     with atomic_file(tmp_path / "picture.png") as part:
         assert part.suffix == ".png"
-        assert part.parent == tmp_path
+        assert part.parent.parent == tmp_path
         part.write_bytes(b"x")
 
 
@@ -60,19 +62,92 @@ def test_an_error_leaves_the_old_file_as_it_was(tmp_path, error):
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_a_killed_writer_leaves_the_old_file_as_it_was(tmp_path):
+KILLED = (
+    "import os, signal, sys\n"
+    "from beamfield.io.atomic import atomic_file\n"
+    "with atomic_file(sys.argv[1]) as part:\n"
+    "    part.write_text('half')\n"
+    "    os.kill(os.getpid(), signal.SIGKILL)\n"
+)
+
+
+def kill_a_writer_of(target: Path) -> Path:
+    """Return the scratch folder that it leaves."""
+    done = subprocess.run([sys.executable, "-c", KILLED, str(target)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    (left,) = target.parent.glob(".*.beamfield-part")
+    return left
+
+
+def test_a_killed_writer_leaves_the_old_file_as_it_was_and_nothing_that_others_can_read(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("old")
-    program = (
-        "import os, signal, sys\n"
-        "from beamfield.io.atomic import atomic_file\n"
-        "with atomic_file(sys.argv[1]) as part:\n"
-        "    part.write_text('half')\n"
-        "    os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program, str(target)], check=False)
-    assert done.returncode == -signal.SIGKILL
+    target.chmod(0o600)
+    left = kill_a_writer_of(target)
     assert target.read_text() == "old"
+    assert (left / "a.txt").read_text() == "half"
+    assert left.stat().st_mode & 0o777 == 0o700
+
+
+def test_the_next_run_removes_what_a_killed_one_left_for_the_same_target(tmp_path):
+    left = kill_a_writer_of(tmp_path / "a.txt")
+    write_file(tmp_path / "b.txt", "another target")
+    assert left.is_dir()
+    write_file(tmp_path / "a.txt", "new")
+    assert names(tmp_path) == ["a.txt", "b.txt"]
+
+
+def test_a_run_leaves_what_a_living_one_is_writing(tmp_path):
+    with atomic_file(tmp_path / "a.txt") as part:
+        part.write_text("first")
+        write_file(tmp_path / "a.txt", "second")
+        assert part.read_text() == "first"
+    assert (tmp_path / "a.txt").read_text() == "first"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_a_run_leaves_what_it_cannot_be_sure_of(tmp_path, monkeypatch):
+    left = kill_a_writer_of(tmp_path / "a.txt")
+    monkeypatch.setattr("beamfield.io.atomic._kernel", lambda: "another machine of a network disk")
+    write_file(tmp_path / "a.txt", "new")
+    assert names(tmp_path) == [left.name, "a.txt"]
+    monkeypatch.undo()
+
+    def no_locks(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    write_file(tmp_path / "a.txt", "newer")
+    assert (tmp_path / "a.txt").read_text() == "newer"
+    assert names(tmp_path) == [left.name, "a.txt"]
+
+
+def test_what_only_looks_like_a_scratch_folder_stays(tmp_path):
+    with atomic_file(tmp_path / "a.txt") as part:
+        name = part.parent.name
+        part.write_text("x")
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "kept").write_text("x")
+    (tmp_path / name).symlink_to("else", target_is_directory=True)
+    (tmp_path / name.replace("a.txt.", "a.txt.0")).write_text("a file")
+    write_file(tmp_path / "a.txt", "new")
+    assert len(names(tmp_path)) == 4
+    assert names(tmp_path / "else") == ["kept"]
+
+
+def test_a_scratch_folder_that_another_run_took_for_abandoned_is_given_up(tmp_path, monkeypatch):
+    flock, seen = fcntl.flock, []
+
+    def lose_the_first(handle: int, flags: int) -> None:
+        seen.append(handle)
+        if len(seen) == 1:
+            raise BlockingIOError
+        flock(handle, flags)
+
+    monkeypatch.setattr("fcntl.flock", lose_the_first)
+    write_file(tmp_path / "a.txt", "new")
+    assert len(seen) == 2
+    assert (tmp_path / "a.txt").read_text() == "new"
 
 
 def test_new_files_honour_the_umask_and_old_files_keep_their_permissions(tmp_path):
@@ -90,6 +165,15 @@ def test_new_files_honour_the_umask_and_old_files_keep_their_permissions(tmp_pat
     old.chmod(0o604)
     write_file(old, "again")
     assert old.stat().st_mode & 0o777 == 0o604
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may give files away")
+def test_root_leaves_files_to_their_owner(tmp_path):
+    (tmp_path / "a.txt").write_text("old")
+    os.chown(tmp_path / "a.txt", 12345, 54321)
+    write_file(tmp_path / "a.txt", "new")
+    status = (tmp_path / "a.txt").stat()
+    assert (status.st_uid, status.st_gid) == (12345, 54321)
 
 
 def test_a_link_stays_a_link_and_its_target_is_replaced(tmp_path):
@@ -249,6 +333,17 @@ def test_an_error_leaves_an_existing_folder_as_it_was(tmp_path, monkeypatch):
     assert names(tmp_path) == ["out"]
     assert names(out) == ["a"]
     assert (out / "a").read_text() == "old"
+
+
+def test_two_runs_that_make_one_new_folder_at_once_both_succeed(tmp_path):
+    with atomic_folder(tmp_path / "out") as first:
+        (first / "a").write_text("1")
+        (first / "b").write_text("1")
+        with atomic_folder(tmp_path / "out") as second:
+            (second / "b").write_text("2")
+            (second / "c").write_text("2")
+    assert names(tmp_path) == ["out"]
+    assert {file.name: file.read_text() for file in (tmp_path / "out").iterdir()} == {"a": "1", "b": "1", "c": "2"}
 
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path):

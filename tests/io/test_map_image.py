@@ -8,6 +8,8 @@ import zlib
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.BmpImagePlugin import BmpImageFile
+from PIL.PngImagePlugin import PngImageFile
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.map_image import read_map_image
@@ -269,6 +271,117 @@ def test_a_png_above_pillows_own_limit_and_below_ours_is_not_refused_for_its_siz
     path = write(png_with_header(14_000, 14_000, 1, 0, b"\0" * 10))
     with pytest.raises(FormatError, match=r"damaged picture: .*truncated"):
         read_map_image(path)
+
+
+def interlaced_rows(grey: np.ndarray, depth: int = 8) -> bytes:
+    """Return a picture's rows in Adam7's order, from the definition: every eighth pixel first, the odd rows last."""
+    passes = [
+        grey[0::8, 0::8],
+        grey[0::8, 4::8],
+        grey[4::8, 0::4],
+        grey[0::4, 2::4],
+        grey[2::4, 0::2],
+        grey[0::2, 1::2],
+    ]
+    rows = b""
+    for part in (*passes, grey[1::2]):
+        if part.size:
+            bits = np.unpackbits(part[..., None], axis=2)[..., 8 - depth :].reshape(len(part), -1)
+            rows += b"".join(b"\0" + row.tobytes() for row in np.packbits(bits, axis=1))
+    return rows
+
+
+def interlaced_png(width: int, height: int, depth: int, rows: bytes) -> bytes:
+    content = bytearray(png_with_header(width, height, depth, 0, rows))
+    content[28] = 1
+    content[29:33] = struct.pack(">I", zlib.crc32(content[12:29]))
+    return bytes(content)
+
+
+@pytest.mark.parametrize("depth", [1, 4, 8])
+def test_interlaced_pictures_of_every_size_are_read_and_refused_without_their_last_byte(write, rng, depth):
+    for height, width in np.ndindex(10, 10):
+        levels = rng.integers(0, 2**depth, (height + 1, width + 1)).astype(np.uint8)
+        rows = interlaced_rows(levels, depth)
+        image = read_map_image(write(interlaced_png(width + 1, height + 1, depth, rows)))
+        np.testing.assert_array_equal(image.grey, levels * (255 // (2**depth - 1)))
+        with pytest.raises(FormatError, match=f"{width + 1} x {height + 1} pixels take {len(rows)} bytes"):
+            read_map_image(write(interlaced_png(width + 1, height + 1, depth, rows[:-1])))
+
+
+@pytest.mark.parametrize(("depth", "colour", "bits"), [
+    (1, 0, 1), (2, 0, 2), (4, 0, 4), (8, 0, 8), (16, 0, 16), (8, 2, 24), (16, 2, 48), (8, 3, 8), (8, 4, 16),
+    (16, 4, 32), (8, 6, 32), (16, 6, 64),
+])  # fmt: skip
+def test_a_png_whose_pixel_data_end_early_is_an_error_and_no_black_rows(write, depth, colour, bits):
+    palette = [(b"PLTE", bytes(range(9)))] if colour == 3 else []
+    row = b"\0" + b"\1" * -(-13 * bits // 8)
+    assert read_map_image(write(png_with_header(13, 7, depth, colour, row * 7, *palette))).grey.shape == (7, 13)
+    for missing in (1, len(row), 7 * len(row)):
+        rows = (row * 7)[:-missing]
+        with pytest.raises(FormatError, match=f"a.pgm: .*truncated, 13 x 7 pixels take {7 * len(row)} bytes"):
+            read_map_image(write(png_with_header(13, 7, depth, colour, rows, *palette)))
+
+
+def test_a_png_that_lies_about_its_size_is_refused_before_room_is_made_for_it(write, monkeypatch):
+    monkeypatch.setattr(PngImageFile, "load", lambda *_: pytest.fail("room was made"))
+    path = write(png_with_header(64, 6_250_000, 8, 0, b"\0" * 65))
+    assert path.stat().st_size < 100
+    with pytest.raises(FormatError, match="64 x 6250000 pixels take 406250000 bytes"):
+        read_map_image(path)
+    # Dense enough to be possible by its size, but not there.
+    with pytest.raises(FormatError, match="65000 x 1000 pixels take 65001000 bytes"):
+        read_map_image(write(png_with_header(65_000, 1_000, 8, 0, b"\0" * 64_000_000)))
+
+
+def test_pixel_data_in_several_chunks_count_only_while_they_follow_each_other(write, rng):
+    rows = b"".join(b"\0" + row.tobytes() for row in rng.integers(0, 256, (50, 40)).astype(np.uint8))
+    whole = zlib.compress(rows)
+    head = png_with_header(40, 50, 8, 0, b"")[:33]
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    parts = [chunk(b"IDAT", part) for part in (whole[:700], b"", whole[700:])]
+    grey = read_map_image(write(head + b"".join(parts) + chunk(b"IEND", b""))).grey
+    np.testing.assert_array_equal(grey, np.frombuffer(rows, np.uint8).reshape(50, 41)[:, 1:])
+    with pytest.raises(FormatError, match="truncated"):
+        read_map_image(write(head + parts[0] + chunk(b"tEXt", b"a\0b") + parts[2] + chunk(b"IEND", b"")))
+    with pytest.raises(FormatError, match="truncated"):
+        read_map_image(write(head + parts[0]))
+
+
+def test_a_png_without_pixel_data_or_with_those_of_a_part_only_is_an_error(write):
+    head, rest = png_with_header(2, 2, 8, 0, b"\0ab\0cd")[:33], png_with_header(2, 2, 8, 0, b"\0ab\0cd")[33:]
+    with pytest.raises(FormatError, match="damaged picture"):
+        read_map_image(write(head + rest[-12:]))
+    frame = b"fcTL" + struct.pack(">IIIIIHHBB", 0, 1, 1, 0, 0, 1, 1, 0, 0)
+    with pytest.raises(FormatError, match="no data for some of its pixels"):
+        read_map_image(write(head + struct.pack(">I", 26) + frame + struct.pack(">I", zlib.crc32(frame)) + rest))
+
+
+def bmp(width: int, height: int, bits: int, pixels: bytes, compression: int = 0) -> bytes:
+    """Return a BMP written by hand, with a grey palette up to 8 bits."""
+    palette = b"".join(bytes((g, g, g, 0)) for g in range(256)) if bits == 8 else b""
+    header = struct.pack("<IiiHHIIiiII", 40, width, height, 1, bits, compression, 0, 0, 0, 0, 0)
+    start = 14 + 40 + len(palette)
+    return b"BM" + struct.pack("<IHHI", start + len(pixels), 0, 0, start) + header + palette + pixels
+
+
+@pytest.mark.parametrize(("bits", "stride"), [(8, 8), (24, 16)])
+def test_a_bmp_with_missing_pixels_is_refused_before_room_is_made_for_it(write, monkeypatch, bits, stride):
+    assert read_map_image(write(bmp(5, 3, bits, b"\7" * 3 * stride))).grey.tolist() == [[7] * 5] * 3
+    monkeypatch.setattr(BmpImageFile, "load", lambda *_: pytest.fail("room was made"))
+    for height, found in ((3, 3 * stride - 1), (80_000_000, 3 * stride), (-3, stride)):
+        needed = abs(height) * stride
+        with pytest.raises(FormatError, match=f"truncated, its pixels take {needed} bytes, got {found}"):
+            read_map_image(write(bmp(5, height, bits, b"\7" * found)))
+
+
+def test_a_bmp_with_run_length_codes_is_refused_because_they_may_leave_pixels_out(write):
+    # Two pixels, then the end of the line: the other three would be black.
+    with pytest.raises(FormatError, match="run-length codes are not read: save it without, or as PNG"):
+        read_map_image(write(bmp(5, 1, 8, b"\2\7\0\0\0\1", compression=1)))
 
 
 def test_a_damaged_png_is_an_error_that_names_the_file(save, rng):

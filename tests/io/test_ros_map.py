@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -378,3 +379,25 @@ def test_a_note_says_when_the_grey_of_unknown_counts_as_free(write):
     for keys in ({"free_thresh": "0.196"}, {"negate": "yes"}, {"mode": "raw"}):
         assert ros_map_notes(write([205, 255], **keys)) == []
     assert ros_map_notes(write([204, 255])) == []
+
+
+def test_a_map_takes_little_more_memory_while_it_is_read_than_afterwards(write, rng, monkeypatch):
+    monkeypatch.setattr("beamfield.io.ros_map._PIXELS_PER_BAND", 70_000)
+    grey = rng.choice([0, 205, 254], (1000, 1500)).astype(np.uint8)
+    path = write(grey, free_thresh="0.19")
+    tracemalloc.start()
+    grid = read_ros_map(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # Four bytes a cell are the map, one the picture; indices and masks of the whole picture would be eight and more.
+    assert peak < 7 * grey.size
+    expected = np.select([grey == 0, grey == 254], [1.0, 0.0], np.nan)[::-1]
+    np.testing.assert_array_equal(grid.probability, expected.astype(np.float32))
+
+
+def test_transparent_pixels_of_every_band_are_unknown(write, rng, monkeypatch):
+    monkeypatch.setattr("beamfield.io.ros_map._PIXELS_PER_BAND", 100)
+    grey, alpha = rng.choice([0, 254], (50, 30)), rng.choice([0, 255], (50, 30))
+    grid = read_ros_map(write(grey, alpha))
+    np.testing.assert_array_equal(grid.unknown, alpha[::-1] == 0)
+    np.testing.assert_array_equal(grid.occupied, ((grey == 0) & (alpha == 255))[::-1])

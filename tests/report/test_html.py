@@ -172,7 +172,7 @@ def test_dropped_scans_and_beams_are_counted(page):
 
 @pytest.mark.usefixtures("no_figures")
 def test_text_from_files_is_escaped(case):
-    evil = '<script>alert("x")</script>&\''
+    evil = '<script>alert("x")</script>&\'\x1b[2J\x07\x85\x9b\u202e'
     log = replace(
         case.log,
         finder=replace(case.log.finder, name=evil),
@@ -184,6 +184,7 @@ def test_text_from_files_is_escaped(case):
     assert "<script" not in text
     assert "&lt;script&gt;" in text
     assert "alert(" in Page(text).text
+    assert text.replace("\n", "").isprintable()
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -17,8 +17,10 @@ from beamfield.cli.calibrate_stack import StackResult, add_stack_options, fit_fo
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
+from beamfield.cli.terminal import complain, say
 from beamfield.cli.wording import in_options
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.printable import printable
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import CalibrationOptions
@@ -192,7 +194,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
             # Several sensors: a folder each.
             outputs[_folder_name(name) if len(chosen) > 1 else "."] = files
-            text.append((f"== {name}\n" if len(chosen) > 1 else "") + table)
+            text.append((f"== {printable(name)}\n" if len(chosen) > 1 else "") + table)
             converged &= good
     with atomic_folder(arguments.out) as folder:
         for place, files in outputs.items():
@@ -200,13 +202,13 @@ def run(arguments: argparse.Namespace) -> int:
             for file_name, content in files.items():
                 (folder / place / file_name).write_text(content, encoding="utf-8")
     for note in notes:
-        print(f"note: {note}")
-    print("\n\n".join(text))
-    print(f"\nwrote {', '.join(next(iter(outputs.values())))} into {arguments.out}")
+        say(f"note: {printable(note)}")
+    say("\n\n".join(text))
+    say(f"\nwrote {', '.join(next(iter(outputs.values())))} into {arguments.out}")
     if patched is not None and stack is not None:
-        print(write_patch(patched, stack))
+        say(write_patch(patched, stack))
     if not converged:
-        print("beamfield: warning: the fit did not converge", file=sys.stderr)
+        complain("beamfield: warning: the fit did not converge")
         return 3
     return 0
 

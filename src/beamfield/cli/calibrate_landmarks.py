@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
+from beamfield.cli.terminal import say
 from beamfield.cli.wording import in_options
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.printable import printable
 
 if TYPE_CHECKING:
     from beamfield.calibration.landmark_noise import LandmarkLearningResult
@@ -85,18 +87,18 @@ def run(arguments: argparse.Namespace) -> int:
             )
         except (InvalidInputError, TooLittleDataError) as error:
             raise type(error)(f"{arguments.sightings}: {error}") from error
-    print(in_options(_summary(result, log.notes)))
+    say(in_options(_summary(result, log.notes)))
     if arguments.out is not None:
         text = landmark_model_text(result.parameters, intervals=result.intervals, provenance=_provenance(arguments))
         write_file(arguments.out, text)
-        print(f"wrote {arguments.out}")
+        say(f"wrote {arguments.out}")
     return 0 if result.converged else 3
 
 
 def _summary(result: LandmarkLearningResult, notes: tuple[str, ...]) -> str:
     from beamfield.report.landmark_table import landmark_form_table, landmark_parameter_table
 
-    lines = [f"note: {note}" for note in notes]
+    lines = [f"note: {printable(note)}" for note in notes]
     lines.append(f"{result.n_sightings} sightings in {result.n_blocks} blocks\n")
     lines.append(landmark_parameter_table(result))
     forms = landmark_form_table(result)
@@ -104,7 +106,7 @@ def _summary(result: LandmarkLearningResult, notes: tuple[str, ...]) -> str:
         lines += ["", forms]
     if result.findings:
         lines.append("")
-    lines += [f"{finding.severity} ({finding.name}): {finding.text}" for finding in result.findings]
+    lines += [f"{finding.severity} ({finding.name}): {printable(finding.text)}" for finding in result.findings]
     return "\n".join(lines)
 
 

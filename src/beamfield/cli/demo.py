@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from beamfield.cli import calibrate, simulate
+from beamfield.cli.terminal import say
 
 DESCRIPTION = """
 Simulate a robot that drives through an office, write its log and map, calibrate the beam model from these files as
@@ -44,9 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
     ])  # fmt: skip
     truth = json.loads((world / simulate.TRUTH).read_text(encoding="utf-8"))["parameters"]
     fit = json.loads((result / "calibration.json").read_text(encoding="utf-8"))
-    print()
-    print(comparison(truth, fit["parameters"]))
-    print(f"\nlook at {result / 'report.html'}")
+    say()
+    say(comparison(truth, fit["parameters"]))
+    say(f"\nlook at {result / 'report.html'}")
     return code
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
+from beamfield.cli.terminal import say, say_json
 from beamfield.errors import InvalidInputError
+from beamfield.printable import printable
 
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
@@ -68,7 +69,10 @@ def run(arguments: argparse.Namespace) -> int:
     grid, map_file = (None, None) if arguments.map is None else _read_map(arguments.map)
     log = None if arguments.log is None else _read_log(arguments)
     found = examine(file, grid=grid, map_file=map_file, log=log)
-    print(_as_json(file, found) if arguments.json else _as_text(file, found))
+    if arguments.json:
+        say_json(_as_document(file, found))
+    else:
+        say(_as_text(file, found))
     return 1 if any(item.severity != "info" for item in found) else 0
 
 
@@ -102,7 +106,7 @@ def _read_log(arguments: argparse.Namespace) -> SensorLog:
 
 def _as_text(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
     width = min(shutil.get_terminal_size((100, 24)).columns, 120)
-    section = f", section {file.section.label}" if file.section.label else ""
+    section = f", section {printable(file.section.label)}" if file.section.label else ""
     lines = [f"{file.section.path}: {file.stack}, {file.model}{section}"]
     for item in found:
         where = f" (line {item.line})" if item.line is not None else ""
@@ -116,8 +120,8 @@ def _as_text(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
     return "\n".join([*lines, "", summary or "nothing found"])
 
 
-def _as_json(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
-    document = {
+def _as_document(file: StackFile, found: tuple[Diagnosis, ...]) -> dict[str, Any]:
+    return {
         "file": file.section.path.name,
         "stack": file.stack,
         "stack_is_certain": file.stack_is_certain,
@@ -131,4 +135,3 @@ def _as_json(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
             for item in found
         ],
     }  # fmt: skip
-    return json.dumps(document, indent=1, allow_nan=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import file_name
+from beamfield.cli.terminal import complain, say
 from beamfield.errors import InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     figures = chosen_figures(arguments.only)
     if arguments.list:
-        print("\n".join(f"{figure.number:<5} {figure.title}" for figure in figures))
+        say("\n".join(f"{figure.number:<5} {figure.title}" for figure in figures))
         return 0
     _check(arguments)
     drawn: list[ChapterFigure] = []
@@ -74,12 +74,12 @@ def run(arguments: argparse.Namespace) -> int:
         page = gallery_page(drawn, source, suffix=arguments.format, missing=reasons)
         (folder / "gallery.md").write_text(page, encoding="utf-8")
     for figure in drawn:
-        print(f"{figure.name}: {figure.title}. {figure.caption}")
+        say(f"{figure.name}: {figure.title}. {figure.caption}")
     count = "1 figure" if len(drawn) == 1 else f"{len(drawn)} figures"
-    print(f"\nwrote {count} and gallery.md into {arguments.out}, drawn from: {source}")
+    say(f"\nwrote {count} and gallery.md into {arguments.out}, drawn from: {source}")
     for reason in dict.fromkeys(reasons.values()):
         names = [figure.name for figure in reasons if reasons[figure] == reason]
-        print(f"beamfield: warning: not drawn: {', '.join(names)}: {reason}", file=sys.stderr)
+        complain(f"beamfield: warning: not drawn: {', '.join(names)}: {reason}")
     return 3 if missing else 0
 
 

@@ -12,8 +12,10 @@ from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
+from beamfield.cli.terminal import say
 from beamfield.cli.wording import in_options
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.printable import printable
 
 if TYPE_CHECKING:
     from beamfield.calibration.scan_fit import ScanFits
@@ -108,10 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
         for name, content in files.items():
             (folder / name).write_text(content, encoding="utf-8")
     for note in given.notes:
-        print(f"note: {in_options(note)}")
-    print(_basis(reference, given))
-    print(fit_table(fits, worst))
-    print(f"\nwrote {', '.join(FILES)} into {arguments.out}")
+        say(f"note: {printable(in_options(note))}")
+    say(_basis(reference, given))
+    say(fit_table(fits, worst))
+    say(f"\nwrote {', '.join(FILES)} into {arguments.out}")
     return 0
 
 

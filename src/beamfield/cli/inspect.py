@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.provenance import file_name
+from beamfield.cli.terminal import say, say_json
 from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 
@@ -55,9 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         _write_picture(content, grid, arguments)
     if arguments.json:
-        print(json.dumps(facts, indent=1, allow_nan=False))
+        say_json(facts)
     else:
-        print(_text(facts, arguments))
+        say(_text(facts, arguments))
     return 0
 
 

@@ -15,6 +15,7 @@ from beamfield.geometry import FloatArray
 from beamfield.maps.end_points import end_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import MAP_COLOURS, PATH_COLOUR, draw_map, draw_ranges, draw_scan, draw_trajectory
+from beamfield.printable import printable
 from beamfield.sensors import ScanLog, SensorLog
 
 MOST_POINTS = 150_000
@@ -76,7 +77,7 @@ def log_picture(log: ScanLog, title: str, grid: OccupancyGrid | None = None) -> 
         return figure
     parts = figure.subfigures(len(shown), 1, height_ratios=heights, squeeze=False)[:, 0]
     for (name, sensor), part, (layout, options, _) in zip(shown, parts, layouts, strict=True):
-        part.suptitle(f"sensor {name}", fontsize=12)
+        part.suptitle(f"sensor {printable(name)}".replace("$", r"\$"), fontsize=12)
         panels = part.subplot_mosaic(layout, **options)
         if "path" in panels:
             _draw_path_and_scans(sensor, panels["path"], grid)

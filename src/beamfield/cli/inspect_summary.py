@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.printable import printable
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
 Facts = dict[str, Any]
@@ -178,7 +179,7 @@ def _sensor_rows(sensor: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("readings", (f"{readings['count']:,}: {readings['measured_share']:.2%} measured, "
                      f"{readings['no_return_share']:.2%} no return, {readings['no_measurement_share']:.2%} NaN, "
                      f"{readings['too_close_share']:.2%} too close")),
-        ("no return", sensor["no_return"]["explanation"]),
+        ("no return", printable(sensor["no_return"]["explanation"])),
     ]  # fmt: skip
     if readings["shortest_m"] is not None:
         rows.append(
@@ -229,4 +230,4 @@ def _mount_row(beams: Mapping[str, Any]) -> str:
 
 def _note_lines(facts: Mapping[str, Any]) -> list[str]:
     notes = facts["notes"]
-    return ["", "notes", *(f"  - {note}" for note in notes)] if notes else []
+    return ["", "notes", *(f"  - {printable(note)}" for note in notes)] if notes else []

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
 from beamfield.cli.progress import StageProgress
+from beamfield.cli.terminal import say
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -99,10 +100,10 @@ def run(arguments: argparse.Namespace) -> int:
         reference = reference if math.isfinite(float(reference.sum())) else None
         progress("drawing", 0, 1)
         _write(scan, grid, result, reference, arguments)
-    print(_summary(result, measured, model, reference))
+    say(_summary(result, measured, model, reference))
     for path in (arguments.out, arguments.npz):
         if path is not None:
-            print(f"wrote {path}")
+            say(f"wrote {path}")
     return 0
 
 
@@ -199,7 +200,7 @@ def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldPa
     beam = _parameters(arguments, scan)
     for name in NOT_OF_A_FIELD:
         if getattr(beam, name) != 0.0:
-            print(
+            say(
                 f"note: {arguments.parameters} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot "
                 "have; it is left out. The likelihood_field.yaml of beamfield calibrate is learned without."
             )

@@ -23,6 +23,7 @@ from beamfield.cli import (
     translate,
 )
 from beamfield.cli import map as map_command
+from beamfield.cli.terminal import Parser, complain
 from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError, BeamfieldWarning
 
@@ -45,7 +46,7 @@ UNITS = "In the names of values M stands for metres, S for seconds, DEG for degr
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all subcommands."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="beamfield",
         description="Measurement models of probabilistic robotics: calibrate a range sensor from a log and a map.",
         epilog="Exit codes: 0 done; 1 a known error, on one line; 2 wrong usage; 3 not converged or too little data.",
@@ -97,13 +98,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    print(f"beamfield: error: {in_options(' '.join(message.split()))}", file=sys.stderr)
+    complain(f"beamfield: error: {in_options(message)}")
     return code
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning without the place in the code, which says nothing to a user."""
-    print(f"beamfield: warning: {in_options(' '.join(str(message).split()))}", file=sys.stderr)
+    complain(f"beamfield: warning: {in_options(str(message))}")
 
 
 if __name__ == "__main__":

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 from beamfield.cli.calibrate import add_log_options, log_options
 from beamfield.cli.formats import LOG_FORMATS
 from beamfield.cli.progress import StageProgress
+from beamfield.cli.terminal import say
 from beamfield.cli.wording import in_options
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.printable import printable
 
 if TYPE_CHECKING:
     from beamfield.maps.mapping import InverseSensorModel
@@ -80,9 +82,9 @@ def run(arguments: argparse.Namespace) -> int:
         progress("writing", 0, 1)
         save_map(grid, arguments.out, mode=arguments.mode)
     for note in log.notes:
-        print(f"note: {in_options(note)}")
-    print(_summary(grid, sensor))
-    print(f"wrote {arguments.out} and {arguments.out.with_suffix('.pgm').name}")
+        say(f"note: {printable(in_options(note))}")
+    say(_summary(grid, sensor))
+    say(f"wrote {arguments.out} and {arguments.out.with_suffix('.pgm').name}")
     return 0
 
 

@@ -10,6 +10,8 @@ from typing import NoReturn
 
 from tqdm import tqdm
 
+from beamfield.cli.terminal import complain
+
 # Seconds between two looks at the clock: a stage that has nothing to count shows that the program is alive.
 TICK_S = 0.5
 # A stage that has not counted anything for so many seconds says what it may be waiting for.
@@ -73,7 +75,7 @@ class StageProgress:
         self._end()
         self._stage, self._since = stage, time.monotonic()
         if not sys.stderr.isatty():
-            print(f"{stage} ...", file=sys.stderr, flush=True)
+            complain(f"{stage} ...")
             return
         self._bar = tqdm(
             total=total, desc=stage, leave=False, file=sys.stderr, bar_format=TIMED if total <= 1 else COUNTED

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from beamfield import __version__
+from beamfield.printable import printable
 
 
 def file_name(path: str | Path) -> str:
-    r"""Return a file's name as text that any output can hold: bytes that are no UTF-8 become ``\xe4``."""
+    r"""Return a file's name as one line that any output can hold: bytes that are no UTF-8 become ``\xe4``."""
     name = Path(path).name or Path(path).resolve().name
-    return os.fsencode(name).decode("utf-8", "backslashreplace")
+    return printable(os.fsencode(name).decode("utf-8", "backslashreplace"))
 
 
 def file_hash(path: str | Path) -> str:

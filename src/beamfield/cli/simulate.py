@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import file_hash, provenance
 from beamfield.cli.simulate_sonar import add_sonar_options, cause_shares, given_options, physics_of, ring_of
+from beamfield.cli.terminal import say
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -122,8 +123,8 @@ def run(arguments: argparse.Namespace) -> int:
             }
             (folder / TRUTH).write_text(json.dumps(truth, indent=2) + "\n", encoding="utf-8")
     what = "sonars" if arguments.sensor == "sonar" else "beams"
-    print(f"simulated {len(sensor)} scans of {sensor.finder.n_beams} {what} in {arguments.duration:g} s")
-    print(f"wrote {', '.join([*names, TRUTH])} into {arguments.out}")
+    say(f"simulated {len(sensor)} scans of {sensor.finder.n_beams} {what} in {arguments.duration:g} s")
+    say(f"wrote {', '.join([*names, TRUTH])} into {arguments.out}")
     return 0
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from beamfield import __version__
 from beamfield.cli.doctor import add_file_options
+from beamfield.cli.terminal import complain, say
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -64,11 +65,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.patch is not None:
         said += _patch(arguments, result)
     elif result.stack == CHAPTER:
-        print("\n".join(f"{name} = {value:.6g}" for name, value in result.values.items()))
+        say("\n".join(f"{name} = {value:.6g}" for name, value in result.values.items()))
     else:
         said = _print_or_write(arguments.out, result, head, said)
     for note in said:
-        print(f"note: {note}", file=sys.stderr)
+        complain(f"note: {note}")
     return 0
 
 
@@ -124,7 +125,7 @@ def _patch(arguments: argparse.Namespace, result: Translation) -> list[str]:
     target = _patched_file(arguments, result.model)
     ran = _patched_file(arguments, None).model
     backup = write_values(target.section, target.by_names_in_file(result.values))
-    print(f"changed {arguments.patch}, the old file is {backup.name}")
+    say(f"changed {arguments.patch}, the old file is {backup.name}")
     return [f"the file chose {ran} before, now {result.model}"] if ran != result.model else []
 
 
@@ -139,9 +140,9 @@ def _print_or_write(path: Path | None, result: Translation, head: str, said: lis
     text = new_file_text(result.stack, result.values, comments=[head, *said], launch=launch)
     if path is not None:
         write_file(path, text)
-        print(f"wrote {path}")
+        say(f"wrote {path}")
         return said
-    print(text, end="")
+    say(text, end="")
     return said if sys.stderr.isatty() and not sys.stdout.isatty() else []
 
 

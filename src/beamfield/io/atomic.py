@@ -1,15 +1,27 @@
-"""Write files whole or not at all: an error, or a kill, never leaves half a result under the final name."""
+"""Write files whole or not at all: an error, or a kill, never leaves half a result under the final name.
+
+New content is written in a scratch folder beside its target, which nobody else can open, and renamed when it is
+whole. The folder is locked while its run lives. What a killed run leaves is removed by the next run that writes the
+same target and gets the lock; where folders cannot be locked (Windows, some network disks), it stays.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 import secrets
 import shutil
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from beamfield.errors import InvalidInputError
+
+if sys.platform != "win32":
+    import fcntl
 
 
 @contextmanager
@@ -19,12 +31,14 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     Parameters
     ----------
     path
-        The file to write; it is replaced if it exists, and its permissions are kept.
+        The file to write. If it exists it is replaced, and its permissions are kept, as are owner and group where the
+        system allows it.
 
     Yields
     ------
-    A path beside it, with the same suffix, that does not exist yet. Create that file inside the ``with`` block; at its
-    end the file is flushed to the disk and renamed. If the block raises, or creates nothing, `path` is untouched.
+    A path of the same name in a scratch folder, which does not exist yet. Create that file inside the ``with`` block;
+    at its end the file is flushed to the disk and renamed. If the block raises, or creates nothing, `path` is
+    untouched.
 
     Raises
     ------
@@ -70,21 +84,14 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
     the last one old. A folder that is new is one rename; see `atomic_folder`.
     """
     targets = [_replaceable(Path(path)) for path in paths]
-    parts = [_beside(target) for target in targets]
-    try:
+    with ExitStack() as stack:
+        scratch = [stack.enter_context(scratch_folder(target.parent, target.name)) for target in targets]
+        parts = [folder / target.name for folder, target in zip(scratch, targets, strict=True)]
         yield parts
         for target, part in zip(targets, parts, strict=True):
             if not part.is_file():
                 raise InvalidInputError(f"{target}: the file was to be written, but {part.name!r} was not created")
-            if target.exists():
-                shutil.copymode(target, part)
-            _flush(part)
         _replace_all(parts, targets)
-    finally:
-        for part in parts:
-            part.unlink(missing_ok=True)
-    for folder in {target.parent for target in targets}:
-        _flush(folder)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -139,7 +146,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Yields
     ------
-    An empty folder beside it, or in it if it exists, to create files in; folders inside that are allowed.
+    An empty folder to create files in; folders inside that are allowed.
 
     Raises
     ------
@@ -152,27 +159,22 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     if target.exists() and not target.is_dir():
         raise NotADirectoryError(20, "Not a directory", str(path))
     created = _create_parents(target)
-    # In a folder that exists, for its parent may be another disk (a mount point) or not ours to write (a home).
-    part = _beside(target / target.name if target.exists() else target)
     try:
-        part.mkdir()
-        yield part
-        files = sorted(file for file in part.rglob("*") if not file.is_dir())
-        for file in files:
-            _flush(file)
-        if target.exists():
-            _merge(part, files, target)
-        else:
-            for folder in [part, *(entry for entry in part.rglob("*") if entry.is_dir())]:
-                _flush(folder)
-            part.rename(target)
-        _flush(target.parent)
+        # In a folder that exists, for its parent may be another disk (a mount point) or not ours to write (a home).
+        with scratch_folder(target if target.exists() else target.parent, target.name) as scratch:
+            part = scratch / target.name
+            part.mkdir()
+            yield part
+            files = sorted(file for file in part.rglob("*") if not file.is_dir())
+            if target.exists() or not _rename_folder(part, files, target):
+                goals = [target / file.relative_to(part) for file in files]
+                created += [folder for goal in goals for folder in _create_parents(goal)]
+                _replace_all(files, goals)
     except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
         for folder in reversed(created):
-            _remove_if_empty(folder)
+            with suppress(OSError):  # someone else put something there: it is theirs
+                folder.rmdir()
         raise
-    shutil.rmtree(part, ignore_errors=True)
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -187,6 +189,42 @@ def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
     """
     with atomic_file(path) as part:
         part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+@contextmanager
+def scratch_folder(parent: Path, name: str) -> Iterator[Path]:
+    """Make a folder that only its owner can open, for files that are needed for a while.
+
+    Parameters
+    ----------
+    parent
+        Where.
+    name
+        Of what it is for. Folders that killed runs left under this name are removed.
+
+    Yields
+    ------
+    The folder, which is removed with its content at the end.
+
+    Raises
+    ------
+    OSError
+        As the file system says.
+    """
+    start, end = f".{name[:50]}.", f".{_kernel()}.beamfield-part"
+    _remove_abandoned(parent, start, end)
+    while True:
+        folder = parent / f"{start}{secrets.token_hex(6)}{end}"
+        folder.mkdir(mode=0o700)
+        with suppress(BlockingIOError, FileNotFoundError):  # another run took it for abandoned before we locked it
+            lock = _lock(folder)
+            break
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
 
 
 def _replaceable(path: Path) -> Path:
@@ -206,23 +244,51 @@ def _require_access(folder: Path) -> None:
         raise PermissionError(13, "Permission denied", str(folder))
 
 
-def _beside(target: Path) -> Path:
-    # The suffix stays last, because writers choose the format by it. The name is not created here, so that the
-    # writer's own creation honours the user's umask.
-    return target.with_name(f".{target.stem[:100]}.{secrets.token_hex(6)}.part{target.suffix}")
+@cache
+def _kernel() -> str:
+    """Return what tells apart the systems that may not see each other's locks on a network disk."""
+    try:
+        # New with every boot, and shared by the containers of one machine, whose host names differ.
+        identity = Path("/proc/sys/kernel/random/boot_id").read_bytes()
+    except OSError:
+        identity = platform.node().encode()
+    return hashlib.sha256(identity).hexdigest()[:8]
+
+
+def _lock(folder: Path) -> int | None:
+    """Lock a folder and return what to close to unlock it; None if folders cannot be locked here.
+
+    Raises BlockingIOError if another run has the lock, FileNotFoundError if the folder is gone.
+    """
+    if sys.platform == "win32":
+        return None
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        folder.stat()
+    except (BlockingIOError, FileNotFoundError):
+        os.close(handle)
+        raise
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
+
+
+def _remove_abandoned(parent: Path, start: str, end: str) -> None:
+    with suppress(OSError):
+        for entry in parent.iterdir():
+            if entry.name.startswith(start) and entry.name.endswith(end):
+                with suppress(OSError):  # it is somebody's, or no folder of ours
+                    lock = _lock(entry)
+                    if lock is not None:
+                        shutil.rmtree(entry, ignore_errors=True)
+                        os.close(lock)
 
 
 def _flush(path: Path) -> None:
-    if path.is_dir():
-        # Windows cannot open a folder and some network file systems cannot flush one; the rename is done either way.
-        with suppress(OSError):
-            _sync(path, os.O_RDONLY)
-    else:
-        _sync(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
-
-
-def _sync(path: Path, flags: int) -> None:
-    handle = os.open(path, flags)
+    # Else a power failure after the rename could leave an empty file under the final name.
+    handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
@@ -231,47 +297,57 @@ def _sync(path: Path, flags: int) -> None:
 
 def _replace_all(parts: Sequence[Path], targets: Sequence[Path]) -> None:
     """Rename every part to its target; if one rename fails, put back what was there before."""
-    if len(parts) == 1:
-        parts[0].replace(targets[0])
-        return
-    undo: list[tuple[Path, Path | None]] = []
+    for part, target in zip(parts, targets, strict=True):
+        if target.is_dir():
+            raise IsADirectoryError(21, "Is a directory", str(target))
+        if target.exists():
+            _keep_access(target, part)
+        _flush(part)
+    undo: list[tuple[Path, Path, Path | None]] = []
     try:
         for part, target in zip(parts, targets, strict=True):
-            undo.append((target, _keep(target) if target.exists() else None))
+            # A single rename needs no way back.
+            old = _copy(target, part) if len(parts) > 1 and target.exists() else None
+            undo.append((part, target, old))
             part.replace(target)
     except BaseException:
-        for target, old in reversed(undo):
+        for part, target, old in reversed(undo):
+            if part.exists():
+                continue  # not renamed
             if old is None:
                 target.unlink(missing_ok=True)
             else:
                 old.replace(target)
         raise
-    for _, old in undo:
-        if old is not None:
-            old.unlink(missing_ok=True)
 
 
-def _keep(target: Path) -> Path:
-    # A copy, not a rename: readers find the old file under its name until the new one takes it.
-    old = _beside(target)
-    shutil.copy2(target, old)
+def _keep_access(target: Path, part: Path) -> None:
+    if sys.platform != "win32":
+        old = target.stat()
+        with suppress(PermissionError):  # only root may give files away
+            os.chown(part, old.st_uid, old.st_gid)
+    shutil.copymode(target, part)
+
+
+def _copy(target: Path, part: Path) -> Path:
+    # Not a rename: readers find the old file under its name until the new one takes it.
+    old = part.with_name(f"{secrets.token_hex(6)}.old")
+    shutil.copyfile(target, old)
+    _keep_access(target, old)
     return old
 
 
-def _merge(part: Path, files: Sequence[Path], target: Path) -> None:
-    goals = [target / file.relative_to(part) for file in files]
-    for goal in goals:
-        if goal.is_dir():
-            raise IsADirectoryError(21, "Is a directory", str(goal))
-    created = [folder for goal in goals for folder in _create_parents(goal)]
+def _rename_folder(part: Path, files: Sequence[Path], target: Path) -> bool:
+    """Give a new folder its name; False if another run made a folder of that name in the meantime."""
+    for file in files:
+        _flush(file)
     try:
-        _replace_all(files, goals)
-    except BaseException:
-        for folder in reversed(created):
-            _remove_if_empty(folder)
-        raise
-    for folder in {goal.parent for goal in goals}:
-        _flush(folder)
+        part.rename(target)
+    except OSError:
+        if not target.is_dir():
+            raise
+        return False
+    return True
 
 
 def _create_parents(path: Path) -> list[Path]:
@@ -283,8 +359,3 @@ def _create_parents(path: Path) -> list[Path]:
     for folder in reversed(missing):
         folder.mkdir(exist_ok=True)
     return missing[::-1]
-
-
-def _remove_if_empty(folder: Path) -> None:
-    with suppress(OSError):  # someone else put something there: it is theirs
-        folder.rmdir()

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterable, Iterator
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
+from beamfield.io.atomic import scratch_folder
+from beamfield.io.bag_unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -66,7 +70,9 @@ class BagFile:
     Raises
     ------
     FormatError
-        If it is no bag, or is cut or damaged.
+        If it is no bag, is cut or damaged, or unpacks to far more than its size (`bag_unpacking`).
+    InvalidInputError
+        If the environment's limit for unpacking is no number.
     MissingDependencyError
         If the package rosbags is not installed.
     FileNotFoundError, PermissionError
@@ -81,16 +87,16 @@ class BagFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._stack = ExitStack()
-        self._reader = _open_reader(self.path)
+        self._unpack: Callable[[bytes], bytes] | None = None  # for messages that are compressed one by one
 
     def __enter__(self) -> BagFile:
-        with _speaking_of(self.path):
-            self._stack.enter_context(self._reader)
-        try:
+        with ExitStack() as stack, _speaking_of(self.path):
+            paths, self._unpack = _storage(self.path, stack)
+            self._reader = stack.enter_context(_reader(paths))
+            if not self._reader.is2:
+                limit_chunks(self._reader.readers[0], self.path)
             self._check_topics()
-        except FormatError:
-            self._stack.close()
-            raise
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -156,7 +162,14 @@ class BagFile:
         for connection, recorded, raw in _guarded(self.path, self._reader.messages(connections)):
             numbers[connection.topic] += 1
             number = numbers[connection.topic]
-            with _speaking_of(self.path, f"{connection.topic}, message {number}"):
+            place = f"{connection.topic}, message {number}"
+            with _speaking_of(self.path, place):
+                if not isinstance(recorded, int):
+                    raise FormatError(
+                        self.path, f"expected nanoseconds as the time of recording, got {recorded!r}", field=place
+                    )
+                if self._unpack is not None:
+                    raw = self._unpack(raw)
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield BagMessage(connection.topic, connection.msgtype, number, recorded * 1e-9, content)
 
@@ -166,15 +179,52 @@ def seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
-def _open_reader(path: Path) -> AnyReader:
+def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes], bytes] | None]:
+    """Return what rosbags shall open, checked, and what unpacks messages that are compressed one by one."""
+    paths = _resolve(path)
+    if not paths[0].is_dir():
+        for file in paths:
+            check_storage(file)
+        return paths, None
+    files, mode = _files_of_metadata(paths[0])
+    if mode == "file":
+        # rosbags would do it without a limit.
+        scratch = stack.enter_context(scratch_folder(Path(tempfile.gettempdir()), path.name))
+        for file in files:
+            unpack_file(file, scratch / file.stem)
+            check_storage(scratch / file.stem, file)
+        return [scratch / file.stem for file in files], None
+    for file in files:
+        check_storage(file)
+    if mode == "message":
+        return files, partial(unpack_message, allowance=Allowance(path, sum(file.stat().st_size for file in files)))
+    return paths, None
+
+
+def _files_of_metadata(folder: Path) -> tuple[list[Path], str]:
+    """Return the storage files of a bag, and how they are compressed: "", "file" or "message"."""
+    from ruamel.yaml import YAML
+
+    bag = YAML(typ="safe").load((folder / METADATA).read_text())["rosbag2_bagfile_information"]
+    files = [folder / PurePath(name).name for name in bag["relative_file_paths"]]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        raise FormatError(folder, f"some files are missing: {missing}")
+    mode = (bag.get("compression_mode") or "").lower()
+    if mode not in ("file", "message"):
+        return files, ""
+    if bag.get("compression_format") != "zstd":
+        raise FormatError(folder / METADATA, f"expected compression by zstd, got {bag.get('compression_format')!r}")
+    return files, mode
+
+
+def _reader(paths: list[Path]) -> AnyReader:
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingDependencyError("rosbags", "ros", "reading a bag") from error
-    paths = _resolve(path)
-    with _speaking_of(path):
-        return AnyReader(paths, default_typestore=get_typestore(Stores.LATEST))
+    return AnyReader(paths, default_typestore=get_typestore(Stores.LATEST))
 
 
 def _resolve(path: Path) -> list[Path]:

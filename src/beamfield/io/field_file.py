@@ -11,6 +11,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.io.parameter_document import document_text, named_numbers
 from beamfield.io.yaml_file import read_yaml
 from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -66,7 +67,11 @@ def likelihood_field_text(
     """
     document = {
         "likelihood_field": {**asdict(parameters), "exponent": float(exponent), "n_beams": int(n_beams)},
-        "sensor": {"name": finder.name, "min_range": float(finder.min_range), "max_range": float(finder.max_range)},
+        "sensor": {
+            "name": printable(finder.name),
+            "min_range": float(finder.min_range),
+            "max_range": float(finder.max_range),
+        },
     }
     return document_text(HEADER, document, intervals=intervals, provenance=provenance)
 

@@ -1,4 +1,4 @@
-"""Read the picture of a map as grey levels: PGM, PNG and BMP, with the size checked before anything is decoded."""
+"""Read the picture of a map as grey levels: PGM, PNG and BMP, with size and content checked before it is decoded."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from PIL.BmpImagePlugin import BmpImageFile
+from PIL.ImageFile import ImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.png_pixels import require_all_pixels
 
 MAX_PIXELS = 400_000_000  # 1 km x 1 km at 5 cm
 
@@ -57,7 +59,7 @@ def read_map_image(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS
     Raises
     ------
     FormatError
-        If the content is none of these, too large, truncated or damaged.
+        If the content is none of these, too large, damaged, or has fewer pixels than its header declares.
     InvalidInputError
         If `max_pixels` is not positive.
     OSError
@@ -191,6 +193,7 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
     try:
         with kind(file) as picture:
             _check_size(path, *picture.size, max_pixels)
+            _require_all_pixels(file, path, picture)
             picture.load()
             return _grey_and_opaque(picture)
     except FormatError:
@@ -203,11 +206,44 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
         raise FormatError(path, f"damaged picture: {reason}") from error
 
 
+def _require_all_pixels(file: BinaryIO, path: Path, picture: ImageFile) -> None:
+    # Before Pillow makes room for them.
+    if len(picture.tile) != 1 or picture.tile[0][1] != (0, 0, *picture.size):
+        raise FormatError(path, "damaged picture: truncated, it has no data for some of its pixels")
+    decoder, _, data_start, details = picture.tile[0]
+    stride: Any = details[1] if decoder == "raw" and details else 0
+    where = file.tell()
+    if decoder == "zip":
+        require_all_pixels(file, path, data_start)
+    elif decoder == "raw":
+        needed, found = stride * picture.height, os.fstat(file.fileno()).st_size - data_start
+        if found < needed:
+            raise FormatError(path, f"damaged picture: truncated, its pixels take {needed} bytes, got {max(found, 0)}")
+    else:
+        # Its codes may leave pixels out.
+        raise FormatError(path, "BMP pictures with run-length codes are not read: save it without, or as PNG")
+    file.seek(where)
+
+
 def _grey_and_opaque(picture: Image.Image) -> MapImage:
+    # In bands of rows: every step takes several bytes a pixel.
+    grey = np.empty((picture.height, picture.width), dtype=np.uint8)
+    opaque = np.empty(grey.shape, dtype=np.bool_) if picture.has_transparency_data else None
+    rows_per_band = max(1, _PIXELS_PER_BLOCK // picture.width)
+    for first in range(0, picture.height, rows_per_band):
+        last = min(first + rows_per_band, picture.height)
+        band_grey, band_opaque = _band(picture.crop((0, first, picture.width, last)))
+        grey[first:last] = band_grey
+        if opaque is not None:
+            opaque[first:last] = band_opaque
+    return MapImage(grey, opaque)
+
+
+def _band(picture: Image.Image) -> tuple[GreyArray, NDArray[np.bool_] | None]:
     if picture.mode.startswith("I"):
         levels = np.asarray(picture).astype(np.int64)
         key = picture.info.get("transparency")
-        return MapImage(_grey_of_level(65_535)[np.clip(levels, 0, 65_535)], None if key is None else levels != key)
+        return _grey_of_level(65_535)[np.clip(levels, 0, 65_535)], None if key is None else levels != key
     has_alpha = picture.has_transparency_data
     if picture.mode in ("1", "L", "LA"):
         channels = np.asarray(picture.convert("LA" if has_alpha else "L"))
@@ -215,13 +251,11 @@ def _grey_and_opaque(picture: Image.Image) -> MapImage:
     else:
         channels = np.asarray(picture.convert("RGBA" if has_alpha else "RGB"))
         grey = _luma(channels[..., :3])
-    return MapImage(np.array(grey), np.asarray(channels[..., -1] == 255) if has_alpha else None)
+    return grey, channels[..., -1] == 255 if has_alpha else None
 
 
 def _luma(rgb: GreyArray) -> GreyArray:
     # Integers keep grey exactly grey: the weights (Rec. 709, in millionths) sum to a million.
-    grey = np.empty(rgb.shape[:2], dtype=np.uint8)
-    for row, colours in enumerate(rgb):
-        red, green, blue = colours.astype(np.int64).T
-        grey[row] = (212_656 * red + 715_158 * green + 72_186 * blue + 500_000) // 1_000_000
-    return grey
+    red, green, blue = np.moveaxis(rgb.astype(np.int32), -1, 0)
+    luma = (212_656 * red + 715_158 * green + 72_186 * blue + 500_000) // 1_000_000
+    return np.asarray(luma, dtype=np.uint8)

@@ -11,6 +11,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.io.parameter_document import document_text, named_numbers
 from beamfield.io.yaml_file import read_yaml
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -66,7 +67,7 @@ def beam_model_text(
         max_range = float(finder.max_range)  # rounded up, readings at the limit would no longer be "no return"
     document: dict[str, Any] = {
         "beam_model": _rounded(parameters),
-        "sensor": {"name": finder.name, "min_range": min_range, "max_range": max_range},
+        "sensor": {"name": printable(finder.name), "min_range": min_range, "max_range": max_range},
     }
     if intervals is not None:
         intervals = {name: (_six_digits(low), _six_digits(high)) for name, (low, high) in intervals.items()}

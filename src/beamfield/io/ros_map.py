@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ MODES = ("trinary", "scale", "raw")
 # Grey levels that map_server itself writes: nearly white, black, and what it calls unknown.
 _FREE_GREY, _OCCUPIED_GREY, _UNKNOWN_GREY = 254, 0, 205
 _RAW_UNKNOWN = 255
+
+_PIXELS_PER_BAND = 1_000_000
 
 _TRUE, _FALSE = ("true", "yes", "on", "y"), ("false", "no", "off", "n")
 
@@ -71,16 +74,13 @@ def read_ros_map(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
     occupied_thresh, free_thresh = _thresholds(yaml)
     mode = _mode(yaml)
     image = read_map_image(_image_path(yaml), max_pixels=max_pixels)
-    # From here on the file's first row, the top one, is the last.
     if mode == "raw":
-        probability = _raw_probability(image)
+        probability = _probability(image.grey, None, _raw_levels())
     else:
-        probability = _thresholded_probability(image, mode, negate, occupied_thresh, free_thresh)
+        probability = _probability(image.grey, image.opaque, _levels(mode, negate, occupied_thresh, free_thresh))
         if mode == "scale":
             occupied_thresh, free_thresh = 1.0, 0.0
-    return OccupancyGrid(
-        probability[::-1], resolution, origin, occupied_thresh=occupied_thresh, free_thresh=free_thresh
-    )
+    return OccupancyGrid(probability, resolution, origin, occupied_thresh=occupied_thresh, free_thresh=free_thresh)
 
 
 def image_path(path: str | os.PathLike[str]) -> Path:
@@ -164,7 +164,8 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     p = shade if _negate(yaml) else 1.0 - shade
     if _mode(yaml) == "raw" or p > free_thresh:
         return []
-    share = float((read_map_image(_image_path(yaml)).grey == _UNKNOWN_GREY).mean())
+    counts = _grey_counts(MapImage(read_map_image(_image_path(yaml)).grey))
+    share = float(counts[_UNKNOWN_GREY] / counts.sum())
     if share == 0.0:
         return []
     note = (
@@ -199,12 +200,9 @@ def between_share(path: str | os.PathLike[str]) -> float:
     if _mode(yaml) == "raw":
         return 0.0
     image = read_map_image(_image_path(yaml))
-    shade = image.grey / 255.0
+    shade = np.arange(256) / 255.0
     p = shade if _negate(yaml) else 1.0 - shade
-    between = (p > free) & (p < occupied)
-    if image.opaque is not None:
-        between &= image.opaque
-    counts = np.bincount(image.grey[between], minlength=256)
+    counts = np.where((p > free) & (p < occupied), _grey_counts(image), 0)
     counts[_UNKNOWN_GREY] = 0
     if not _negate(yaml):
         counts[_middle_grey(free, occupied)] = 0
@@ -270,15 +268,13 @@ def _image_path(yaml: YamlFile) -> Path:
 # --------------------------------------------------------------------------------------------------------- the picture
 
 
-def _raw_probability(image: MapImage) -> NDArray[np.float32]:
+def _raw_levels() -> NDArray[np.float32]:
     of_grey = np.full(256, np.nan, dtype=np.float32)
     of_grey[:101] = (np.arange(101) / 100.0).astype(np.float32)
-    return of_grey[image.grey]
+    return of_grey
 
 
-def _thresholded_probability(
-    image: MapImage, mode: str, negate: bool, occupied_thresh: float, free_thresh: float
-) -> NDArray[np.float32]:
+def _levels(mode: str, negate: bool, occupied_thresh: float, free_thresh: float) -> NDArray[np.float32]:
     # One entry per grey level, in double precision, so that the comparisons are exact whatever the grid stores.
     shade = np.arange(256) / 255.0
     p = shade if negate else 1.0 - shade
@@ -287,10 +283,37 @@ def _thresholded_probability(
         of_grey = np.floor(100.0 * (p - free_thresh) / (occupied_thresh - free_thresh) + 0.5) / 100.0
     of_grey[p >= occupied_thresh] = 1.0
     of_grey[p <= free_thresh] = 0.0
-    probability = of_grey.astype(np.float32)[image.grey]
-    if image.opaque is not None:
-        probability[~image.opaque] = np.nan
+    return of_grey.astype(np.float32)
+
+
+def _probability(
+    grey: NDArray[np.uint8], opaque: NDArray[np.bool_] | None, of_grey: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the cells' probabilities, lowest row first; read-only, so that a grid takes them as they are."""
+    probability = np.empty(grey.shape, np.float32)
+    upside_down = probability[::-1]
+    for band in _bands(grey.shape):
+        upside_down[band] = of_grey[grey[band]]
+        if opaque is not None:
+            upside_down[band][~opaque[band]] = np.nan
+    probability.flags.writeable = False
     return probability
+
+
+def _grey_counts(image: MapImage) -> NDArray[np.int64]:
+    """Return how many opaque pixels have each grey level."""
+    counts = np.zeros(256, np.int64)
+    for band in _bands(image.grey.shape):
+        levels = image.grey[band]
+        counts += np.bincount(levels.ravel() if image.opaque is None else levels[image.opaque[band]], minlength=256)
+    return counts
+
+
+def _bands(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Yield the rows of a picture in bands: look-ups make an eight-byte index of every grey level."""
+    step = max(1, _PIXELS_PER_BAND // shape[1])
+    for first in range(0, shape[0], step):
+        yield slice(first, first + step)
 
 
 # --------------------------------------------------------------------------------------------------------------- saving

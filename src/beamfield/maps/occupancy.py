@@ -24,7 +24,8 @@ class OccupancyGrid:
     Parameters
     ----------
     probability
-        (rows, cols) probability that the cell is occupied, in [0, 1]; NaN where nothing is known.
+        (rows, cols) probability that the cell is occupied, in [0, 1]; NaN where nothing is known. It is copied, but for
+        a float32 array that is read-only and no view of another one: maps can take a quarter of the memory there is.
     resolution
         Side of a cell in metres.
     origin
@@ -59,13 +60,14 @@ class OccupancyGrid:
     def __post_init__(self) -> None:
         check_fields(self)
         with np.errstate(over="ignore"):  # what overflows is refused below
-            probability = np.array(self.probability, dtype=np.float32)
+            probability = np.asarray(self.probability, dtype=np.float32)
+        if probability.flags.writeable or not probability.flags.owndata:
+            probability = np.array(probability)
         if probability.ndim != 2 or probability.size == 0:
             raise InvalidInputError(f"probability: expected a 2-D array with cells, got shape {probability.shape}")
-        with np.errstate(invalid="ignore"):
-            bad = (probability < 0) | (probability > 1)
-        if bad.any():
-            row, col = np.argwhere(bad)[0]
+        # These two ignore NaN, and need no mask of the map's size.
+        if np.fmin.reduce(probability, axis=None) < 0 or np.fmax.reduce(probability, axis=None) > 1:
+            row, col = np.argwhere((probability < 0) | (probability > 1))[0]
             raise InvalidInputError(
                 f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col})"
             )
@@ -119,7 +121,11 @@ class OccupancyGrid:
             raise InvalidInputError(f"data: expected -1 or 0 to 100, got {bad}")
         if values.ndim != 2:
             raise InvalidInputError(f"data: expected shape (rows, cols), got {values.shape}")
-        probability = np.where(values < 0, np.nan, values / 100.0).astype(np.float32)
+        # Step by step, for maps whose copies would not fit into memory.
+        probability = values.astype(np.float32)
+        probability /= np.float32(100.0)
+        probability[values < 0] = np.nan
+        probability.flags.writeable = False
         return cls(probability, resolution, as_floats(origin, "origin"))
 
     @property

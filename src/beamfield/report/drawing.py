@@ -6,7 +6,6 @@ Only Figure objects are used, no pyplot and no rcParams, so that a report may be
 from __future__ import annotations
 
 import base64
-import html
 import io
 import math
 import re
@@ -22,6 +21,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from PIL import Image
+
+from beamfield.report.escape import escaped
 
 # Okabe and Ito's palette: told apart by colour-blind readers, and in grey by their lightness.
 CAUSE_NAMES = ("hit", "short", "max", "rand")
@@ -193,7 +194,7 @@ def png_panel(figure: Figure, alt: str, *, wide: bool = False, dpi: int = 144) -
     image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     size = f'width="{image.width}" height="{image.height}"'
-    return Panel(f'<img {size} alt="{html.escape(alt)}" src="data:image/png;base64,{data}">', wide)
+    return Panel(f'<img {size} alt="{escaped(alt)}" src="data:image/png;base64,{data}">', wide)
 
 
 def _inline_svg(text: str, name: str, alt: str, width: float, height: float) -> str:
@@ -218,8 +219,8 @@ def _inline_svg(text: str, name: str, alt: str, width: float, height: float) -> 
     body = re.sub(r'(href="#|url\(#)([^")]+)', lambda m: m.group(1) + names.get(m.group(2), m.group(2)), body)
     body = re.sub(r"\n\s*", "\n", body)
     return (
-        f'<svg class="plot" role="img" aria-label="{html.escape(alt)}" viewBox="0 0 {width:g} {height:g}">'
-        f"<title>{html.escape(alt)}</title>{body.strip()}"
+        f'<svg class="plot" role="img" aria-label="{escaped(alt)}" viewBox="0 0 {width:g} {height:g}">'
+        f"<title>{escaped(alt)}</title>{body.strip()}"
     )
 
 

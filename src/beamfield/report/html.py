@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import html
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,6 +16,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.as_json import plain
 from beamfield.report.drawing import ReportFigure
+from beamfield.report.escape import escaped
 from beamfield.report.figures import report_figures
 from beamfield.report.page_section import PageSection
 from beamfield.report.page_style import STYLE
@@ -76,7 +76,7 @@ def render_report(
             _findings(calibration.findings),
             _parameters(calibration, log),
             _score(calibration),
-            *(f'<h2 id="{part.anchor}">{_text(part.title)}</h2>\n{part.markup}' for part in sections),
+            *(f'<h2 id="{part.anchor}">{escaped(part.title)}</h2>\n{part.markup}' for part in sections),
             _data(calibration, log, origin),
             _figures(figures),
             _origin(calibration, origin),
@@ -85,15 +85,10 @@ def render_report(
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{_text(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{body}\n"
+        f"<title>{escaped(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{body}\n"
         "<footer>Section, figure and equation numbers are those of chapter 6 of Probabilistic Robotics (Thrun, "
-        f"Burgard, Fox). Made by {_text(_program(origin))}.</footer>\n</body>\n</html>\n"
+        f"Burgard, Fox). Made by {escaped(_program(origin))}.</footer>\n</body>\n</html>\n"
     )
-
-
-def _text(value: object) -> str:
-    """Escape text that may come from a file."""
-    return html.escape(str(value), quote=True)
 
 
 def _program(origin: Mapping[str, Any]) -> str:
@@ -105,7 +100,7 @@ def _head(
 ) -> str:
     inputs = origin.get("inputs")
     named = {str(role): _input_name(entry) for role, entry in inputs.items()} if isinstance(inputs, Mapping) else {}
-    facts = [f"{role} <b>{_text(named[role])}</b>" for role in ("log", "map", "poses") if role in named]
+    facts = [f"{role} <b>{escaped(named[role])}</b>" for role in ("log", "map", "poses") if role in named]
     if "map" not in named and _drawn_by_the_log(calibration):
         facts.append("map <b>drawn from the log</b>")
     if _option(origin, "odometry"):
@@ -114,15 +109,15 @@ def _head(
     if recorded:
         facts.append(f"recorded {recorded}")
     if "date" in origin:
-        facts.append(f"calibrated {_text(origin['date'])}")
-    facts.append(_text(_program(origin)))
+        facts.append(f"calibrated {escaped(origin['date'])}")
+    facts.append(escaped(_program(origin)))
     names = list(SECTIONS.items())
     names[2:2] = [(part.anchor, part.title) for part in sections]
-    links = " ".join(f'<a href="#{anchor}">{_text(name)}</a>' for anchor, name in names)
+    links = " ".join(f'<a href="#{anchor}">{escaped(name)}</a>' for anchor, name in names)
     css = "verdict" if is_good(calibration) else "verdict bad"
     return (
-        f'<h1>{_text(title)}</h1>\n<p class="facts">{" · ".join(facts)}</p>\n'
-        f'<p class="{css}">{_text(verdict(calibration))}</p>\n<nav>{links}</nav>'
+        f'<h1>{escaped(title)}</h1>\n<p class="facts">{" · ".join(facts)}</p>\n'
+        f'<p class="{css}">{escaped(verdict(calibration))}</p>\n<nav>{links}</nav>'
     )
 
 
@@ -166,7 +161,7 @@ def _findings(findings: tuple[Finding, ...]) -> str:
 
 def _finding(finding: Finding) -> str:
     css = ' class="info"' if finding.severity != "warning" else ""
-    return f"<li{css}>{_text(finding.text)} <code>{_text(finding.name)}</code></li>"
+    return f"<li{css}>{escaped(finding.text)} <code>{escaped(finding.name)}</code></li>"
 
 
 def _parameters(calibration: Calibration, log: SensorLog) -> str:
@@ -221,12 +216,12 @@ def _snippet(head: str, parameters: BeamParameters, log: SensorLog) -> str:
     lines = [f"{name}: {getattr(parameters, name):.6g}" for name in names] + [f"max_range: {log.finder.max_range:.6g}"]
     lines += [f"min_range: {log.finder.min_range:.6g}"] if log.finder.min_range > 0.0 else []
     lines.insert(0, f"# beam model of {log.finder.name!r}, by beamfield {__version__}")
-    return f"<p>{_text(head)}</p>\n<pre>{_text(chr(10).join(lines))}</pre>"
+    return f"<p>{escaped(head)}</p>\n<pre>{escaped(chr(10).join(lines))}</pre>"
 
 
 def _score(calibration: Calibration) -> str:
     rows = "\n".join(
-        f'<tr class="{"fit" if i == 0 else "rival"}"><td>{_text(s.name)}</td>'
+        f'<tr class="{"fit" if i == 0 else "rival"}"><td>{escaped(s.name)}</td>'
         f'<td class="n">{plus_minus(s.log_likelihood, s.standard_error)}</td>'
         f'<td class="n">{"" if i == 0 else plus_minus(s.behind_fit, s.behind_fit_se, sign=True)}</td></tr>'
         for i, s in enumerate(calibration.scores)
@@ -235,7 +230,7 @@ def _score(calibration: Calibration) -> str:
         '<h2 id="score">Held-out score</h2>\n<div class="scroll"><table><thead><tr><th>model</th>'
         '<th class="n">nats per beam</th><th class="n">the fit is ahead by</th></tr></thead>\n'
         f"<tbody>{rows}</tbody></table></div>\n<p>The defaults' weights sum to more than 1 and are scaled to sum 1; "
-        f"± is one standard error. {_text(form_line(calibration))}</p>\n{_figure(score_plot(calibration))}"
+        f"± is one standard error. {escaped(form_line(calibration))}</p>\n{_figure(score_plot(calibration))}"
     )
 
 
@@ -258,15 +253,15 @@ def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -
     tables = "".join(f'<div class="scroll">{_counts(rows)}</div>' for rows in (scans, beams))
     return (
         f'<h2 id="data">Data used</h2>\n<div class="panels">{tables}</div>\n'
-        f"<p>No return: {policy.share:.2%} of the log's readings were converted ({_text(policy.origin)}: "
-        f"{_text(policy.explanation)}). The sensor's limit is {log.finder.max_range:g} m. "
+        f"<p>No return: {policy.share:.2%} of the log's readings were converted ({escaped(policy.origin)}: "
+        f"{escaped(policy.explanation)}). The sensor's limit is {log.finder.max_range:g} m. "
         f"{_duration(calibration)}</p>{_notes(origin)}"
     )
 
 
 def _notes(origin: Mapping[str, Any]) -> str:
     """How the log was read: what was assumed there decides what the numbers mean."""
-    notes = [f"<li>{_text(note)}</li>" for note in origin.get("notes", ())]
+    notes = [f"<li>{escaped(note)}</li>" for note in origin.get("notes", ())]
     return f"\n<p>How the log was read:</p>\n<ul>{''.join(notes)}</ul>" if notes else ""
 
 
@@ -282,7 +277,8 @@ def _duration(calibration: Calibration) -> str:
 def _counts(rows: list[tuple[str, int]]) -> str:
     total = max(rows[0][1], 1)
     cells = "".join(
-        f'<tr><td>{_text(name)}</td><td class="n">{n:,}</td><td class="n">{n / total:.1%}</td></tr>' for name, n in rows
+        f'<tr><td>{escaped(name)}</td><td class="n">{n:,}</td><td class="n">{n / total:.1%}</td></tr>'
+        for name, n in rows
     )
     return f"<table><tbody>{cells}</tbody></table>"
 
@@ -295,10 +291,10 @@ def _figure(figure: ReportFigure) -> str:
     panels = "\n".join(
         f'<div class="{"wide" if panel.wide else "narrow"}">{panel.markup}</div>' for panel in figure.panels
     )
-    caption = f'{_text(figure.caption)} <span class="source">[{_text(figure.source)}]</span>'
+    caption = f'{escaped(figure.caption)} <span class="source">[{escaped(figure.source)}]</span>'
     pictures = f'<div class="panels">{panels}</div>\n' if panels else ""
     return (
-        f'<figure id="{figure.name}">\n<h3>{_text(figure.title)}</h3>\n{pictures}'
+        f'<figure id="{figure.name}">\n<h3>{escaped(figure.title)}</h3>\n{pictures}'
         f"<figcaption>{caption}</figcaption>\n</figure>"
     )
 
@@ -316,7 +312,7 @@ def _origin(calibration: Calibration, origin: Mapping[str, Any]) -> str:
 def _tree(value: Any) -> str:
     """A nested mapping as a table of dotted names."""
     rows = "".join(
-        f'<tr><td class="w"><code>{_text(name)}</code></td><td class="hash">{_text(item)}</td></tr>'
+        f'<tr><td class="w"><code>{escaped(name)}</code></td><td class="hash">{escaped(item)}</td></tr>'
         for name, item in _leaves("", value)
     )
     return f'<div class="scroll"><table><tbody>{rows}</tbody></table></div>'

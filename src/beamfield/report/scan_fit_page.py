@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,6 +15,7 @@ from beamfield.calibration.scan_fit import PROBLEMS, ScanFits
 from beamfield.calibration.scan_fit_reference import ScanFitReference
 from beamfield.report.as_json import plain
 from beamfield.report.drawing import ReportFigure
+from beamfield.report.escape import escaped
 from beamfield.report.page_style import STYLE
 from beamfield.report.scan_fit_figures import LEVEL
 
@@ -167,19 +167,19 @@ def render_fit_page(
         else ""
     )
     table = "".join(
-        f'<tr><td class="w">{html.escape(str(role))}</td><td class="w">{html.escape(str(entry["name"]))}</td>'
+        f'<tr><td class="w">{escaped(role)}</td><td class="w">{escaped(entry["name"])}</td>'
         f'<td class="hash">{entry["sha256"]}</td></tr>'
         for role, entry in origin.get("inputs", {}).items()
     )
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html.escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{html.escape(title)}</h1>\n"
-        f'<p class="verdict{"" if good else " bad"}">{html.escape(sentence)}</p>\n'
+        f"<title>{escaped(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{escaped(title)}</h1>\n"
+        f'<p class="verdict{"" if good else " bad"}">{escaped(sentence)}</p>\n'
         + "\n".join(_figure(figure) for figure in figures)
         + f'\n{reliability}\n<h2 id="origin">Origin</h2>\n'
         f'<div class="scroll"><table><tbody>{table}</tbody></table></div>\n'
-        f"<footer>Made by {html.escape(str(origin.get('program', f'beamfield {__version__}')))}.</footer>\n"
+        f"<footer>Made by {escaped(origin.get('program', f'beamfield {__version__}'))}.</footer>\n"
         "</body>\n</html>\n"
     )
 
@@ -187,6 +187,6 @@ def render_fit_page(
 def _figure(figure: ReportFigure) -> str:
     panels = "\n".join(f'<div class="{"wide" if p.wide else "narrow"}">{p.markup}</div>' for p in figure.panels)
     return (
-        f'<figure id="{figure.name}">\n<h3>{html.escape(figure.title)}</h3>\n<div class="panels">{panels}</div>\n'
-        f"<figcaption>{html.escape(figure.caption)}</figcaption>\n</figure>"
+        f'<figure id="{figure.name}">\n<h3>{escaped(figure.title)}</h3>\n<div class="panels">{panels}</div>\n'
+        f"<figcaption>{escaped(figure.caption)}</figcaption>\n</figure>"
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from beamfield.geometry import FloatArray
 from beamfield.report.drawing import DATA, FIT, HELD_OUT, NARROW, QUIET, legend_above, new_figure, style, svg_panel
+from beamfield.report.escape import escaped
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned
 from beamfield.stacks.fit import StackFit, Trial, net_score
@@ -68,16 +68,16 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
         for fit in fits
         for cells in _score_rows(fit, fit is chosen)
     )
-    head = "".join(f"<th{_class(i, 2)}>{html.escape(cell)}</th>" for i, cell in enumerate(_SCORE_HEADER))
+    head = "".join(f"<th{_class(i, 2)}>{escaped(cell)}</th>" for i, cell in enumerate(_SCORE_HEADER))
     values = "".join(_row(cells, "", numbers_from=1) for cells in _parameter_rows(chosen))
-    warning = "" if chosen.covers else f'<ul class="findings"><li>{html.escape(_coverage_text(chosen))}</li></ul>'
+    warning = "" if chosen.covers else f'<ul class="findings"><li>{escaped(_coverage_text(chosen))}</li></ul>'
     panels = "".join(
         f'<div class="narrow">{panel.markup}</div>' for panel in (_beams_panel(chosen), _error_panel(chosen))
     )
     options = chosen.options
     markup = (
-        f"<p>{html.escape(HOW[chosen.how])} A scan multiplies a particle's weight by "
-        f"{html.escape(_formula(chosen))}.</p>{warning}"
+        f"<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
+        f"{escaped(_formula(chosen))}.</p>{warning}"
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{scores}</tbody></table></div>'
         f"<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the mean "
         "logarithm of the posterior's density at the reference over the prior's, in "
@@ -94,7 +94,7 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
         "scan helped.</figcaption></figure>"
         '<div class="scroll"><table><thead><tr><th>parameter</th><th class="n">before</th><th class="n">calibrated</th>'
         f"</tr></thead><tbody>{values}</tbody></table></div>"
-        f"<p>The file:</p><pre>{html.escape(file_text)}</pre>"
+        f"<p>The file:</p><pre>{escaped(file_text)}</pre>"
     )  # fmt: skip
     return PageSection("stack", f"For {stack}: {model}", markup)
 
@@ -160,7 +160,7 @@ def _value(value: object) -> str:
 
 def _row(cells: tuple[str, ...], css: str, numbers_from: int) -> str:
     """Return a row of a table, its numbers to the right."""
-    inside = "".join(f"<td{_class(i, numbers_from)}>{html.escape(cell)}</td>" for i, cell in enumerate(cells))
+    inside = "".join(f"<td{_class(i, numbers_from)}>{escaped(cell)}</td>" for i, cell in enumerate(cells))
     return f'<tr class="{css}">{inside}</tr>'
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from beamfield.errors import InvalidInputError
+from beamfield.printable import printable
 from beamfield.stacks.parameter_file import check_stack
 from beamfield.stacks.parameter_text import Value, value_text
 
@@ -46,6 +47,7 @@ def new_file_text(
         If the stack is unknown, or has no launch files.
     """
     check_stack(stack)
+    comments = [printable(line) for line in comments]  # a name must not begin a line of its own
     if launch and stack != "ros1":
         raise InvalidInputError(f"launch: only ros1 has parameters in launch files, got {stack!r}")
     if launch:

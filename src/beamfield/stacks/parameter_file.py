@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.atomic import atomic_file, write_file
+from beamfield.io.atomic import atomic_files
 from beamfield.io.yaml_file import shorten
 from beamfield.stacks.calibration_record import with_record
 from beamfield.stacks.ini_sections import ini_sections
@@ -190,13 +191,14 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
     if record:
         after = with_record(after, record, section.syntax)
     backup = _free_name(path)
-    with atomic_file(path) as part:
+    with atomic_files([backup, path]) as (old, part):
+        old.write_bytes(before)
+        shutil.copymode(path, old)
         part.write_bytes(mark + after.encode())
         if not _reads_as(part, section, values):
             raise InvalidInputError(
                 f"{path}: the new values cannot be put into it without changing more; it is left as it is"
             )
-        write_file(backup, before)
     return backup
 
 

@@ -1,0 +1,33 @@
+"""The one place that prints: names in files may hold characters that a terminal obeys."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+from beamfield.printable import printable
+
+
+def say(text: str = "", *, end: str = "\n") -> None:
+    """Print lines on stdout; names that come from files have been through `printable`, as they may hold line ends."""
+    print(printable(text, keep="\n"), end=end)
+
+
+def say_json(document: Any) -> None:
+    """Print a document as JSON."""
+    # Its writer escapes all control characters but this one.
+    print(json.dumps(document, indent=1, allow_nan=False).replace("\x7f", "\\u007f"))
+
+
+def complain(text: str) -> None:
+    """Print a warning, an error or a stage of the work on stderr: always one line."""
+    print(printable(" ".join(text.split())), file=sys.stderr, flush=True)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose messages, which quote arguments, print."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        super()._print_message(printable(message, keep="\n"), file)

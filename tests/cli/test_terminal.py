@@ -1,0 +1,99 @@
+r"""Names in files are only names: none moves the cursor, hides text or begins a line of its own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from beamfield.cli.main import main
+from beamfield.cli.terminal import complain, say, say_json
+from beamfield.io.bag_writer import write_bag
+from beamfield.io.read_log import read_log
+from beamfield.printable import printable
+
+# Clears the screen and sets its title; forges a line; C1, a mark that turns text around, DEL; a formula and a tag.
+EVIL = "/s\x1b[2J\x1b]0;t\x07\nFORGED\x85\u2028\x9b31m\u202eback\x7f$\\frac$<b>\r&"
+
+
+def test_what_does_not_print_becomes_an_escape():
+    assert printable("plain ± é 中 text") == "plain ± é 中 text"
+    assert printable(EVIL) == (r"/s\x1b[2J\x1b]0;t\x07\nFORGED\x85\u2028\x9b31m\u202eback\x7f$\frac$<b>\r&")
+    assert printable("a\nb\tc", keep="\n") == "a\nb\\tc"
+    assert printable("\udce4.log") == r"\udce4.log"
+    for code in [*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x200E, 0x200F]:
+        assert printable(chr(code)).isascii()
+        assert printable(chr(code)).isprintable()
+
+
+def test_all_that_is_printed_prints(capsys):
+    say(EVIL + "\nsecond line")
+    complain(f"warning: {EVIL}")
+    captured = capsys.readouterr()
+    assert captured.out.replace("\n", "").isprintable()
+    assert len(captured.out.splitlines()) == 3
+    assert captured.err.count("\n") == 1
+    assert captured.err[:-1].isprintable()
+    say_json({"name": EVIL})
+    printed = capsys.readouterr().out
+    assert printed.replace("\n", "").isprintable()
+    assert json.loads(printed) == {"name": EVIL}
+
+
+def test_wrong_usage_is_quoted_so_that_it_prints(capsys):
+    with pytest.raises(SystemExit):
+        main(["inspect", "a.log", EVIL])
+    assert capsys.readouterr().err.replace("\n", "").isprintable()
+
+
+@pytest.fixture(scope="module")
+def evil(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a map and a bag whose topics, frames and file name are hostile."""
+    folder = tmp_path_factory.mktemp("evil")
+    world = folder / "world"
+    code = main([
+        "simulate", str(world), "--seed", "4", "--duration", "40", "--scan-rate", "4", "--beams", "13", "--quiet",
+    ])  # fmt: skip
+    assert code == 0
+    log = read_log(world / "log.carmen")
+    name = EVIL.replace("/", "")
+    write_bag(folder / name, log, topic=EVIL, odometry_topic=f"{EVIL}/odom", odom_frame=f"{EVIL}/odom")
+    for file in ("map.yaml", "map.pgm"):
+        (world / file).rename(folder / file)
+    return folder
+
+
+def check(capsys: pytest.CaptureFixture[str], folder: Path) -> str:
+    """Check what was printed and every text that was written; return what was printed on stdout."""
+    captured = capsys.readouterr()
+    texts = {"stdout": captured.out, "stderr": captured.err}
+    for file in folder.rglob("*"):
+        if file.suffix in (".html", ".json", ".yaml", ".md"):
+            texts[file.name] = file.read_text(encoding="utf-8")
+    for where, text in texts.items():
+        bad = [c for c in text.replace("\n", "") if not c.isprintable()]
+        assert not bad, (where, bad)
+        assert where.endswith(".html") or not any(line.startswith("FORGED") for line in text.splitlines()), where
+        assert not (where.endswith(".html") and "$<b>" in text), where
+    return captured.out
+
+
+COMMANDS = {
+    "inspect": "inspect {bag} --out {out}/a.png",
+    "inspect --json": "inspect {bag} --json",
+    "inspect --sensor": "inspect {bag} --sensor /none",
+    "fit": "fit {bag} --map {map} --out {out}/f --quiet",
+    "map": "map {bag} --out {out}/m.yaml --quiet --resolution 0.2",
+    "likelihood": "likelihood {bag} --map {map} --scan 3 --out {out}/l.png --resolution 1 --headings 8 --quiet",
+    "figures": "figures {bag} --map {map} --out {out}/g --only 6.10 --quiet",
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_hostile_names_are_only_names(evil, tmp_path, capsys, command):
+    bag = evil / EVIL.replace("/", "")
+    code = main([w.format(bag=bag, map=evil / "map.yaml", out=tmp_path) for w in COMMANDS[command].split()])
+    printed = check(capsys, tmp_path)
+    assert code == (1 if command == "inspect --sensor" else 0)
+    assert printed or code == 1

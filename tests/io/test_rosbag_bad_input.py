@@ -157,6 +157,36 @@ def test_an_unknown_topic_and_one_of_another_type(tmp_path):
         read_bag(path, sensor_topic=[])
 
 
+def changed_db3(bag: MiniBag, folder, *statements: str):
+    """Write a bag, change it as a hostile one may be, and return its single file."""
+    path = storage_file(bag.write(folder)).rename(folder / "x.db3")
+    with sqlite3.connect(path) as base:
+        for statement in statements:
+            base.execute(statement)
+    base.close()
+    return path
+
+
+def test_a_topic_with_messages_of_two_types(tmp_path):
+    bag = MiniBag("sqlite3").odometry(1.0, (0.0, 0.0)).scan(1.0)
+    path = changed_db3(bag, tmp_path, "UPDATE topics SET name = '/scan'")
+    refuse(path, "/scan: expected one type of message, got 'nav_msgs/msg/Odometry' and 'sensor_msgs/msg/LaserScan'")
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "read"),
+    [("LaserScan", "ranges", read_bag), ("Transform", "rotation", read_bag), ("OccupancyGrid", "info", read_bag_map)],
+)
+def test_a_known_type_with_other_fields(name, field, read, tmp_path):
+    bag = MiniBag("sqlite3").scan(1.0).tf("base_link", "laser", 1.0, static=True).grid(1.0, 1, 1, [0])
+    path = changed_db3(
+        bag, tmp_path, "UPDATE topics SET type_description_hash = ''",
+        "UPDATE message_definitions SET type_description_hash = '', "
+        f"encoded_message_definition = replace(encoded_message_definition, ' {field}\n', ' other\n')",
+    )  # fmt: skip
+    refuse(path, rf"message 1: not as .*/msg/.* should be: .*{name}' object has no attribute '{field}'", read=read)
+
+
 def test_frames_that_do_not_connect(tmp_path):
     bag = MiniBag().tf("odom", "base_link", 1.0).tf("tower", "laser", 1.0, static=True).scan(1.0)
     path = bag.write(tmp_path)
@@ -313,6 +343,7 @@ def test_ranger_messages_that_are_too_short(tmp_path):
         ({"width": 1, "height": 1, "data": [0], "resolution": 0.0}, "resolution"),
         ({"width": 1, "height": 1, "data": [0], "xy": (np.nan, 0.0)}, "origin"),
         ({"width": 1, "height": 1, "data": [0], "q": (0.0, 0.0, 0.0, 3.0)}, "length 1"),
+        ({"width": 1, "height": 1, "data": [0], "q": (0.0, 0.0, 0.0, 1e300)}, "length 1"),
         ({"width": 1, "height": 1, "data": [0], "q": quaternion(roll=1.0)}, "about z only"),
     ],
 )

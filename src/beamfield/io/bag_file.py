@@ -146,12 +146,20 @@ class BagFile:
         Raises
         ------
         FormatError
-            If the bag is damaged (topic and message number are named), or the file ends early.
+            If the bag is damaged (topic and message number are named), the file ends early, or a topic has messages of
+            several types.
         """
         wanted = set(topics)
         connections = [c for c in self._reader.connections if c.topic in wanted]
         if not connections:
             return
+        for c in connections:
+            if c.msgtype != self.topics[c.topic]:
+                raise FormatError(
+                    self.path,
+                    f"expected one type of message, got {c.msgtype!r} and {self.topics[c.topic]!r}",
+                    field=c.topic,
+                )
         numbers = dict.fromkeys(wanted, 0)
         for connection, recorded, raw in _guarded(self.path, self._reader.messages(connections)):
             numbers[connection.topic] += 1
@@ -159,6 +167,19 @@ class BagFile:
             with _speaking_of(self.path, f"{connection.topic}, message {number}"):
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield BagMessage(connection.topic, connection.msgtype, number, recorded * 1e-9, content)
+
+    @contextmanager
+    def quoting(self, message: BagMessage) -> Iterator[None]:
+        """Name the message in what is said about its content; a bag may define the fields of any type as it likes."""
+        try:
+            yield
+        except (AttributeError, TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, FormatError):
+                raise
+            text = (
+                str(error) if isinstance(error, InvalidInputError) else f"not as {message.msgtype} should be: {error}"
+            )
+            raise FormatError(self.path, text, field=message.place) from error
 
 
 def seconds(stamp: Any) -> float:

@@ -56,6 +56,7 @@ def test_dates_stay_text(write):
         ("a: 1\n---\nb: 2\n", 2, "second one"),
         ("a: &x 1\nb: *x\n", 1, "'&x'"),
         ("a: *x\n", 1, "'*x'"),
+        ("%YAML 1.0\n---\na: 1\n", None, "no valid YAML: version"),
         ("a: [1, 2\nb: 3\n", 2, "no valid YAML"),
         ("a: 1\n\tb: 2\n", 2, "no valid YAML"),
         ("5: 3\n", 1, "expected text as a key, got '5'"),

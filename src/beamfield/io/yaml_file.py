@@ -152,7 +152,7 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
         ) from error
     except FormatError:
         raise
-    except (YAMLError, ValueError) as error:
+    except (YAMLError, ValueError, AssertionError) as error:  # the last is what it says of other versions of YAML
         raise FormatError(source, f"no valid YAML: {' '.join(str(error).split())}") from error
     if root is None:
         raise FormatError(source, "the file is empty")

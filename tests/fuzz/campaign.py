@@ -175,6 +175,8 @@ def run(task: Task, *, minutes: float, processes: int, limits: Limits = Limits()
             if look is not None and look(report):
                 break
             time.sleep(0.05)
+    except KeyboardInterrupt:
+        pass  # what was found until then is worth a table
     finally:
         for worker in workers:
             worker.stop()

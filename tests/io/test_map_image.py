@@ -288,6 +288,11 @@ def test_a_png_whose_chunks_do_not_fit_its_header_is_an_error_that_names_the_fil
         read_map_image(path)
 
 
+def test_a_damaged_animation_is_left_out_in_silence(write):
+    path = write(png_with_header(2, 2, 8, 0, b"\0ab\0cd", (b"acTL", bytes(8))))
+    assert read_map_image(path).grey.tolist() == [[97, 98], [99, 100]]
+
+
 def test_a_missing_picture_is_the_file_systems_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_map_image(tmp_path / "none.pgm")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -254,8 +255,9 @@ def _decode(data: bytes) -> NDArray[np.uint8]:
     if kind is None:
         raise InvalidInputError(f"expected a JPEG or PNG image, it starts with {data[:8]!r}")
     try:
-        # The readers themselves, for Image.open would warn of sizes that are checked here.
-        with kind(io.BytesIO(data)) as image:
+        # The readers themselves, for Image.open would warn of sizes that are checked here; they warn of chunks that
+        # are not needed, such as an animation that is damaged.
+        with warnings.catch_warnings(action="ignore"), kind(io.BytesIO(data)) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise InvalidInputError(f"expected at most {MAX_PIXELS} pixels, got {image.width} x {image.height}")
             return np.asarray(image.convert("L"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import struct
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -189,7 +190,8 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
     if kind is None:
         raise FormatError(path, f"expected a PGM (P2 or P5), PNG or BMP picture, got {magic!r} at its start")
     try:
-        with kind(file) as picture:
+        # Pillow warns of chunks that no map needs, such as an animation that is damaged.
+        with warnings.catch_warnings(action="ignore"), kind(file) as picture:
             _check_size(path, *picture.size, max_pixels)
             picture.load()
             return _grey_and_opaque(picture)

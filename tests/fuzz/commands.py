@@ -16,6 +16,7 @@ from beamfield.cli.calibrate_stack import StackResult
 from beamfield.cli.main import main
 from beamfield.errors import BeamfieldError
 from beamfield.report.page_section import PageSection
+from beamfield.stacks.calibration_record import record_text
 from beamfield.stacks.parameter_file import StackFile, read_stack_file
 from beamfield.stacks.typed_values import checked_values
 
@@ -46,7 +47,6 @@ class Patch:
     err: str
     values: dict[str, Any] | None
     stack: str
-    model: str | None
 
 
 def run_command(*words: str) -> tuple[int, str, str]:
@@ -67,7 +67,7 @@ def translate_and_patch(folder: Path) -> Patch:
     before = _contents(folder)
     words = ["translate", str(folder / "source.yaml"), "--to", stack, "--max-range", "12", "--beams", "180"]
     code, _, err = run_command(*words, "--patch", str(mine))
-    return Patch(mine.name, before, _contents(folder), code, err, None, stack, None)
+    return Patch(mine.name, before, _contents(folder), code, err, None, stack)
 
 
 def calibrate_and_patch(folder: Path) -> Patch:
@@ -81,23 +81,18 @@ def calibrate_and_patch(folder: Path) -> Patch:
 
     def learned(_arguments: argparse.Namespace, *others: Any) -> tuple[dict[str, str], str, bool, StackResult]:
         file = next(item for item in others if isinstance(item, StackFile))
-        values.update(_learned(file))
-        section = PageSection("stack", "", "")
-        return {"beam_model.yaml": "a: 1\n"}, "", True, StackResult("", {}, section, "x.yaml", "", values)
+        changed, parameters = _learned(file)
+        values.update(file.by_names_in_file(changed))
+        record = record_text(file.stack, file.model, parameters, "0.0", "all of 3 windows covered")
+        result = StackResult("", {}, PageSection("stack", "", ""), "x.yaml", "", changed, record)
+        return {"beam_model.yaml": "a: 1\n"}, "", True, result
 
-    words = [
-        "calibrate",
-        str(folder / "run.log"),
-        "--map",
-        str(folder / "map.dat"),
-        "--out",
-        str(folder / "out"),
-        "--quiet",
-    ]
+    log, grid, out = (str(folder / name) for name in ("run.log", "map.dat", "out"))
+    words = ["calibrate", log, "--map", grid, "--out", out, "--quiet"]
     with mock.patch.object(calibrate, "_calibrate_sensor", learned):
         code, _, err = run_command(*words, "--stack", stack, "--patch", str(mine))
     after = {name: content for name, content in _contents(folder).items() if name != "out/beam_model.yaml"}
-    return Patch(mine.name, before, after, code, err, values, stack, None)
+    return Patch(mine.name, before, after, code, err, values, stack)
 
 
 def check_patch(result: Any) -> None:
@@ -114,6 +109,7 @@ def check_patch(result: Any) -> None:
     assert result.after == {**result.before, name: new, backup: old}
     if result.values is not None:
         _check_values(result, new)
+        assert b"calibrated by beamfield 0.0" in new
     assert not _lost(old, new, len(result.values) if result.values is not None else 12)
 
 
@@ -135,16 +131,15 @@ def _lost(old: bytes, new: bytes, n_changes: int) -> list[bytes]:
     return gone if len(gone) > n_changes else []
 
 
-def _learned(file: StackFile) -> dict[str, Any]:
-    """Return valid values that differ from the file's, as a fit's would."""
+def _learned(file: StackFile) -> tuple[dict[str, Any], Any]:
+    """Return valid parameters that differ from the file's, as a fit's would, and by name those that do."""
     start = checked_values(file)
     prefix = "laser_" if file.stack == "ros1" else "LF_" if file.stack == "mrpt" else ""
     wanted: dict[str, Any] = {"z_hit": 0.613, "z_rand": 0.387, "sigma_hit": 0.0712, "max_beams": 47, "stdHit": 0.0712}
-    present = asdict(start)
-    changes = {prefix + name: value for name, value in wanted.items() if prefix + name in present}
+    before = asdict(start)
     with contextlib.suppress(BeamfieldError):
-        start = replace(start, **changes)
-    return {name: value for name, value in asdict(start).items() if value != present[name]}
+        start = replace(start, **{prefix + n: value for n, value in wanted.items() if prefix + n in before})
+    return {name: value for name, value in asdict(start).items() if value != before[name]}, start
 
 
 def _users_file(folder: Path) -> Path:

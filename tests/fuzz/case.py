@@ -31,6 +31,10 @@ class Case:
         """Names of the files that may be mutated."""
         return tuple(name for name in self.files if name not in self.fixed)
 
+    @property
+    def n_bytes(self) -> int:
+        return sum(map(len, self.files.values()))
+
     def changed(self, name: str, content: bytes) -> Case:
         return replace(self, files={**self.files, name: content})
 

@@ -29,7 +29,7 @@ from tests.fuzz.targets import Target
 
 # Beyond what the examples need; a reader that asks for more gets a MemoryError before the machine suffers.
 SPARE_BYTES = 2 * 2**30
-# Inputs that went a way of their own are mutated on; more than these only slow a pool's growth.
+# Inputs that went a way of their own are mutated on, unless they are large, which is slow; so are more than these.
 MOST_IN_POOL = 400
 BATCH_SECONDS = 0.4
 KEPT_PER_PLACE = 3
@@ -59,6 +59,7 @@ class Stream:
         self.seed = seed
         self.examples = target.seeds()
         self.pool = list(self.examples)
+        self._largest = max(case.n_bytes for case in self.examples)
         self.number = 0
         self.ended_there: Counter[str] = Counter()
 
@@ -73,7 +74,8 @@ class Stream:
         way = _way(outcome)
         self.ended_there[way] += 1
         rare = self.ended_there[way] == 1 or (outcome.kind == "ok" and self.rng.random() < 0.01)
-        if rare and not outcome.is_fault and len(self.pool) < MOST_IN_POOL:
+        small = case.n_bytes <= 4 * self._largest
+        if rare and small and not outcome.is_fault and len(self.pool) < MOST_IN_POOL:
             self.pool.append(case)
 
 

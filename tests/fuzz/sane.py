@@ -9,6 +9,7 @@ import numpy as np
 
 from beamfield.detection_log import DetectionLog
 from beamfield.io.fiducial_detections import FiducialDetections
+from beamfield.io.field_file import SavedLikelihoodField
 from beamfield.io.landmark_files import CourseLog
 from beamfield.io.parameters import SavedBeamModel
 from beamfield.io.relations import Relations
@@ -106,6 +107,13 @@ def beam_model(result: Any) -> None:
     assert isinstance(result, SavedBeamModel)
     assert isinstance(result.parameters, BeamParameters)
     assert 0.0 <= result.min_range < result.max_range < np.inf
+
+
+def field_model(result: Any) -> None:
+    assert isinstance(result, SavedLikelihoodField)
+    assert 0.0 <= result.min_range < result.max_range < np.inf
+    assert 0.0 < result.exponent <= 1.0
+    assert result.n_beams >= 1
 
 
 def landmark_model(result: Any) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from beamfield.io.fiducial_detections import read_camera, read_camera_images, read_fiducials
+from beamfield.io.field_file import read_likelihood_field
 from beamfield.io.landmark_files import read_course_log, read_course_world, read_landmarks, read_mrclam_landmarks
 from beamfield.io.landmark_model_file import read_landmark_model
 from beamfield.io.line_files import read_amrl_vector_map, read_line_map
@@ -150,6 +151,7 @@ TARGETS: tuple[Target, ...] = (
     Target("mat", landmarks.mat_files, _sightings, sane.sightings),
     Target("roh", landmarks.roh_folders, _sightings, sane.sightings),
     Target("beam_model", parameters.beam_models, read_beam_model, sane.beam_model),
+    Target("field_model", parameters.field_models, read_likelihood_field, sane.field_model),
     Target("landmark_model", parameters.landmark_models, read_landmark_model, sane.landmark_model),
     Target("stack_yaml", parameters.stack_yamls, _parameters, sane.stack_file, weight=2.0),
     Target("launch", parameters.launch_files, _parameters, sane.stack_file),

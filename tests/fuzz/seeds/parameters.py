@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from beamfield.io.field_file import likelihood_field_text
 from beamfield.io.landmark_model_file import landmark_model_text
 from beamfield.io.parameters import beam_model_text
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.sensors import RangeFinder
 from tests.fuzz.case import Case, one_file
@@ -100,6 +102,13 @@ def beam_models() -> list[Case]:
     text = beam_model_text(parameters, finder, intervals={"z_hit": (0.6, 0.8), "sigma_hit": (0.0, np.inf)},
                            provenance={"log": "a.log", "options": {"seed": 3}})  # fmt: skip
     return [one_file("beam_model.yaml", text)]
+
+
+def field_models() -> list[Case]:
+    parameters = LikelihoodFieldParameters(0.9, 0.1, 0.05)
+    finder = RangeFinder.from_bearings(np.zeros(3), max_range=10.0, min_range=0.1, name="laser")
+    text = likelihood_field_text(parameters, finder, exponent=0.1, n_beams=30, intervals={"sigma_hit": (0.04, 0.06)})
+    return [one_file("likelihood_field.yaml", text)]
 
 
 def landmark_models() -> list[Case]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.errors import FormatError
+from beamfield.errors import InvalidInputError
 from tests.fuzz.case import Case, one_file
 from tests.fuzz.targets import Target
 
@@ -35,7 +35,7 @@ def _warns(path: Path) -> Any:
 
 def _speaks_in_lines(path: Path) -> Any:
     if not _is_example(path):
-        raise FormatError(path, "planted\nin two lines")
+        raise InvalidInputError("planted\nin two lines")
 
 
 def _leaves_a_file(path: Path) -> Any:

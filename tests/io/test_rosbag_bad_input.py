@@ -122,6 +122,13 @@ def test_corrupted_metadata(tmp_path):
         refuse(path, "expected topic, type and number of messages|damaged or cut")
 
 
+def test_metadata_in_yaml_1_1_is_read_in_silence(tmp_path):
+    path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
+    metadata = path / "metadata.yaml"
+    metadata.write_text("%YAML 1.1\n---\n" + metadata.read_text().replace("custom_data:", "more: 1e9\n  custom_data:"))
+    assert len(read_bag(path).only_sensor()) == 1
+
+
 def test_metadata_of_absurd_size(tmp_path):
     path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
     with (path / "metadata.yaml").open("ab") as file:

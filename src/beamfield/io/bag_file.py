@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
 
@@ -17,6 +20,14 @@ if TYPE_CHECKING:
 MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
 METADATA = "metadata.yaml"
 MAX_METADATA_BYTES = 16 * 2**20  # a thousand topics need less than one of them
+
+
+@contextmanager
+def _without_yaml_warnings() -> Iterator[None]:
+    """Leave out ruamel's warning of numbers without a point where metadata.yaml declares YAML 1.1."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MantissaNoDotYAML1_1Warning)
+        yield
 
 
 @dataclass(frozen=True)
@@ -83,6 +94,7 @@ class BagFile:
         self._stack = ExitStack()
         self._reader = _open_reader(self.path)
 
+    @_without_yaml_warnings()
     def __enter__(self) -> BagFile:
         with _speaking_of(self.path):
             self._stack.enter_context(self._reader)

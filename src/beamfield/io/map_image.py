@@ -193,6 +193,8 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
         # Pillow warns of chunks that no map needs, such as an animation that is damaged.
         with warnings.catch_warnings(action="ignore"), kind(file) as picture:
             _check_size(path, *picture.size, max_pixels)
+            if magic == b"\x89P":
+                _require_whole_chunks(file, path)
             picture.load()
             return _grey_and_opaque(picture)
     except FormatError:
@@ -203,6 +205,19 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
             raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FormatError(path, f"damaged picture: {reason}") from error
+
+
+def _require_whole_chunks(file: BinaryIO, path: Path) -> None:
+    """Refuse a PNG with a chunk that is longer than the rest of the file: Pillow makes room for what it declares."""
+    where, size, at, name = file.tell(), os.fstat(file.fileno()).st_size, 8, b""
+    while at + 8 <= size and name != b"IEND":
+        file.seek(at)
+        length, name = struct.unpack(">I4s", file.read(8))
+        at += 12 + length
+        # Some programs leave out the checksum of the last chunk.
+        if at > size + 4:
+            raise FormatError(path, f"damaged picture: truncated, a chunk {name!r} declares {length} bytes")
+    file.seek(where)
 
 
 def _grey_and_opaque(picture: Image.Image) -> MapImage:

@@ -7,7 +7,7 @@ their checks, `outcome` judges one input, `worker` reads many in a process of it
     make fuzz MINUTES=30                                  all readers, two processes, a fresh seed that is printed
     python -m tests.fuzz --minutes 5 --only mcap,png      some readers
     python -m tests.fuzz --minutes 5 --seed 7             the same inputs again
-    python -m tests.fuzz --replay fuzz_faults/png-1f2e    one kept input once more, with its traceback
+    python -m tests.fuzz --replay fuzz_faults/png-slow-0   one kept input once more, with its traceback
 
 An input is kept as a folder: ``fault.json`` says what went wrong, ``case/`` holds the files, as they were read.
 """

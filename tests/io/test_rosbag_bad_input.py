@@ -11,6 +11,7 @@ import pytest
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 from beamfield.io.rosbag import read_bag, read_bag_map
+from tests.fuzz.mutate.bag1 import CONNECTION, MAGIC, bag1_bytes, bag1_records
 from tests.io.mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
 
 
@@ -192,6 +193,38 @@ def test_a_known_type_with_other_fields(name, field, read, tmp_path):
         f"encoded_message_definition = replace(encoded_message_definition, ' {field}\n', ' other\n')",
     )  # fmt: skip
     refuse(path, rf"message 1: not as .*/msg/.* should be: .*{name}' object has no attribute '{field}'", read=read)
+
+
+@pytest.mark.parametrize("topic", ["tf", "odometry"])
+def test_a_known_type_with_arrays_for_numbers(topic, tmp_path):
+    zero = (0.0, 0.0, 0.0)
+    bag = MiniBag("sqlite3").scan(1.0)
+    bag = bag.tf("base_link", "laser", 1.0, zero, static=True) if topic == "tf" else bag.odometry(1.0, zero[:2])
+    path = changed_db3(
+        bag, tmp_path, "UPDATE topics SET type_description_hash = ''",
+        "UPDATE message_definitions SET type_description_hash = '', encoded_message_definition = "
+        "replace(encoded_message_definition, 'float64 y', 'uint8[3] y')",
+    )  # fmt: skip
+    refuse(path, "message 1: not as .* should be: .*arrays")
+
+
+def test_a_frame_without_a_name(tmp_path):
+    path = changed_db3(
+        MiniBag("sqlite3").scan(1.0), tmp_path, "UPDATE topics SET type_description_hash = ''",
+        "UPDATE message_definitions SET type_description_hash = '', encoded_message_definition = "
+        "replace(encoded_message_definition, 'string frame_id', 'uint8[] frame_id')",
+    )  # fmt: skip
+    refuse(path, "/scan, message 1: expected a name as frame_id, got array")
+
+
+def test_two_topics_of_one_number(tmp_path):
+    path = MiniBag("ros1").scan(1.0).grid(1.0, 1, 1, [0]).write(tmp_path)
+    records = bag1_records(path.read_bytes()[len(MAGIC) :])
+    for i, record in enumerate(records):
+        if record.op == CONNECTION:
+            records[i] = record.put(b"conn", bytes(4))
+    path.write_bytes(bag1_bytes(records, offsets=True))
+    refuse(path, "two topics have one number")
 
 
 def test_frames_that_do_not_connect(tmp_path):

@@ -174,6 +174,10 @@ class BagFile:
                 )
         numbers = dict.fromkeys(wanted, 0)
         for connection, recorded, raw in _guarded(self.path, self._reader.messages(connections)):
+            if connection.topic not in wanted:
+                raise FormatError(
+                    self.path, f"the bag is damaged or cut: two topics have one number, {connection.topic!r} is one of them"
+                )
             numbers[connection.topic] += 1
             number = numbers[connection.topic]
             with _speaking_of(self.path, f"{connection.topic}, message {number}"):

@@ -1,11 +1,12 @@
 # The two commands: `make demo` and `make test`. Everything is installed into .venv by the commands themselves.
 PYTHON ?= python3
 RAYS ?= 1e8
+MINUTES ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test lint rays kills bench docs wheel clean help
+.PHONY: demo test fuzz lint rays kills bench docs wheel clean help
 
 help:  ## Show the commands
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -22,6 +23,9 @@ demo: $(STAMP)  ## Simulate a robot, calibrate its sensor, print truth beside fi
 test: $(STAMP)  ## Run all tests (three lanes: normal, JIT off, doctests)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -q
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/kernels
+
+fuzz: $(STAMP)  ## Feed hostile files to every reader for MINUTES=1, two processes, a fresh seed
+	$(BIN)/python -m tests.fuzz --minutes $(MINUTES)
 
 lint: $(STAMP)  ## Check style, types, import direction and spelling
 	$(BIN)/ruff check .

@@ -38,7 +38,12 @@ class FormatError(BeamfieldError, ValueError):
         self.line = line
         self.field = field
         place = str(path) + (f":{line}" if line is not None else "")
-        super().__init__(f"{place}: {f'{field}: ' if field else ''}{message}")
+        # A topic or a section may be named by characters that a terminal obeys, or that begin a line.
+        super().__init__(_printable(f"{place}: {f'{field}: ' if field else ''}{message}"))
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 class TooLittleDataError(BeamfieldError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -212,12 +213,19 @@ def test_damaged_images_are_refused(tmp_path, case):
         list(read_camera_images(CameraBag().image(1.0, data).write(tmp_path)))
 
 
+def test_a_damaged_animation_is_left_out_in_silence(tmp_path):
+    grey = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    content = picture("PNG", grey)
+    chunk = b"acTL" + bytes(8)
+    animated = content[:33] + (8).to_bytes(4, "big") + chunk + zlib.crc32(chunk).to_bytes(4, "big") + content[33:]
+    ((_, found),) = read_camera_images(CameraBag().image(1.0, animated).write(tmp_path))
+    np.testing.assert_array_equal(found, grey)
+
+
 def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
     """A PNG of a few kilobytes that claims a gigapixel."""
     small = bytearray(picture("PNG", np.zeros((8, 8), np.uint8)))
     small[16:24] = (60_000).to_bytes(4, "big") * 2
-    import zlib
-
     small[29:33] = zlib.crc32(small[12:29]).to_bytes(4, "big")
     with pytest.raises(FormatError, match="expected at most 67108864 pixels, got 60000 x 60000"):
         list(read_camera_images(CameraBag().image(1.0, bytes(small)).write(tmp_path)))

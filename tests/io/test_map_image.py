@@ -401,6 +401,19 @@ def test_a_png_whose_chunks_do_not_fit_its_header_is_an_error_that_names_the_fil
         read_map_image(path)
 
 
+def test_a_png_with_a_chunk_beyond_its_end_is_refused_before_room_is_made_for_it(write):
+    good = png_with_header(2, 2, 8, 0, b"\0ab\0cd")
+    assert read_map_image(write(good + b"\xff" * 20)).grey.tolist() == [[97, 98], [99, 100]]
+    path = write(good[:33] + b"\x7f\xff\xff\xff" + good[37:])
+    with pytest.raises(FormatError, match="truncated, a chunk b'IDAT' declares 2147483647 bytes"):
+        read_map_image(path)
+
+
+def test_a_damaged_animation_is_left_out_in_silence(write):
+    path = write(png_with_header(2, 2, 8, 0, b"\0ab\0cd", (b"acTL", bytes(8))))
+    assert read_map_image(path).grey.tolist() == [[97, 98], [99, 100]]
+
+
 def test_a_missing_picture_is_the_file_systems_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_map_image(tmp_path / "none.pgm")

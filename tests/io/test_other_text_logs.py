@@ -63,6 +63,8 @@ def test_gmapping_log_without_particles_has_no_reference(tmp_path):
     [
         (laser_reading(3).rsplit(" ", 1)[0], "LASER_READING: expected 186 words, got 185"),
         (particles((1, 2, 3, 4)) + " 5", "SM_UPDATE: expected 6 words, got 7"),
+        (particles((0, 1e300, 0, -1)), "SM_UPDATE: expected a finite pose and its weight, got 0.0 1e"),
+        (particles((0, 0, 0, "nan")), "SM_UPDATE: expected a finite pose and its weight, got 0.0 0.0 0.0 nan"),
         ("RESAMPLE 2 0 x", "RESAMPLE: expected a number of readings, got 'x'"),
         ("SCAN 1 2", "expected a line of a GMapping log, got 'SCAN'"),
         ("ODOM 1 2", "ODOM: expected 5 words"),

@@ -11,6 +11,7 @@ import pytest
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 from beamfield.io.rosbag import read_bag, read_bag_map
+from tests.fuzz.mutate.bag1 import CONNECTION, MAGIC, bag1_bytes, bag1_records
 from tests.io.mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
 
 
@@ -122,6 +123,13 @@ def test_corrupted_metadata(tmp_path):
         refuse(path, "expected topic, type and number of messages|damaged or cut")
 
 
+def test_metadata_in_yaml_1_1_is_read_in_silence(tmp_path):
+    path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
+    metadata = path / "metadata.yaml"
+    metadata.write_text("%YAML 1.1\n---\n" + metadata.read_text().replace("custom_data:", "more: 1e9\n  custom_data:"))
+    assert len(read_bag(path).only_sensor()) == 1
+
+
 def test_metadata_of_absurd_size(tmp_path):
     path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
     with (path / "metadata.yaml").open("ab") as file:
@@ -155,6 +163,68 @@ def test_an_unknown_topic_and_one_of_another_type(tmp_path):
         read_bag(path, poses_topic="/odom", map_frame="map")
     with pytest.raises(InvalidInputError, match="at least one topic"):
         read_bag(path, sensor_topic=[])
+
+
+def changed_db3(bag: MiniBag, folder, *statements: str):
+    """Write a bag, change it as a hostile one may be, and return its single file."""
+    path = storage_file(bag.write(folder)).rename(folder / "x.db3")
+    with sqlite3.connect(path) as base:
+        for statement in statements:
+            base.execute(statement)
+    base.close()
+    return path
+
+
+def test_a_topic_with_messages_of_two_types(tmp_path):
+    bag = MiniBag("sqlite3").odometry(1.0, (0.0, 0.0)).scan(1.0)
+    path = changed_db3(bag, tmp_path, "UPDATE topics SET name = '/scan'")
+    refuse(path, "/scan: expected one type of message, got 'nav_msgs/msg/Odometry' and 'sensor_msgs/msg/LaserScan'")
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "read"),
+    [("LaserScan", "ranges", read_bag), ("Transform", "rotation", read_bag), ("OccupancyGrid", "info", read_bag_map)],
+)
+def test_a_known_type_with_other_fields(name, field, read, tmp_path):
+    bag = MiniBag("sqlite3").scan(1.0).tf("base_link", "laser", 1.0, static=True).grid(1.0, 1, 1, [0])
+    path = changed_db3(
+        bag, tmp_path, "UPDATE topics SET type_description_hash = ''",
+        "UPDATE message_definitions SET type_description_hash = '', "
+        f"encoded_message_definition = replace(encoded_message_definition, ' {field}\n', ' other\n')",
+    )  # fmt: skip
+    refuse(path, rf"message 1: not as .*/msg/.* should be: .*{name}' object has no attribute '{field}'", read=read)
+
+
+@pytest.mark.parametrize("topic", ["tf", "odometry"])
+def test_a_known_type_with_arrays_for_numbers(topic, tmp_path):
+    zero = (0.0, 0.0, 0.0)
+    bag = MiniBag("sqlite3").scan(1.0)
+    bag = bag.tf("base_link", "laser", 1.0, zero, static=True) if topic == "tf" else bag.odometry(1.0, zero[:2])
+    path = changed_db3(
+        bag, tmp_path, "UPDATE topics SET type_description_hash = ''",
+        "UPDATE message_definitions SET type_description_hash = '', encoded_message_definition = "
+        "replace(encoded_message_definition, 'float64 y', 'uint8[3] y')",
+    )  # fmt: skip
+    refuse(path, "message 1: not as .* should be: .*arrays")
+
+
+def test_a_frame_without_a_name(tmp_path):
+    path = changed_db3(
+        MiniBag("sqlite3").scan(1.0), tmp_path, "UPDATE topics SET type_description_hash = ''",
+        "UPDATE message_definitions SET type_description_hash = '', encoded_message_definition = "
+        "replace(encoded_message_definition, 'string frame_id', 'uint8[] frame_id')",
+    )  # fmt: skip
+    refuse(path, "/scan, message 1: expected a name as frame_id, got array")
+
+
+def test_two_topics_of_one_number(tmp_path):
+    path = MiniBag("ros1").scan(1.0).grid(1.0, 1, 1, [0]).write(tmp_path)
+    records = bag1_records(path.read_bytes()[len(MAGIC) :])
+    for i, record in enumerate(records):
+        if record.op == CONNECTION:
+            records[i] = record.put(b"conn", bytes(4))
+    path.write_bytes(bag1_bytes(records, offsets=True))
+    refuse(path, "two topics have one number")
 
 
 def test_frames_that_do_not_connect(tmp_path):
@@ -313,6 +383,7 @@ def test_ranger_messages_that_are_too_short(tmp_path):
         ({"width": 1, "height": 1, "data": [0], "resolution": 0.0}, "resolution"),
         ({"width": 1, "height": 1, "data": [0], "xy": (np.nan, 0.0)}, "origin"),
         ({"width": 1, "height": 1, "data": [0], "q": (0.0, 0.0, 0.0, 3.0)}, "length 1"),
+        ({"width": 1, "height": 1, "data": [0], "q": (0.0, 0.0, 0.0, 1e300)}, "length 1"),
         ({"width": 1, "height": 1, "data": [0], "q": quaternion(roll=1.0)}, "about z only"),
     ],
 )

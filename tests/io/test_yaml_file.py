@@ -32,6 +32,10 @@ def test_a_byte_order_mark_and_windows_line_ends_are_read(write):
     assert read_yaml(write(b"\xef\xbb\xbfa: 1\r\nb: 2\r\n")).values == {"a": 1, "b": 2}
 
 
+def test_numbers_without_a_point_are_read_in_silence_where_the_file_declares_yaml_1_1(write):
+    assert read_yaml(write("%YAML 1.1\n---\na: 1e3\nb: 1.5\n")).values == {"a": 1000.0, "b": 1.5}
+
+
 def test_dates_stay_text(write):
     assert read_yaml(write("a: 2024-13-45\nb: 2024-01-02\n")).values == {"a": "2024-13-45", "b": "2024-01-02"}
 
@@ -52,6 +56,7 @@ def test_dates_stay_text(write):
         ("a: 1\n---\nb: 2\n", 2, "second one"),
         ("a: &x 1\nb: *x\n", 1, "'&x'"),
         ("a: *x\n", 1, "'*x'"),
+        ("%YAML 1.0\n---\na: 1\n", None, "no valid YAML: version"),
         ("a: [1, 2\nb: 3\n", 2, "no valid YAML"),
         ("a: 1\n\tb: 2\n", 2, "no valid YAML"),
         ("5: 3\n", 1, "expected text as a key, got '5'"),

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import errno
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
+
+from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.atomic import scratch_folder
@@ -21,6 +24,14 @@ if TYPE_CHECKING:
 MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
 METADATA = "metadata.yaml"
 MAX_METADATA_BYTES = 16 * 2**20  # a thousand topics need less than one of them
+
+
+@contextmanager
+def _without_yaml_warnings() -> Iterator[None]:
+    """Leave out ruamel's warning of numbers without a point where metadata.yaml declares YAML 1.1."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MantissaNoDotYAML1_1Warning)
+        yield
 
 
 @dataclass(frozen=True)
@@ -89,6 +100,7 @@ class BagFile:
         self._stack = ExitStack()
         self._unpack: Callable[[bytes], bytes] | None = None  # for messages that are compressed one by one
 
+    @_without_yaml_warnings()
     def __enter__(self) -> BagFile:
         with ExitStack() as stack, _speaking_of(self.path):
             paths, self._unpack = _storage(self.path, stack)
@@ -152,14 +164,27 @@ class BagFile:
         Raises
         ------
         FormatError
-            If the bag is damaged (topic and message number are named), or the file ends early.
+            If the bag is damaged (topic and message number are named), the file ends early, or a topic has messages of
+            several types.
         """
         wanted = set(topics)
         connections = [c for c in self._reader.connections if c.topic in wanted]
         if not connections:
             return
+        for c in connections:
+            if c.msgtype != self.topics[c.topic]:
+                raise FormatError(
+                    self.path,
+                    f"expected one type of message, got {c.msgtype!r} and {self.topics[c.topic]!r}",
+                    field=c.topic,
+                )
         numbers = dict.fromkeys(wanted, 0)
         for connection, recorded, raw in _guarded(self.path, self._reader.messages(connections)):
+            if connection.topic not in wanted:
+                raise FormatError(
+                    self.path,
+                    f"the bag is damaged or cut: two topics have one number, {connection.topic!r} is one of them",
+                )
             numbers[connection.topic] += 1
             number = numbers[connection.topic]
             place = f"{connection.topic}, message {number}"
@@ -172,6 +197,19 @@ class BagFile:
                     raw = self._unpack(raw)
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield BagMessage(connection.topic, connection.msgtype, number, recorded * 1e-9, content)
+
+    @contextmanager
+    def quoting(self, message: BagMessage) -> Iterator[None]:
+        """Name the message in what is said about its content; a bag may define the fields of any type as it likes."""
+        try:
+            yield
+        except (AttributeError, TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, FormatError):
+                raise
+            text = (
+                str(error) if isinstance(error, InvalidInputError) else f"not as {message.msgtype} should be: {error}"
+            )
+            raise FormatError(self.path, text, field=message.place) from error
 
 
 def seconds(stamp: Any) -> float:

@@ -40,12 +40,10 @@ def read_bag_map(path: str | Path, topic: str | None = None) -> OccupancyGrid:
         last: BagMessage | None = None
         for last in bag.messages([chosen]):  # noqa: B007 - the last one counts
             pass
-    if last is None:
-        raise FormatError(path, "the topic holds no message", field=chosen)
-    try:
-        return _grid(last)
-    except InvalidInputError as error:
-        raise FormatError(path, str(error), field=last.place) from error
+        if last is None:
+            raise FormatError(path, "the topic holds no message", field=chosen)
+        with bag.quoting(last):
+            return _grid(last)
 
 
 def _map_topic(bag: BagFile, asked: str | None) -> str:
@@ -70,7 +68,7 @@ def _grid(message: BagMessage) -> OccupancyGrid:
     quaternion = np.array([q.x, q.y, q.z, q.w])
     if not quaternion.any():
         quaternion = np.array([0.0, 0.0, 0.0, 1.0])
-    if not abs(np.linalg.norm(quaternion) - 1.0) < 0.01:
+    if not (np.abs(quaternion) < 2.0).all() or abs(np.linalg.norm(quaternion) - 1.0) >= 0.01:
         raise InvalidInputError(f"origin: expected a quaternion of length 1, got {quaternion.tolist()}")
     if np.hypot(quaternion[0], quaternion[1]) > 0.01:
         raise InvalidInputError(f"origin: expected a rotation about z only, got the quaternion {quaternion.tolist()}")

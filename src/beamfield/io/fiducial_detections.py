@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,7 +86,7 @@ def read_camera(path: str | Path, topic: str | None = None) -> CameraIntrinsics:
     with BagFile(path) as bag:
         chosen = _topic(bag, topic, CAMERA_INFO)
         for message in bag.messages([chosen]):
-            with _quoting(bag.path, message):
+            with bag.quoting(message):
                 found = _camera(message)
                 if camera is not None and not _same(camera, found):
                     raise InvalidInputError("the calibration is another one than in the messages before")
@@ -122,7 +122,7 @@ def read_fiducials(path: str | Path, topic: str | None = None) -> list[FiducialD
     with BagFile(path) as bag:
         chosen = _topic(bag, topic, CORNERS, POSES)
         for message in bag.messages([chosen]):
-            with _quoting(bag.path, message):
+            with bag.quoting(message):
                 found.append(_with_corners(message) if message.msgtype == CORNERS else _with_poses(message))
     if not found:
         raise FormatError(path, "the topic holds no message", field=chosen)
@@ -149,7 +149,7 @@ def read_camera_images(path: str | Path, topic: str | None = None) -> Iterator[t
     """
     with BagFile(path) as bag:
         for message in bag.messages([_topic(bag, topic, COMPRESSED_IMAGE)]):
-            with _quoting(bag.path, message):
+            with bag.quoting(message):
                 stamp, grey = message.stamp, _decode(bytes(message.content.data))
             yield stamp, grey
 
@@ -167,18 +167,6 @@ def _topic(bag: BagFile, asked: str | None, *msgtypes: str) -> str:
     if len(found) > 1:
         raise InvalidInputError(f"{bag.path}: which topic? the bag has {', '.join(repr(t) for t in found)}")
     return found[0]
-
-
-@contextmanager
-def _quoting(path: Path, message: BagMessage) -> Iterator[None]:
-    """Name the message in what is said about its content; a bag may define fields of these types as it likes."""
-    try:
-        yield
-    except (AttributeError, TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, FormatError):
-            raise
-        text = str(error) if isinstance(error, InvalidInputError) else f"not as {message.msgtype} should be: {error}"
-        raise FormatError(path, text, field=message.place) from error
 
 
 def _camera(message: BagMessage) -> CameraIntrinsics:
@@ -267,8 +255,9 @@ def _decode(data: bytes) -> NDArray[np.uint8]:
     if kind is None:
         raise InvalidInputError(f"expected a JPEG or PNG image, it starts with {data[:8]!r}")
     try:
-        # The readers themselves, for Image.open would warn of sizes that are checked here.
-        with kind(io.BytesIO(data)) as image:
+        # The readers themselves, for Image.open would warn of sizes that are checked here; they warn of chunks that
+        # are not needed, such as an animation that is damaged.
+        with warnings.catch_warnings(action="ignore"), kind(io.BytesIO(data)) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise InvalidInputError(f"expected at most {MAX_PIXELS} pixels, got {image.width} x {image.height}")
             return np.asarray(image.convert("L"))

@@ -101,7 +101,8 @@ class TransformBuffer:
             edge = self._edges[(parent, child)] = _Edge()
             self._neighbours.setdefault(parent, []).append(child)
             self._neighbours.setdefault(child, []).append(parent)
-        edge.add(stamp, (*translation, *rotation), static, place)
+        # Numbers here and now: a bag may define the fields as it likes, and this is where errors name the message.
+        edge.add(float(stamp), tuple(map(float, (*translation, *rotation))), static, place)
 
     def __len__(self) -> int:
         return len(self._edges)

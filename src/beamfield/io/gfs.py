@@ -12,7 +12,7 @@ from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.io.carmen_laser import SICK_BEARINGS
 from beamfield.io.text_lines import expect_words, parse_count, parse_numbers, read_lines
-from beamfield.io.text_scans import TextOptions, TextScans, finite_pose, sorted_track
+from beamfield.io.text_scans import ABSURD, TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog
 
 IGNORED = ("ODO_UPDATE", "FRAME", "NEFF")
@@ -101,7 +101,7 @@ def _parse(path: Path) -> _Content:
             content.parents.append(None)
         elif kind == "SM_UPDATE" and content.particles:
             _counted(path, line, words, 4, 0)
-            content.particles[-1] = parse_numbers(path, line, words[2:], kind).reshape(-1, 4)
+            content.particles[-1] = _particles(path, line, words[2:])
         elif kind == "RESAMPLE" and content.parents:
             _counted(path, line, words, 1, 0)
             content.parents[-1] = np.array([parse_count(path, line, word, kind) for word in words[2:]], dtype=np.intp)
@@ -117,6 +117,16 @@ def _counted(path: Path, line: int, words: list[str], words_each: int, words_mor
     n = parse_count(path, line, words[1] if len(words) > 1 else "", words[0])
     expect_words(path, line, words, 2 + n * words_each + words_more)
     return n
+
+
+def _particles(path: Path, line: int, words: list[str]) -> FloatArray:
+    """Return (p, 4) poses and logarithms of weights; a weight of 0 is no mistake."""
+    cloud = parse_numbers(path, line, words, "SM_UPDATE").reshape(-1, 4)
+    good = (np.abs(cloud[:, :3]) < ABSURD).all(axis=1) & (cloud[:, 3] < np.inf)
+    if not good.all():
+        found = " ".join(map(str, cloud[int(np.argmin(good))].tolist()))
+        raise FormatError(path, f"expected a finite pose and its weight, got {found}", line=line, field="SM_UPDATE")
+    return cloud
 
 
 def _best_path(path: Path, particles: list[FloatArray | None], parents: list[NDArray[np.intp] | None]) -> FloatArray:

@@ -146,6 +146,8 @@ class LaserScanCollector:
         self._geometry = geometry
         self._limits = (float(message.content.range_min), float(message.content.range_max))
         self._frame = message.content.header.frame_id
+        if not isinstance(self._frame, str):
+            raise self._error(message, f"expected a name as frame_id, got {self._frame!r}")
 
     def _compare(self, message: BagMessage, geometry: tuple[float, float], n_beams: int) -> None:
         scan = message.content

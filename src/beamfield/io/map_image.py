@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import struct
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -191,8 +192,11 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
     if kind is None:
         raise FormatError(path, f"expected a PGM (P2 or P5), PNG or BMP picture, got {magic!r} at its start")
     try:
-        with kind(file) as picture:
+        # Pillow warns of chunks that no map needs, such as an animation that is damaged.
+        with warnings.catch_warnings(action="ignore"), kind(file) as picture:
             _check_size(path, *picture.size, max_pixels)
+            if magic == b"\x89P":
+                _require_whole_chunks(file, path)
             _require_all_pixels(file, path, picture)
             picture.load()
             return _grey_and_opaque(picture)
@@ -222,6 +226,19 @@ def _require_all_pixels(file: BinaryIO, path: Path, picture: ImageFile) -> None:
     else:
         # Its codes may leave pixels out.
         raise FormatError(path, "BMP pictures with run-length codes are not read: save it without, or as PNG")
+    file.seek(where)
+
+
+def _require_whole_chunks(file: BinaryIO, path: Path) -> None:
+    """Refuse a PNG with a chunk that is longer than the rest of the file: Pillow makes room for what it declares."""
+    where, size, at, name = file.tell(), os.fstat(file.fileno()).st_size, 8, b""
+    while at + 8 <= size and name != b"IEND":
+        file.seek(at)
+        length, name = struct.unpack(">I4s", file.read(8))
+        at += 12 + length
+        # Some programs leave out the checksum of the last chunk.
+        if at > size + 4:
+            raise FormatError(path, f"damaged picture: truncated, a chunk {name!r} declares {length} bytes")
     file.seek(where)
 
 

@@ -57,7 +57,7 @@ class PoseTopicCollector:
         pose = content.pose if message.msgtype == POSE_STAMPED else content.pose.pose
         p, q = pose.position, pose.orientation
         self._stamps.append(message.stamp)
-        self._rows.append((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+        self._rows.append(tuple(map(float, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))))
 
     def __len__(self) -> int:
         return len(self._stamps)

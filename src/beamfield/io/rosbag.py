@@ -152,10 +152,11 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
     collectors: dict[str, LaserScanCollector | RawDataCollector | PoseTopicCollector]
     collectors = {**lasers, **raw, **pose_topics}
     for message in bag.messages([*collectors, *tf_topics]):
-        if message.topic in collectors:
-            collectors[message.topic].add(message)
-        else:
-            _add_transforms(frames, message)
+        with bag.quoting(message):
+            if message.topic in collectors:
+                collectors[message.topic].add(message)
+            else:
+                _add_transforms(frames, message)
     scans, ranger_odometry = [], None
     for topic in scan_topics:
         if topic in rangers:

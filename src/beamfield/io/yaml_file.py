@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import MantissaNoDotYAML1_1Warning, MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, DocumentStartEvent
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
@@ -151,7 +152,7 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
         ) from error
     except FormatError:
         raise
-    except (YAMLError, ValueError) as error:
+    except (YAMLError, ValueError, AssertionError) as error:  # the last is what it says of other versions of YAML
         raise FormatError(source, f"no valid YAML: {' '.join(str(error).split())}") from error
     if root is None:
         raise FormatError(source, "the file is empty")
@@ -162,7 +163,10 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
     spans: Spans = {}
     if number_keys:
         _make_keys_text(root)
-    values = _construct(yaml, root, (), lines, spans, source)
+    with warnings.catch_warnings():
+        # Files that declare YAML 1.1 need a point there; ours are read either way.
+        warnings.simplefilter("ignore", MantissaNoDotYAML1_1Warning)
+        values = _construct(yaml, root, (), lines, spans, source)
     return YamlFile(source, values, lines, text, spans)
 
 

@@ -86,6 +86,16 @@ def test_beams_are_counted_once(drive, maps):
     assert f"{note.values['share_known']:.0%} of the beams stay within what the other half has seen" in note.text
 
 
+def test_too_close_readings_are_not_counted_as_nan(drive):
+    ranges = drive.ranges.copy()
+    ranges[::7, ::5] = np.nan
+    log = replace(drive, ranges=ranges, finder=replace(drive.finder, min_range=0.6))
+    table, _ = cross_fit_table(log, build_cross_fit_maps(log), np.ones(len(log), bool))
+    assert table.n_too_close == (ranges < 0.6).sum() > 0
+    assert table.n_nan == np.isnan(ranges).sum()
+    assert table.n_readings == ranges.size
+
+
 def test_a_cell_seen_once_by_the_other_half_is_seen():
     """A robot that turns in a square room: the second half has one scan, whose beams cross each cell hardly twice."""
     finder = RangeFinder.from_bearings(np.radians(np.arange(-180.0, 180.0)), 8.0)

@@ -44,7 +44,7 @@ def test_reading_returns_what_was_written(tmp_path, text):
         ("  n_beams: 60", "  n_beams: 0", 11, "expected a whole number >= 1, got 0"),
         ("  n_beams: 60\n", "", None, "n_beams"),
         ("  n_beams: 60", "  n_beans: 60", 11, "unknown parameter 'n_beans'"),
-        ("  sigma_hit: 0.07", "  sigma_hit: -1", 6, "sigma_hit: expected a positive number of metres"),
+        ("  sigma_hit: 0.07", "  sigma_hit: -1", 6, "sigma_hit: expected a positive number"),
         ("  sigma_hit: 0.07", "  sigma_hit: wide", 9, "wide"),
         ("  min_range: 0.15", "  min_range: 13", 14, "expected 0 <= min_range < max_range = 12.5, got 13"),
         ("likelihood_field:", "something_else:", None, "likelihood_field"),

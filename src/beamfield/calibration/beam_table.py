@@ -188,5 +188,5 @@ def build_beam_table(
         n_no_measurement,
         n_unknown,
         log.finder.min_range,
-        n_too_close,
+        n_too_close=n_too_close,
     )

@@ -195,8 +195,9 @@ def _tables_of_walls(
             n_unsure,
         )
 
-    lines = measured & ((met == LINE) | (met == NOTHING))
-    return table(lines, int((~measured).sum()), n_unseen, n_unsure), table(measured & (met == CLUTTER), 0, 0, 0)
+    lines = table(measured & ((met == LINE) | (met == NOTHING)), int((~measured).sum()), n_unseen, n_unsure)
+    n_too_close = int((~measured & ~np.isnan(log.ranges[chosen])).sum())
+    return replace(lines, n_too_close=n_too_close), table(measured & (met == CLUTTER), 0, 0, 0)
 
 
 def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from beamfield.printable import printable
+
 
 class BeamfieldError(Exception):
     """Base of every error that beamfield raises on purpose.
@@ -39,11 +41,7 @@ class FormatError(BeamfieldError, ValueError):
         self.field = field
         place = str(path) + (f":{line}" if line is not None else "")
         # A topic or a section may be named by characters that a terminal obeys, or that begin a line.
-        super().__init__(_printable(f"{place}: {f'{field}: ' if field else ''}{message}"))
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+        super().__init__(printable(f"{place}: {f'{field}: ' if field else ''}{message}"))
 
 
 class TooLittleDataError(BeamfieldError):

@@ -205,10 +205,10 @@ def test_survives_pickling(rng):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sigma": 0.0}, "sigma: expected a positive, finite number, got 0.0"),
-        ({"sigma": np.nan}, "sigma: expected a positive, finite number, got nan"),
+        ({"sigma": 0.0}, "sigma: expected a positive number .*, got 0.0"),
+        ({"sigma": np.nan}, "sigma: expected a positive number .*, got nan"),
         ({"sigma": 40.0}, "sigma: expected at most the map's longer side, 1 m, got 40.0"),
-        ({"angle_step": -1.0}, "angle_step: expected a positive, finite number, got -1.0"),
+        ({"angle_step": -1.0}, "angle_step: expected a positive number .*, got -1.0"),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused(options, message):

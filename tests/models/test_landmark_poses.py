@@ -171,7 +171,7 @@ def test_the_seed_repeats_the_poses():
     ("z", "options", "message"),
     [
         (ONE, {"method": "book"}, "method: expected 'exact' or 'table', got 'book'"),
-        (ONE, {"n": 0}, "n: expected at least 1, got 0"),
+        (ONE, {"n": 0}, "n: expected 1 to 100000000, got 0"),
         (Detections([], []), {}, "expected at least one feature, got none"),
         (Detections([1.0], [0.0], ids=[SPURIOUS]), {}, "got SPURIOUS"),
         (Detections([np.nan], [np.nan], ids=[1]), {}, "feature 0 has neither range nor bearing"),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from beamfield.arguments import check_fields, check_magnitude, checked
+from beamfield.arguments import LARGEST, check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.kernels import line as kernels
@@ -55,8 +55,8 @@ class LineParameters:
     def __post_init__(self) -> None:
         check_fields(self)
         for name in ("sigma_rho", "sigma_alpha"):
-            if getattr(self, name) != 0.0:
-                check_magnitude(name, getattr(self, name))
+            if not 0.0 <= getattr(self, name) <= LARGEST:
+                raise InvalidInputError(f"{name}: expected a number from 0 to {LARGEST:g}, got {getattr(self, name)}")
         if self.max_range is not None and not 0.0 < self.max_range < np.inf:
             raise InvalidInputError(f"max_range: expected a positive, finite number, got {self.max_range}")
         if not 0.0 <= self.spurious_rate < 1.0:

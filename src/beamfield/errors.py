@@ -15,6 +15,10 @@ class BeamfieldError(Exception):
 
     exit_code = 1
 
+    def __init__(self, text: str) -> None:
+        # A topic or a section of a file may be named by characters that a terminal obeys, or that begin a line.
+        super().__init__(printable(text))
+
 
 class InvalidInputError(BeamfieldError, ValueError):
     """An argument is not what the function takes: says what, what was got and what was expected."""
@@ -40,8 +44,7 @@ class FormatError(BeamfieldError, ValueError):
         self.line = line
         self.field = field
         place = str(path) + (f":{line}" if line is not None else "")
-        # A topic or a section may be named by characters that a terminal obeys, or that begin a line.
-        super().__init__(printable(f"{place}: {f'{field}: ' if field else ''}{message}"))
+        super().__init__(f"{place}: {f'{field}: ' if field else ''}{message}")
 
 
 class TooLittleDataError(BeamfieldError):

@@ -35,7 +35,9 @@ def _warns(path: Path) -> Any:
 
 def _speaks_in_lines(path: Path) -> Any:
     if not _is_example(path):
-        raise InvalidInputError("planted\nin two lines")
+        error = InvalidInputError("")
+        error.args = ("planted\nin two lines",)
+        raise error
 
 
 def _leaves_a_file(path: Path) -> Any:

@@ -16,8 +16,8 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
-from beamfield.stacks.emulator import StackModel
-from beamfield.stacks.particle_update import update_particles
+from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.fit.particle_update import update_particles
 from beamfield.stacks.registry import build_model, parameter_class
 
 TRUTH = BeamParameters(0.78, 0.12, 0.03, 0.07, 0.03, 0.6)

@@ -19,10 +19,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from beamfield.calibration.block_intervals import block_intervals
-from beamfield.calibration.climb import climb
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, parameters_of, theta_of
-from beamfield.calibration.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.block_intervals import block_intervals
+from beamfield.calibration.intrinsic.climb import climb
+from beamfield.calibration.intrinsic.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of, theta_of
 from beamfield.calibration.time_split import held_out_mask
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.calibration.landmark_noise import LandmarkLearningResult, learn_landmark_parameters
 from beamfield.detection_log import DetectionLog
-from beamfield.io.mrclam_instant import read_mrclam_instant
-from beamfield.io.plaza import read_plaza
-from beamfield.io.roh_bearings import read_roh_bearings
+from beamfield.io.landmarks.mrclam_instant import read_mrclam_instant
+from beamfield.io.landmarks.plaza import read_plaza
+from beamfield.io.landmarks.roh_bearings import read_roh_bearings
+from beamfield.landmark_noise.learning import LandmarkLearningResult, learn_landmark_parameters
 from beamfield.maps.landmarks import LandmarkMap
 from tables import print_table
 

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.calibration.block_intervals import block_intervals
-from beamfield.calibration.em import learn_intrinsic_parameters
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, theta_of
-from beamfield.calibration.learning_problem import learning_problem
-from beamfield.calibration.m_steps import m_step
+from beamfield.calibration.intrinsic.block_intervals import block_intervals
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
+from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 

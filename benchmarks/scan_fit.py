@@ -17,11 +17,6 @@ from scipy import ndimage
 from scipy.stats import rankdata
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.calibration.scan_fit_conformal import conformal_p_values
-from beamfield.calibration.scan_fit_lost import lost_probability
-from beamfield.calibration.scan_fit_reference import ScanFitReference, calibrate_scan_fit
-from beamfield.calibration.scan_fit_statistics import fit_statistics
-from beamfield.calibration.scan_fit_wrong_poses import wrong_poses
 from beamfield.calibration.time_split import time_blocks
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
@@ -29,6 +24,11 @@ from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.scan_fit.conformal import conformal_p_values
+from beamfield.scan_fit.lost import lost_probability
+from beamfield.scan_fit.reference import ScanFitReference, calibrate_scan_fit
+from beamfield.scan_fit.statistics import fit_statistics
+from beamfield.scan_fit.wrong_poses import wrong_poses
 from beamfield.sensors import RangeFinder, SensorLog, usable_ranges
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan

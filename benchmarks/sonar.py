@@ -22,8 +22,8 @@ import numpy as np
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps, cross_fit_table
-from beamfield.calibration.em import learn_intrinsic_parameters
 from beamfield.calibration.evaluation import uniform_parameters
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.calibration.time_split import held_out_mask
 from beamfield.io.read_log import read_log
 from beamfield.maps.cone import ConeCaster

@@ -28,13 +28,13 @@ from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from beamfield.stacks.emulator import StackModel
-from beamfield.stacks.fit import fit_stack
-from beamfield.stacks.parameter_file import MODELS
-from beamfield.stacks.particle_update import update_particles
-from beamfield.stacks.posterior_score import score_windows
+from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.files.parameter_file import MODELS
+from beamfield.stacks.fit.fit import fit_stack
+from beamfield.stacks.fit.particle_update import update_particles
+from beamfield.stacks.fit.posterior_score import score_windows
+from beamfield.stacks.fit.window_evidence import gather_evidence
 from beamfield.stacks.registry import build_model, parameter_class
-from beamfield.stacks.window_evidence import gather_evidence
 
 WEAN = "wean_hall/derived_wean.yaml"
 # Fitted to the first; where there are no others, every third block of time is held out.

@@ -23,15 +23,15 @@ from beam_model import MAX_RANGE, N_BEAMS, N_POSES, PARAMETERS, anywhere, near, 
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.f1tenth_parameters import F1tenthParameters
-from beamfield.stacks.f1tenth_table import F1tenthTable
-from beamfield.stacks.mrpt_field import MrptField
-from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
-from beamfield.stacks.mrpt_rays import MrptRays
-from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.f1tenth.parameters import F1tenthParameters
+from beamfield.stacks.f1tenth.table import F1tenthTable
+from beamfield.stacks.mrpt.field import MrptField
+from beamfield.stacks.mrpt.parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt.rays import MrptRays
+from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import parameter_class
 
 ORACLE = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared")) / "oracle"

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.calibration.climb import climb
-from beamfield.calibration.em import learn_intrinsic_parameters
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, parameters_of, theta_of
-from beamfield.calibration.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.climb import climb
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of, theta_of
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams

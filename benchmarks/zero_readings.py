@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from beamfield.calibration.block_intervals import block_intervals
-from beamfield.calibration.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.block_intervals import block_intervals
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.models.beam_parameters import BeamParameters
 from interval_coverage import COMMON, MAX_RANGE, drive, read
 from tables import print_table

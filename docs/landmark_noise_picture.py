@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from beamfield.calibration.landmark_noise import LandmarkLearningResult, learn_landmark_parameters
-from beamfield.io.mrclam_instant import read_mrclam_instant
-from beamfield.io.plaza import read_plaza
+from beamfield.io.landmarks.mrclam_instant import read_mrclam_instant
+from beamfield.io.landmarks.plaza import read_plaza
+from beamfield.landmark_noise.learning import LandmarkLearningResult, learn_landmark_parameters
 
 FIT, OTHER, DATA = "#0072b2", "#d55e00", "0.8"
 CUT = (0.5, 0.25)

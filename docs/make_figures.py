@@ -13,9 +13,6 @@ from matplotlib.patches import Wedge
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.evaluation import likely_causes
-from beamfield.calibration.scan_fit import judge_log
-from beamfield.calibration.scan_fit_reference import calibrate_scan_fit
-from beamfield.calibration.scan_fit_surprise import beam_side
 from beamfield.cli.main import main as beamfield
 from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
 from beamfield.figures.world import simulated_world
@@ -26,6 +23,9 @@ from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam import BeamModel, beam_log_density
+from beamfield.scan_fit.reference import calibrate_scan_fit
+from beamfield.scan_fit.scan_fit import judge_log
+from beamfield.scan_fit.surprise import beam_side
 from beamfield.sensors import RangeFinder, SensorLog, usable_ranges
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.log import simulate_log

@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from beamfield.io.fiducial_detections import read_camera, read_camera_images, read_fiducials
+from beamfield.io.bags.fiducial_detections import read_camera, read_camera_images, read_fiducials
 from beamfield.maps.markers import MarkerMap
 from beamfield.models.ceiling_camera import CeilingCamera
 from beamfield.models.marker import MarkerDetections, MarkerModel, image_of_corners

@@ -9,6 +9,12 @@ import matplotlib
 import numpy as np
 import pytest
 
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.floor_plan import draw_floor_plan
+from beamfield.simulation.log import simulate_log
+
 matplotlib.use("Agg")
 
 SHARED = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared"))
@@ -37,3 +43,23 @@ def oracle(shared: Path) -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20260101)
+
+
+# A small simulated log whose truth is known, shared by the tests of the main job.
+TRUTH = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
+
+
+@pytest.fixture(scope="session")
+def office() -> OccupancyGrid:
+    return draw_floor_plan(seed=3)
+
+
+@pytest.fixture(scope="session")
+def drive(office: OccupancyGrid) -> SensorLog:
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 61), 10.0, name="laser")
+    return simulate_log(office, finder, TRUTH, duration=120.0, scan_rate=4.0, seed=5).only_sensor()
+
+
+@pytest.fixture(scope="session")
+def truth() -> BeamParameters:
+    return TRUTH

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.scan_fit_statistics import FitStatistics
-from beamfield.calibration.sighting_table import SightingTable
-from beamfield.choice import chosen_indices
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.errors import InvalidInputError
+from beamfield.indices import as_indices
+from beamfield.landmark_noise.sighting_table import SightingTable
 from beamfield.models.line_detections import LineDetections
+from beamfield.scan_fit.statistics import FitStatistics
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 
 N = 4
@@ -86,4 +86,4 @@ def test_what_is_no_choice_is_refused_by_name(choose, choice, message):
 
 
 def test_repeated_indices_repeat():
-    assert chosen_indices([1, 1, 0], 2, "beams").tolist() == [1, 1, 0]
+    assert as_indices([1, 1, 0], 2, "beams").tolist() == [1, 1, 0]

@@ -21,10 +21,10 @@ import pytest
 from beamfield.cli.main import build_parser
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
-from beamfield.io.landmark_files import write_landmarks
-from beamfield.io.line_files import write_line_map
-from beamfield.io.ros_map import save_map
-from beamfield.io.sightings import write_sightings
+from beamfield.io.landmarks.landmark_files import write_landmarks
+from beamfield.io.landmarks.line_files import write_line_map
+from beamfield.io.landmarks.sightings import write_sightings
+from beamfield.io.maps.ros_map import save_map
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
 from beamfield.maps.occupancy import OccupancyGrid
@@ -34,7 +34,7 @@ from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.sensors import RangeFinder, Scan, SensorLog
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 from tests.io.mini_bag import MiniBag, quaternion
 from tests.io.test_fiducial_detections import CameraBag
 

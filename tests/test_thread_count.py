@@ -21,11 +21,11 @@ UNCHECKED = {
     "beamfield.kernels.threads.threads_that_pay",
     "beamfield.models.field_tables.FieldTables",
     "beamfield.models.local_map_cells.overlap_sums",
-    "beamfield.stacks.field_table.FieldTable.look_up",
-    "beamfield.stacks.stack_rays.bresenham_ranges",
-    "beamfield.stacks.stack_rays.exact_ranges",
-    "beamfield.stacks.window_evidence.FieldCodes.log_weights",
-    "beamfield.stacks.window_evidence.WindowEvidence.log_weights",
+    "beamfield.stacks.emulation.field_table.FieldTable.look_up",
+    "beamfield.stacks.emulation.stack_rays.bresenham_ranges",
+    "beamfield.stacks.emulation.stack_rays.exact_ranges",
+    "beamfield.stacks.fit.window_evidence.FieldCodes.log_weights",
+    "beamfield.stacks.fit.window_evidence.WindowEvidence.log_weights",
 }
 
 
@@ -61,7 +61,7 @@ TAKERS = {name: taker for name, taker in sorted(takers()) if name not in UNCHECK
 def test_the_search_finds_them():
     assert not UNCHECKED - {name for name, _ in takers()}
     assert {
-        "beamfield.calibration.calibration_options.CalibrationOptions",
+        "beamfield.calibration.options.CalibrationOptions",
         "beamfield.localization.global_search.GlobalSearch",
         "beamfield.maps.raycast.RayCaster.expected_ranges",
         "beamfield.models.beam.BeamModel",

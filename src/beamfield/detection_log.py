@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields
-from beamfield.choice import chosen_indices
 from beamfield.detections import Detections, as_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.indices import as_indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class DetectionLog:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = np.sort(chosen_indices(observations, len(self), "observations"))
+        chosen = np.sort(as_indices(observations, len(self), "observations"))
         return replace(
             self,
             poses=self.poses[chosen],

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields
-from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.indices import as_indices
 
 SPURIOUS = -1
 """Correspondence c = N + 1 of 6.6.3: the feature belongs to no landmark of the map."""
@@ -92,7 +92,7 @@ class Detections:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = chosen_indices(features, len(self), "features")
+        chosen = as_indices(features, len(self), "features")
         return replace(
             self,
             ranges=self.ranges[chosen],

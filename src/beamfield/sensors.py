@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.arguments import LARGEST, as_floats, check_fields, checked
-from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.indices import as_indices
 
 # Metres between a sensor's limits. In less, the densities of wide hits and steep shorts cannot be told from 0 / 0.
 SHORTEST_SPAN = 1e-6
@@ -134,7 +134,7 @@ class RangeFinder:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        return replace(self, mounts=self.mounts[chosen_indices(beams, self.n_beams, "beams")])
+        return replace(self, mounts=self.mounts[as_indices(beams, self.n_beams, "beams")])
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,7 @@ class Scan:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = chosen_indices(beams, self.finder.n_beams, "beams")
+        chosen = as_indices(beams, self.finder.n_beams, "beams")
         return Scan(self.ranges[chosen], self.finder.subset(chosen), self.stamp)
 
     @checked
@@ -376,7 +376,7 @@ class SensorLog:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = chosen_indices(scans, len(self), "scans")
+        chosen = as_indices(scans, len(self), "scans")
         return replace(
             self,
             stamps=self.stamps[chosen],

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from beamfield.calibration.axis_density import (
+from beamfield.calibration.field.axis_density import (
     Mixture,
     density_gradient,
     fit_axis_density,
@@ -17,9 +17,9 @@ from beamfield.calibration.axis_density import (
     share_bounds,
     sigma_bounds,
 )
-from beamfield.calibration.axis_intervals import axis_intervals
-from beamfield.calibration.axis_table import AxisTable, build_axis_table
-from beamfield.calibration.field_findings import density_findings
+from beamfield.calibration.field.axis_intervals import axis_intervals
+from beamfield.calibration.field.axis_table import AxisTable, build_axis_table
+from beamfield.calibration.field.findings import density_findings
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid

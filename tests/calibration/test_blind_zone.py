@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
-from beamfield.calibration.block_intervals import block_intervals
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.calibration.climb import climb
-from beamfield.calibration.correspondence import learn_from_known_causes
-from beamfield.calibration.curvature import naive_covariance
-from beamfield.calibration.em import learn_intrinsic_parameters
 from beamfield.calibration.evaluation import likely_causes, pit_deviation, randomized_pit, score_models, timeline
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, theta_of
-from beamfield.calibration.learning_problem import learning_problem
-from beamfield.calibration.scan_fit_surprise import beam_surprise
+from beamfield.calibration.intrinsic.block_intervals import block_intervals
+from beamfield.calibration.intrinsic.climb import climb
+from beamfield.calibration.intrinsic.curvature import naive_covariance
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.known_causes import learn_from_known_causes
+from beamfield.calibration.intrinsic.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_log_density, sample_beams
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.sonar import SonarModel
+from beamfield.scan_fit.surprise import beam_surprise
 from beamfield.sensors import RangeFinder, SensorLog
 
 TRUTH = BeamParameters(0.62, 0.2, 0.08, 0.1, 0.08, 1.5)

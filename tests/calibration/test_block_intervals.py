@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from beamfield.calibration.block_intervals import block_intervals
-from beamfield.calibration.curvature import naive_covariance
-from beamfield.calibration.em import learn_intrinsic_parameters
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, theta_of
-from beamfield.calibration.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.block_intervals import block_intervals
+from beamfield.calibration.intrinsic.curvature import naive_covariance
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams

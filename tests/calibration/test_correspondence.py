@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from beamfield.calibration.correspondence import learn_from_known_causes
+from beamfield.calibration.intrinsic.known_causes import learn_from_known_causes
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.models.beam_density import CAUSES
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
-from beamfield.calibration.block_intervals import IntervalResult
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps, cross_fit_table
 from beamfield.calibration.cross_fit_result import (
@@ -15,6 +14,7 @@ from beamfield.calibration.cross_fit_result import (
     with_clutter,
     without_wall_error,
 )
+from beamfield.calibration.intrinsic.block_intervals import IntervalResult
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.maps.drawn_walls import ranges_to_walls
 from beamfield.maps.hit_counts import count_hits

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beamfield.calibration.curvature import naive_covariance
-from beamfield.calibration.intrinsic_likelihood import (
+from beamfield.calibration.intrinsic.curvature import naive_covariance
+from beamfield.calibration.intrinsic.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.likelihood import (
     N_PARAMETERS,
     OFFSET,
     VARIANCE,
@@ -15,7 +16,6 @@ from beamfield.calibration.intrinsic_likelihood import (
     IntrinsicLikelihood,
     theta_of,
 )
-from beamfield.calibration.learning_problem import learning_problem
 from beamfield.models.beam_parameters import BeamParameters
 
 MAX_RANGE = 8.0

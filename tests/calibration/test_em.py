@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from beamfield.calibration.climb import climb
-from beamfield.calibration.curvature import naive_covariance
-from beamfield.calibration.em import FEWEST_BEAMS, learn_intrinsic_parameters
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, theta_of
-from beamfield.calibration.learning_problem import SIGMA_FLOOR_SHARE, learning_problem
-from beamfield.calibration.priors import IntrinsicPriors
+from beamfield.calibration.intrinsic.climb import climb
+from beamfield.calibration.intrinsic.curvature import naive_covariance
+from beamfield.calibration.intrinsic.em import FEWEST_BEAMS, learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.learning_problem import SIGMA_FLOOR_SHARE, learning_problem
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
+from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from beamfield.calibration.em import LearningResult, learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.em import LearningResult, learn_intrinsic_parameters
 from tests.reference import table_6_2
 
 pytestmark = pytest.mark.oracle

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beamfield.calibration.block_errors import block_interval
-from beamfield.calibration.field_exponent import EXPONENTS, best_exponent, score_exponents
-from beamfield.calibration.field_learning import FieldLearning, learn_field_parameters
+from beamfield.calibration.field.block_errors import block_interval
+from beamfield.calibration.field.exponent import EXPONENTS, best_exponent, score_exponents
+from beamfield.calibration.field.learning import FieldLearning, learn_field_parameters
 from beamfield.calibration.pose_windows import WindowOptions, draw_rivals
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import compose

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beamfield.calibration.em import learn_intrinsic_parameters
-from beamfield.calibration.identifiability import Mode, identifiability_findings
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, theta_of
-from beamfield.calibration.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.identifiability import Mode, identifiability_findings
+from beamfield.calibration.intrinsic.learning_problem import learning_problem
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from beamfield.cli.main import main
-from beamfield.io.field_file import read_likelihood_field
-from beamfield.io.parameters import read_beam_model
+from beamfield.io.parameters.beam_model_file import read_beam_model
+from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.models.beam_parameters import BeamParameters
 
 FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html")
@@ -316,7 +316,7 @@ def test_an_output_that_cannot_be_written_is_one_line(world, tmp_path, capsys):
 
 @pytest.mark.parametrize("min_range", [0.0, 0.1 / 3])
 def test_a_beam_model_file_has_six_digits_and_weights_that_sum_to_one(tmp_path, min_range):
-    from beamfield.io.parameters import beam_model_text
+    from beamfield.io.parameters.beam_model_file import beam_model_text
     from beamfield.sensors import RangeFinder
 
     values = np.random.default_rng(1).dirichlet(np.ones(4))
@@ -347,7 +347,7 @@ def test_a_beam_model_file_has_six_digits_and_weights_that_sum_to_one(tmp_path, 
     ],
 )
 def test_limits_of_float32_are_written_short_unless_no_returns_would_become_readings(limits, written):
-    from beamfield.io.parameters import beam_model_text
+    from beamfield.io.parameters.beam_model_file import beam_model_text
     from beamfield.sensors import RangeFinder
 
     low, high = (float(limit) for limit in limits)
@@ -370,7 +370,7 @@ def test_limits_of_float32_are_written_short_unless_no_returns_would_become_read
 )
 def test_a_damaged_beam_model_file_names_file_and_field(tmp_path, old, new, words):
     from beamfield.errors import FormatError
-    from beamfield.io.parameters import beam_model_text
+    from beamfield.io.parameters.beam_model_file import beam_model_text
     from beamfield.sensors import RangeFinder
 
     text = beam_model_text(

@@ -13,9 +13,9 @@ from scipy.io import savemat
 from beamfield.cli.main import main
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
-from beamfield.io.landmark_files import write_landmarks
-from beamfield.io.landmark_model_file import read_landmark_model
-from beamfield.io.sightings import write_sightings
+from beamfield.io.landmarks.landmark_files import write_landmarks
+from beamfield.io.landmarks.sightings import write_sightings
+from beamfield.io.parameters.landmark_model_file import read_landmark_model
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters

@@ -17,8 +17,8 @@ from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_te
 from beamfield.cli.main import main
 from beamfield.errors import FormatError
 from beamfield.io import read_map as read_map_module
-from beamfield.io.carmen_writer import write_carmen
-from beamfield.io.ros_map import save_map
+from beamfield.io.logs.carmen_writer import write_carmen
+from beamfield.io.maps.ros_map import save_map
 from beamfield.io.trajectory import write_tum
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track

@@ -10,10 +10,10 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.geometry import between
-from beamfield.io.carmen import write_carmen
-from beamfield.io.field_file import likelihood_field_text
-from beamfield.io.parameters import beam_model_text
-from beamfield.io.ros_map import save_map
+from beamfield.io.logs.carmen import write_carmen
+from beamfield.io.maps.ros_map import save_map
+from beamfield.io.parameters.beam_model_file import beam_model_text
+from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters

@@ -8,7 +8,7 @@ import pytest
 
 from beamfield.cli import map as map_command
 from beamfield.errors import BeamfieldError, InvalidInputError, TooLittleDataError
-from beamfield.io.carmen import write_carmen
+from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.maps.mapping import InverseSensorModel, build_map

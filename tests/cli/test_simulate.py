@@ -10,9 +10,9 @@ import pytest
 
 from beamfield.cli import simulate
 from beamfield.errors import BeamfieldError, InvalidInputError
+from beamfield.io.maps.ros_map import save_map
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.ros_map import save_map
 from beamfield.io.trajectory import read_trajectory
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
@@ -188,7 +188,7 @@ def test_an_error_while_writing_leaves_nothing_behind(tmp_path: Path, monkeypatc
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("beamfield.io.carmen.write_carmen", fail)
+    monkeypatch.setattr("beamfield.io.logs.carmen.write_carmen", fail)
     with pytest.raises(OSError, match="No space left"):
         run(tmp_path / "out")
     assert names(tmp_path) == []

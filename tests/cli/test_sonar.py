@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.io.files.yaml_file import read_yaml
 from beamfield.io.read_log import read_log
-from beamfield.io.yaml_file import read_yaml
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.sonar import SonarModel

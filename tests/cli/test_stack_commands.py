@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from beamfield.cli.main import main
-from beamfield.io.ros_map import save_map
+from beamfield.io.maps.ros_map import save_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 GOOD = """\

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.cli.terminal import complain, say, say_json
-from beamfield.io.bag_writer import write_bag
+from beamfield.io.bags.writer import write_bag
 from beamfield.io.read_log import read_log
 from beamfield.printable import printable
 

@@ -16,11 +16,10 @@ import numpy as np
 import pytest
 
 from beamfield import geometry
-from beamfield.calibration.block_intervals import block_intervals
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.calibration.em import learn_intrinsic_parameters
-from beamfield.calibration.priors import IntrinsicPriors
-from beamfield.calibration.scan_fit import scan_fit
+from beamfield.calibration.intrinsic.block_intervals import block_intervals
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.selection import SelectionOptions
 from beamfield.detections import Detections
 from beamfield.errors import BeamfieldError, BeamfieldWarning
@@ -61,6 +60,7 @@ from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.models.marker import MarkerDetections, MarkerModel
 from beamfield.models.sonar import SonarModel
+from beamfield.scan_fit.scan_fit import scan_fit
 from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
 from beamfield.simulation.log import simulate_log
 from tests.contract.conftest import CEILING, CEILING_CAMERA, draw_floor

@@ -16,9 +16,9 @@ from beamfield.cli.calibrate_stack import StackResult
 from beamfield.cli.main import main
 from beamfield.errors import BeamfieldError
 from beamfield.report.page_section import PageSection
-from beamfield.stacks.calibration_record import record_text
-from beamfield.stacks.parameter_file import StackFile, read_stack_file
-from beamfield.stacks.typed_values import checked_values
+from beamfield.stacks.files.calibration_record import record_text
+from beamfield.stacks.files.parameter_file import StackFile, read_stack_file
+from beamfield.stacks.files.typed_values import checked_values
 
 LOG = "\n".join(f"FLASER 4 1.5 2 1 1 {i} 0.5 0 {i} 0.4 0 {i} host {i}" for i in range(4)) + "\n"
 MAP = "robot_specifications->resolution 10\nglobal_map[0]: 2 2\n1 0\n0 1\n"

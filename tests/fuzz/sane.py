@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from beamfield.detection_log import DetectionLog
-from beamfield.io.fiducial_detections import FiducialDetections
-from beamfield.io.field_file import SavedLikelihoodField
-from beamfield.io.landmark_files import CourseLog
-from beamfield.io.parameters import SavedBeamModel
+from beamfield.io.bags.fiducial_detections import FiducialDetections
+from beamfield.io.landmarks.landmark_files import CourseLog
+from beamfield.io.parameters.beam_model_file import SavedBeamModel
+from beamfield.io.parameters.likelihood_field_file import SavedLikelihoodField
 from beamfield.io.relations import Relations
 from beamfield.io.trajectory import IndexedTrack
 from beamfield.maps.landmarks import LandmarkMap
@@ -21,7 +21,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.camera_intrinsics import CameraIntrinsics
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.sensors import ScanLog, Track, usable_ranges
-from beamfield.stacks.parameter_file import MODELS, StackFile
+from beamfield.stacks.files.parameter_file import MODELS, StackFile
 
 
 def grid(result: Any) -> None:

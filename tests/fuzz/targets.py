@@ -8,21 +8,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from beamfield.io.fiducial_detections import read_camera, read_camera_images, read_fiducials
-from beamfield.io.field_file import read_likelihood_field
-from beamfield.io.landmark_files import read_course_log, read_course_world, read_landmarks, read_mrclam_landmarks
-from beamfield.io.landmark_model_file import read_landmark_model
-from beamfield.io.line_files import read_amrl_vector_map, read_line_map
-from beamfield.io.parameters import read_beam_model
+from beamfield.io.bags.fiducial_detections import read_camera, read_camera_images, read_fiducials
+from beamfield.io.bags.reader import read_bag_map
+from beamfield.io.landmarks.landmark_files import (
+    read_course_log,
+    read_course_world,
+    read_landmarks,
+    read_mrclam_landmarks,
+)
+from beamfield.io.landmarks.line_files import read_amrl_vector_map, read_line_map
+from beamfield.io.maps.ros_map import between_share, ros_map_notes
+from beamfield.io.parameters.beam_model_file import read_beam_model
+from beamfield.io.parameters.landmark_model_file import read_landmark_model
+from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.read_sightings_log import read_sightings_log
 from beamfield.io.relations import read_relations
-from beamfield.io.ros_map import between_share, ros_map_notes
-from beamfield.io.rosbag import read_bag_map
 from beamfield.io.trajectory import read_trajectory
-from beamfield.stacks.parameter_file import read_stack_file
-from beamfield.stacks.typed_values import checked_values
+from beamfield.stacks.files.parameter_file import read_stack_file
+from beamfield.stacks.files.typed_values import checked_values
 from tests.fuzz import sane
 from tests.fuzz.case import Case
 from tests.fuzz.commands import calibrate_and_patch, check_patch, run_command, translate_and_patch

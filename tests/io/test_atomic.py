@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from beamfield.errors import InvalidInputError
-from beamfield.io.atomic import (
+from beamfield.io.files.atomic import (
     atomic_file,
     atomic_files,
     atomic_folder,
@@ -64,7 +64,7 @@ def test_an_error_leaves_the_old_file_as_it_was(tmp_path, error):
 
 KILLED = (
     "import os, signal, sys\n"
-    "from beamfield.io.atomic import atomic_file\n"
+    "from beamfield.io.files.atomic import atomic_file\n"
     "with atomic_file(sys.argv[1]) as part:\n"
     "    part.write_text('half')\n"
     "    os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -108,7 +108,7 @@ def test_a_run_leaves_what_a_living_one_is_writing(tmp_path):
 
 def test_a_run_leaves_what_it_cannot_be_sure_of(tmp_path, monkeypatch):
     left = kill_a_writer_of(tmp_path / "a.txt")
-    monkeypatch.setattr("beamfield.io.atomic._kernel", lambda: "another machine of a network disk")
+    monkeypatch.setattr("beamfield.io.files.atomic._kernel", lambda: "another machine of a network disk")
     write_file(tmp_path / "a.txt", "new")
     assert names(tmp_path) == [left.name, "a.txt"]
     monkeypatch.undo()

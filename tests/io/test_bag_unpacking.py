@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io import bag_unpacking
-from beamfield.io.bag_file import BagFile
-from beamfield.io.bag_unpacking import VARIABLE, unpacked_bound
-from beamfield.io.rosbag import read_bag, read_bag_map
+from beamfield.io.bags import unpacking as bag_unpacking
+from beamfield.io.bags.bag_file import BagFile
+from beamfield.io.bags.reader import read_bag, read_bag_map
+from beamfield.io.bags.unpacking import VARIABLE, unpacked_bound
 from tests.io.mini_bag import MiniBag
 
 zstd = bag_unpacking._zstd()

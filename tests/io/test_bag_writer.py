@@ -10,8 +10,8 @@ from rosbags.highlevel import AnyReader
 
 from beamfield.errors import InvalidInputError, MissingDependencyError
 from beamfield.geometry import compose
-from beamfield.io.bag_writer import write_bag
-from beamfield.io.rosbag import read_bag
+from beamfield.io.bags.reader import read_bag
+from beamfield.io.bags.writer import write_bag
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
 
 START = 1.7e9

@@ -10,8 +10,8 @@ import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import compose
-from beamfield.io.carmen import read_carmen, write_carmen
-from beamfield.io.text_scans import TextOptions
+from beamfield.io.logs.carmen import read_carmen, write_carmen
+from beamfield.io.logs.text_scans import TextOptions
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
 
 TIME = "{0} host {0}"

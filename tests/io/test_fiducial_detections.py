@@ -12,7 +12,7 @@ from PIL import Image
 from rosbags.typesys import get_types_from_msg
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.fiducial_detections import (
+from beamfield.io.bags.fiducial_detections import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
     CORNERS,

@@ -7,7 +7,11 @@ from pathlib import Path
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io.field_file import is_likelihood_field, likelihood_field_text, read_likelihood_field
+from beamfield.io.parameters.likelihood_field_file import (
+    is_likelihood_field,
+    likelihood_field_text,
+    read_likelihood_field,
+)
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.sensors import RangeFinder
 

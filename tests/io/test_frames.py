@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from beamfield.errors import FormatError
-from beamfield.io.frames import TransformBuffer
+from beamfield.io.bags.frames import TransformBuffer
 
 
 def matrix(translation, rotation) -> np.ndarray:

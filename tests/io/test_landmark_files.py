@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io.landmark_files import (
+from beamfield.io.landmarks.landmark_files import (
     read_course_log,
     read_course_world,
     read_landmarks,

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.landmark_model_file import landmark_model_text, read_landmark_model
+from beamfield.io.parameters.landmark_model_file import landmark_model_text, read_landmark_model
 from beamfield.io.read_sightings_log import read_sightings_log
 from beamfield.models.landmark_parameters import LandmarkParameters
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io.line_files import read_amrl_vector_map, read_line_map, write_line_map
+from beamfield.io.landmarks.line_files import read_amrl_vector_map, read_line_map, write_line_map
 from beamfield.maps.lines import LineMap
 
 

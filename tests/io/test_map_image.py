@@ -12,7 +12,7 @@ from PIL.BmpImagePlugin import BmpImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.map_image import read_map_image
+from beamfield.io.maps.map_image import read_map_image
 
 GREY = np.array([[0, 1, 100], [205, 254, 255]], dtype=np.uint8)
 
@@ -116,7 +116,7 @@ def test_other_depths_are_scaled_to_eight_bits_and_rounded(write, maxval, plain)
 
 
 def test_many_rows_are_read_in_blocks_without_mixing_them(write, rng, monkeypatch):
-    monkeypatch.setattr("beamfield.io.map_image._PIXELS_PER_BLOCK", 100)
+    monkeypatch.setattr("beamfield.io.maps.map_image._PIXELS_PER_BLOCK", 100)
     for dtype, maxval in (("u1", 255), (">u2", 65535)):
         levels = rng.integers(0, maxval + 1, (57, 31))
         image = read_map_image(write(b"P5 31 57 %d\n" % maxval + levels.astype(dtype).tobytes()))

@@ -10,8 +10,8 @@ import pytest
 from scipy.io import savemat
 
 from beamfield.errors import FormatError
-from beamfield.io.mat_file import read_mat_arrays
-from beamfield.io.mat_table import mat_ids, mat_table
+from beamfield.io.landmarks.mat_file import read_mat_arrays
+from beamfield.io.landmarks.mat_table import mat_ids, mat_table
 
 HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
 TABLE = np.array([[1.0, 2.5], [3.0, -4.0], [5.0, 6.0]])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io.coreslam import read_coreslam
-from beamfield.io.g2o import read_g2o
-from beamfield.io.gfs import read_gfs
-from beamfield.io.sonar_log import read_sonar_log
-from beamfield.io.text_scans import TextOptions
+from beamfield.io.logs.coreslam import read_coreslam
+from beamfield.io.logs.g2o import read_g2o
+from beamfield.io.logs.gfs import read_gfs
+from beamfield.io.logs.sonar_log import read_sonar_log
+from beamfield.io.logs.text_scans import TextOptions
 
 
 def write(tmp_path, *lines, name="run.txt"):

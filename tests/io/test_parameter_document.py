@@ -7,7 +7,7 @@ import math
 import pytest
 from ruamel.yaml import YAML
 
-from beamfield.io.parameter_document import document_text
+from beamfield.io.parameters.document import document_text
 
 
 @pytest.mark.parametrize("open_interval", [(0.0, math.inf), (math.nan, math.nan)], ids=["no upper end", "unknown"])

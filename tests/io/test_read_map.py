@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io import rosbag
+from beamfield.io.bags import reader as rosbag
+from beamfield.io.maps.ros_map import save_map
 from beamfield.io.read_map import read_map
-from beamfield.io.ros_map import save_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 WEAN = b"robot_specifications->resolution 10\nglobal_map[0]: 1 2\n1.0 0.0\n"

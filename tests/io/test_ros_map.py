@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.ros_map import image_path, read_ros_map, ros_map_notes, save_map
+from beamfield.io.maps.ros_map import image_path, read_ros_map, ros_map_notes, save_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 DEFAULTS = {
@@ -382,7 +382,7 @@ def test_a_note_says_when_the_grey_of_unknown_counts_as_free(write):
 
 
 def test_a_map_takes_little_more_memory_while_it_is_read_than_afterwards(write, rng, monkeypatch):
-    monkeypatch.setattr("beamfield.io.ros_map._PIXELS_PER_BAND", 70_000)
+    monkeypatch.setattr("beamfield.io.maps.ros_map._PIXELS_PER_BAND", 70_000)
     grey = rng.choice([0, 205, 254], (1000, 1500)).astype(np.uint8)
     path = write(grey, free_thresh="0.19")
     tracemalloc.start()
@@ -396,7 +396,7 @@ def test_a_map_takes_little_more_memory_while_it_is_read_than_afterwards(write, 
 
 
 def test_transparent_pixels_of_every_band_are_unknown(write, rng, monkeypatch):
-    monkeypatch.setattr("beamfield.io.ros_map._PIXELS_PER_BAND", 100)
+    monkeypatch.setattr("beamfield.io.maps.ros_map._PIXELS_PER_BAND", 100)
     grey, alpha = rng.choice([0, 254], (50, 30)), rng.choice([0, 255], (50, 30))
     grid = read_ros_map(write(grey, alpha))
     np.testing.assert_array_equal(grid.unknown, alpha[::-1] == 0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError
-from beamfield.io.rosbag import read_bag, read_bag_map
+from beamfield.io.bags.reader import read_bag, read_bag_map
 from tests.io.mini_bag import LASER_SCAN, STORAGES, MiniBag, quaternion
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
-from beamfield.io.rosbag import read_bag, read_bag_map
+from beamfield.io.bags.reader import read_bag, read_bag_map
 from tests.fuzz.mutate.bag1 import CONNECTION, MAGIC, bag1_bytes, bag1_records
 from tests.io.mini_bag import LASER_SCAN, RAW, STORAGES, MiniBag, quaternion
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.scan_stamps import resolve_stamps
+from beamfield.io.logs.scan_stamps import resolve_stamps
 
 
 def resolve(columns, rule="file"):

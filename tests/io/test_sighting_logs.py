@@ -11,16 +11,16 @@ from scipy.io import savemat
 
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
-from beamfield.io.mrclam_instant import read_mrclam_instant
-from beamfield.io.mrclam_raw import (
+from beamfield.io.landmarks.mrclam_instant import read_mrclam_instant
+from beamfield.io.landmarks.mrclam_raw import (
     read_mrclam_barcodes,
     read_mrclam_groundtruth,
     read_mrclam_measurements,
     read_mrclam_odometry,
 )
-from beamfield.io.plaza import read_plaza
-from beamfield.io.roh_bearings import read_roh_bearings
-from beamfield.io.sightings import read_sightings, write_sightings
+from beamfield.io.landmarks.plaza import read_plaza
+from beamfield.io.landmarks.roh_bearings import read_roh_bearings
+from beamfield.io.landmarks.sightings import read_sightings, write_sightings
 from beamfield.maps.landmarks import LandmarkMap
 
 INSTANT = {

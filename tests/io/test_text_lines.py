@@ -7,8 +7,8 @@ import gzip
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io import text_lines
-from beamfield.io.text_lines import parse_count, parse_numbers, read_lines
+from beamfield.io.files import text_lines
+from beamfield.io.files.text_lines import parse_count, parse_numbers, read_lines
 
 
 def test_plain_and_compressed_text_give_the_same_lines_whatever_the_name(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io.wean_log import read_wean_log
+from beamfield.io.logs.wean_log import read_wean_log
 
 
 def l_line(t, x=100.0, y=50.0, theta=0.0, ahead=25.0, ranges=None):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.wean_map import read_wean_map
+from beamfield.io.maps.wean_map import read_wean_map
 
 HEADER = (
     "robot_specifications->global_mapsize_x   30\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io.yaml_file import read_yaml, shorten
+from beamfield.io.files.yaml_file import read_yaml, shorten
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from beamfield.calibration.intrinsic_likelihood import IntrinsicLikelihood, parameters_of
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of
 from beamfield.kernels import intrinsics as kernels
 from beamfield.models.beam_density import beam_log_density, beam_responsibilities
 

@@ -158,7 +158,7 @@ def test_unknown_cells_stop_rays_or_not(rng, unknown):
 
 @pytest.mark.real
 def test_rays_in_a_real_map_agree_with_the_traversal(rng, data):
-    from beamfield.io.ros_map import read_ros_map
+    from beamfield.io.maps.ros_map import read_ros_map
 
     path = next(iter(sorted(data.glob("ros_maps/**/*.yaml"))))
     grid = read_ros_map(path)

@@ -10,7 +10,7 @@ import pytest
 
 from beamfield.detections import Detections
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.landmark_files import read_course_log, read_course_world, read_landmarks
+from beamfield.io.landmarks.landmark_files import read_course_log, read_course_world, read_landmarks
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from beamfield.geometry import between, compose
+from beamfield.io.bags.reader import read_bag
 from beamfield.io.read_log import read_log
-from beamfield.io.rosbag import read_bag
 
 pytestmark = pytest.mark.real
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from beamfield.calibration.field_learning import learn_field_parameters
+from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory

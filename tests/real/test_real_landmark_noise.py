@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from beamfield.calibration.landmark_noise import LandmarkLearningResult, learn_landmark_parameters
 from beamfield.detections import SPURIOUS, UNKNOWN
-from beamfield.io.landmark_files import read_mrclam_landmarks
-from beamfield.io.mrclam_instant import read_mrclam_instant
-from beamfield.io.mrclam_raw import read_mrclam_barcodes, read_mrclam_measurements, read_mrclam_odometry
-from beamfield.io.plaza import read_plaza
-from beamfield.io.roh_bearings import read_roh_bearings
+from beamfield.io.landmarks.landmark_files import read_mrclam_landmarks
+from beamfield.io.landmarks.mrclam_instant import read_mrclam_instant
+from beamfield.io.landmarks.mrclam_raw import read_mrclam_barcodes, read_mrclam_measurements, read_mrclam_odometry
+from beamfield.io.landmarks.plaza import read_plaza
+from beamfield.io.landmarks.roh_bearings import read_roh_bearings
+from beamfield.landmark_noise.learning import LandmarkLearningResult, learn_landmark_parameters
 
 pytestmark = pytest.mark.real
 

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.errors import FormatError
 from beamfield.geometry import compose, transform_points, wrap_angle
-from beamfield.io.carmen import read_carmen, write_carmen
+from beamfield.io.logs.carmen import read_carmen, write_carmen
 from beamfield.io.read_log import read_log
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.sensors import usable_ranges

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from beamfield.io.maps.ros_map import save_map
 from beamfield.io.read_map import read_map
-from beamfield.io.ros_map import save_map
 
 pytestmark = pytest.mark.real
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-from beamfield.calibration.scan_fit import judge_log
-from beamfield.calibration.scan_fit_reference import ScanFitReference, calibrate_scan_fit
-from beamfield.calibration.scan_fit_wrong_poses import wrong_poses
 from beamfield.calibration.time_split import time_blocks
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
+from beamfield.scan_fit.reference import ScanFitReference, calibrate_scan_fit
+from beamfield.scan_fit.scan_fit import judge_log
+from beamfield.scan_fit.wrong_poses import wrong_poses
 from beamfield.sensors import SensorLog
 
 pytestmark = pytest.mark.real

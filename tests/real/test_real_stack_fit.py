@@ -12,11 +12,11 @@ from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from beamfield.stacks.fit import StackFit, fit_stack, net_score
-from beamfield.stacks.nav2_parameters import Nav2Parameters
-from beamfield.stacks.posterior_score import score_windows
+from beamfield.stacks.fit.fit import StackFit, fit_stack, net_score
+from beamfield.stacks.fit.posterior_score import score_windows
+from beamfield.stacks.fit.window_evidence import gather_evidence
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import build_model
-from beamfield.stacks.window_evidence import gather_evidence
 
 pytestmark = pytest.mark.real
 DEFAULT = Nav2Parameters(laser_model_type="likelihood_field_prob")

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.block_intervals import IntervalResult
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions
-from beamfield.calibration.em import LearningResult
 from beamfield.calibration.evaluation import (
     DEFAULTS,
     likely_causes,
@@ -22,12 +20,14 @@ from beamfield.calibration.evaluation import (
     timeline,
     uniform_parameters,
 )
-from beamfield.calibration.finding import Finding
 from beamfield.calibration.hit_forms import Candidate
+from beamfield.calibration.intrinsic.block_intervals import IntervalResult
+from beamfield.calibration.intrinsic.em import LearningResult
 from beamfield.calibration.opposite_beams import opposite_beams
 from beamfield.calibration.pose_refinement import PoseRefinement
 from beamfield.calibration.selection import REASONS, Selection
 from beamfield.calibration.time_split import held_out_mask, time_blocks
+from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions
-from beamfield.calibration.finding import Finding
+from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.html import render_report
 from beamfield.report.parameter_rows import parameter_rows

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError
-from beamfield.io.carmen import read_carmen, write_carmen
+from beamfield.io.logs.carmen import read_carmen, write_carmen
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder

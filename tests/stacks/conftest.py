@@ -10,8 +10,8 @@ import pytest
 
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 
 # Where the oracle's "offset sensor" sits; not part of its inputs, but its answers agree with no other place.
 OFFSET_MOUNT = (0.1, -0.05, 0.3)

@@ -10,11 +10,11 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.emulator import KNOWN, OFF_MAP, UNKNOWN
-from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.nav2_parameters import Nav2Parameters
-from beamfield.stacks.ros1 import Ros1Beam, Ros1Field, Ros1FieldProb
-from beamfield.stacks.ros1_parameters import Ros1Parameters
+from beamfield.stacks.emulation.emulator import KNOWN, OFF_MAP, UNKNOWN
+from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2.parameters import Nav2Parameters
+from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
+from beamfield.stacks.ros1.parameters import Ros1Parameters
 from tests.stacks.small_room import COMMON, MAX_RANGE, POSES, SPECIAL, small_room, small_scan
 
 PARAMETERS = Nav2Parameters(**COMMON)

@@ -10,8 +10,8 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga_parameters import BelugaParameters
+from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga.parameters import BelugaParameters
 from tests.stacks.small_room import COMMON, MAX_RANGE, POSES, small_room, small_scan
 
 PARAMETERS = BelugaParameters(**COMMON, laser_max_range=MAX_RANGE, only_obstacle_boundaries=False)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga_scan import boundaries
-from beamfield.stacks.field_table import BELUGA_FIRE, field_table
-from beamfield.stacks.stack_map import read_as_stack
+from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga.scan import boundaries
+from beamfield.stacks.emulation.field_table import BELUGA_FIRE, field_table
+from beamfield.stacks.emulation.stack_map import read_as_stack
 
 pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 

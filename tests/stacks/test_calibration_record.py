@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from beamfield.stacks.calibration_record import is_as_calibrated, record_text, with_record
-from beamfield.stacks.parameter_file import read_stack_file, write_values
+from beamfield.stacks.files.calibration_record import is_as_calibrated, record_text, with_record
+from beamfield.stacks.files.parameter_file import read_stack_file, write_values
+from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.registry import parameter_class
-from beamfield.stacks.typed_values import checked_values
 
 FILES = {
     "nav2": ("p.yaml", "amcl:\n  ros__parameters:\n    z_hit: 0.5\n    t: |\n      text\n"),

@@ -13,19 +13,19 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
-from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.f1tenth_parameters import F1tenthParameters
-from beamfield.stacks.f1tenth_table import F1tenthTable
-from beamfield.stacks.mrpt_field import MrptField
-from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
-from beamfield.stacks.mrpt_rays import MrptRays
-from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.f1tenth.parameters import F1tenthParameters
+from beamfield.stacks.f1tenth.table import F1tenthTable
+from beamfield.stacks.mrpt.field import MrptField
+from beamfield.stacks.mrpt.parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt.rays import MrptRays
+from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import emulator as emulator_class
 from beamfield.stacks.registry import parameter_class
-from beamfield.stacks.ros1 import Ros1Beam, Ros1Field, Ros1FieldProb
-from beamfield.stacks.ros1_parameters import Ros1Parameters
+from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
+from beamfield.stacks.ros1.parameters import Ros1Parameters
 from tests.stacks.small_room import COMMON, small_room, small_scan
 
 NAV2 = Nav2Parameters(**COMMON)

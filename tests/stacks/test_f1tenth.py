@@ -11,8 +11,8 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.f1tenth_parameters import F1tenthParameters
-from beamfield.stacks.f1tenth_table import F1tenthTable, pixels, sensor_table
+from beamfield.stacks.f1tenth.parameters import F1tenthParameters
+from beamfield.stacks.f1tenth.table import F1tenthTable, pixels, sensor_table
 from tests.stacks.small_room import MAX_RANGE, POSES, WEIGHTS, small_room, small_scan
 
 FACTORS = {name: WEIGHTS[name] for name in ("z_hit", "z_short", "z_max", "z_rand")}

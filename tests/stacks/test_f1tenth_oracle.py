@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beamfield.stacks.f1tenth_parameters import F1tenthParameters
-from beamfield.stacks.f1tenth_table import F1tenthTable, sensor_table
+from beamfield.stacks.f1tenth.parameters import F1tenthParameters
+from beamfield.stacks.f1tenth.table import F1tenthTable, sensor_table
 
 pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 

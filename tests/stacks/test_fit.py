@@ -9,25 +9,25 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from beamfield.calibration.field.posterior_judge import PosteriorScores, judge_weights
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
-from beamfield.calibration.posterior_judge import PosteriorScores, judge_weights
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import as_poses, between, compose
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
-from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.emulator import Evidence, StackModel
-from beamfield.stacks.fit import fit_stack, net_score
-from beamfield.stacks.fit_space import fit_space
-from beamfield.stacks.likelihood_values import from_likelihood
-from beamfield.stacks.nav2_parameters import Nav2Parameters
-from beamfield.stacks.parameter_file import MODELS
-from beamfield.stacks.particle_update import update_particles
-from beamfield.stacks.posterior_score import score_windows
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.emulation.emulator import Evidence, StackModel
+from beamfield.stacks.files.parameter_file import MODELS
+from beamfield.stacks.fit.fit import fit_stack, net_score
+from beamfield.stacks.fit.fit_space import fit_space
+from beamfield.stacks.fit.likelihood_values import from_likelihood
+from beamfield.stacks.fit.particle_update import update_particles
+from beamfield.stacks.fit.posterior_score import score_windows
+from beamfield.stacks.fit.window_evidence import gather_evidence
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import build_model, parameter_class
-from beamfield.stacks.window_evidence import gather_evidence
 
 # The simulated reference is exact.
 EXACT = WindowOptions(windows=45, near=150, far=40, reference_error=0.01, reference_turn_error=0.003)
@@ -267,7 +267,7 @@ def test_nav2s_beam_values_are_the_learned_density_up_to_a_factor(office):
     model = build_model("nav2", "beam", office, values)
     z = np.array([3.98, 4.0, 4.1, 5.0])  # not short of z* = 4: the short term has no normaliser in nav2
     from beamfield.models.beam import beam_log_density
-    from beamfield.stacks.emulator import RayEvidence
+    from beamfield.stacks.emulation.emulator import RayEvidence
 
     settings = {name: getattr(values, name) for name in model.evidence_settings}
     p = model.beam_values(RayEvidence(np.arange(4), 10.0, z, np.full((1, 4), 3.97), settings=settings))[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.stacks.parameter_file import read_stack_file
+from beamfield.stacks.files.parameter_file import read_stack_file
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.mrpt_field import MrptField
-from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
-from beamfield.stacks.mrpt_rays import MrptRays
-from beamfield.stacks.mrpt_scan import mrpt_grid, scan_points
+from beamfield.stacks.mrpt.field import MrptField
+from beamfield.stacks.mrpt.parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt.rays import MrptRays
+from beamfield.stacks.mrpt.scan import mrpt_grid, scan_points
 from tests.stacks.small_room import MAX_RANGE, POSES, small_room, small_scan
 
 FIELD = MrptFieldParameters(

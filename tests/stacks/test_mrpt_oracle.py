@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from beamfield.sensors import Scan
-from beamfield.stacks.mrpt_field import MrptField
-from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
-from beamfield.stacks.mrpt_rays import MrptRays
+from beamfield.stacks.mrpt.field import MrptField
+from beamfield.stacks.mrpt.parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt.rays import MrptRays
 
 pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 

@@ -15,8 +15,8 @@ import pytest
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 
 KINDS = {kind.model: kind for kind in (Nav2Field, Nav2FieldProb, Nav2Beam)}
 N_CASES = 42

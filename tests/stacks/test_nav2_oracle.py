@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beamfield.stacks.field_table import AMCL_FIRE, field_table
-from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.ros1 import Ros1Field
-from beamfield.stacks.ros1_parameters import Ros1Parameters
-from beamfield.stacks.stack_map import read_as_stack
+from beamfield.stacks.emulation.field_table import AMCL_FIRE, field_table
+from beamfield.stacks.emulation.stack_map import read_as_stack
+from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.ros1.models import Ros1Field
+from beamfield.stacks.ros1.parameters import Ros1Parameters
 
 pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
 

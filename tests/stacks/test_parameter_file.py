@@ -7,8 +7,8 @@ import difflib
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.stacks.parameter_file import MODELS, check_patch_target, read_stack_file, write_values
-from beamfield.stacks.typed_values import checked_values
+from beamfield.stacks.files.parameter_file import MODELS, check_patch_target, read_stack_file, write_values
+from beamfield.stacks.files.typed_values import checked_values
 
 NAV2 = """\
 # localisation of the lobby robot

@@ -8,7 +8,7 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beamfield.stacks.parameter_file import ParameterSection, read_stack_file, write_values
+from beamfield.stacks.files.parameter_file import ParameterSection, read_stack_file, write_values
 
 KNOWN = ("laser_z_hit", "laser_z_rand", "laser_sigma_hit", "laser_max_beams", "laser_likelihood_max_dist")
 COMMENT = st.sampled_from(["", "  # tuned", " # z: 'x' {", " # é <!-- -->", "   #"])

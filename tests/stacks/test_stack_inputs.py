@@ -9,12 +9,12 @@ import pytest
 
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.stacks.beam_selection import ceil_step_beams, even_beams, floor_step_beams
-from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.field_table import AMCL_FIRE, BELUGA_FIRE, field_table
-from beamfield.stacks.nav2_parameters import Nav2Parameters
-from beamfield.stacks.ros1_parameters import Ros1Parameters
-from beamfield.stacks.stack_map import read_as_stack
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.emulation.beam_selection import ceil_step_beams, even_beams, floor_step_beams
+from beamfield.stacks.emulation.field_table import AMCL_FIRE, BELUGA_FIRE, field_table
+from beamfield.stacks.emulation.stack_map import read_as_stack
+from beamfield.stacks.nav2.parameters import Nav2Parameters
+from beamfield.stacks.ros1.parameters import Ros1Parameters
 
 STACKS = (Nav2Parameters, Ros1Parameters, BelugaParameters)
 

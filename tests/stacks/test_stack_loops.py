@@ -8,9 +8,9 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.nav2_parameters import Nav2Parameters
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import build_model, parameter_class
-from beamfield.stacks.ros1_parameters import Ros1Parameters
+from beamfield.stacks.ros1.parameters import Ros1Parameters
 from tests.reference import stack_loops
 from tests.reference.stack_loops import NEVER_RETURNS, Input
 

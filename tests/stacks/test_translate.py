@@ -9,12 +9,18 @@ import pytest
 
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.stacks.emulator import KNOWN, FieldEvidence
-from beamfield.stacks.parameter_file import read_stack_file
+from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence
+from beamfield.stacks.files.parameter_file import read_stack_file
+from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.registry import emulator, parameter_class
-from beamfield.stacks.translate import translate
-from beamfield.stacks.typed_values import checked_values
-from beamfield.stacks.weight_comparison import TOLERANCE, between_cells, compare, compare_fields, sample_distances
+from beamfield.stacks.translation.translate import translate
+from beamfield.stacks.translation.weight_comparison import (
+    TOLERANCE,
+    between_cells,
+    compare,
+    compare_fields,
+    sample_distances,
+)
 
 GRID = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=0.05)
 SENSOR_LIMIT = 12.0
@@ -263,7 +269,7 @@ def test_beam_models_say_how_far_their_weights_are_apart(params):
 
 def test_words_of_notes_decide_nothing(params, monkeypatch):
     """Once `exact` was whether a note has the word "assumed"."""
-    from beamfield.stacks import translate as module
+    from beamfield.stacks.translation.translation import translate as module
 
     monkeypatch.setattr(module, "map_notes", lambda *_: ["assumed nothing"])
     file = params("nav2", laser_model_type="likelihood_field_prob", laser_max_range=10.0)

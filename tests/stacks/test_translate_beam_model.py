@@ -10,13 +10,13 @@ import pytest
 from scipy.stats import norm
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.parameters import beam_model_text
+from beamfield.io.parameters.beam_model_file import beam_model_text
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder
-from beamfield.stacks.f1tenth_parameters import F1tenthParameters
-from beamfield.stacks.f1tenth_table import sensor_table
-from beamfield.stacks.likelihood_values import beam_values
-from beamfield.stacks.translate_beam_model import translate_beam_model
+from beamfield.stacks.f1tenth.parameters import F1tenthParameters
+from beamfield.stacks.f1tenth.table import sensor_table
+from beamfield.stacks.fit.likelihood_values import beam_values
+from beamfield.stacks.translation.translate_beam_model import translate_beam_model
 
 PLAIN = BeamParameters(0.7, 0.1, 0.05, 0.15, 0.04, 0.5)
 FULL = BeamParameters(0.7, 0.1, 0.05, 0.15, 0.02, 0.5, range_offset=-0.03, sigma_slope=0.01)

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.indices import as_indices
 from beamfield.maps.cone import make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -84,7 +84,7 @@ class BeamTable:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = chosen_indices(rows, len(self), "rows")
+        chosen = as_indices(rows, len(self), "rows")
         return BeamTable(
             self.ranges[chosen],
             self.expected_ranges[chosen],

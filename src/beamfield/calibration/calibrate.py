@@ -10,15 +10,6 @@ from numpy.typing import NDArray
 
 from beamfield.arguments import checked
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
-from beamfield.calibration.block_intervals import IntervalResult, block_intervals
-from beamfield.calibration.calibration_findings import (
-    cone_findings,
-    left_out_findings,
-    score_findings,
-    selection_findings,
-    table_findings,
-)
-from beamfield.calibration.calibration_options import CalibrationOptions
 from beamfield.calibration.cross_fit import CrossFitMaps, cross_fit_table
 from beamfield.calibration.cross_fit_result import (
     cross_fit_findings,
@@ -26,7 +17,6 @@ from beamfield.calibration.cross_fit_result import (
     with_clutter,
     without_wall_error,
 )
-from beamfield.calibration.em import LearningResult
 from beamfield.calibration.evaluation import (
     DEFAULTS,
     ModelScore,
@@ -38,14 +28,24 @@ from beamfield.calibration.evaluation import (
     timeline,
     uniform_parameters,
 )
-from beamfield.calibration.finding import Finding
+from beamfield.calibration.findings import (
+    cone_findings,
+    left_out_findings,
+    score_findings,
+    selection_findings,
+    table_findings,
+)
 from beamfield.calibration.hit_forms import Candidate, Progress, fit_candidates
+from beamfield.calibration.intrinsic.block_intervals import IntervalResult, block_intervals
+from beamfield.calibration.intrinsic.em import LearningResult
 from beamfield.calibration.opposite_beams import OppositeBeams, map_findings, opposite_beams
+from beamfield.calibration.options import CalibrationOptions
 from beamfield.calibration.pose_refinement import PoseRefinement, refine_poses, refinement_findings
 from beamfield.calibration.reference_checks import pose_findings
 from beamfield.calibration.selection import Selection, select_scans
 from beamfield.calibration.time_split import held_out_mask, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.block_intervals import IntervalResult, block_intervals
-from beamfield.calibration.calibration_options import CalibrationOptions
 from beamfield.calibration.cross_fit import CrossFitMaps
-from beamfield.calibration.em import learn_intrinsic_parameters
-from beamfield.calibration.finding import Finding
+from beamfield.calibration.intrinsic.block_intervals import IntervalResult, block_intervals
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.options import CalibrationOptions
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.maps.drawn_walls import LINE, ranges_to_walls
 from beamfield.models.beam_parameters import BeamParameters

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.calibration_options import CalibrationOptions, Choice
-from beamfield.calibration.em import LearningResult, learn_intrinsic_parameters
 from beamfield.calibration.evaluation import block_standard_error
+from beamfield.calibration.intrinsic.em import LearningResult, learn_intrinsic_parameters
+from beamfield.calibration.options import CalibrationOptions, Choice
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import beam_log_density
 

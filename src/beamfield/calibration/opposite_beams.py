@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.finding import Finding
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.sensors import SensorLog
 

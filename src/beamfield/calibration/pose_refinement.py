@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.calibration.em import learn_intrinsic_parameters
-from beamfield.calibration.finding import Finding
+from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.errors import TooLittleDataError
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.maps.cone import ConeCaster, make_caster
 from beamfield.maps.occupancy import OccupancyGrid

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.calibration.finding import Finding
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from beamfield.calibration.cross_fit import CrossFitMaps
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import ScanLog, SensorLog
-    from beamfield.stacks.parameter_file import StackFile
+    from beamfield.stacks.files.parameter_file import StackFile
 
 DESCRIPTION = """
 Learn the parameters of the beam model (z_hit, z_short, z_max, z_rand, sigma_hit, lambda_short) from a log with
@@ -154,7 +154,7 @@ def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
 def run(arguments: argparse.Namespace) -> int:
     """Parse, read, calibrate, write."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.io.atomic import atomic_folder, check_folder_writable
+    from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.io.read_log import read_log
     from beamfield.io.read_map import read_map
     from beamfield.io.trajectory import attach_poses, read_trajectory
@@ -251,7 +251,7 @@ def _held(words: list[str]) -> dict[str, float]:
 
 
 def _provenance(arguments: argparse.Namespace) -> dict[str, Any]:
-    from beamfield.io.ros_map import image_path
+    from beamfield.io.maps.ros_map import image_path
 
     inputs = [("log", arguments.log)]
     if arguments.map is not None:
@@ -307,7 +307,7 @@ def _calibrate_sensor(
     """Calibrate one sensor; return files to write, the table to print, whether the fit converged, and the stack's."""
     from beamfield.calibration.calibrate import calibrate
     from beamfield.calibration.cross_fit import build_cross_fit_maps
-    from beamfield.io.parameters import beam_model_text
+    from beamfield.io.parameters.beam_model_file import beam_model_text
     from beamfield.report.as_json import calibration_as_dict
     from beamfield.report.html import render_report
     from beamfield.report.text_table import parameter_table, readings_line, score_table

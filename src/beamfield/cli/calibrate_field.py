@@ -50,8 +50,8 @@ def learn_field(
     progress: StageProgress,
 ) -> FieldResult:
     """Learn the likelihood field from the log and the map that the beam model was learned from."""
-    from beamfield.calibration.field_learning import learn_field_parameters
-    from beamfield.io.field_file import likelihood_field_text
+    from beamfield.calibration.field.learning import learn_field_parameters
+    from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
     from beamfield.report.as_json import plain
     from beamfield.report.field_section import field_missing, field_section, field_tables
 

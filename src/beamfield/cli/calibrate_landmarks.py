@@ -15,7 +15,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
-    from beamfield.calibration.landmark_noise import LandmarkLearningResult
+    from beamfield.landmark_noise.learning import LandmarkLearningResult
 
 DESCRIPTION = """
 Learn sigma, bias and spurious rate of a sensor that sees landmarks (tags, reflectors, radio or infrared beacons) from
@@ -60,10 +60,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, write, say."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.calibration.landmark_noise import learn_landmark_parameters
-    from beamfield.io.atomic import check_writable, write_file
-    from beamfield.io.landmark_model_file import landmark_model_text
+    from beamfield.io.files.atomic import check_writable, write_file
+    from beamfield.io.parameters.landmark_model_file import landmark_model_text
     from beamfield.io.read_sightings_log import read_sightings_log
+    from beamfield.landmark_noise.learning import learn_landmark_parameters
 
     if arguments.out is not None:
         check_writable(arguments.out)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.report.page_section import PageSection
     from beamfield.sensors import SensorLog
-    from beamfield.stacks.fit import StackFit
-    from beamfield.stacks.parameter_file import StackFile
+    from beamfield.stacks.files.parameter_file import StackFile
+    from beamfield.stacks.fit.fit import StackFit
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     """Check the options before any long work, and return the file to patch, if any."""
     from beamfield.calibration.pose_windows import WindowOptions
-    from beamfield.stacks.parameter_file import check_model, check_patch_target, check_stack, read_stack_file
-    from beamfield.stacks.typed_values import checked_values
+    from beamfield.stacks.files.parameter_file import check_model, check_patch_target, check_stack, read_stack_file
+    from beamfield.stacks.files.typed_values import checked_values
 
     if not 0.0 < arguments.reference_error < WindowOptions().spread:
         raise InvalidInputError(
@@ -99,10 +99,10 @@ def fit_for_stack(
     """Fit one model of the stack, or all of them, and return what comes of it."""
     from beamfield.calibration.pose_windows import REFERENCE_LEVER, WindowOptions
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
-    from beamfield.stacks.fit import fit_stack, net_score
-    from beamfield.stacks.parameter_file import MODELS
+    from beamfield.stacks.files.parameter_file import MODELS
+    from beamfield.stacks.files.typed_values import checked_values
+    from beamfield.stacks.fit.fit import fit_stack, net_score
     from beamfield.stacks.registry import parameter_class
-    from beamfield.stacks.typed_values import checked_values
 
     stack = arguments.stack
     models = MODELS[stack]
@@ -139,7 +139,7 @@ def fit_for_stack(
 
 def write_patch(file: StackFile, fitted: StackResult) -> str:
     """Change the user's file and return a line that says so."""
-    from beamfield.stacks.parameter_file import write_values
+    from beamfield.stacks.files.parameter_file import write_values
 
     values = file.by_names_in_file(fitted.values)
     backup = write_values(file.section, values, record=fitted.record)
@@ -151,7 +151,7 @@ def _chosen_model(kind: type[Any], model: str) -> dict[str, Any]:
 
 
 def _record(fit: StackFit) -> str:
-    from beamfield.stacks.calibration_record import record_text
+    from beamfield.stacks.files.calibration_record import record_text
 
     held_out = fit.chosen.held_out
     judged = f"{held_out.coverage:.0%} of {len(held_out.log_score)} held-out windows covered"
@@ -159,7 +159,7 @@ def _record(fit: StackFit) -> str:
 
 
 def _file_text(arguments: argparse.Namespace, model: str, values: dict[str, Any], record: str) -> str:
-    from beamfield.stacks.new_file import new_file_text
+    from beamfield.stacks.files.new_file import new_file_text
 
     comments = [
         record or f"{arguments.stack} {model}: fitted by beamfield {__version__}, but too many held-out windows missed",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from beamfield.sensors import SensorLog
     from beamfield.stacks.doctor.diagnosis import Diagnosis
     from beamfield.stacks.doctor.patient import MapFile
-    from beamfield.stacks.parameter_file import StackFile
+    from beamfield.stacks.files.parameter_file import StackFile
 
 DESCRIPTION = """
 Examine the measurement model in a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH: what is wrong, why it
@@ -55,7 +55,7 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, examine, print."""
     from beamfield.stacks.doctor.examine import examine
-    from beamfield.stacks.parameter_file import read_stack_file
+    from beamfield.stacks.files.parameter_file import read_stack_file
 
     file = read_stack_file(
         arguments.params,
@@ -77,9 +77,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _read_map(path: Path) -> tuple[OccupancyGrid, MapFile]:
+    from beamfield.io.files.yaml_file import read_yaml
+    from beamfield.io.maps.ros_map import between_share, ros_map_notes
     from beamfield.io.read_map import read_map
-    from beamfield.io.ros_map import between_share, ros_map_notes
-    from beamfield.io.yaml_file import read_yaml
     from beamfield.stacks.doctor.patient import MapFile
 
     grid = read_map(path)

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read or simulate, draw, write, print the captions."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
-    from beamfield.io.atomic import atomic_folder
+    from beamfield.io.files.atomic import atomic_folder
 
     figures = chosen_figures(arguments.only)
     if arguments.list:

@@ -18,11 +18,11 @@ from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
-    from beamfield.calibration.scan_fit import ScanFits
-    from beamfield.calibration.scan_fit_reference import ScanFitReference
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.models.beam_parameters import BeamParameters
     from beamfield.models.range_mixture import RangeMixtureModel
+    from beamfield.scan_fit.reference import ScanFitReference
+    from beamfield.scan_fit.scan_fit import ScanFits
     from beamfield.sensors import SensorLog
 
 DESCRIPTION = """
@@ -82,10 +82,10 @@ class _Inputs:
 def run(arguments: argparse.Namespace) -> int:
     """Read, calibrate, judge, write, say."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.calibration.scan_fit import judge_log
-    from beamfield.calibration.scan_fit_lost import LostRates
-    from beamfield.io.atomic import atomic_folder, check_folder_writable
+    from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.report.scan_fit_page import fit_table
+    from beamfield.scan_fit.lost import LostRates
+    from beamfield.scan_fit.scan_fit import judge_log
 
     _check(arguments)
     check_folder_writable(arguments.out)
@@ -133,7 +133,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
-    from beamfield.io.parameters import read_beam_model
+    from beamfield.io.parameters.beam_model_file import read_beam_model
     from beamfield.io.read_map import read_map
 
     progress("reading the map", 0, 1)
@@ -173,7 +173,7 @@ def _with_limit(log: SensorLog, limit: float) -> tuple[SensorLog, tuple[str, ...
 
 
 def _read_reference(path: Path) -> ScanFitReference:
-    from beamfield.calibration.scan_fit_reference import ScanFitReference
+    from beamfield.scan_fit.reference import ScanFitReference
 
     try:
         return ScanFitReference.from_json(path.read_text(encoding="utf-8", errors="replace"))
@@ -218,7 +218,7 @@ def _reference(
     arguments: argparse.Namespace,
     progress: StageProgress,
 ) -> ScanFitReference:
-    from beamfield.calibration.scan_fit_reference import calibrate_scan_fit
+    from beamfield.scan_fit.reference import calibrate_scan_fit
 
     if given.reference is not None:
         return given.reference
@@ -240,7 +240,7 @@ def _files(
     given: _Inputs,
     origin: dict[str, Any],
 ) -> dict[str, str]:
-    from beamfield.io.parameters import beam_model_text
+    from beamfield.io.parameters.beam_model_file import beam_model_text
     from beamfield.report.scan_fit_figures import fit_over_time, worst_scans
     from beamfield.report.scan_fit_page import fit_as_dict, fit_csv, render_fit_page
 
@@ -272,7 +272,7 @@ def _basis(reference: ScanFitReference, given: _Inputs) -> str:
 
 
 def _provenance(arguments: argparse.Namespace) -> dict[str, Any]:
-    from beamfield.io.ros_map import image_path
+    from beamfield.io.maps.ros_map import image_path
 
     inputs = [("log", arguments.log), ("map", arguments.map)]
     if arguments.map.suffix in (".yaml", ".yml"):

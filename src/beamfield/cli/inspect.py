@@ -93,7 +93,7 @@ def _read(arguments: argparse.Namespace) -> OccupancyGrid | ScanLog:
 
 
 def _is_map(path: Path) -> bool:
-    from beamfield.io.text_lines import read_lines
+    from beamfield.io.files.text_lines import read_lines
 
     if path.is_dir():
         return False
@@ -129,7 +129,7 @@ def _read_background(content: OccupancyGrid | ScanLog, arguments: argparse.Names
 
 def _facts(content: OccupancyGrid | ScanLog, path: Path) -> dict[str, Any]:
     from beamfield.cli.inspect_summary import log_facts, map_facts
-    from beamfield.io.ros_map import ros_map_notes
+    from beamfield.io.maps.ros_map import ros_map_notes
     from beamfield.sensors import ScanLog
 
     if isinstance(content, ScanLog):
@@ -139,7 +139,7 @@ def _facts(content: OccupancyGrid | ScanLog, path: Path) -> dict[str, Any]:
 
 def _write_picture(content: OccupancyGrid | ScanLog, grid: OccupancyGrid | None, arguments: argparse.Namespace) -> None:
     from beamfield.cli.inspect_picture import log_picture, map_picture
-    from beamfield.io.atomic import atomic_file
+    from beamfield.io.files.atomic import atomic_file
     from beamfield.sensors import ScanLog
 
     # Two dollar signs in a name would make a formula of what is between them.

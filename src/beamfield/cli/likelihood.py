@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from beamfield.io.atomic import check_writable
+    from beamfield.io.files.atomic import check_writable
 
     if arguments.out is not None and arguments.out.suffix.lower() not in PICTURES:
         raise InvalidInputError(f"--out: expected a name ending in {', '.join(PICTURES)}, got {arguments.out.name!r}")
@@ -177,7 +177,7 @@ def _measurement_and_model(
 
 
 def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
-    from beamfield.io.parameters import read_beam_model
+    from beamfield.io.parameters.beam_model_file import read_beam_model
     from beamfield.models.beam_parameters import BeamParameters
 
     if arguments.parameters is None:
@@ -187,7 +187,7 @@ def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
 
 def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, dict[str, Any]]:
     """Return the parameters of the field, and the options that a file of learned ones adds."""
-    from beamfield.io.field_file import is_likelihood_field, read_likelihood_field
+    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
     from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
 
     if arguments.parameters is not None and is_likelihood_field(arguments.parameters):
@@ -232,7 +232,7 @@ def _write(
 
     from beamfield.figures.gallery import save_figure
     from beamfield.figures.likelihood_over_map import likelihood_figure
-    from beamfield.io.atomic import atomic_files
+    from beamfield.io.files.atomic import atomic_files
 
     wanted = [path for path in (arguments.out, arguments.npz) if path is not None]
     names = {"beam": "beam model", "field": "likelihood field", "matching": "map matching"}

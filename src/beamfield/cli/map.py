@@ -55,8 +55,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Parse, read, build, write."""
     # The numerical libraries load here, so that --help answers at once.
+    from beamfield.io.maps.ros_map import save_map
     from beamfield.io.read_log import read_log
-    from beamfield.io.ros_map import save_map
     from beamfield.io.trajectory import attach_poses, read_trajectory
     from beamfield.maps.mapping import build_map
 
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from beamfield.io.atomic import check_writable
+    from beamfield.io.files.atomic import check_writable
 
     out: Path = arguments.out
     if out.suffix not in (".yaml", ".yml"):

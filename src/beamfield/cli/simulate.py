@@ -99,7 +99,7 @@ def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Parse, simulate, write."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.io.atomic import atomic_folder, check_folder_writable
+    from beamfield.io.files.atomic import atomic_folder, check_folder_writable
 
     check_folder_writable(arguments.out)
     _require_empty(arguments.out, overwrite=arguments.overwrite)
@@ -248,9 +248,9 @@ def _world(arguments: argparse.Namespace) -> OccupancyGrid:
 
 def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, logs: tuple[str, ...]) -> list[str]:
     """Write map, log and poses; return the names written."""
-    from beamfield.io.bag_writer import write_bag
-    from beamfield.io.carmen import write_carmen
-    from beamfield.io.ros_map import save_map
+    from beamfield.io.bags.writer import write_bag
+    from beamfield.io.logs.carmen import write_carmen
+    from beamfield.io.maps.ros_map import save_map
     from beamfield.io.trajectory import write_tum
     from beamfield.sensors import Track
 
@@ -266,7 +266,7 @@ def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, logs: tuple[str
 
 
 def _provenance(arguments: argparse.Namespace) -> dict[str, Any]:
-    from beamfield.io.ros_map import image_path
+    from beamfield.io.maps.ros_map import image_path
 
     inputs = []
     if arguments.map is not None:

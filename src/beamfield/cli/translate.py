@@ -13,8 +13,8 @@ from beamfield.cli.terminal import complain, say
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from beamfield.stacks.parameter_file import StackFile
-    from beamfield.stacks.translation import Translation
+    from beamfield.stacks.files.parameter_file import StackFile
+    from beamfield.stacks.translation.translation import Translation
 
 DESCRIPTION = """
 Translate the measurement model in a parameter file of one stack, or beamfield's own beam_model.yaml, into the
@@ -52,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, translate, write."""
-    from beamfield.stacks.translation import CHAPTER
+    from beamfield.stacks.translation.translation import CHAPTER
 
     if arguments.patch_section is not None and arguments.patch is None:
         raise InvalidInputError("--patch-section: is a section of the file to --patch, but there is none")
@@ -75,9 +75,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:
     """Return the translation, what it is from, and notes on that file."""
-    from beamfield.stacks.other_files import is_beam_model
-    from beamfield.stacks.parameter_file import read_stack_file
-    from beamfield.stacks.translate import translate
+    from beamfield.stacks.files.other_files import is_beam_model
+    from beamfield.stacks.files.parameter_file import read_stack_file
+    from beamfield.stacks.translation.translate import translate
 
     if is_beam_model(arguments.params):
         return _translate_beam_model(arguments)
@@ -93,7 +93,7 @@ def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[st
 
 
 def _translate_beam_model(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:
-    from beamfield.stacks.translate_beam_model import translate_beam_model
+    from beamfield.stacks.translation.translate_beam_model import translate_beam_model
 
     for name in ("stack", "model", "section", "max_range", "beams"):
         if getattr(arguments, name) is not None:
@@ -111,7 +111,7 @@ def _translate_beam_model(arguments: argparse.Namespace) -> tuple[Translation, s
 
 
 def _patched_file(arguments: argparse.Namespace, model: str | None) -> StackFile:
-    from beamfield.stacks.parameter_file import check_patch_target, read_stack_file
+    from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file
 
     target = read_stack_file(arguments.patch, stack=arguments.to, model=model, section=arguments.patch_section)
     check_patch_target(target)
@@ -120,7 +120,7 @@ def _patched_file(arguments: argparse.Namespace, model: str | None) -> StackFile
 
 def _patch(arguments: argparse.Namespace, result: Translation) -> list[str]:
     """Change the user's file and return what to say about it."""
-    from beamfield.stacks.parameter_file import write_values
+    from beamfield.stacks.files.parameter_file import write_values
 
     target = _patched_file(arguments, result.model)
     ran = _patched_file(arguments, None).model
@@ -131,8 +131,8 @@ def _patch(arguments: argparse.Namespace, result: Translation) -> list[str]:
 
 def _print_or_write(path: Path | None, result: Translation, head: str, said: list[str]) -> list[str]:
     """Print or write the new file and return what is left to say: what its head says need not be twice on a screen."""
-    from beamfield.io.atomic import write_file
-    from beamfield.stacks.new_file import new_file_text
+    from beamfield.io.files.atomic import write_file
+    from beamfield.stacks.files.new_file import new_file_text
 
     launch = path is not None and path.suffix in (".launch", ".xml")
     if path is not None:

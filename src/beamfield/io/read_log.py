@@ -12,17 +12,17 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.carmen import read_carmen
-from beamfield.io.carmen_messages import CARMEN_SCANS
-from beamfield.io.coreslam import N_BEAMS, RANGES_FROM, read_coreslam
-from beamfield.io.g2o import read_g2o
-from beamfield.io.gfs import read_gfs
+from beamfield.io.files.text_lines import is_number, read_lines
+from beamfield.io.logs.carmen import read_carmen
+from beamfield.io.logs.carmen_messages import CARMEN_SCANS
+from beamfield.io.logs.coreslam import N_BEAMS, RANGES_FROM, read_coreslam
+from beamfield.io.logs.g2o import read_g2o
+from beamfield.io.logs.gfs import read_gfs
+from beamfield.io.logs.scan_stamps import StampRule
+from beamfield.io.logs.sonar_log import is_sonar_log, read_sonar_log
+from beamfield.io.logs.text_scans import LonePoses, TextOptions
+from beamfield.io.logs.wean_log import read_wean_log
 from beamfield.io.no_return import NoReturnRule
-from beamfield.io.scan_stamps import StampRule
-from beamfield.io.sonar_log import is_sonar_log, read_sonar_log
-from beamfield.io.text_lines import is_number, read_lines
-from beamfield.io.text_scans import LonePoses, TextOptions
-from beamfield.io.wean_log import read_wean_log
 from beamfield.sensors import ScanLog
 
 SUPPORTED = (
@@ -64,7 +64,7 @@ def read_log(
     sensor_topic
         Topic or message name of the sensor, or several; all if None.
     poses_topic, map_frame, base_frame
-        Where a bag's reference poses are; see `beamfield.io.rosbag.read_bag`. Text logs have no such choice.
+        Where a bag's reference poses are; see `beamfield.io.bags.reader.read_bag`. Text logs have no such choice.
     mount
         (3,) the sensor's pose on the robot, metres and radians, for a bag that does not say; text logs say.
     no_return
@@ -158,7 +158,7 @@ def _is_bag(path: Path) -> bool:
 
 def _read_bag(path: Path, **options: Any) -> ScanLog:
     # Text logs need neither rosbags nor the time to import it.
-    from beamfield.io.rosbag import read_bag
+    from beamfield.io.bags.reader import read_bag
 
     return read_bag(path, **options)
 

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.map_image import MAX_PIXELS
-from beamfield.io.ros_map import read_ros_map
-from beamfield.io.wean_map import read_wean_map
+from beamfield.io.maps.map_image import MAX_PIXELS
+from beamfield.io.maps.ros_map import read_ros_map
+from beamfield.io.maps.wean_map import read_wean_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 _PICTURES = (".pgm", ".png", ".bmp")
@@ -40,7 +40,7 @@ def read_map(path: str | os.PathLike[str], *, topic: str | None = None, max_pixe
     source = Path(path)
     if source.is_dir() or source.suffix in _BAGS:
         # Here, because only bags need the extra package that reads them.
-        from beamfield.io.rosbag import read_bag_map
+        from beamfield.io.bags.reader import read_bag_map
 
         return read_bag_map(source, topic=topic)
     if topic is not None:

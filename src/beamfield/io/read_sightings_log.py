@@ -7,13 +7,13 @@ from pathlib import Path
 
 from beamfield.detection_log import DetectionLog
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.landmark_files import read_landmarks, read_mrclam_landmarks
-from beamfield.io.mat_file import read_mat_arrays
-from beamfield.io.mrclam_instant import read_mrclam_instant
-from beamfield.io.mrclam_raw import read_mrclam_barcodes, read_mrclam_measurements
-from beamfield.io.plaza import read_plaza
-from beamfield.io.roh_bearings import read_roh_bearings
-from beamfield.io.sightings import read_sightings
+from beamfield.io.landmarks.landmark_files import read_landmarks, read_mrclam_landmarks
+from beamfield.io.landmarks.mat_file import read_mat_arrays
+from beamfield.io.landmarks.mrclam_instant import read_mrclam_instant
+from beamfield.io.landmarks.mrclam_raw import read_mrclam_barcodes, read_mrclam_measurements
+from beamfield.io.landmarks.plaza import read_plaza
+from beamfield.io.landmarks.roh_bearings import read_roh_bearings
+from beamfield.io.landmarks.sightings import read_sightings
 from beamfield.maps.landmarks import LandmarkMap
 
 SUPPORTED = (

@@ -9,8 +9,8 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, compose, invert
-from beamfield.io.text_lines import parse_numbers
-from beamfield.io.text_rows import word_rows
+from beamfield.io.files.text_lines import parse_numbers
+from beamfield.io.files.text_rows import word_rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, interpolate_poses, wrap_angle, yaw_from_quaternion
-from beamfield.io.atomic import write_file
-from beamfield.io.text_lines import is_number, parse_numbers, read_lines
+from beamfield.io.files.atomic import write_file
+from beamfield.io.files.text_lines import is_number, parse_numbers, read_lines
 from beamfield.sensors import ScanLog, SensorLog, Track
 
 TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import as_count, as_floats, checked
-from beamfield.choice import chosen_indices
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert
+from beamfield.indices import as_indices
 from beamfield.maps.cone_mapping import build_cone_map
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.inverse_sensor import CONFIDENT as CONFIDENT
@@ -90,7 +90,7 @@ def build_map(
     [[0.4..., 0.3..., 0.3..., 0.8...]]
     """
     track = _poses_of(log, poses)
-    chosen = np.arange(len(log)) if scans is None else chosen_indices(scans, len(log), "scans")
+    chosen = np.arange(len(log)) if scans is None else as_indices(scans, len(log), "scans")
     chosen = chosen[np.isfinite(track[chosen]).all(axis=-1)]
     if len(chosen) == 0:
         raise TooLittleDataError("building a map: no scan that was chosen has a pose")

@@ -71,7 +71,7 @@ class LikelihoodFieldParameters:
 
         A field has no range_offset, nor a sigma_slope. With an offset, its hits lie beside the mapped walls; with a
         slope, sigma_hit is that of the shortest ranges alone. Learn the field's own parameters instead:
-        `beamfield.calibration.field_learning.learn_field_parameters`.
+        `beamfield.calibration.field.learning.learn_field_parameters`.
 
         Parameters
         ----------

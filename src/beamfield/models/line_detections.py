@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields
-from beamfield.choice import chosen_indices
 from beamfield.detections import UNKNOWN, as_ids, finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.indices import as_indices
 from beamfield.maps.lines import normal_form
 
 
@@ -159,7 +159,7 @@ class LineDetections:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = chosen_indices(features, len(self), "features")
+        chosen = as_indices(features, len(self), "features")
         return replace(
             self,
             lines=self.lines[chosen],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 
-from beamfield.calibration.field_learning import FieldLearning, FieldScore
+from beamfield.calibration.field.learning import FieldLearning, FieldScore
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned, plus_minus
 

@@ -11,7 +11,7 @@ import numpy as np
 from beamfield import __version__
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.cross_fit import CrossFitMaps
-from beamfield.calibration.finding import Finding
+from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.as_json import plain

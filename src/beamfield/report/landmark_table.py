@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from beamfield.calibration.landmark_noise import LandmarkLearningResult
+from beamfield.landmark_noise.learning import LandmarkLearningResult
 from beamfield.report.parameter_rows import decimals_for
 from beamfield.report.text_table import aligned, plus_minus
 

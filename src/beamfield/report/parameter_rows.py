@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from beamfield.calibration.calibrate import Calibration
-from beamfield.calibration.learning_problem import SIGMA_FLOOR_SHARE
+from beamfield.calibration.intrinsic.learning_problem import SIGMA_FLOOR_SHARE
 from beamfield.models.beam_parameters import BeamParameters
 
 UNITS = {

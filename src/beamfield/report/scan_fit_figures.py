@@ -10,11 +10,6 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.cross_fit import CrossFitMaps
-from beamfield.calibration.cross_fit_statistics import cross_fit_statistics
-from beamfield.calibration.scan_fit import PROBLEMS, ScanFits, judge_log
-from beamfield.calibration.scan_fit_reference import ScanFitReference, calibrate_scan_fit
-from beamfield.calibration.scan_fit_statistics import fit_statistics, known_expected_ranges, stopping_rays
-from beamfield.calibration.scan_fit_surprise import beam_side
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.occupancy import OccupancyGrid
@@ -37,6 +32,11 @@ from beamfield.report.drawing import (
     svg_panel,
 )
 from beamfield.report.map_figures import MARGIN, draw_map
+from beamfield.scan_fit.cross_fit_statistics import cross_fit_statistics
+from beamfield.scan_fit.reference import ScanFitReference, calibrate_scan_fit
+from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits, judge_log
+from beamfield.scan_fit.statistics import fit_statistics, known_expected_ranges, stopping_rays
+from beamfield.scan_fit.surprise import beam_side
 from beamfield.sensors import SensorLog, usable_ranges
 
 FIT_NAME, FIT_TITLE = "scan-fit", "Does each scan fit the map, and is the robot lost?"

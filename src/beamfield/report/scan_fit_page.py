@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield import __version__
-from beamfield.calibration.scan_fit import PROBLEMS, ScanFits
-from beamfield.calibration.scan_fit_reference import ScanFitReference
 from beamfield.report.as_json import plain
 from beamfield.report.drawing import ReportFigure
 from beamfield.report.escape import escaped
 from beamfield.report.page_style import STYLE
 from beamfield.report.scan_fit_figures import LEVEL
+from beamfield.scan_fit.reference import ScanFitReference
+from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
 
 SCHEMA = "beamfield-fit/1"
 COLUMNS = ("stamp", "statistic", "p_value", "lost_probability", "surprise", "through", "short", "beams", "problem")

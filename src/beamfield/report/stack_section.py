@@ -13,8 +13,8 @@ from beamfield.report.drawing import DATA, FIT, HELD_OUT, NARROW, QUIET, legend_
 from beamfield.report.escape import escaped
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned
-from beamfield.stacks.fit import StackFit, Trial, net_score
-from beamfield.stacks.particle_update import ParticleUpdate
+from beamfield.stacks.fit.fit import StackFit, Trial, net_score
+from beamfield.stacks.fit.particle_update import ParticleUpdate
 
 HOW = {
     "maximum likelihood": "Factors, sigma and rates are those of the chapter's beam model by maximum likelihood, "

@@ -7,19 +7,19 @@ from dataclasses import fields
 from typing import Any
 
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.stacks.beluga import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga_parameters import BelugaParameters
-from beamfield.stacks.emulator import StackModel
-from beamfield.stacks.f1tenth_parameters import F1tenthParameters
-from beamfield.stacks.f1tenth_table import F1tenthTable
-from beamfield.stacks.mrpt_field import MrptField
-from beamfield.stacks.mrpt_parameters import MrptFieldParameters, MrptRayParameters
-from beamfield.stacks.mrpt_rays import MrptRays
-from beamfield.stacks.nav2 import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.nav2_parameters import Nav2Parameters
-from beamfield.stacks.parameter_file import MODELS, Stack, check_model, check_stack
-from beamfield.stacks.ros1 import Ros1Beam, Ros1Field, Ros1FieldProb
-from beamfield.stacks.ros1_parameters import Ros1Parameters
+from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.f1tenth.parameters import F1tenthParameters
+from beamfield.stacks.f1tenth.table import F1tenthTable
+from beamfield.stacks.files.parameter_file import MODELS, Stack, check_model, check_stack
+from beamfield.stacks.mrpt.field import MrptField
+from beamfield.stacks.mrpt.parameters import MrptFieldParameters, MrptRayParameters
+from beamfield.stacks.mrpt.rays import MrptRays
+from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2.parameters import Nav2Parameters
+from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
+from beamfield.stacks.ros1.parameters import Ros1Parameters
 
 _MODELS: Mapping[Stack, Mapping[str, type[StackModel[Any, Any]]]] = {
     "nav2": {"likelihood_field": Nav2Field, "likelihood_field_prob": Nav2FieldProb, "beam": Nav2Beam},

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from beamfield.io.field_file import likelihood_field_text
-from beamfield.io.landmark_model_file import landmark_model_text
-from beamfield.io.parameters import beam_model_text
+from beamfield.io.parameters.beam_model_file import beam_model_text
+from beamfield.io.parameters.landmark_model_file import landmark_model_text
+from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.landmark_parameters import LandmarkParameters

@@ -10,11 +10,11 @@ import pytest
 from beamfield.errors import FormatError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, SensorLog
-from beamfield.stacks.calibration_record import record_text, with_record
 from beamfield.stacks.doctor.examine import CHECKS, examine
 from beamfield.stacks.doctor.patient import MapFile
-from beamfield.stacks.nav2_parameters import Nav2Parameters
-from beamfield.stacks.parameter_file import read_stack_file
+from beamfield.stacks.files.calibration_record import record_text, with_record
+from beamfield.stacks.files.parameter_file import read_stack_file
+from beamfield.stacks.nav2.parameters import Nav2Parameters
 
 N_BEAMS = 120
 
@@ -295,7 +295,7 @@ def test_every_check_has_a_test(tmp_path):
     silent = set(CHECKS)
     for sick, others, _, _ in FINDINGS.values():
         from beamfield.stacks.doctor.patient import Patient
-        from beamfield.stacks.typed_values import typed_values
+        from beamfield.stacks.files.typed_values import typed_values
 
         file = amcl(tmp_path, **sick)
         patient = Patient(file, typed_values(file), **others)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from beamfield.cli.main import main
-from beamfield.io.carmen import write_carmen
-from beamfield.io.ros_map import save_map
+from beamfield.io.logs.carmen import write_carmen
+from beamfield.io.maps.ros_map import save_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
-from beamfield.stacks.new_file import new_file_text
-from beamfield.stacks.parameter_file import MODELS
+from beamfield.stacks.files.new_file import new_file_text
+from beamfield.stacks.files.parameter_file import MODELS
 from beamfield.stacks.registry import parameter_class
 
 # Parameters of the rest of the node, as in default files; the doctor has nothing to say about them.

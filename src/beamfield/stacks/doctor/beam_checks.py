@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.stacks.beam_selection import ceil_step_beams, even_beams, floor_step_beams
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.emulation.beam_selection import ceil_step_beams, even_beams, floor_step_beams
 
 # With fewer readings that end at a wall, one scan hardly tells a pose.
 FEWEST_USABLE = 15

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from beamfield.stacks.calibration_record import is_as_calibrated
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.files.calibration_record import is_as_calibrated
 
 # What calibration weighed against its effect on the posterior, on windows of a log held out.
 SETTLED = frozenset(

@@ -18,8 +18,8 @@ from beamfield.stacks.doctor import (
 from beamfield.stacks.doctor.calibration_check import SETTLED, calibrated, is_calibrated
 from beamfield.stacks.doctor.diagnosis import Diagnosis, worst_first
 from beamfield.stacks.doctor.patient import MapFile, Patient
-from beamfield.stacks.parameter_file import StackFile
-from beamfield.stacks.typed_values import typed_values
+from beamfield.stacks.files.parameter_file import StackFile
+from beamfield.stacks.files.typed_values import typed_values
 
 CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
     value_checks.unusable_values,

@@ -10,7 +10,7 @@ import numpy as np
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
-from beamfield.stacks.stack_map import read_as_stack
+from beamfield.stacks.emulation.stack_map import read_as_stack
 
 YAW_TOLERANCE = 1e-9
 # More than this share of the cells changes hands, or of the free cells' neighbours is unknown.

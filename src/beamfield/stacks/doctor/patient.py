@@ -9,9 +9,9 @@ from typing import Any
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.diagnosis import Diagnosis, Severity
-from beamfield.stacks.parameter_file import StackFile
-from beamfield.stacks.ros1_parameters import ros1_name
-from beamfield.stacks.typed_values import TypedValues
+from beamfield.stacks.files.parameter_file import StackFile
+from beamfield.stacks.files.typed_values import TypedValues
+from beamfield.stacks.ros1.parameters import ros1_name
 
 # What checks call a parameter, and what MRPT and F1TENTH call it where they differ from nav2.
 _MRPT = {

@@ -14,7 +14,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
-from beamfield.stacks.emulator import KNOWN, FieldEvidence, RayEvidence
+from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence, RayEvidence
 from beamfield.stacks.registry import build_model
 
 # The test: so many particles around the true pose, metres and radians.

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Set
 from dataclasses import replace
 from typing import Any
 
-from beamfield.io.yaml_file import shorten
+from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.doctor.diagnosis import Diagnosis
 from beamfield.stacks.doctor.patient import Patient
-from beamfield.stacks.parameter_file import MODELS, STACKS
-from beamfield.stacks.parameter_text import Entry
+from beamfield.stacks.files.parameter_file import MODELS, STACKS
+from beamfield.stacks.files.parameter_text import Entry
+from beamfield.stacks.files.typed_values import MOST, is_strict
+from beamfield.stacks.files.yaml_sections import ROS_2_KEY
 from beamfield.stacks.registry import parameter_names
-from beamfield.stacks.typed_values import MOST, is_strict
-from beamfield.stacks.yaml_sections import ROS_2_KEY
 
 # Names that differ by so little are a slip of the pen (difflib's ratio).
 SIMILAR = 0.88

@@ -1,0 +1,120 @@
+"""What to know of a learned likelihood field: what the log leaves open, and where it is not better than others."""
+
+from __future__ import annotations
+
+import math
+
+from beamfield.calibration.field.axis_density import DensityFit, share_bounds, sigma_bounds
+from beamfield.calibration.field.axis_table import AxisTable
+from beamfield.calibration.time_split import FEWEST_TRUSTED_BLOCKS
+from beamfield.finding import Finding
+
+# A hit component that gains less than this over a uniform, nats over all readings, may be chance.
+LEAST_GAIN = 20.0
+
+
+def has_no_hits(table: AxisTable, fit: DensityFit) -> bool:
+    """Return whether hits explain no more of the readings than chance would."""
+    return (fit.trace[-1] + math.log(table.span)) * len(table) < LEAST_GAIN
+
+
+def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[Finding]:
+    """Return what the readings do not tell about z_hit, z_rand and sigma_hit.
+
+    Parameters
+    ----------
+    table, fit
+        The readings fitted to, and the fit.
+    n_blocks
+        Blocks of time that the intervals rest on.
+    """
+    found = []
+    low, high = sigma_bounds(table)
+    sigma, share = fit.mixture.sigma, fit.mixture.hit_share
+    if has_no_hits(table, fit):
+        found.append(
+            Finding(
+                "field-no-hits",
+                "warning",
+                f"The readings end near obstacles no more often than chance would ({fit.n_hits:.0f} of {len(table)} "
+                "look like hits): sigma_hit is undetermined. Is it the right map, and are the poses in its frame?",
+                {"n_hits": fit.n_hits, "n": float(len(table))},
+            )
+        )
+    elif sigma <= low * 1.001:
+        found.append(
+            Finding(
+                "field-sigma-at-floor",
+                "warning",
+                f"All hits end in occupied cells: sigma_hit stops at {low:.4g} m, a quarter of a cell, and could be "
+                "less. Walls drawn too thick hide the sensor's noise.",
+                {"sigma_hit": sigma, "resolution": table.resolution},
+            )
+        )
+    elif sigma >= high / 1.001:
+        found.append(
+            Finding(
+                "field-sigma-at-ceiling",
+                "warning",
+                f"sigma_hit stops at {high:.3g} m, the largest that is searched: the readings hardly follow the map.",
+                {"sigma_hit": sigma},
+            )
+        )
+    if share >= share_bounds(len(table))[1]:
+        found.append(
+            Finding(
+                "field-no-random",
+                "info",
+                "No reading needs the random component: z_rand is that of half a reading, so that none makes a pose "
+                "impossible.",
+                {"n": float(len(table))},
+            )
+        )
+    if not fit.converged:
+        found.append(
+            Finding("field-not-converged", "warning", "Learning the likelihood field stopped before it converged.", {})
+        )
+    if n_blocks < FEWEST_TRUSTED_BLOCKS:
+        found.append(
+            Finding(
+                "field-few-blocks",
+                "warning",
+                f"The likelihood field's intervals rest on {n_blocks} blocks of time, fewer than "
+                f"{FEWEST_TRUSTED_BLOCKS}, and are rough: a longer log would settle them.",
+                {"n_blocks": float(n_blocks)},
+            )
+        )
+    return found
+
+
+def exponent_findings(reason: str, score: float | None, standard_error: float | None) -> list[Finding]:
+    """Return what is to be known of the exponent and of the posteriors it makes.
+
+    Parameters
+    ----------
+    reason
+        Why the exponent was not learned; empty if it was.
+    score, standard_error
+        Of held-out windows, nats over knowing nothing; None without windows.
+    """
+    if reason:
+        return [
+            Finding(
+                "field-exponent-not-learned",
+                "warning",
+                f"The field's exponent was not learned: {reason}. It is 1, which takes beams for independent: a field "
+                "with many beams is then far too certain.",
+                {},
+            )
+        ]
+    if score is not None and standard_error is not None and score <= 2.0 * standard_error:
+        return [
+            Finding(
+                "field-says-nothing",
+                "warning",
+                f"On held-out windows the likelihood field's posterior is no better than knowing nothing ({score:+.2f} "
+                "nats): most likely the map, the poses or their frame are wrong.",
+                {"score": score},
+            )
+        ]
+    return []

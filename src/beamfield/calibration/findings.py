@@ -1,0 +1,115 @@
+"""What to know of a calibration: too little data of use, a fit that learned nothing, readings taken as cones."""
+
+from __future__ import annotations
+
+import math
+
+from beamfield.calibration.beam_table import BeamTable
+from beamfield.calibration.evaluation import ModelScore
+from beamfield.calibration.selection import Selection
+from beamfield.finding import Finding
+from beamfield.sensors import SensorLog
+
+# A fit that gains less than this per held-out beam (nats) over a uniform has learned hardly anything from the map: with
+# maps of other places the gain is 0 to 0.3, good fits on real logs gain 2 to 5.
+LEAST_GAIN_OVER_UNIFORM = 0.5
+# More readings without a measurement than this are worth a word: they may be meant as "no return".
+NOTABLE_SHARE_LEFT_OUT = 0.03
+
+
+def selection_findings(selection: Selection) -> list[Finding]:
+    """Warn if many reference poses lie off the map."""
+    off = selection.dropped.get("off the map", 0)
+    share = off / len(selection.used)
+    if share <= 0.1:
+        return []
+    return [
+        Finding(
+            "poses-off-map",
+            "warning",
+            f"{off} of {len(selection.used)} reference poses ({share:.0%}) lie off the map: it does not cover the log, "
+            "or the poses are not in its frame.",
+            {"n": float(off), "share": share},
+        )
+    ]
+
+
+def score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
+    """Warn of a fit that is not better than the models it is compared with; the first score is the fit's."""
+    found = [
+        Finding(
+            "fit-not-better",
+            "warning",
+            f"On held-out beams the fit is not better than {score.name}: {score.behind_fit:+.4f} nats per beam. "
+            "Fit and held-out blocks differ too much, or there is too little data.",
+            {"behind_fit": score.behind_fit},
+        )
+        for score in scores[1:]
+        if score.behind_fit <= 0
+    ]
+    found += [
+        Finding(
+            "map-says-nothing",
+            "warning",
+            f"The fit is hardly better than a uniform that knows nothing of the map ({score.behind_fit:+.2f} nats per "
+            "held-out beam): most likely it is the wrong map, or the poses are not in its frame.",
+            {"behind_fit": score.behind_fit},
+        )
+        for score in scores[1:]
+        if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM
+    ]
+    return found
+
+
+def cone_findings(log: SensorLog) -> list[Finding]:
+    """Say that readings are taken as cones, if the sensor has an opening angle."""
+    opening = log.finder.opening_angle
+    if opening == 0.0:
+        return []
+    return [
+        Finding(
+            "cones",
+            "info",
+            f"The sensor's readings are taken as cones of {math.degrees(opening):.3g} degrees: the expected range is "
+            "that of the nearest obstacle in the cone. Use the parameters with SonarModel.",
+            {"opening_angle": opening},
+        )
+    ]
+
+
+def left_out_findings(table: BeamTable) -> list[Finding]:
+    """Say where many readings carry no measurement: they are in no parameter, z_max included."""
+    total = max(table.n_readings, 1)
+    nan, close = table.n_nan / total, table.n_too_close / total
+    found = []
+    if nan > NOTABLE_SHARE_LEFT_OUT:
+        text = (
+            f"{nan:.1%} of the readings are NaN (no measurement) and were left out. If that is how this sensor says "
+            "that nothing came back, they are missing from z_max: read the log with no_return='nan'."
+        )
+        found.append(Finding("nan-readings", "warning", text, {"n": float(table.n_nan), "share": nan}))
+    if close > NOTABLE_SHARE_LEFT_OUT:
+        text = (
+            f"{close:.1%} of the readings are nearer than min_range = {table.min_range:.6g} m and were left out: parts "
+            "of the robot, or readings that the sensor does not vouch for."
+        )
+        found.append(Finding("too-close-readings", "info", text, {"n": float(table.n_too_close), "share": close}))
+    return found
+
+
+def table_findings(table: BeamTable) -> list[Finding]:
+    """Warn if most readings have no expected range."""
+    nothing = int(table.hits_nothing.sum())
+    total = len(table) + table.n_unknown
+    if total == 0 or (nothing + table.n_unknown) / total <= 0.5:
+        return []
+    return [
+        Finding(
+            "few-expected-ranges",
+            "warning",
+            f"Only {1 - (nothing + table.n_unknown) / total:.0%} of the readings have an expected range: "
+            f"{table.n_unknown} rays cross unknown space, {nothing} hit nothing within {table.max_range:.1f} m. "
+            "Is the map complete, and are the poses in its frame?",
+            {"n_unknown": float(table.n_unknown), "n_nothing": float(nothing)},
+        )
+    ]

@@ -1,0 +1,242 @@
+"""What the data cannot tell about the intrinsic parameters, by name.
+
+A finding rests on two numbers. *Rarity*: how many beams a cause has by its responsibilities. *Share of information*:
+the variance that a parameter would have if the cause of every beam were known, over the variance that it has; EM's rate
+of convergence is 1 minus its smallest value. Two causes are confounded if that share is small and the error is large
+against the weights, not if one of them is merely rare.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from beamfield.calibration.intrinsic.curvature import naive_covariance
+from beamfield.calibration.intrinsic.learning_problem import LearningProblem
+from beamfield.calibration.intrinsic.likelihood import (
+    OFFSET,
+    RATE,
+    SLOPE,
+    VARIANCE,
+    W_HIT,
+    W_MAX,
+    W_RAND,
+    W_SHORT,
+    IntrinsicLikelihood,
+)
+from beamfield.finding import Finding
+from beamfield.geometry import FloatArray
+from beamfield.models.beam_parameters import BeamParameters
+
+# Fewer expected beams than this are no evidence of a cause.
+FEWEST_BEAMS_OF_A_CAUSE = 3.0
+# Standard errors from curvature are at least this many times too small on real logs.
+DEPENDENCE = 4.0
+# Less of the information than this is left: the causes are hard to tell apart.
+SMALL_SHARE = 0.1
+# Modes within this many nats per beam are nearly equal; dependence makes a log worth a sixteenth of its beams or less.
+NEARLY_EQUAL = 1e-3
+_EFFECTIVE_NATS = 3.0
+# Readings exactly at the near limit move lambda_short by a standard error if they are more than 0.2 to 0.4 % of all in
+# a log of 2 minutes, 0.05 to 0.2 % in one of 10 minutes (docs/learning.md).
+NOTABLE_SHARE_AT_LIMIT = 0.001
+# They are the same number but for rounding: of the maximum range.
+_SAME_RANGE = 1e-6
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A maximum of the likelihood.
+
+    Parameters
+    ----------
+    parameters
+        Where it is.
+    log_likelihood
+        Nats per beam.
+    """
+
+    parameters: BeamParameters
+    log_likelihood: float
+
+
+def identifiability_findings(
+    likelihood: IntrinsicLikelihood, problem: LearningProblem, theta: FloatArray, modes: tuple[Mode, ...]
+) -> tuple[Finding, ...]:
+    """Name what these beams leave open at the maximum `theta`.
+
+    The names: ``no-returns``, ``no-max-readings``, ``no-hits``, ``no-shorts``, ``no-random``,
+    ``readings-at-near-limit``, ``lambda-undetermined``, ``shorts-uniform``, ``lambda-at-ceiling``, ``sigma-at-floor``,
+    ``noise-all-slope``, ``sigma-confounded``, ``offset-at-limit``, ``hits-and-shorts-confounded``,
+    ``hits-and-random-confounded``, ``shorts-and-random-confounded``, ``several-modes``.
+
+    Parameters
+    ----------
+    likelihood, problem
+        The beams, and what is free.
+    theta
+        (8,) working vector at the maximum.
+    modes
+        The maxima that were found, the best first.
+
+    Returns
+    -------
+    Findings; none if the beams determine everything.
+    """
+    if likelihood.n_returned == 0.0:
+        return (
+            Finding(
+                "no-returns",
+                "warning",
+                "All readings are at the maximum range: nothing but z_max can be learned.",
+                {"n_beams": likelihood.n_beams},
+            ),
+        )
+    counts = likelihood.expected_statistics(theta).counts
+    covariance = naive_covariance(likelihood, problem, theta)
+    return (
+        *_absent_causes(counts, problem),
+        *_near_limit_findings(likelihood, problem),
+        *_rate_findings(likelihood, problem, theta, counts, covariance),
+        *_sigma_findings(problem, theta, counts, covariance),
+        *_offset_findings(problem, theta),
+        *_confounded_causes(likelihood, problem, theta, counts, covariance),
+        *_mode_findings(likelihood, modes),
+    )
+
+
+def _absent_causes(counts: FloatArray, problem: LearningProblem) -> list[Finding]:
+    absent = (
+        (W_HIT, "no-hits", "warning", "No reading looks like a hit: check the map, the poses and the sensor's mount."),
+        (W_SHORT, "no-shorts", "info", "No reading looks like an unexpected object: z_short is (nearly) 0."),
+        (W_MAX, "no-max-readings", "info", "No reading is at the maximum range: z_max is 0 in this log."),
+        (W_RAND, "no-random", "info", "No reading is unexplained: z_rand is (nearly) 0."),
+    )
+    return [
+        Finding(name, "warning" if severity == "warning" else "info", text, {"expected_beams": float(counts[cause])})
+        for cause, name, severity, text in absent
+        if counts[cause] < FEWEST_BEAMS_OF_A_CAUSE and problem.free[cause]
+    ]
+
+
+def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProblem) -> list[Finding]:
+    at_limit = likelihood.ranges <= _SAME_RANGE * likelihood.max_range
+    n = float(likelihood.weights[at_limit].sum()) if likelihood.weights.size else float(np.count_nonzero(at_limit))
+    share = n / likelihood.n_beams
+    if not problem.free[W_SHORT] or n < FEWEST_BEAMS_OF_A_CAUSE or share < NOTABLE_SHARE_AT_LIMIT:
+        return []
+    text = (
+        f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, as sensors write that have no "
+        "valid one. They pose as unexpected objects and raise z_short and lambda_short: set a min_range above that "
+        "value to drop them, or name it as no_return if it means that nothing came back."
+    )
+    return [Finding("readings-at-near-limit", "warning", text, {"n": n, "share": share})]
+
+
+def _rate_findings(
+    likelihood: IntrinsicLikelihood,
+    problem: LearningProblem,
+    theta: FloatArray,
+    counts: FloatArray,
+    covariance: FloatArray,
+) -> list[Finding]:
+    if not problem.free[RATE]:
+        return []
+    rate = float(theta[RATE])
+    if counts[W_SHORT] < FEWEST_BEAMS_OF_A_CAUSE:
+        text = "lambda_short cannot be learned because there are (nearly) no shorts; its value means nothing."
+        return [Finding("lambda-undetermined", "warning", text, {"lambda_short": rate})]
+    if rate == 0.0:
+        text = "lambda_short is 0: unexpected objects are as frequent at any range up to the map's (uniform)."
+        return [Finding("shorts-uniform", "info", text, {"lambda_short": 0.0})]
+    if rate >= problem.upper[RATE]:
+        text = "lambda_short is at its ceiling: readings very near 0 pose as shorts; does the sensor mean 'invalid'?"
+        return [Finding("lambda-at-ceiling", "warning", text, {"lambda_short": rate})]
+    error = DEPENDENCE * float(np.sqrt(covariance[RATE, RATE]))
+    reach = float(likelihood.expected.mean())
+    if error * reach > 1.0 and error > 0.5 * rate:
+        text = f"lambda_short = {rate:.3g}/m is hardly determined: its error is about {error:.2g}/m."
+        return [Finding("lambda-undetermined", "warning", text, {"lambda_short": rate, "standard_error": error})]
+    return []
+
+
+def _sigma_findings(
+    problem: LearningProblem, theta: FloatArray, counts: FloatArray, covariance: FloatArray
+) -> list[Finding]:
+    if not problem.free[VARIANCE] or counts[W_HIT] < FEWEST_BEAMS_OF_A_CAUSE:
+        return []
+    variance = float(theta[VARIANCE])
+    sigma = float(np.sqrt(variance))
+    if variance <= problem.lower[VARIANCE]:
+        slope = float(np.sqrt(max(theta[SLOPE], 0.0)))
+        if slope > 0.0:
+            text = (
+                f"sigma_hit is at its floor of {sigma:.3g} m: all noise of hits grows with the expected range "
+                f"({slope:.3g} m per metre), as if near walls were measured without any."
+            )
+            return [Finding("noise-all-slope", "info", text, {"sigma_hit": sigma, "sigma_slope": slope})]
+        text = (
+            f"sigma_hit is at its floor of {sigma:.3g} m: many readings equal the expected range exactly, as in a "
+            "simulation without noise, and the likelihood grows without bound as sigma_hit shrinks."
+        )
+        return [Finding("sigma-at-floor", "warning", text, {"sigma_hit": sigma})]
+    relative_variance = float(covariance[VARIANCE, VARIANCE]) / (4.0 * variance**2)
+    share = 1.0 / (2.0 * counts[W_HIT] * max(relative_variance, 1e-300))
+    error = DEPENDENCE * float(np.sqrt(relative_variance))
+    if share < SMALL_SHARE and error > 0.25:
+        percent = f"{100 * error:.0f} %"
+        text = f"sigma_hit = {sigma:.3g} m is {percent} uncertain: hits trade places with shorts or random readings."
+        values = {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)}
+        return [Finding("sigma-confounded", "warning", text, values)]
+    return []
+
+
+def _offset_findings(problem: LearningProblem, theta: FloatArray) -> list[Finding]:
+    offset = float(theta[OFFSET])
+    if not problem.free[OFFSET] or problem.lower[OFFSET] < offset < problem.upper[OFFSET]:
+        return []
+    text = f"range_offset is at its limit of {offset:.3g} m: hits are not near the map's walls; check map and poses."
+    return [Finding("offset-at-limit", "warning", text, {"range_offset": offset})]
+
+
+def _confounded_causes(
+    likelihood: IntrinsicLikelihood,
+    problem: LearningProblem,
+    theta: FloatArray,
+    counts: FloatArray,
+    covariance: FloatArray,
+) -> list[Finding]:
+    findings = []
+    pairs = (
+        (W_HIT, W_SHORT, "hits-and-shorts-confounded", "hits and shorts"),
+        (W_HIT, W_RAND, "hits-and-random-confounded", "hits and random readings"),
+        (W_SHORT, W_RAND, "shorts-and-random-confounded", "shorts and random readings"),
+    )
+    flat = bool(theta[VARIANCE] > (0.25 * likelihood.max_range) ** 2)
+    for a, b, name, label in pairs:
+        if not (problem.free[a] and problem.free[b]) or min(counts[a], counts[b]) < FEWEST_BEAMS_OF_A_CAUSE:
+            continue
+        known = theta[a] + theta[b] - (theta[a] - theta[b]) ** 2
+        variance = max(float(covariance[a, a] + covariance[b, b] - 2.0 * covariance[a, b]), 1e-300)
+        share = float(known / likelihood.n_beams / variance)
+        error = DEPENDENCE * 0.5 * float(np.sqrt(variance))
+        if (share < SMALL_SHARE and error > 0.5 * min(theta[a], theta[b])) or (flat and b == W_RAND and a == W_HIT):
+            text = f"The data hardly tell {label} apart: weight may move between them by about {error:.2g}."
+            findings.append(Finding(name, "warning", text, {"standard_error": error, "share_of_information": share}))
+    return findings
+
+
+def _mode_findings(likelihood: IntrinsicLikelihood, modes: tuple[Mode, ...]) -> list[Finding]:
+    if len(modes) < 2:
+        return []
+    gap = modes[0].log_likelihood - modes[1].log_likelihood
+    if gap > max(NEARLY_EQUAL, DEPENDENCE**2 * _EFFECTIVE_NATS / likelihood.n_beams):
+        return []
+    other = modes[1].parameters
+    text = (
+        f"Another set of parameters explains the beams nearly as well ({gap:.2g} nats per beam less): sigma_hit "
+        f"{other.sigma_hit:.3g} m, z_hit {other.z_hit:.3g}, z_short {other.z_short:.3g}, z_rand {other.z_rand:.3g}."
+    )
+    values = {"gap": gap, "sigma_hit": other.sigma_hit, "z_hit": other.z_hit, "z_short": other.z_short}
+    return [Finding("several-modes", "warning", text, values)]

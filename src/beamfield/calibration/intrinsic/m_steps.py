@@ -1,0 +1,162 @@
+"""The M-step: exact maximisers of the expected log-likelihood (6.26) of the model that is fitted.
+
+Where (6.30) and (6.31) maximise it for untruncated densities, these do for a hit cut to [0, z_max] and a short cut to
+[0, z*]; the weights are (6.29).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.calibration.intrinsic.bounded_newton import newton_step
+from beamfield.calibration.intrinsic.learning_problem import LearningProblem
+from beamfield.calibration.intrinsic.likelihood import OFFSET, RATE, SLOPE, VARIANCE, ExpectedStatistics
+from beamfield.geometry import FloatArray
+from beamfield.kernels import intrinsics as kernels
+
+_MOST_STEPS = 50
+# A cause with fewer expected beams than this is dying: its shape stays what it was.
+_LEAST_COUNT = 1e-12
+
+
+def m_step(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> FloatArray:
+    """Return the parameters that maximise the expected log-likelihood plus log prior.
+
+    Parameters
+    ----------
+    statistics
+        Of the E-step.
+    theta
+        (8,) working vector that it was done with.
+    problem
+        What is free.
+
+    Returns
+    -------
+    (8,) working vector: what is held stays, and so do shapes of causes that explain no beam.
+
+    References
+    ----------
+    Probabilistic Robotics, section 6.3.3: (6.26) and (6.29) to (6.31).
+    """
+    new = theta.copy()
+    new[:4] = _weights(statistics.counts + problem.priors.counts, theta, problem)
+    if problem.free[[VARIANCE, SLOPE, OFFSET]].any() and statistics.counts[0] > _LEAST_COUNT:
+        new[[VARIANCE, SLOPE, OFFSET]] = _hit_shape(statistics, theta, problem)
+    if problem.free[RATE] and (statistics.counts[1] > _LEAST_COUNT or problem.priors.short_beams > 0.0):
+        new[RATE] = _rate(statistics, theta, problem)
+    return new
+
+
+def _weights(counts: FloatArray, theta: FloatArray, problem: LearningProblem) -> FloatArray:
+    """(6.29), the free weights sharing what the held ones leave."""
+    free = problem.free[:4]
+    total = counts[free].sum()
+    if total <= 0.0:
+        return theta[:4]
+    return np.where(free, counts * ((1.0 - theta[:4][~free].sum()) / total), theta[:4])
+
+
+def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> FloatArray:
+    """Variance, slope and offset of the hits: closed form (6.30) where nothing is cut, else Newton on the 3 of them."""
+    free = problem.free[[VARIANCE, SLOPE, OFFSET]]
+    x = theta[[VARIANCE, SLOPE, OFFSET]].copy()
+    lower = problem.lower[[VARIANCE, SLOPE, OFFSET]]
+    upper = problem.upper[[VARIANCE, SLOPE, OFFSET]]
+    if x[1] == 0.0 and not free[1] and not statistics.cut_matters:
+        return _uncut_shape(statistics, x, free, lower[0], problem)
+
+    out = np.empty(10)
+
+    def evaluate(x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        kernels.hit_objective(
+            statistics.node_ranges, statistics.node_hit, problem.span, problem.min_range, x[0], x[1], x[2], out
+        )
+        value, gradient, hessian = out[0], out[1:4].copy(), np.zeros((3, 3))
+        hessian[np.tril_indices(3)] = out[4:]
+        hessian += np.tril(hessian, -1).T
+        if problem.priors.sigma_beams > 0.0:
+            prior = theta.copy()
+            prior[VARIANCE] = x[0]
+            prior_value, prior_gradient, prior_hessian = problem.priors.log_density(prior)
+            value = value + prior_value
+            gradient[0] += prior_gradient[VARIANCE]
+            hessian[0, 0] += prior_hessian[VARIANCE, VARIANCE]
+        # In log v the objective is close to quadratic however far the start.
+        gradient[0] *= x[0]
+        hessian[0, :] *= x[0]
+        hessian[:, 0] *= x[0]
+        hessian[0, 0] += gradient[0]
+        return float(value), gradient, hessian
+
+    def at(y: FloatArray) -> FloatArray:
+        return np.array([np.exp(y[0]), y[1], y[2]])
+
+    y = np.array([np.log(x[0]), x[1], x[2]])
+    low, high = lower.copy(), upper.copy()
+    low[0], high[0] = np.log(lower[0]), np.log(upper[0])
+    value, gradient, hessian = evaluate(at(y))
+    nothing = np.zeros(3, dtype=bool)
+    for _ in range(_MOST_STEPS):
+        step = newton_step(y, gradient, hessian, free=free, lower=low, upper=high, summed=nothing)
+        step *= min(1.0, 2.0 / max(abs(step[0]), 1e-300))
+        gain = float(gradient @ step)
+        if gain <= 1e-13 * max(1.0, abs(value)):
+            break
+        for _ in range(30):
+            trial = np.clip(y + step, low, high)
+            new_value, new_gradient, new_hessian = evaluate(at(trial))
+            if new_value > value:
+                break
+            step *= 0.5
+        else:
+            break
+        y, value, gradient, hessian = trial, new_value, new_gradient, new_hessian
+    return np.where(free, at(y), x)
+
+
+def _uncut_shape(
+    statistics: ExpectedStatistics, x: FloatArray, free: NDArray[np.bool_], floor: float, problem: LearningProblem
+) -> FloatArray:
+    count, sum_r, sum_r2 = statistics.node_hit.sum(axis=1)
+    offset = sum_r / count if free[2] else x[2]
+    square = max(sum_r2 - 2.0 * offset * sum_r + offset * offset * count, 0.0)
+    imagined = problem.priors.sigma_beams
+    variance = (square + imagined * problem.priors.sigma_hit**2) / (count + imagined) if free[0] else x[0]
+    return np.array([max(variance, floor), x[1], offset])
+
+
+def _rate(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> float:
+    """Maximiser in lambda of a concave function: 0 if it falls from there, else Newton between brackets."""
+    imagined = problem.priors.short_beams
+    floor, ceiling = 0.0, float(problem.upper[RATE])
+
+    def slopes(rate: float) -> tuple[float, float]:
+        _, first, second = kernels.short_objective(
+            statistics.node_ranges, statistics.node_short, statistics.sum_short_range, rate
+        )
+        if imagined > 0.0:
+            first += imagined * (1.0 / rate - problem.priors.mean_short)
+            second -= imagined / rate**2
+        return first, second
+
+    if imagined == 0.0 and slopes(0.0)[0] <= 0.0:
+        return 0.0
+    if slopes(ceiling)[0] >= 0.0:
+        return ceiling
+    rate = min(max(float(theta[RATE]), 1e-6 * ceiling), ceiling)
+    for _ in range(200):
+        first, second = slopes(rate)
+        if first > 0.0:
+            floor = rate
+        else:
+            ceiling = rate
+        step = -first / second if second < 0.0 else np.inf
+        new = rate + step
+        if not floor <= new <= ceiling:
+            new = 0.5 * (floor + ceiling)
+        if abs(new - rate) <= 1e-13 * rate or ceiling - floor <= 1e-13 * ceiling:
+            return float(new)
+        rate = float(new)
+    return rate

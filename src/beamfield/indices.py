@@ -1,0 +1,56 @@
+"""Choosing some of many (beams, scans, features, rows) by their indices or by a mask."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.arguments import checked
+from beamfield.errors import InvalidInputError
+
+
+@checked
+def as_indices(choice: ArrayLike, n: int, name: str) -> NDArray[np.int64]:
+    """Return which of n things are meant, as indices from 0 to n - 1.
+
+    Parameters
+    ----------
+    choice
+        Indices (m,), of which negative ones count from the end; a mask (n,); or an empty list, for none.
+    n
+        How many there are.
+    name
+        How to call the choice in an error.
+
+    Returns
+    -------
+    (m,) indices in the given order, repeated where the choice repeats them.
+
+    Raises
+    ------
+    InvalidInputError
+        If the choice is neither whole numbers nor a mask, an index is not there, or the mask has another length.
+
+    Examples
+    --------
+    >>> as_indices([2, -1], 5, "beams").tolist()
+    [2, 4]
+    >>> as_indices([True, False, True], 3, "beams").tolist()
+    [0, 2]
+    >>> as_indices([7], 5, "beams")
+    Traceback (most recent call last):
+    beamfield.errors.InvalidInputError: beams: expected indices from -5 to 4, got 7
+    """
+    array = np.asarray(choice)
+    if array.size == 0 and array.dtype != np.bool_:
+        return np.empty(0, np.int64)
+    if array.ndim != 1 or array.dtype.kind not in "iub":
+        raise InvalidInputError(f"{name}: expected indices (m,) or a mask ({n},), got {array.dtype} {array.shape}")
+    if array.dtype == np.bool_:
+        if len(array) != n:
+            raise InvalidInputError(f"{name}: expected a mask of length {n}, got {len(array)}")
+        return np.flatnonzero(array)
+    there = (-n <= array) & (array < n)
+    if not there.all():
+        raise InvalidInputError(f"{name}: expected indices from {-n} to {n - 1}, got {array[~there][0]}")
+    return np.arange(n, dtype=np.int64)[array.astype(np.int64)]

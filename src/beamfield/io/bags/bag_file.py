@@ -1,0 +1,349 @@
+"""Open ROS 1 and ROS 2 bags and walk through their messages, without ROS."""
+
+from __future__ import annotations
+
+import errno
+import tempfile
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
+
+from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
+from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
+from beamfield.io.files.atomic import scratch_folder
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
+METADATA = "metadata.yaml"
+MAX_METADATA_BYTES = 16 * 2**20  # a thousand topics need less than one of them
+
+
+@contextmanager
+def _without_yaml_warnings() -> Iterator[None]:
+    """Leave out ruamel's warning of numbers without a point where metadata.yaml declares YAML 1.1."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MantissaNoDotYAML1_1Warning)
+        yield
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One message of a bag.
+
+    Parameters
+    ----------
+    topic
+        Where it was published.
+    msgtype
+        Its type, as in ROS 2: ``sensor_msgs/msg/LaserScan``.
+    number
+        Its number within the topic, from 1, in the order of recording.
+    recorded
+        When it was recorded, seconds.
+    content
+        The message, with the fields of its type.
+    """
+
+    topic: str
+    msgtype: str
+    number: int
+    recorded: float
+    content: Any
+
+    @property
+    def place(self) -> str:
+        """Topic and number, for errors."""
+        return f"{self.topic}, message {self.number}"
+
+    @property
+    def stamp(self) -> float:
+        """The header's stamp in seconds."""
+        return seconds(self.content.header.stamp)
+
+
+class BagFile:
+    """An open bag: its topics, and its messages in the order of recording.
+
+    Parameters
+    ----------
+    path
+        A ROS 1 ``.bag``; a ROS 2 folder (with ``metadata.yaml``, or without, as a crash leaves it); or one ``.db3``
+        or ``.mcap`` file, in which case the folder around it is read if its metadata lists the file.
+
+    Raises
+    ------
+    FormatError
+        If it is no bag, is cut or damaged, or unpacks to far more than its size (`bag_unpacking`).
+    InvalidInputError
+        If the environment's limit for unpacking is no number.
+    MissingDependencyError
+        If the package rosbags is not installed.
+    FileNotFoundError, PermissionError
+        From the file system.
+
+    Notes
+    -----
+    Bags before ROS 2 Iron carry no message definitions. The types that beamfield reads have not changed over the ROS 2
+    distributions, so that the newest definitions serve for all of them.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._stack = ExitStack()
+        self._unpack: Callable[[bytes], bytes] | None = None  # for messages that are compressed one by one
+
+    @_without_yaml_warnings()
+    def __enter__(self) -> BagFile:
+        with ExitStack() as stack, _speaking_of(self.path):
+            paths, self._unpack = _storage(self.path, stack)
+            self._reader = stack.enter_context(_reader(paths))
+            if not self._reader.is2:
+                limit_chunks(self._reader.readers[0], self.path)
+            self._check_topics()
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with _speaking_of(self.path):
+            self._stack.close()
+
+    def _check_topics(self) -> None:
+        """Check what metadata.yaml, where every value may be of any type, says about the topics."""
+        for c in self._reader.connections:
+            named = isinstance(c.topic, str) and isinstance(c.msgtype, str)
+            if not named or not isinstance(c.msgcount, int) or c.msgcount < 0:
+                raise FormatError(
+                    self.path, f"expected topic, type and number of messages, got {(c.topic, c.msgtype, c.msgcount)!r}"
+                )
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Message type of each topic, in the order of the bag."""
+        return {c.topic: c.msgtype for c in self._reader.connections}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many messages each topic has, as the bag declares it."""
+        totals: dict[str, int] = {}
+        for c in self._reader.connections:
+            totals[c.topic] = totals.get(c.topic, 0) + c.msgcount
+        return totals
+
+    def of_type(self, *msgtypes: str) -> list[str]:
+        """Return the topics with one of these message types."""
+        return [topic for topic, msgtype in self.topics.items() if msgtype in msgtypes]
+
+    def find_topic(self, name: str) -> str:
+        """Return the topic of that name; a leading slash may be left out.
+
+        Raises
+        ------
+        InvalidInputError
+            If the bag has no such topic; the text lists those it has.
+        """
+        for candidate in (name, f"/{name}"):
+            if candidate in self.topics:
+                return candidate
+        raise InvalidInputError(f"{self.path}: no topic {name!r}; the bag has {self.describe()}")
+
+    def describe(self) -> str:
+        """Return the topics with their types in words, for messages."""
+        return ", ".join(f"{topic!r} ({msgtype})" for topic, msgtype in self.topics.items()) or "no topics"
+
+    def messages(self, topics: Iterable[str]) -> Iterator[BagMessage]:
+        """Yield the messages of some topics.
+
+        Raises
+        ------
+        FormatError
+            If the bag is damaged (topic and message number are named), the file ends early, or a topic has messages of
+            several types.
+        """
+        wanted = set(topics)
+        connections = [c for c in self._reader.connections if c.topic in wanted]
+        if not connections:
+            return
+        for c in connections:
+            if c.msgtype != self.topics[c.topic]:
+                raise FormatError(
+                    self.path,
+                    f"expected one type of message, got {c.msgtype!r} and {self.topics[c.topic]!r}",
+                    field=c.topic,
+                )
+        numbers = dict.fromkeys(wanted, 0)
+        for connection, recorded, raw in _guarded(self.path, self._reader.messages(connections)):
+            if connection.topic not in wanted:
+                raise FormatError(
+                    self.path,
+                    f"the bag is damaged or cut: two topics have one number, {connection.topic!r} is one of them",
+                )
+            numbers[connection.topic] += 1
+            number = numbers[connection.topic]
+            place = f"{connection.topic}, message {number}"
+            with _speaking_of(self.path, place):
+                if not isinstance(recorded, int):
+                    raise FormatError(
+                        self.path, f"expected nanoseconds as the time of recording, got {recorded!r}", field=place
+                    )
+                if self._unpack is not None:
+                    raw = self._unpack(raw)
+                content = self._reader.deserialize(raw, connection.msgtype)
+            yield BagMessage(connection.topic, connection.msgtype, number, recorded * 1e-9, content)
+
+    @contextmanager
+    def quoting(self, message: BagMessage) -> Iterator[None]:
+        """Name the message in what is said about its content; a bag may define the fields of any type as it likes."""
+        try:
+            yield
+        except (AttributeError, TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, FormatError):
+                raise
+            text = (
+                str(error) if isinstance(error, InvalidInputError) else f"not as {message.msgtype} should be: {error}"
+            )
+            raise FormatError(self.path, text, field=message.place) from error
+
+
+def seconds(stamp: Any) -> float:
+    """Return a ROS time as seconds."""
+    return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes], bytes] | None]:
+    """Return what rosbags shall open, checked, and what unpacks messages that are compressed one by one."""
+    paths = _resolve(path)
+    if not paths[0].is_dir():
+        for file in paths:
+            check_storage(file)
+        return paths, None
+    files, mode = _files_of_metadata(paths[0])
+    if mode == "file":
+        # rosbags would do it without a limit.
+        scratch = stack.enter_context(scratch_folder(Path(tempfile.gettempdir()), path.name))
+        for file in files:
+            unpack_file(file, scratch / file.stem)
+            check_storage(scratch / file.stem, file)
+        return [scratch / file.stem for file in files], None
+    for file in files:
+        check_storage(file)
+    if mode == "message":
+        return files, partial(unpack_message, allowance=Allowance(path, sum(file.stat().st_size for file in files)))
+    return paths, None
+
+
+def _files_of_metadata(folder: Path) -> tuple[list[Path], str]:
+    """Return the storage files of a bag, and how they are compressed: "", "file" or "message"."""
+    from ruamel.yaml import YAML
+
+    bag = YAML(typ="safe").load((folder / METADATA).read_text())["rosbag2_bagfile_information"]
+    files = [folder / PurePath(name).name for name in bag["relative_file_paths"]]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        raise FormatError(folder, f"some files are missing: {missing}")
+    mode = (bag.get("compression_mode") or "").lower()
+    if mode not in ("file", "message"):
+        return files, ""
+    if bag.get("compression_format") != "zstd":
+        raise FormatError(folder / METADATA, f"expected compression by zstd, got {bag.get('compression_format')!r}")
+    return files, mode
+
+
+def _reader(paths: list[Path]) -> AnyReader:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingDependencyError("rosbags", "ros", "reading a bag") from error
+    return AnyReader(paths, default_typestore=get_typestore(Stores.LATEST))
+
+
+def _resolve(path: Path) -> list[Path]:
+    """Return what to open for a path that a user names."""
+    if path.is_dir():
+        return [_checked_folder(path)] if (path / METADATA).is_file() else _without_metadata(path)
+    storage = _storage_of(path)
+    if storage is None:
+        with path.open("rb") as file:
+            start = file.read(16)
+        raise FormatError(path, f"no ROS 1 bag, .mcap or .db3 file: it starts with {start!r}")
+    if path.suffix != storage:
+        raise FormatError(path, f"its content is that of a {storage} file, but its name ends in {path.suffix!r}")
+    if storage != ".bag" and _listed_in_metadata(path):
+        return [_checked_folder(path.parent)]
+    return [path]
+
+
+def _storage_of(path: Path) -> str | None:
+    """Return which kind of file it is, by its first bytes."""
+    with path.open("rb") as file:
+        start = file.read(16)
+    return next((suffix for suffix, magic in MAGIC.items() if start.startswith(magic)), None)
+
+
+def _checked_folder(folder: Path) -> Path:
+    size = (folder / METADATA).stat().st_size
+    if size > MAX_METADATA_BYTES:
+        raise FormatError(folder / METADATA, f"expected at most {MAX_METADATA_BYTES} bytes, got {size}")
+    return folder
+
+
+def _storage_files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.suffix in (".db3", ".mcap") and p.is_file())
+
+
+def _without_metadata(folder: Path) -> list[Path]:
+    files = _storage_files(folder)
+    if not files:
+        raise FormatError(folder, f"no ROS 2 bag: the folder has no {METADATA}, no .db3 and no .mcap file")
+    return files
+
+
+def _listed_in_metadata(file: Path) -> bool:
+    metadata = file.parent / METADATA
+    if not metadata.is_file() or metadata.stat().st_size > MAX_METADATA_BYTES:
+        return False
+    return file.name.encode() in metadata.read_bytes()
+
+
+def _guarded(path: Path, iterator: Iterator[Any]) -> Iterator[Any]:
+    """Yield from rosbags' iterator, with its errors turned into ours."""
+    while True:
+        with _speaking_of(path):
+            try:
+                item = next(iterator)
+            except StopIteration:
+                return
+        yield item
+
+
+@contextmanager
+def _speaking_of(path: Path, field: str | None = None) -> Iterator[None]:
+    """Turn what rosbags raises into a FormatError that names the file.
+
+    rosbags has errors of its own, but a damaged file also comes out as struct.error, KeyError, AssertionError, sqlite's
+    and the decompressors' errors, or a seek to nowhere: at this border, all that is not the file system speaking is
+    bad content.
+    """
+    try:
+        yield
+    except BeamfieldError:
+        raise
+    except OSError as error:
+        if error.errno not in (None, errno.EINVAL, errno.EOVERFLOW, errno.EFBIG):
+            raise
+        raise FormatError(path, _in_words(error), field=field) from error
+    except Exception as error:
+        raise FormatError(path, _in_words(error), field=field) from error
+
+
+def _in_words(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return f"the bag is damaged or cut: {text[:300] or type(error).__name__}"

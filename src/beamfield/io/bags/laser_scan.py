@@ -1,0 +1,223 @@
+"""sensor_msgs/LaserScan messages: bearings, limits and ranges of one sensor, checked to belong together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import FormatError
+from beamfield.geometry import FloatArray
+from beamfield.io.bags.bag_file import BagMessage
+
+STAMP_TOLERANCE = 0.5  # seconds: neighbours may swap on a lossy network; a clock that was set jumps further
+BEARING_TOLERANCE = 1e-3  # radians: what the geometry may change between the messages of one topic
+
+
+@dataclass(frozen=True, eq=False)
+class LaserScans:
+    """All scans of one topic.
+
+    Parameters
+    ----------
+    topic, frame
+        Where they were published, and the frame of the sensor.
+    bearings
+        (k,) direction of each beam in the sensor's frame, radians.
+    range_min, range_max
+        The limits that the messages declare, metres.
+    stamps
+        (t,) seconds, of the first beam of each scan, not decreasing.
+    ranges
+        (t, k) metres, as published.
+    notes
+        What a user should know about them.
+    """
+
+    topic: str
+    frame: str
+    bearings: FloatArray
+    range_min: float
+    range_max: float
+    stamps: FloatArray
+    ranges: FloatArray
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(eq=False)
+class LaserScanCollector:
+    """Collects the messages of one topic and checks that they belong together.
+
+    The direction of beam i is ``angle_min + i angle_increment``, computed in float64 from the float32 fields, whose
+    rounding leaves it less than 1e-6 radians off. The increment may be negative.
+
+    Parameters
+    ----------
+    path
+        The bag, for errors.
+    topic
+        The topic, for errors.
+    """
+
+    path: Path
+    topic: str
+    _geometry: tuple[float, float] | None = None
+    _limits: tuple[float, float] = (0.0, 0.0)
+    _frame: str = ""
+    _stamps: list[float] = field(default_factory=list)
+    _recorded: list[float] = field(default_factory=list)
+    _ranges: list[NDArray[np.float32]] = field(default_factory=list)
+    _notes: list[str] = field(default_factory=list)
+
+    def add(self, message: BagMessage) -> None:
+        """Add one message.
+
+        Raises
+        ------
+        FormatError
+            If the scan is empty, its angles make no sense, or the number of beams, the angles, the limits or the frame
+            differ from those of the first message; the topic and the message's number are named.
+        """
+        scan = message.content
+        ranges = np.asarray(scan.ranges, dtype=np.float32)
+        if len(ranges) == 0:
+            raise self._error(message, "the scan has no beams")
+        geometry = (float(scan.angle_min), float(scan.angle_increment))
+        if self._geometry is None:
+            self._begin(message, geometry, len(ranges))
+        else:
+            self._compare(message, geometry, len(ranges))
+        self._stamps.append(message.stamp)
+        self._recorded.append(message.recorded)
+        self._ranges.append(ranges)
+
+    def finish(self) -> LaserScans:
+        """Return the scans, sorted by their stamps.
+
+        Raises
+        ------
+        FormatError
+            If there are none, the stamps run backwards by more than `STAMP_TOLERANCE`, or no range is a number.
+        """
+        if self._geometry is None:
+            raise FormatError(self.path, "the topic holds no scans", field=self.topic)
+        # Damaged messages may hold signalling NaNs, of which NumPy would warn.
+        with np.errstate(invalid="ignore"):
+            ranges = np.stack(self._ranges).astype(np.float64)
+        if np.isnan(ranges).all():
+            raise FormatError(
+                self.path, f"every range of all {len(ranges)} scans is NaN (no measurement)", field=self.topic
+            )
+        stamps, order = self._ordered_stamps()
+        angle_min, increment = self._geometry
+        return LaserScans(
+            topic=self.topic,
+            frame=self._frame,
+            bearings=np.asarray(angle_min + increment * np.arange(ranges.shape[1]), dtype=np.float64),
+            range_min=self._limits[0],
+            range_max=self._limits[1],
+            stamps=stamps,
+            ranges=ranges if (np.diff(order) > 0).all() else ranges[order],
+            notes=tuple(self._notes),
+        )
+
+    def _begin(self, message: BagMessage, geometry: tuple[float, float], n_beams: int) -> None:
+        angle_min, increment = geometry
+        if not np.isfinite(geometry).all() or (n_beams > 1 and increment == 0.0):
+            raise self._error(
+                message,
+                "expected a finite angle_min and an angle_increment that is not 0, "
+                f"got angle_min {angle_min!r} and angle_increment {increment!r}",
+            )
+        span = abs(increment) * (n_beams - 1)
+        if span > 2.1 * np.pi:
+            raise self._error(
+                message,
+                f"the beams span {span:.6g} rad, more than a full turn (angle_increment {increment!r}: degrees?)",
+            )
+        declared = (float(message.content.angle_max) - angle_min) / increment + 1.0 if increment else 1.0
+        if abs(declared - n_beams) > 1.5:
+            self._notes.append(
+                f"{self.topic}: angle_min, angle_max and angle_increment make {declared:.1f} beams, but the scans have "
+                f"{n_beams}; beam i is taken at angle_min + i angle_increment"
+            )
+        self._geometry = geometry
+        self._limits = (float(message.content.range_min), float(message.content.range_max))
+        self._frame = message.content.header.frame_id
+        if not isinstance(self._frame, str):
+            raise self._error(message, f"expected a name as frame_id, got {self._frame!r}")
+
+    def _compare(self, message: BagMessage, geometry: tuple[float, float], n_beams: int) -> None:
+        scan = message.content
+        known = len(self._ranges[0])
+        if n_beams != known:
+            raise self._error(message, f"the scan has {n_beams} beams, the first scan of the topic has {known}")
+        first = self._geometry or geometry
+        shift = np.subtract(geometry, first)
+        worst = max(abs(shift[0]), abs(shift[0] + shift[1] * (n_beams - 1)))
+        if not worst <= BEARING_TOLERANCE:
+            raise self._error(
+                message,
+                f"angle_min {geometry[0]!r} and angle_increment {geometry[1]!r} differ from those of the first scan, "
+                f"{first[0]!r} and {first[1]!r}",
+            )
+        limits = (float(scan.range_min), float(scan.range_max))
+        if not np.array_equal(limits, self._limits, equal_nan=True):
+            raise self._error(
+                message, f"range_min, range_max {limits} differ from those of the first scan, {self._limits}"
+            )
+        if scan.header.frame_id != self._frame:
+            raise self._error(
+                message, f"frame_id {scan.header.frame_id!r} differs from that of the first scan, {self._frame!r}"
+            )
+
+    def _ordered_stamps(self) -> tuple[FloatArray, NDArray[np.intp]]:
+        stamps = np.array(self._stamps)
+        if len(stamps) > 1 and not stamps.any():
+            self._notes.append(f"{self.topic}: every header stamp is 0; the times of recording are used instead")
+            stamps = np.array(self._recorded)
+        return ordered_stamps(stamps, self.path, self.topic, self._notes)
+
+    def _error(self, message: BagMessage, text: str) -> FormatError:
+        return FormatError(self.path, text, field=message.place)
+
+
+def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str]) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return stamps sorted, and the order that sorts them.
+
+    Messages may overtake each other on the way to the recorder: that is sorted, and a note says so. A clock that runs
+    backwards is an error.
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds in the order of recording.
+    path, topic
+        For errors.
+    notes
+        Where to add a note.
+
+    Raises
+    ------
+    FormatError
+        If a stamp lies more than `STAMP_TOLERANCE` before one that was recorded earlier.
+    """
+    latest = np.maximum.accumulate(stamps)
+    behind = latest - stamps
+    if len(stamps) and behind.max() > STAMP_TOLERANCE:
+        where = int(np.argmax(behind > STAMP_TOLERANCE))
+        raise FormatError(
+            path,
+            f"the stamps run backwards, from {latest[where - 1]:.6f} to {stamps[where]:.6f} s",
+            field=f"{topic}, message {where + 1}",
+        )
+    swapped = int(np.count_nonzero(behind))
+    if swapped:
+        notes.append(
+            f"{topic}: {swapped} of {len(stamps)} messages came after later ones, by up to {behind.max():.3g} s, "
+            "and are sorted by their stamps"
+        )
+    order = np.argsort(stamps, kind="stable")
+    return stamps[order], order

@@ -1,0 +1,76 @@
+"""Maps that a bag carries: nav_msgs/OccupancyGrid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.geometry import yaw_from_quaternion
+from beamfield.io.bags.bag_file import BagFile, BagMessage
+from beamfield.maps.occupancy import OccupancyGrid
+
+OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
+
+
+def read_bag_map(path: str | Path, topic: str | None = None) -> OccupancyGrid:
+    """Read the map of a bag: the last nav_msgs/OccupancyGrid of a topic.
+
+    Parameters
+    ----------
+    path
+        As for `read_bag`.
+    topic
+        The topic; if None the only one of that type, or ``/map`` if there are several.
+
+    Returns
+    -------
+    The grid; its origin has the yaw of the message's quaternion (four zeros, as ROS 1 leaves it, are no rotation).
+
+    Raises
+    ------
+    FormatError
+        If there is no such message, its size does not fit its data, or its values, resolution or origin are wrong.
+    InvalidInputError
+        If the topic is not there or holds something else.
+    """
+    with BagFile(path) as bag:
+        chosen = _map_topic(bag, topic)
+        last: BagMessage | None = None
+        for last in bag.messages([chosen]):  # noqa: B007 - the last one counts
+            pass
+        if last is None:
+            raise FormatError(path, "the topic holds no message", field=chosen)
+        with bag.quoting(last):
+            return _grid(last)
+
+
+def _map_topic(bag: BagFile, asked: str | None) -> str:
+    if asked is not None:
+        topic = bag.find_topic(asked)
+        if bag.topics[topic] != OCCUPANCY_GRID:
+            raise InvalidInputError(f"{bag.path}: topic {topic!r} holds {bag.topics[topic]}, expected {OCCUPANCY_GRID}")
+        return topic
+    found = bag.of_type(OCCUPANCY_GRID)
+    if not found:
+        raise FormatError(bag.path, f"no map (nav_msgs/OccupancyGrid) in this bag; it has {bag.describe()}")
+    if len(found) > 1 and "/map" not in found:
+        raise InvalidInputError(f"{bag.path}: which map? the bag has {', '.join(repr(t) for t in found)}")
+    return found[0] if len(found) == 1 else "/map"
+
+
+def _grid(message: BagMessage) -> OccupancyGrid:
+    info, data = message.content.info, np.asarray(message.content.data)
+    if info.width * info.height != len(data) or len(data) == 0:
+        raise InvalidInputError(f"expected width {info.width} x height {info.height} cells, got {len(data)}")
+    p, q = info.origin.position, info.origin.orientation
+    quaternion = np.array([q.x, q.y, q.z, q.w])
+    if not quaternion.any():
+        quaternion = np.array([0.0, 0.0, 0.0, 1.0])
+    if not (np.abs(quaternion) < 2.0).all() or abs(np.linalg.norm(quaternion) - 1.0) >= 0.01:
+        raise InvalidInputError(f"origin: expected a quaternion of length 1, got {quaternion.tolist()}")
+    if np.hypot(quaternion[0], quaternion[1]) > 0.01:
+        raise InvalidInputError(f"origin: expected a rotation about z only, got the quaternion {quaternion.tolist()}")
+    origin = np.array([p.x, p.y, float(yaw_from_quaternion(*quaternion))])
+    return OccupancyGrid.from_ros(data.reshape(info.height, info.width), float(info.resolution), origin)

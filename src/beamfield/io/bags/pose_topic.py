@@ -1,0 +1,132 @@
+"""Pose messages of a bag as trajectories: nav_msgs/Odometry, PoseStamped and PoseWithCovarianceStamped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError
+from beamfield.geometry import FloatArray, compose, interpolate_poses, invert, wrap_angle
+from beamfield.io.bags.bag_file import BagMessage
+from beamfield.io.bags.frames import Transforms, find_fault, strip_slash
+from beamfield.io.bags.laser_scan import ordered_stamps
+from beamfield.sensors import Track
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSE_TYPES = (ODOMETRY, POSE_WITH_COVARIANCE, POSE_STAMPED)
+
+SPARSE = 0.2  # seconds: poses further apart than this are bridged by odometry, if there is any
+
+
+@dataclass(eq=False)
+class PoseTopicCollector:
+    """Collects the poses of one topic; they are checked when they are used, so that unused ones cannot stop a reader.
+
+    Parameters
+    ----------
+    path
+        The bag, for errors.
+    topic
+        The topic.
+    frame, child
+        The frames of the first message; `child` is empty where the type or the publisher does not say it.
+    is_odometry
+        Whether the messages are nav_msgs/Odometry.
+    """
+
+    path: Path
+    topic: str
+    frame: str = ""
+    child: str = ""
+    is_odometry: bool = False
+    _stamps: list[float] = field(default_factory=list)
+    _rows: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, message: BagMessage) -> None:
+        """Add one message of a type in `POSE_TYPES`."""
+        content = message.content
+        if not self._stamps:
+            self.frame = strip_slash(content.header.frame_id)
+            self.is_odometry = message.msgtype == ODOMETRY
+            self.child = strip_slash(getattr(content, "child_frame_id", ""))
+        pose = content.pose if message.msgtype == POSE_STAMPED else content.pose.pose
+        p, q = pose.position, pose.orientation
+        self._stamps.append(message.stamp)
+        self._rows.append(tuple(map(float, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))))
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def track(self, notes: list[str]) -> Track:
+        """Return the poses in the plane, sorted by time; where stamps are equal the last one counts.
+
+        Parameters
+        ----------
+        notes
+            Where to add a note.
+
+        Raises
+        ------
+        FormatError
+            If a pose is not finite, its quaternion is not of length 1, or the stamps run backwards; the topic and the
+            message's number are named.
+        """
+        rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
+        self._check(rows)
+        rotation = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+        poses = Transforms(rows[:, :3], rotation).planar()
+        stamps, order = ordered_stamps(np.array(self._stamps), self.path, self.topic, notes)
+        last = np.append(np.diff(stamps) > 0, True) if len(stamps) else np.zeros(0, dtype=bool)
+        return Track(stamps[last], poses[order][last])
+
+    def _check(self, rows: FloatArray) -> None:
+        fault = find_fault(rows)
+        if fault is not None:
+            row, text = fault
+            raise FormatError(self.path, f"pose: {text}", field=f"{self.topic}, message {row + 1}")
+
+
+def poses_at(track: Track, stamps: FloatArray, max_gap: float,
+             odometry_at: Callable[[FloatArray], FloatArray] | None = None) -> tuple[FloatArray, bool]:  # fmt: skip
+    """Return the poses of a track at other times, and whether odometry bridged its gaps.
+
+    A localiser publishes a pose when it has updated, every few decimetres, and none while the robot stands. Between
+    two such poses the robot follows its odometry: what is interpolated is the correction, map_from_odom.
+
+    Parameters
+    ----------
+    track
+        Poses in the map.
+    stamps
+        (n,) seconds.
+    max_gap
+        Longest time in seconds between two poses that is interpolated without odometry.
+    odometry_at
+        Returns the odometry's poses (n, 3) at given times, NaN where they are not known; None if there is none.
+
+    Returns
+    -------
+    poses
+        (n, 3); NaN before the first pose, after the last one, and in gaps.
+    bridged
+        Whether odometry was used.
+    """
+    if odometry_at is not None and len(track) > 1 and float(np.median(np.diff(track.stamps))) > SPARSE:
+        reference = odometry_at(track.stamps)
+        known = np.isfinite(reference).all(axis=1)
+        correction = compose(track.poses[known], invert(reference[known]))
+        between = interpolate_poses(track.stamps[known], correction, stamps)
+        return compose(between, odometry_at(stamps)), True
+    return interpolate_poses(track.stamps, track.poses, stamps, max_gap=max_gap), False
+
+
+def in_base_frame(track: Track, child_from_base: FloatArray) -> Track:
+    """Return the track of the base, given its constant pose (3,) in the frame whose track it is."""
+    poses = compose(track.poses, child_from_base)
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return Track(track.stamps, poses)

@@ -1,0 +1,213 @@
+"""ROS 1 and ROS 2 bags without ROS: scans with their mounts, odometry and reference poses; and maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.io.bags.bag_file import BagFile, BagMessage, seconds
+from beamfield.io.bags.frames import TransformBuffer
+from beamfield.io.bags.laser_scan import LaserScanCollector
+from beamfield.io.bags.map_topic import read_bag_map
+from beamfield.io.bags.multiranger import OPENING_ANGLE, RawDataCollector, ranger_topics, read_rangers
+from beamfield.io.bags.pose_topic import ODOMETRY, POSE_TYPES, PoseTopicCollector
+from beamfield.io.bags.robot_frames import (
+    BagContent,
+    beam_mounts,
+    choose_base,
+    find_odometry,
+    find_reference,
+    says_truth,
+)
+from beamfield.io.bags.scan_ranges import resolve_limits, resolve_scan_ranges
+from beamfield.io.no_return import NoReturnRule
+from beamfield.sensors import RangeFinder, ScanLog, SensorLog
+
+__all__ = ["read_bag", "read_bag_map"]
+
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "tf/msg/TFMessage")
+
+
+def read_bag(
+    path: str | Path,
+    *,
+    sensor_topic: str | Sequence[str] | None = None,
+    poses_topic: str | None = None,
+    map_frame: str | None = None,
+    base_frame: str | None = None,
+    mount: ArrayLike | None = None,
+    no_return: NoReturnRule = "detect",
+    max_range: float | None = None,
+    min_range: float | None = None,
+) -> ScanLog:
+    """Read the scans of a bag, with the sensors' mounts, the odometry and the reference poses.
+
+    Parameters
+    ----------
+    path
+        A ROS 1 ``.bag``, a ROS 2 folder, or a single ``.db3`` or ``.mcap`` file.
+    sensor_topic
+        The topic, or topics, of scans; all sensor_msgs/LaserScan topics if None.
+    poses_topic
+        The topic of the reference poses: Odometry, PoseStamped or PoseWithCovarianceStamped, in the map's frame. If
+        None: /tf, if it has the map's frame; else a topic whose name says ground truth or amcl_pose.
+    map_frame
+        The map's frame in /tf; ``map`` if None. Not together with `poses_topic`.
+    base_frame
+        The robot's frame; if None the first of ``base_link``, ``base_footprint``, and the odometry's child frames that
+        is connected to the sensors.
+    mount
+        (3,) pose of the sensor in the robot's frame, metres and radians, instead of the one that /tf says.
+    no_return
+        What means "no return" besides +inf and ranges that reach the limit: see `resolve_scan_ranges`.
+    max_range, min_range
+        The sensor's limits in metres, instead of the declared ones.
+
+    Returns
+    -------
+    One `SensorLog` per topic, named by it, in the order of the bag; odometry at its own rate; notes on what was found
+    where. The stamp of a scan is that of its first beam, and its poses are those of that time: interpolated between the
+    neighbouring transforms, NaN outside of them or where neighbours are more than `MAX_GAP` apart.
+
+    Raises
+    ------
+    FormatError
+        If the bag is damaged, has no scans, frames do not connect, a sensor is tilted by more than 5 degrees or moves
+        on the robot, stamps run backwards, or the scans of a topic differ in their beams: file, topic and message
+        number are named.
+    InvalidInputError
+        If a topic or frame that was asked for is not there.
+    MissingDependencyError
+        If rosbags is not installed.
+    FileNotFoundError
+        If there is no such path.
+
+    References
+    ----------
+    REP 103 and 105 (axes and frames), REP 117 (ranges).
+
+    Examples
+    --------
+    >>> read_bag("office.bag").only_sensor("/scan").finder.n_beams  # doctest: +SKIP
+    720
+    """
+    if poses_topic is not None and map_frame is not None:
+        raise InvalidInputError("expected poses_topic or map_frame, got both: which one has the reference poses?")
+    with BagFile(path) as bag:
+        poses_topic = None if poses_topic is None else bag.find_topic(poses_topic)
+        content = _collect(bag, _scan_topics(bag, sensor_topic), poses_topic)
+    if mount is not None and len(content.scans) > 1:
+        raise InvalidInputError(f"{path}: a mount was given for one sensor, but the bag has {len(content.scans)}")
+    notes = list(content.notes)
+    base = choose_base(content, base_frame, mount is not None)
+    odometry = find_odometry(content, base, notes)
+    reference_at = find_reference(content, base, poses_topic, map_frame, odometry, notes)
+    sensors = {}
+    for scans in content.scans:
+        notes += scans.notes
+        beams = beam_mounts(content, scans, base, mount, notes)
+        low, high = resolve_limits(scans, content.path, min_range, max_range)
+        found = resolve_scan_ranges(scans.ranges, low, high, no_return, limit_given=max_range is not None)
+        notes += [f"{scans.topic}: {note}" for note in found.notes]
+        cone = OPENING_ANGLE if scans.topic in content.cones else 0.0
+        poses = reference_at(scans.stamps)
+        _note_missing(scans.topic, poses, notes)
+        sensors[scans.topic] = SensorLog(
+            finder=RangeFinder(beams, found.max_range, min_range=low, opening_angle=cone, name=scans.topic),
+            stamps=scans.stamps,
+            ranges=found.ranges,
+            poses=poses,
+            odometry=odometry.at(scans.stamps),
+            no_return=found.policy,
+        )
+    return ScanLog(sensors, odometry.track, str(path), tuple(notes))
+
+
+def _scan_topics(bag: BagFile, asked: str | Sequence[str] | None) -> list[str]:
+    rangers = ranger_topics(bag.topics)
+    if asked is None:
+        found = bag.of_type(LASER_SCAN) or list(rangers)
+        filled = [topic for topic in found if bag.counts[topic]]
+        if not filled:
+            raise FormatError(bag.path, f"no scans (sensor_msgs/LaserScan) in this bag; it has {bag.describe()}")
+        return filled
+    names = [asked] if isinstance(asked, str) else list(asked)
+    if not names:
+        raise InvalidInputError("sensor_topic: expected at least one topic, or None for all, got none")
+    topics = [bag.find_topic(name) for name in names]
+    for topic in topics:
+        if bag.topics[topic] != LASER_SCAN and topic not in rangers:
+            raise InvalidInputError(f"{bag.path}: topic {topic!r} holds {bag.topics[topic]}, expected {LASER_SCAN}")
+    return list(dict.fromkeys(topics))
+
+
+def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> BagContent:
+    """Walk through the bag once and keep what scans need."""
+    rangers = {t: p for t, p in ranger_topics(bag.topics).items() if t in scan_topics}
+    lasers = {t: LaserScanCollector(bag.path, t) for t in scan_topics if t not in rangers}
+    raw = {t: RawDataCollector(bag.path, t, 9) for t in rangers}
+    raw |= {p: RawDataCollector(bag.path, p, 2) for p in rangers.values() if p}
+    pose_topics = {t: PoseTopicCollector(bag.path, t) for t in _pose_topics(bag, poses_topic)}
+    frames = TransformBuffer(bag.path)
+    tf_topics = bag.of_type(*TF_TYPES)
+    collectors: dict[str, LaserScanCollector | RawDataCollector | PoseTopicCollector]
+    collectors = {**lasers, **raw, **pose_topics}
+    for message in bag.messages([*collectors, *tf_topics]):
+        with bag.quoting(message):
+            if message.topic in collectors:
+                collectors[message.topic].add(message)
+            else:
+                _add_transforms(frames, message)
+    scans, ranger_odometry = [], None
+    for topic in scan_topics:
+        if topic in rangers:
+            found, ranger_odometry = read_rangers(raw[topic], raw.get(rangers[topic]))
+            scans.append(found)
+        else:
+            scans.append(lasers[topic].finish())
+    counts = bag.counts
+    notes = [
+        f"{s.topic}: the bag declares {counts[s.topic]} messages, {len(s.stamps)} were found"
+        for s in scans
+        if counts[s.topic] != len(s.stamps)
+    ]
+    return BagContent(bag.path, scans, frames, pose_topics, set(rangers), ranger_odometry, notes)
+
+
+def _pose_topics(bag: BagFile, asked: str | None) -> list[str]:
+    """Return the topics of poses that may be needed: odometry, reference poses by name, and the one asked for."""
+    topics = bag.of_type(ODOMETRY) + [t for t in bag.of_type(*POSE_TYPES[1:]) if says_truth(t)]
+    if asked is not None:
+        if bag.topics[asked] not in POSE_TYPES:
+            raise InvalidInputError(
+                f"{bag.path}: topic {asked!r} holds {bag.topics[asked]}, expected poses ({', '.join(POSE_TYPES)})"
+            )
+        topics.append(asked)
+    return list(dict.fromkeys(topics))
+
+
+def _add_transforms(frames: TransformBuffer, message: BagMessage) -> None:
+    static = message.topic.endswith("tf_static")
+    for item in message.content.transforms:
+        t, q = item.transform.translation, item.transform.rotation
+        frames.add(
+            item.header.frame_id,
+            item.child_frame_id,
+            seconds(item.header.stamp),
+            (t.x, t.y, t.z),
+            (q.x, q.y, q.z, q.w),
+            static=static,
+            place=message.place,
+        )
+
+
+def _note_missing(topic: str, poses: FloatArray, notes: list[str]) -> None:
+    missing = int(np.count_nonzero(~np.isfinite(poses).all(axis=1)))
+    if 0 < missing < len(poses):
+        notes.append(f"{topic}: {missing} of {len(poses)} scans have no reference pose at their time")

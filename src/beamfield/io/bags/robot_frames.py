@@ -1,0 +1,315 @@
+"""Where things are in a bag: the robot's frame, the mounts of its sensors, its odometry and its reference poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, compose, interpolate_poses
+from beamfield.io.bags.frames import TransformBuffer, rotate, strip_slash
+from beamfield.io.bags.laser_scan import LaserScans
+from beamfield.io.bags.pose_topic import PoseTopicCollector, in_base_frame, poses_at
+from beamfield.sensors import Track
+
+MAX_GAP = 2.0  # seconds without a transform or pose over which nothing is interpolated
+MAX_TILT = np.deg2rad(5.0)  # from here on a scan is no cut through the map's plane: cos(5 deg) shortens it by 0.4 %
+MAX_MOTION = (0.02, np.deg2rad(2.0))  # how far a mount may wander over the log, metres and radians
+BASE_FRAMES = ("base_link", "base_footprint")
+TRUTH_NAMES = ("ground_truth", "groundtruth", "amcl_pose")
+
+
+@dataclass(eq=False)
+class BagContent:
+    """What was taken from a bag.
+
+    Parameters
+    ----------
+    path
+        The bag.
+    scans
+        The scans, one entry per topic.
+    frames
+        The transforms.
+    pose_topics
+        The poses that may serve as odometry or reference, by topic.
+    cones
+        Topics whose sensors have no frame of their own: the rangers of a drone.
+    ranger_odometry
+        The odometry of such a drone.
+    notes
+        What a user should know.
+    """
+
+    path: Path
+    scans: list[LaserScans]
+    frames: TransformBuffer
+    pose_topics: dict[str, PoseTopicCollector]
+    cones: set[str]
+    ranger_odometry: Track | None
+    notes: list[str]
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """The odometry.
+
+    Parameters
+    ----------
+    at
+        Returns the poses (n, 3) at given times (n,), NaN where they are not known.
+    track
+        The odometry at its own rate; None if there is none.
+    """
+
+    at: Callable[[FloatArray], FloatArray]
+    track: Track | None
+
+
+def choose_base(content: BagContent, asked: str | None, mount_given: bool) -> str:
+    """Return the robot's frame; "" if the bag has no frames and none was asked for.
+
+    Parameters
+    ----------
+    content
+        What the bag has.
+    asked
+        The frame that the user names.
+    mount_given
+        Whether the user gives the sensor's mount, so that no chain to its frame is needed.
+
+    Raises
+    ------
+    InvalidInputError
+        If the frame that was asked for is not there.
+    FormatError
+        If no frame that may be the robot's is connected to the sensors.
+    """
+    frames = content.frames
+    if len(frames) == 0:
+        return strip_slash(asked or "")
+    if mount_given:
+        sensor_frames: list[str] = []
+    else:
+        sensor_frames = [strip_slash(s.frame) for s in content.scans if s.topic not in content.cones]
+    if asked is not None:
+        base = strip_slash(asked)
+        if base not in frames:
+            raise InvalidInputError(f"{content.path}: no frame {base!r}; the log has {frames.describe()}")
+        return base
+    children = [topic.child for topic in content.pose_topics.values() if topic.child]
+    named = [f for f in frames.frames if f.rsplit("/", 1)[-1] in BASE_FRAMES]
+    candidates = [f for f in dict.fromkeys([*BASE_FRAMES, *children, *named]) if f in frames]
+    for candidate in candidates:
+        if all(frames.connected(candidate, s) for s in sensor_frames):
+            return candidate
+    if not sensor_frames:
+        return ""
+    raise _unconnected(content, candidates, sensor_frames)
+
+
+def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list[str]) -> FormatError:
+    """Return the error for sensors that no frame of the robot reaches, with those that the best one lacks."""
+    frames = content.frames
+    reached = [[f for f in sensor_frames if frames.connected(c, f)] for c in candidates]
+    best = max(range(len(candidates)), key=lambda i: len(reached[i]), default=None)
+    robot = "the robot (no frame base_link or base_footprint)" if best is None else f"the robot {candidates[best]!r}"
+    known = [] if best is None else reached[best]
+    lost = [s for s in content.scans if strip_slash(s.frame) in sensor_frames and strip_slash(s.frame) not in known]
+    sensors = ", ".join(f"{strip_slash(s.frame)!r} of {s.topic}" for s in lost)
+    return FormatError(
+        content.path,
+        f"no chain of transforms connects {robot} and the sensor's frame {sensors}; the log has {frames.describe()}; "
+        "choose other topics, name the robot's frame, or give the sensor's mount",
+    )
+
+
+def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayLike | None,
+            notes: list[str]) -> FloatArray:  # fmt: skip
+    """Return the pose (k, 3) of every beam on the robot, from the chain of transforms in space.
+
+    A sensor that hangs upside down so gets clockwise bearings. What is left of a tilt is projected to the plane.
+
+    Raises
+    ------
+    FormatError
+        If the frames do not connect, or the sensor is tilted by more than `MAX_TILT` or moves on the robot.
+    """
+    k = len(scans.bearings)
+    in_sensor = np.column_stack([np.zeros((k, 2)), scans.bearings])
+    if mount is not None:
+        return compose(as_poses(mount, "mount"), in_sensor)
+    sensor = strip_slash(scans.frame)
+    if scans.topic in content.cones or len(content.frames) == 0 or sensor == base:
+        if scans.topic not in content.cones:
+            why = "the bag has no transforms" if len(content.frames) == 0 else "the scans are in the robot's own frame"
+            notes.append(f"{scans.topic}: {why}; the sensor is taken to sit at the robot's origin, facing forward")
+        return compose(np.zeros(3), in_sensor)
+    found = content.frames.look_up(base, sensor, scans.stamps, hold=True)
+    position, rotation = np.median(found.translation, axis=0), found.rotation[0]
+    _check_fixed(content, scans.topic, sensor, base, found.translation, found.rotation)
+    up = rotate(rotation, np.array([0.0, 0.0, 1.0]))[2]
+    tilt = float(np.arccos(np.clip(abs(up), 0.0, 1.0)))
+    if tilt > MAX_TILT:
+        raise FormatError(
+            content.path,
+            f"the sensor's frame {sensor!r} is tilted by {np.rad2deg(tilt):.1f} degrees against {base!r}; at most "
+            f"{np.rad2deg(MAX_TILT):.0f} are taken for a scan in the map's plane; choose other topics by sensor_topic",
+            field=scans.topic,
+        )
+    in_plane = np.column_stack([np.cos(scans.bearings), np.sin(scans.bearings), np.zeros(k)])
+    direction = rotate(np.broadcast_to(rotation, (k, 4)), in_plane)
+    heading = np.arctan2(direction[:, 1], direction[:, 0])
+    forward = rotate(rotation, np.array([1.0, 0.0, 0.0]))
+    notes.append(
+        f"{scans.topic}: frame {sensor!r} sits at ({position[0]:.3f}, {position[1]:.3f}) m, turned by "
+        f"{np.rad2deg(np.arctan2(forward[1], forward[0])):.1f} degrees, on {base!r}"
+        + (", upside down" if up < 0 else "")
+        + (f", tilted by {np.rad2deg(tilt):.1f} degrees (ignored)" if tilt > np.deg2rad(0.5) else "")
+    )
+    return np.column_stack([np.tile(position[:2], (k, 1)), heading])
+
+
+def _check_fixed(content: BagContent, topic: str, sensor: str, base: str, translation: FloatArray,
+                 rotation: FloatArray) -> None:  # fmt: skip
+    moved = float(np.max(np.linalg.norm(translation - np.median(translation, axis=0), axis=1)))
+    cosine = np.clip(np.abs(rotation @ rotation[0]), 0.0, 1.0)
+    turned = float(2.0 * np.arccos(cosine.min()))
+    if moved > MAX_MOTION[0] or turned > MAX_MOTION[1]:
+        raise FormatError(
+            content.path,
+            f"the sensor's frame {sensor!r} moves on {base!r} by {moved:.3g} m and {np.rad2deg(turned):.3g} degrees; "
+            "only sensors that are fixed to the robot are read",
+            field=topic,
+        )
+
+
+def find_odometry(content: BagContent, base: str, notes: list[str]) -> Odometry:
+    """Find the odometry: in /tf, else in a topic; `notes` says where."""
+    topic = _odometry_topic(content)
+    frames = content.frames
+    named = [f for f in frames.frames if f.rsplit("/", 1)[-1] == "odom"]
+    for frame in dict.fromkeys([topic.frame if topic else "", "odom", *named]):
+        stamps = frames.stamps_between(frame, base) if frame and frame != base else np.empty(0)
+        if len(stamps):
+            track = Track(stamps, frames.look_up(frame, base, stamps, max_gap=MAX_GAP).planar())
+            known = np.isfinite(track.poses).all(axis=1)
+            notes.append(f"odometry: /tf from {frame!r} to {base!r}")
+
+            def in_tf(when: FloatArray, frame: str = frame) -> FloatArray:
+                return frames.look_up(frame, base, when, max_gap=MAX_GAP).planar()
+
+            return Odometry(in_tf, Track(track.stamps[known], track.poses[known]))
+    if topic is not None and len(topic):
+        track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
+        notes.append(f"odometry: topic {topic.topic}")
+        return _from_track(track)
+    if content.ranger_odometry is not None:
+        notes.append("odometry: optical flow and attitude of the drone")
+        return _from_track(content.ranger_odometry)
+    return Odometry(lambda when: np.full((len(when), 3), np.nan), None)
+
+
+def _from_track(track: Track) -> Odometry:
+    return Odometry(lambda when: interpolate_poses(track.stamps, track.poses, when, max_gap=MAX_GAP), track)
+
+
+def _odometry_topic(content: BagContent) -> PoseTopicCollector | None:
+    """Return the topic of odometry: the one called so, else the first that is not called truth."""
+    topics = [t for t in content.pose_topics.values() if len(t) and t.is_odometry and not says_truth(t.topic)]
+    exact = [t for t in topics if t.topic.rsplit("/", 1)[-1] == "odom"]
+    near = [t for t in topics if "odom" in t.topic.lower()]
+    return next(iter(exact + near + topics), None)
+
+
+def _child_from_base(content: BagContent, topic: PoseTopicCollector, base: str, notes: list[str]) -> FloatArray:
+    """Return where the robot's frame sits in the frame whose poses the topic has."""
+    child = topic.child
+    if not child or child == base or not base:
+        return np.zeros(3)
+    if not content.frames.connected(child, base):
+        notes.append(f"{topic.topic}: its frame {child!r} is not connected to {base!r}; both are taken to be the same")
+        return np.zeros(3)
+    stamps = content.scans[0].stamps[:1]
+    return np.asarray(content.frames.look_up(child, base, stamps, hold=True).planar()[0])
+
+
+def find_reference(content: BagContent, base: str, poses_topic: str | None, map_frame: str | None, odometry: Odometry,
+               notes: list[str]) -> Callable[[FloatArray], FloatArray]:  # fmt: skip
+    """Return what gives the reference poses (n, 3) at given times (n,); NaN where they are not known.
+
+    Parameters
+    ----------
+    content
+        What the bag has.
+    base
+        The robot's frame.
+    poses_topic, map_frame
+        What the user names; None to choose: /tf with a map, then a topic that `says_truth`.
+    odometry
+        To bridge the time between sparse poses.
+    notes
+        Where to say what was chosen.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map's frame is not there.
+    FormatError
+        If the frames do not connect, or the poses are not poses.
+    """
+    frames = content.frames
+    if poses_topic is not None:
+        return _reference_topic(content, content.pose_topics[poses_topic], base, odometry, notes)
+    frame = _map_frame(content, base, map_frame, notes)
+    if frame is not None:
+        notes.append(f"reference poses: /tf from {frame!r} to {base!r}")
+        return lambda when: frames.look_up(frame, base, when, max_gap=MAX_GAP).planar()
+    by_name = [t for name in TRUTH_NAMES for t in content.pose_topics.values() if name in t.topic.lower() and len(t)]
+    if by_name:
+        return _reference_topic(content, by_name[0], base, odometry, notes)
+    notes.append("reference poses: none in this bag")
+    return lambda when: np.full((len(when), 3), np.nan)
+
+
+def _map_frame(content: BagContent, base: str, asked: str | None, notes: list[str]) -> str | None:
+    frames = content.frames
+    if asked is not None:
+        frame = strip_slash(asked)
+        if frame not in frames:
+            raise InvalidInputError(f"{content.path}: no frame {frame!r}; the log has {frames.describe()}")
+        if not frames.connected(frame, base):
+            raise FormatError(
+                content.path,
+                f"no chain of transforms connects the map {frame!r} and the robot {base!r}; the log has "
+                f"{frames.describe()}",
+            )
+        return frame
+    for frame in [f for f in frames.frames if f == "map"] + [f for f in frames.frames if f.endswith("/map")]:
+        if frames.connected(frame, base):
+            return frame
+        notes.append(f"the frame {frame!r} is not connected to {base!r}; the log has {frames.describe()}")
+    return None
+
+
+def _reference_topic(content: BagContent, topic: PoseTopicCollector, base: str, odometry: Odometry,
+                     notes: list[str]) -> Callable[[FloatArray], FloatArray]:  # fmt: skip
+    if len(topic) == 0:
+        raise FormatError(content.path, "the topic holds no poses", field=topic.topic)
+    track = in_base_frame(topic.track(notes), _child_from_base(content, topic, base, notes))
+    odometry_at = odometry.at if odometry.track is not None and odometry.track is not track else None
+    bridged = poses_at(track, track.stamps[:1], MAX_GAP, odometry_at)[1]
+    notes.append(
+        f"reference poses: topic {topic.topic} in frame {topic.frame!r}"
+        + (", with odometry between its poses" if bridged else "")
+    )
+    return lambda when: poses_at(track, when, MAX_GAP, odometry_at)[0]
+
+
+def says_truth(topic: str) -> bool:
+    """Whether a topic's name says that its poses are references."""
+    return any(name in topic.lower() for name in TRUTH_NAMES)

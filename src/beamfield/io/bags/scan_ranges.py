@@ -1,0 +1,154 @@
+"""Ranges of a bag's scans: their limits, and what the sensor means by "no return"."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.io.bags.laser_scan import LaserScans
+from beamfield.io.no_return import NoReturnRule, ResolvedRanges
+from beamfield.sensors import NoReturnPolicy
+
+FREQUENT = 0.01  # share of all readings from which a special value counts as the sensor's way to say "no return"
+RARE = 0.001  # share up to which the ways of REP 117 do not count as the sensor's own
+CONTRAST = 10.0  # how much more frequent than its neighbours a value must be that is no measurement
+NEIGHBOURS = 10  # different values to compare with
+ENOUGH = 20  # readings
+
+
+def resolve_limits(
+    scans: LaserScans, path: Path, min_range: float | None, max_range: float | None
+) -> tuple[float, float]:
+    """Return the range limits: the given ones, else those that the messages declare.
+
+    Given limits are rounded to float32, as the ranges are: a sensor that answers 5.6 for "no return" writes
+    5.599999904632568, which a max_range of 5.6 must include.
+
+    Raises
+    ------
+    FormatError
+        If the declared limits are not 0 <= range_min < range_max < inf and no others are given.
+    InvalidInputError
+        If a given limit is not a number, or not within the other.
+    """
+    low = scans.range_min if min_range is None else float(np.float32(min_range))
+    high = scans.range_max if max_range is None else float(np.float32(max_range))
+    if 0.0 <= low < high < np.inf:
+        return low, high
+    if min_range is not None and max_range is not None:
+        raise InvalidInputError(f"expected 0 <= min_range < max_range < inf, got {min_range!r} and {max_range!r}")
+    raise FormatError(
+        path,
+        f"expected limits 0 <= range_min < range_max < inf, got {low!r} and {high!r}; "
+        "give min_range and max_range yourself",
+        field=scans.topic,
+    )
+
+
+def resolve_scan_ranges(
+    ranges: FloatArray, min_range: float, max_range: float, rule: NoReturnRule = "detect", *, limit_given: bool = False
+) -> ResolvedRanges:
+    """Return ranges in which the sensor's own values for "no return" are +inf, the limit, and what was done.
+
+    REP 117 needs no conversion: +inf, and what reaches max_range, is no return; NaN is no measurement; -inf, and what
+    falls short of min_range, is too close. Where a driver says it otherwise, "detect" looks for it, but only in scans
+    in which less than `RARE` of the readings say "no return" in those ways:
+
+    1. zeros, if they are at least `FREQUENT`;
+    2. one value below max_range that is the greatest of all and `CONTRAST` times as frequent as any other in the tenth
+       below it. It is the sensor's true limit then, unless the user gives one. Drivers write one value; a far wall in
+       front of a robot that stands is frequent too, but its noise spreads it over neighbouring values.
+
+    A zero that is not explained so is no range: it becomes NaN if min_range is 0 (else it is too close anyway).
+
+    Parameters
+    ----------
+    ranges
+        (t, k) metres, as published, of float32 precision.
+    min_range, max_range
+        The sensor's limits, metres.
+    rule
+        "detect"; "none" to convert nothing; or the values in metres that mean "no return" (NaN may be among them).
+    limit_given
+        Whether max_range comes from the user.
+
+    Raises
+    ------
+    InvalidInputError
+        If the rule is unknown.
+
+    References
+    ----------
+    REP 117, "Informational Distance Measurements".
+    """
+    if rule == "none":
+        return ResolvedRanges(ranges, max_range, NoReturnPolicy(explanation="not looked for, as asked"))
+    if not isinstance(rule, str):
+        return _given(ranges, max_range, rule)
+    if rule != "detect":
+        raise InvalidInputError(f"no_return: expected 'detect', 'none' or a tuple of metres, got {rule!r}")
+    with np.errstate(invalid="ignore"):
+        declared = float(np.mean(ranges >= max_range))
+    zero = ranges == 0.0
+    if declared < RARE:
+        if float(zero.mean()) >= FREQUENT:
+            why = "are 0, and nothing else says that nothing came back"
+            return _converted(ranges, max_range, zero, (0.0,), "detected", why)
+        code = _find_repeated_maximum(ranges, min_range)
+        if code is not None:
+            why = f"are exactly {code:.6g} m, the greatest value and far more frequent than those below it"
+            return _converted(ranges, max_range if limit_given else code, ranges == code, (code,), "detected", why)
+    return _declared(ranges, min_range, max_range, declared, zero)
+
+
+def _find_repeated_maximum(ranges: FloatArray, min_range: float) -> float | None:
+    """Return the greatest value if it is repeated as no measurement is."""
+    readings = ranges[np.isfinite(ranges) & (ranges > min_range)]
+    top = float(readings.max(initial=0.0))
+    # The tenth below, or more where that is almost empty: a simulated robot that stands repeats every range it sees.
+    counts = np.empty(0, dtype=np.int64)
+    for nearest in (0.9 * top, 0.5 * top, 0.0):
+        counts = np.unique(readings[readings >= nearest], return_counts=True)[1]
+        if len(counts) > NEIGHBOURS:
+            break
+    if len(counts) < 2:
+        return None  # one value only: it may be a wall, there is nothing to compare it with
+    enough = max(ENOUGH, 2 * RARE * ranges.size, CONTRAST * counts[:-1].max())
+    return top if counts[-1] >= enough else None
+
+
+def _given(ranges: FloatArray, max_range: float, values: tuple[float, ...]) -> ResolvedRanges:
+    mask = np.zeros(ranges.shape, dtype=bool)
+    for value in values:
+        mask |= np.isnan(ranges) if np.isnan(value) else ranges == float(np.float32(value))
+    listed = ", ".join(f"{v:.6g}" for v in values)
+    why = f"are one of the given values ({listed})"
+    return _converted(ranges, max_range, mask, tuple(float(v) for v in values), "given", why)
+
+
+def _converted(ranges: FloatArray, max_range: float, mask: NDArray[np.bool_], values: tuple[float, ...], origin: str,
+               why: str) -> ResolvedRanges:  # fmt: skip
+    share = float(mask.mean())
+    policy = NoReturnPolicy(values, share, origin, f"{share:.2%} of the readings {why}")
+    return ResolvedRanges(np.where(mask, np.inf, ranges), max_range, policy)
+
+
+def _declared(ranges: FloatArray, min_range: float, max_range: float, share: float,
+              zero: NDArray[np.bool_]) -> ResolvedRanges:  # fmt: skip
+    """Return the ranges as REP 117 has them, with what a user should know about them in the explanation."""
+    limit = f"{max_range:.6g} m"
+    text = f"{share:.2%} of the readings are +inf or reach {limit}" if share else f"no reading reaches {limit}"
+    beyond = float(np.mean(np.isfinite(ranges) & (ranges > max_range)))
+    if beyond >= RARE:
+        text += f" ({beyond:.2%} are numbers beyond it: give max_range if the sensor measures that far)"
+    if min_range <= 0.0 and zero.any():
+        text += f"; {float(zero.mean()):.2%} are 0, taken as no measurement"
+        ranges = np.where(zero, np.nan, ranges)
+    missing = float(np.isnan(ranges).mean())
+    if share < RARE and missing >= FREQUENT:
+        text += f"; {missing:.2%} are NaN: no measurement, unless no_return names NaN as this sensor's word for it"
+    return ResolvedRanges(ranges, max_range, NoReturnPolicy((), share, "declared" if share else "none", text))

@@ -1,0 +1,1 @@
+"""Files of landmarks, lines, and what robots saw of them."""

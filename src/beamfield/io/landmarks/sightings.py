@@ -1,0 +1,120 @@
+"""beamfield's own file of sightings: one CSV row per feature, with the robot's true pose."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.detection_log import DetectionLog, group_detections
+from beamfield.detections import SPURIOUS, UNKNOWN
+from beamfield.errors import FormatError
+from beamfield.geometry import FloatArray
+from beamfield.io.files.text_lines import parse_numbers
+from beamfield.io.files.text_rows import csv_rows, is_id, write_csv
+
+COLUMNS = ("stamp", "x", "y", "theta", "id", "range", "bearing")
+
+
+def read_sightings(path: str | Path) -> DetectionLog:
+    """Read sightings of landmarks from CSV, plain or gzip.
+
+    The header is ``stamp,x,y,theta,id,range,bearing``: seconds, the robot's true pose in metres and radians, which
+    landmark it was, metres, radians. Rows with one stamp are one observation. An empty range or bearing was not
+    measured; an empty id is not known; the id -1 is of no landmark. Blank lines, and lines that begin with #, are left
+    out.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If the header is another, a row has another length, a value is no finite number, an id is no whole number >= 0
+        or -1, a row has neither range nor bearing, a stamp steps back, or rows with one stamp have different poses.
+    OSError
+        As the file system says.
+    """
+    source = Path(path)
+    rows: list[FloatArray] = []
+    lines: list[int] = []
+    header: tuple[str, ...] | None = None
+    for line, words in csv_rows(source):
+        if header is None:
+            header = tuple(word.lower() for word in words)
+            if header != COLUMNS:
+                raise FormatError(
+                    source, f"expected the header {','.join(COLUMNS)}, got {','.join(words)[:80]!r}", line=line
+                )
+            continue
+        rows.append(_row(source, line, words))
+        lines.append(line)
+    if not rows:
+        raise FormatError(source, "no sightings: the file has no rows")
+    table = np.array(rows)
+    _check_order(source, table, lines)
+    stamps, first, observation = np.unique(table[:, 0], return_index=True, return_inverse=True)
+    ids = table[:, 4].astype(np.int64)
+    return DetectionLog(table[first, 1:4], group_detections(observation, stamps, table[:, 5], table[:, 6], ids))
+
+
+def write_sightings(path: str | Path, log: DetectionLog) -> None:
+    """Write the features of a log whose poses are known, so that `read_sightings` reads the same bits.
+
+    Observations without a feature or without a pose have no row; signatures, places and notes have no column.
+
+    Parameters
+    ----------
+    path
+        The file; an existing one is replaced.
+    log
+        The log.
+
+    Raises
+    ------
+    OSError
+        As the file system says; the old file is left as it was.
+    """
+    rows = []
+    for pose, seen in zip(log.poses, log.detections, strict=True):
+        if np.isnan(pose).any():
+            continue
+        ids = np.full(len(seen), UNKNOWN) if seen.ids is None else seen.ids
+        start = [repr(value) for value in (float(seen.stamp), *pose.tolist())]
+        for which, distance, bearing in zip(ids.tolist(), seen.ranges.tolist(), seen.bearings.tolist(), strict=True):
+            values = ["" if np.isnan(value) else repr(value) for value in (distance, bearing)]
+            rows.append([*start, "" if which == UNKNOWN else which, *values])
+    write_csv(path, COLUMNS, rows)
+
+
+def _row(path: Path, line: int, words: list[str]) -> FloatArray:
+    if len(words) != len(COLUMNS):
+        raise FormatError(path, f"expected {len(COLUMNS)} values, got {len(words)}", line=line)
+    which = words[4]
+    if which and which != str(SPURIOUS) and not is_id(which):
+        raise FormatError(
+            path, f"expected a whole number >= 0, -1 or nothing, got {which[:40]!r}", line=line, field="id"
+        )
+    if not words[5] and not words[6]:
+        raise FormatError(path, "expected a range, a bearing or both, got neither", line=line)
+    filled = [word or "nan" for word in words]
+    filled[4] = which or str(UNKNOWN)
+    numbers = parse_numbers(path, line, filled, "sighting")
+    for name, word, number in zip(COLUMNS, words, numbers, strict=True):
+        empty_is_fine = name in ("id", "range", "bearing") and not word
+        if not np.isfinite(number) and not empty_is_fine:
+            raise FormatError(path, f"expected a finite number, got {word[:40]!r}", line=line, field=name)
+    return numbers
+
+
+def _check_order(path: Path, table: FloatArray, lines: list[int]) -> None:
+    for i, (before, row) in enumerate(pairwise(table), start=1):
+        if row[0] < before[0]:
+            text = f"expected stamps that do not fall, got {row[0]!s} after {before[0]!s}"
+            raise FormatError(path, text, line=lines[i], field="stamp")
+        if row[0] == before[0] and (row[1:4] != before[1:4]).any():
+            text = f"expected one pose per stamp, got {row[1:4].tolist()} after {before[1:4].tolist()}"
+            raise FormatError(path, text, line=lines[i])

@@ -1,0 +1,69 @@
+"""Logs of the CoreSLAM (tinySLAM) examples: one line of numbers per scan of a Hokuyo URG-04LX."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError
+from beamfield.io.files.text_lines import parse_numbers, read_lines
+from beamfield.io.logs.text_scans import TextOptions, TextScans
+from beamfield.sensors import ScanLog
+
+N_BEAMS = 682
+RANGES_FROM = 24
+# URG-04LX: 1024 steps a turn, steps 44 to 725 are measured, step 384 points ahead.
+STEP = 2.0 * np.pi / 1024.0
+FRONT = 384 - 44
+# Below 20 mm the sensor writes error codes instead of ranges.
+MIN_RANGE = 0.02
+
+
+def read_coreslam(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+    """Read a log of the CoreSLAM examples.
+
+    Word 1 of a line is the time in microseconds, words 3 and 4 count the ticks of the wheels, words 25 to 706 are 682
+    ranges in millimetres over 240 degrees, 0 for "no return"; one more word may follow. The file says neither how far a
+    tick is nor where the laser is mounted, so there is no odometry and the mount is 0.
+
+    Parameters
+    ----------
+    path
+        Plain or gzip.
+    options
+        What the user says about it; the sensor's name is ``laser``.
+
+    Raises
+    ------
+    FormatError
+        If a line has another number of words or something else than numbers.
+
+    References
+    ----------
+    Steux and El Hamzaoui, "tinySLAM: a SLAM algorithm in less than 200 lines of C", 2010. Hokuyo URG-04LX
+    specification: step numbers, error codes.
+    """
+    source = Path(path)
+    scans = TextScans(source, "laser")
+    for line, text in read_lines(source):
+        words = text.split()
+        if not words:
+            continue
+        if len(words) - RANGES_FROM not in (N_BEAMS, N_BEAMS + 1):
+            raise FormatError(
+                source,
+                f"expected {RANGES_FROM + N_BEAMS} or {RANGES_FROM + N_BEAMS + 1} words, got {len(words)}: "
+                "the line is cut off?",
+                line=line,
+            )
+        stamp = parse_numbers(source, line, words[:1], "time")
+        ranges = parse_numbers(source, line, words[RANGES_FROM : RANGES_FROM + N_BEAMS], "ranges")
+        scans.add(line, ranges / 1000.0, (float(stamp[0]) / 1e6,))
+    if not len(scans):
+        raise FormatError(source, "no scans: the file is empty")
+    bearings = (np.arange(N_BEAMS) - FRONT) * STEP
+    beams = np.column_stack([np.zeros(N_BEAMS), np.zeros(N_BEAMS), bearings])
+    sensor, notes = scans.finish(beams, options or TextOptions(), declared_min=MIN_RANGE)
+    notes.append("laser: the wheels' ticks are not read as odometry, because the file does not say how far a tick is")
+    return ScanLog({"laser": sensor}, None, str(source), tuple(notes))

@@ -1,0 +1,165 @@
+"""Logs of GMapping (.gfs): scans with raw odometry, and the particles' poses after each scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.errors import FormatError
+from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.io.files.text_lines import expect_words, parse_count, parse_numbers, read_lines
+from beamfield.io.logs.carmen_laser import SICK_BEARINGS
+from beamfield.io.logs.text_scans import ABSURD, TextOptions, TextScans, finite_pose, sorted_track
+from beamfield.sensors import ScanLog
+
+IGNORED = ("ODO_UPDATE", "FRAME", "NEFF")
+
+
+def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+    """Read a log of GMapping.
+
+    ``LASER_READING n ranges x y theta ts`` has raw odometry. ``SM_UPDATE p`` and p times ``x y theta log_weight``
+    are the particles after that scan, ``RESAMPLE p`` and p indices say which of them go on. The reference poses are the
+    path of the particle with the greatest weight over its whole path, traced back through the resampling: the path that
+    GMapping's corrected log and final map are made of.
+
+    Parameters
+    ----------
+    path
+        Plain or gzip.
+    options
+        What the user says about it; the sensor's name is ``LASER_READING``.
+
+    Raises
+    ------
+    FormatError
+        If a line is cut off, has something else than numbers, or counts disagree; the line is named.
+
+    References
+    ----------
+    Grisetti, Stachniss and Burgard, "Improved techniques for grid mapping with Rao-Blackwellized particle filters",
+    IEEE Transactions on Robotics 23(1), 2007.
+    """
+    source = Path(path)
+    content = _parse(source)
+    scans = content.scans
+    n_beams = len(scans.ranges[0])
+    if n_beams not in SICK_BEARINGS:
+        raise FormatError(
+            source, f"{n_beams} beams: the format does not say where they point, known are {sorted(SICK_BEARINGS)}",
+            line=scans.lines[0], field="LASER_READING",
+        )  # fmt: skip
+    start, step = SICK_BEARINGS[n_beams]
+    beams = np.column_stack([np.zeros((n_beams, 2)), np.radians(start + step * np.arange(n_beams))])
+    sensor, notes = scans.finish(
+        beams,
+        options or TextOptions(),
+        poses=_best_path(source, content.particles, content.parents),
+        declared_max=_declared_max(content.parameters),
+    )
+    if sensor.has_poses:
+        notes.append("LASER_READING: reference poses are the path of GMapping's best particle")
+    track = sorted_track(content.odometry_stamps, content.odometry, "ODOM", notes) if content.odometry else None
+    return ScanLog({"LASER_READING": sensor}, track, str(source), tuple(notes), content.parameters)
+
+
+@dataclass(eq=False)
+class _Content:
+    """What the lines say; particles (p, 4) and parents (p,) scan by scan, None where a scan has none."""
+
+    scans: TextScans
+    particles: list[FloatArray | None] = field(default_factory=list)
+    parents: list[NDArray[np.intp] | None] = field(default_factory=list)
+    odometry: list[FloatArray] = field(default_factory=list)
+    odometry_stamps: list[float] = field(default_factory=list)
+    parameters: dict[str, str] = field(default_factory=dict)
+
+
+def _parse(path: Path) -> _Content:
+    content = _Content(TextScans(path, "LASER_READING"))
+    for line, text in read_lines(path):
+        words = text.split()
+        if not words or words[0].startswith("#") or words[0] in IGNORED:
+            continue
+        kind = words[0]
+        if kind == "PARAM":
+            content.parameters[words[1] if len(words) > 1 else ""] = " ".join(words[2:])
+        elif kind == "ODOM":
+            expect_words(path, line, words, 5)
+            numbers = parse_numbers(path, line, words[1:], kind)
+            content.odometry.append(finite_pose(path, line, numbers[:3], kind))
+            content.odometry_stamps.append(float(numbers[3]))
+        elif kind == "LASER_READING":
+            n = _counted(path, line, words, 1, 4)
+            numbers = parse_numbers(path, line, words[2:], kind)
+            pose = finite_pose(path, line, numbers[n : n + 3], kind)
+            content.scans.add(line, numbers[:n], (float(numbers[-1]),), odometry=pose)
+            content.particles.append(None)
+            content.parents.append(None)
+        elif kind == "SM_UPDATE" and content.particles:
+            _counted(path, line, words, 4, 0)
+            content.particles[-1] = _particles(path, line, words[2:])
+        elif kind == "RESAMPLE" and content.parents:
+            _counted(path, line, words, 1, 0)
+            content.parents[-1] = np.array([parse_count(path, line, word, kind) for word in words[2:]], dtype=np.intp)
+        elif kind not in ("SM_UPDATE", "RESAMPLE"):
+            raise FormatError(path, f"expected a line of a GMapping log, got {kind[:40]!r}", line=line)
+    if not len(content.scans):
+        raise FormatError(path, "no scans: no line LASER_READING")
+    return content
+
+
+def _counted(path: Path, line: int, words: list[str], words_each: int, words_more: int) -> int:
+    """Return the count in the second word, after checking that the line has as many words as that makes."""
+    n = parse_count(path, line, words[1] if len(words) > 1 else "", words[0])
+    expect_words(path, line, words, 2 + n * words_each + words_more)
+    return n
+
+
+def _particles(path: Path, line: int, words: list[str]) -> FloatArray:
+    """Return (p, 4) poses and logarithms of weights; a weight of 0 is no mistake."""
+    cloud = parse_numbers(path, line, words, "SM_UPDATE").reshape(-1, 4)
+    good = (np.abs(cloud[:, :3]) < ABSURD).all(axis=1) & (cloud[:, 3] < np.inf)
+    if not good.all():
+        found = " ".join(map(str, cloud[int(np.argmin(good))].tolist()))
+        raise FormatError(path, f"expected a finite pose and its weight, got {found}", line=line, field="SM_UPDATE")
+    return cloud
+
+
+def _best_path(path: Path, particles: list[FloatArray | None], parents: list[NDArray[np.intp] | None]) -> FloatArray:
+    """Return (t, 3) poses of the particle with the greatest weight over its whole path; NaN where a scan has none."""
+    known = [t for t, cloud in enumerate(particles) if cloud is not None]
+    poses = np.full((len(particles), 3), np.nan)
+    earlier, weights = np.zeros(1), np.zeros(1)
+    for t in known:
+        cloud, chosen = particles[t], parents[t]
+        if cloud is None or len(cloud) == 0 or (len(earlier) not in (1, len(cloud))):
+            raise FormatError(
+                path, f"the number of particles changes at scan {t + 1} to {0 if cloud is None else len(cloud)}"
+            )
+        weights = earlier + cloud[:, 3]
+        # Weights start again from 0 after resampling, so those before are carried along the ancestry.
+        earlier = np.broadcast_to(earlier, weights.shape)
+        if chosen is not None:
+            if len(chosen) != len(cloud) or chosen.max() >= len(cloud):
+                raise FormatError(path, f"scan {t + 1}: the resampled indices do not fit its {len(cloud)} particles")
+            weights = earlier = weights[chosen]
+    index = int(np.argmax(weights))
+    for t in reversed(known):
+        cloud, chosen = particles[t], parents[t]
+        if cloud is not None:
+            index = index if chosen is None else int(chosen[index])
+            poses[t] = cloud[index, :3]
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return poses
+
+
+def _declared_max(parameters: dict[str, str]) -> float | None:
+    try:
+        limit = float(parameters.get("maxrange", ""))
+    except ValueError:
+        return None
+    return limit if 0.0 < limit < np.inf else None

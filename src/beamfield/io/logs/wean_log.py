@@ -1,0 +1,67 @@
+"""Logs in the format of the Wean Hall data of Carnegie Mellon: O and L lines in centimetres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from beamfield.errors import FormatError
+from beamfield.geometry import between, compose
+from beamfield.io.files.text_lines import expect_words, parse_numbers, read_lines
+from beamfield.io.logs.text_scans import TextOptions, TextScans, finite_pose, sorted_track
+from beamfield.sensors import ScanLog
+
+N_BEAMS = 180
+CENTIMETRES = np.array([0.01, 0.01, 1.0])
+# The laser's pose is printed with six digits; a mount that moves more than this is another format.
+MOUNT_TOLERANCE = 1e-3
+
+
+def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+    """Read a log of O lines (odometry) and L lines (laser scans).
+
+    ``O x y theta ts`` and ``L x y theta xl yl thetal r1 ... r180 ts``: the robot's and the laser's pose in the frame of
+    the odometry, and 180 ranges counter-clockwise from -90 to +89 degrees; centimetres, radians, seconds. The laser's
+    mount is its pose seen from the robot. There is no reference pose.
+
+    Parameters
+    ----------
+    path
+        Plain or gzip.
+    options
+        What the user says about it; the sensor's name is ``L``.
+
+    Raises
+    ------
+    FormatError
+        If a line is neither, is cut off or has something else than numbers, or the mount is not constant.
+    """
+    source = Path(path)
+    chosen = options or TextOptions()
+    scans = TextScans(source, "L")
+    lasers, odometry, odometry_stamps = [], [], []
+    for line, text in read_lines(source):
+        words = text.split()
+        if not words or words[0].startswith("#"):
+            continue
+        kind, expected = words[0], {"O": 5, "L": 8 + N_BEAMS}.get(words[0])
+        if expected is None:
+            raise FormatError(source, f"expected a line O or L, got {kind[:40]!r}", line=line)
+        expect_words(source, line, words, expected)
+        numbers = parse_numbers(source, line, words[1:], kind)
+        pose = finite_pose(source, line, numbers[:3] * CENTIMETRES, kind)
+        if kind == "O":
+            odometry.append(pose)
+            odometry_stamps.append(numbers[3])
+        else:
+            lasers.append(finite_pose(source, line, numbers[3:6] * CENTIMETRES, kind))
+            scans.add(line, numbers[6:-1] / 100.0, (float(numbers[-1]),), odometry=pose)
+    if not len(scans):
+        raise FormatError(source, f"no scans: no line L among {len(odometry)} lines O")
+    mount = scans.constant_mount(between(np.stack(scans.odometry), np.stack(lasers)), MOUNT_TOLERANCE)
+    bearings = np.radians(-90.0 + np.arange(N_BEAMS))
+    beams = np.column_stack([np.zeros(N_BEAMS), np.zeros(N_BEAMS), bearings])
+    sensor, notes = scans.finish(compose(mount.round(4), beams), chosen)
+    track = sorted_track(odometry_stamps, odometry, "O", notes) if odometry else None
+    return ScanLog({"L": sensor}, track, str(source), tuple(notes))

@@ -1,0 +1,1 @@
+"""beamfield's own files of model parameters."""

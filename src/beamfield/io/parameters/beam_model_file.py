@@ -1,0 +1,119 @@
+"""Files of model parameters: beamfield's own beam_model.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from beamfield.errors import InvalidInputError
+from beamfield.io.files.yaml_file import read_yaml
+from beamfield.io.parameters.document import document_text, named_numbers
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.printable import printable
+from beamfield.sensors import RangeFinder
+
+HEADER = """\
+# Beam model p(z | x, m) of a range finder: parameters, their 95 % intervals, and where they come from.
+# An interval of null: the log does not determine that parameter.
+# z_hit + z_short + z_max + z_rand = 1; sigma_hit and range_offset in metres, lambda_short in 1/metre.
+# A hit is a Gaussian around expected range + range_offset with variance sigma_hit^2 + (sigma_slope * expected range)^2.
+# max_range is the range in metres from which a reading means "no return"; opening_angle is the cone's in radians.
+# Readings below min_range (metres) are dropped: each density is cut to [min_range, max_range], and the weights are
+# shares of the readings that are left.
+"""
+# Left out, they have the defaults of `BeamParameters`.
+OPTIONAL = ("range_offset", "sigma_slope")
+WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
+
+
+class SavedBeamModel(NamedTuple):
+    """What a beam_model.yaml says.
+
+    Parameters
+    ----------
+    parameters
+        The parameters.
+    max_range, min_range
+        The limits of the sensor that they belong to, metres; min_range is 0 if the file does not say.
+    """
+
+    parameters: BeamParameters
+    max_range: float
+    min_range: float
+
+
+def beam_model_text(
+    parameters: BeamParameters,
+    finder: RangeFinder,
+    *,
+    intervals: Mapping[str, tuple[float, float]] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the text of a beam_model.yaml.
+
+    Parameters
+    ----------
+    parameters
+        The parameters, written with six digits; the largest weight has more, so that the weights sum to 1.
+    finder
+        The sensor they belong to.
+    intervals, provenance
+        As for `beamfield.io.parameters.document.document_text`; bounds are written with six digits.
+    """
+    min_range, max_range = _six_digits(finder.min_range), _six_digits(finder.max_range)
+    if max_range > finder.max_range:
+        max_range = float(finder.max_range)  # rounded up, readings at the limit would no longer be "no return"
+    document: dict[str, Any] = {
+        "beam_model": _rounded(parameters),
+        "sensor": {"name": printable(finder.name), "min_range": min_range, "max_range": max_range},
+    }
+    if intervals is not None:
+        intervals = {name: (_six_digits(low), _six_digits(high)) for name, (low, high) in intervals.items()}
+    if finder.opening_angle > 0.0:
+        # Radians: parameters of cones mean nothing to a model of beams.
+        document["sensor"]["opening_angle"] = float(finder.opening_angle)
+    return document_text(HEADER, document, intervals=intervals, provenance=provenance)
+
+
+def _rounded(parameters: BeamParameters) -> dict[str, float]:
+    rounded = {name: _six_digits(value) for name, value in asdict(parameters).items()}
+    largest = max(WEIGHTS, key=lambda name: rounded[name])
+    rounded[largest] = round(1.0 - sum(rounded[name] for name in WEIGHTS if name != largest), 12)
+    return rounded
+
+
+def _six_digits(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def read_beam_model(path: str | Path) -> SavedBeamModel:
+    """Read a beam_model.yaml.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    (parameters, max_range, min_range): the parameters, and the sensor's limits in metres.
+
+    Raises
+    ------
+    FormatError
+        If a parameter is missing, no number, or outside its range, or a limit of the sensor is; names the line.
+    """
+    file = read_yaml(path)
+    names = [item.name for item in fields(BeamParameters)]
+    values = named_numbers(file, "beam_model", names, required=[name for name in names if name not in OPTIONAL])
+    max_range = file.number("sensor", "max_range")
+    sensor = file.value("sensor")
+    min_range = file.number("sensor", "min_range") if isinstance(sensor, dict) and "min_range" in sensor else 0.0
+    if not 0.0 <= min_range < max_range:
+        raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
+    try:
+        return SavedBeamModel(BeamParameters(**values), max_range, min_range)
+    except InvalidInputError as error:
+        raise file.error(str(error), "beam_model") from error

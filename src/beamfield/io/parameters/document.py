@@ -1,0 +1,85 @@
+"""What beamfield's own files of parameters share: one section of named numbers, intervals, and where they come from."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from beamfield.io.files.yaml_file import YamlFile
+
+
+def document_text(
+    header: str,
+    document: Mapping[str, Any],
+    *,
+    intervals: Mapping[str, tuple[float, float]] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the text of a file.
+
+    Parameters
+    ----------
+    header
+        Lines of comments.
+    document
+        The sections, of plain values; numbers are written so that reading returns the same bits.
+    intervals
+        95 % interval per parameter; written as null where a bound is not finite: not determined.
+    provenance
+        Plain values that say where the parameters come from.
+    """
+    whole = dict(document)
+    if intervals:
+        whole["intervals_95"] = {
+            name: [float(low), float(high)] if math.isfinite(low) and math.isfinite(high) else None
+            for name, (low, high) in intervals.items()
+        }
+    if provenance:
+        whole["provenance"] = dict(provenance)
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    stream = io.StringIO()
+    yaml.dump(whole, stream)
+    return header + stream.getvalue()
+
+
+def named_numbers(
+    file: YamlFile, section: str, names: Sequence[str], *, required: Collection[str], may_be_null: Collection[str] = ()
+) -> dict[str, Any]:
+    """Return the numbers of a section, or None where one is null, by name.
+
+    Parameters
+    ----------
+    file
+        The file.
+    section
+        Its key.
+    names
+        All parameters that there are.
+    required
+        Those that the section must have.
+    may_be_null
+        Those that may be null.
+
+    Raises
+    ------
+    FormatError
+        If the section or a parameter is missing, a parameter is unknown or no finite number; names the line.
+    """
+    given = file.value(section)
+    if not isinstance(given, dict):
+        raise file.error(f"expected the parameters' names and values, got {given!r}", section)
+    for name in given:
+        if name not in names:
+            raise file.error(f"unknown parameter {name!r}; known are {', '.join(names)}", section, name)
+    values: dict[str, Any] = {}
+    for name in names:
+        if name in given or name in required:
+            is_null = name in may_be_null and file.value(section, name) is None
+            values[name] = None if is_null else file.number(section, name)
+    return values

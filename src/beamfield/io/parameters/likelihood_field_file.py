@@ -1,0 +1,123 @@
+"""Files of a likelihood field: beamfield's own likelihood_field.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from beamfield.errors import InvalidInputError
+from beamfield.io.files.yaml_file import read_yaml
+from beamfield.io.parameters.document import document_text, named_numbers
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.printable import printable
+from beamfield.sensors import RangeFinder
+
+HEADER = """\
+# Likelihood field q(z | x, m) of a range finder: parameters, their 95 % intervals, and where they come from.
+# An interval of null: the log does not determine that parameter.
+# sigma_hit in metres, z_hit + z_rand <= 1. Each beam's value counts to the power of exponent, with n_beams beams of a
+# scan: a scan is worth about exponent * n_beams independent beams.
+# max_range is the range in metres from which a reading means "no return"; readings below min_range are dropped.
+"""
+PARAMETERS = ("z_hit", "z_rand", "sigma_hit")
+NUMBERS = (*PARAMETERS, "exponent", "n_beams")
+
+
+class SavedLikelihoodField(NamedTuple):
+    """What a likelihood_field.yaml says; `LikelihoodFieldModel` takes the first three under these names.
+
+    Parameters
+    ----------
+    parameters
+        z_hit, z_rand and sigma_hit.
+    exponent, n_beams
+        How much each beam counts, and how many of a scan are used.
+    max_range, min_range
+        The limits of the sensor that they belong to, metres.
+    """
+
+    parameters: LikelihoodFieldParameters
+    exponent: float
+    n_beams: int
+    max_range: float
+    min_range: float
+
+
+def likelihood_field_text(
+    parameters: LikelihoodFieldParameters,
+    finder: RangeFinder,
+    *,
+    exponent: float,
+    n_beams: int,
+    intervals: Mapping[str, tuple[float, float]] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the text of a likelihood_field.yaml.
+
+    Parameters
+    ----------
+    parameters, exponent, n_beams
+        The parameters, written so that reading returns the same bits.
+    finder
+        The sensor they belong to.
+    intervals, provenance
+        As for `beamfield.io.parameters.document.document_text`.
+    """
+    document = {
+        "likelihood_field": {**asdict(parameters), "exponent": float(exponent), "n_beams": int(n_beams)},
+        "sensor": {
+            "name": printable(finder.name),
+            "min_range": float(finder.min_range),
+            "max_range": float(finder.max_range),
+        },
+    }
+    return document_text(HEADER, document, intervals=intervals, provenance=provenance)
+
+
+def is_likelihood_field(path: str | Path) -> bool:
+    """Return whether a YAML file has the parameters of a likelihood field.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If it is no YAML file.
+    """
+    return "likelihood_field" in read_yaml(path).values
+
+
+def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
+    """Read a likelihood_field.yaml.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    FormatError
+        If a parameter is missing, unknown, no number, or outside its range, or a limit of the sensor is; names the
+        line.
+    """
+    file = read_yaml(path)
+    values = named_numbers(file, "likelihood_field", NUMBERS, required=NUMBERS)
+    min_range, max_range = file.number("sensor", "min_range"), file.number("sensor", "max_range")
+    if not 0.0 <= min_range < max_range:
+        raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
+    exponent, n_beams = values["exponent"], values["n_beams"]
+    if not 0.0 < exponent <= 1.0:
+        raise file.error(f"expected a number in (0, 1], got {exponent}", "likelihood_field", "exponent")
+    if n_beams < 1 or n_beams != int(n_beams):
+        raise file.error(f"expected a whole number >= 1, got {n_beams:g}", "likelihood_field", "n_beams")
+    try:
+        parameters = LikelihoodFieldParameters(*(values[name] for name in PARAMETERS))
+    except InvalidInputError as error:
+        raise file.error(str(error), "likelihood_field") from error
+    return SavedLikelihoodField(parameters, exponent, int(n_beams), max_range, min_range)

@@ -1,0 +1,1 @@
+"""Whether a scan fits the map, and whether the robot is lost."""

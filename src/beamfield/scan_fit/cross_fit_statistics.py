@@ -1,0 +1,54 @@
+"""How well the scans of a log without a map fit: each in the map that the other half of the scans drew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from beamfield.calibration.cross_fit import CrossFitMaps
+from beamfield.errors import InvalidInputError
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.scan_fit.statistics import FitModel, FitStatistics, fit_statistics
+from beamfield.sensors import SensorLog
+
+
+def cross_fit_statistics(
+    model_on: Callable[[OccupancyGrid], FitModel], maps: CrossFitMaps, log: SensorLog
+) -> FitStatistics:
+    """Return how badly each scan fits the map of the other half, at its reference pose.
+
+    A scan fits a map that it helped to draw whatever happens. In the other half's map it disagrees where its pose does
+    not go with those of the scans around it, or where a place is seen again and again; an error of the poses that both
+    halves share at a place that is seen once stays hidden.
+
+    Parameters
+    ----------
+    model_on
+        Makes the model on a map.
+    maps, log
+        The log, and what `build_cross_fit_maps` made of it.
+
+    Returns
+    -------
+    One entry per scan, in the order of the log.
+
+    Raises
+    ------
+    InvalidInputError
+        If the maps are of a log with another number of scans, or as for `fit_statistics`.
+    """
+    if len(maps.half) != len(log):
+        raise InvalidInputError(f"maps: are of a log with {len(maps.half)} scans, got one with {len(log)}")
+    scans = [np.flatnonzero(maps.half == half) for half in (0, 1)]
+    parts = [
+        fit_statistics(model_on(maps.halves[1 - half]), log.ranges[mine], log.finder, log.poses[mine])
+        for half, mine in enumerate(scans)
+    ]
+    order = np.argsort(np.concatenate(scans), kind="stable")
+    return FitStatistics(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])[order]
+            for name in ("surprise", "misfit", "through", "short", "n_beams")
+        )
+    )

@@ -1,0 +1,256 @@
+"""Does this scan fit the map? A p-value per scan, calibrated on the user's own good scans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.arguments import checked
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.scan_fit.lost import LostRates, lost_probability
+from beamfield.scan_fit.reference import ScanFitReference
+from beamfield.scan_fit.statistics import FitModel, FitStatistics, Progress, fit_statistics, grid_of
+from beamfield.sensors import Scan, SensorLog
+
+# What can keep a scan from being judged, or make its p-value certain; in this order.
+PROBLEMS = ("", "no pose", "no measurement", "off the map", "inside a wall")
+
+
+@dataclass(frozen=True)
+class ScanFit:
+    """How well one scan fits the map at one pose.
+
+    Parameters
+    ----------
+    p_value
+        Share of good scans that fit as badly, in (0, 1]; NaN without a reference or if the scan says nothing.
+    surprise, misfit, through, short
+        As in `FitStatistics`; NaN if the scan says nothing.
+    n_beams
+        Beams that count.
+    problem
+        "" or why the scan cannot be judged ("no measurement") or should not be believed ("off the map", "inside a
+        wall").
+    """
+
+    p_value: float
+    surprise: float
+    misfit: float
+    through: float
+    short: float
+    n_beams: int
+    problem: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ScanFits:
+    """How well the scans of a log fit.
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds.
+    statistics
+        The statistics of each scan.
+    p_value
+        (t,) NaN where the scan says nothing.
+    lost
+        (t,) running probability that the robot is lost, given the scans so far.
+    problem
+        (t,) index into `PROBLEMS`; 0 for none.
+    """
+
+    stamps: FloatArray
+    statistics: FitStatistics
+    p_value: FloatArray
+    lost: FloatArray
+    problem: NDArray[np.int8]
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def share_that_fits(self, level: float = 0.05) -> float:
+        """Return the share of judged scans whose p-value is above a level.
+
+        Parameters
+        ----------
+        level
+            In (0, 1). Of good scans about this share lies at or below it.
+
+        Returns
+        -------
+        In [0, 1]; NaN if no scan could be judged.
+        """
+        judged = self.p_value[~np.isnan(self.p_value)]
+        return float((judged > level).mean()) if len(judged) else float("nan")
+
+    def longest_lost(self, threshold: float = 0.5) -> tuple[float, float] | None:
+        """Return the longest stretch of scans at which the robot is probably lost.
+
+        Parameters
+        ----------
+        threshold
+            The lost probability from which on it is.
+
+        Returns
+        -------
+        Stamps of its first and last scan, seconds; None if there is none.
+        """
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.lost > threshold, [0]])))
+        spans = [(float(self.stamps[a]), float(self.stamps[b - 1])) for a, b in edges.reshape(-1, 2)]
+        return max(spans, key=lambda span: span[1] - span[0], default=None)
+
+    def worst(self, n: int = 5, *, apart_s: float = 0.0) -> NDArray[np.int64]:
+        """Return the worst scans: those with the lowest p-value and, among equal ones, the largest misfit.
+
+        Parameters
+        ----------
+        n
+            At most so many.
+        apart_s
+            Each is further than this from those before it, seconds.
+
+        Returns
+        -------
+        Indices, worst first; scans that could not be judged are not among them.
+        """
+        chosen: list[int] = []
+        misfit = self.statistics.misfit
+        order = np.lexsort((-np.nan_to_num(misfit, nan=-np.inf), self.p_value))
+        for i in order[~np.isnan(self.p_value[order])]:
+            if len(chosen) == n:
+                break
+            if all(abs(self.stamps[i] - self.stamps[j]) > apart_s for j in chosen):
+                chosen.append(int(i))
+        return np.array(chosen, dtype=np.int64)
+
+
+@checked
+def scan_fit(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitReference | None = None) -> ScanFit:
+    """Say how well a scan fits the map at a pose.
+
+    Parameters
+    ----------
+    model
+        `BeamModel`, `SonarModel` or `LikelihoodFieldModel`.
+    scan
+        The scan; its finder says where the beams start.
+    pose
+        (3,) the robot's pose in the map, metres and radians.
+    reference
+        What good scans look like, from `calibrate_scan_fit`; without it there is no p-value, only statistics.
+
+    Returns
+    -------
+    ScanFit
+        With p-value NaN and `problem` set if no beam carries a measurement.
+
+    Raises
+    ------
+    InvalidInputError
+        If the pose is not finite (3,), or the reference was made with another model.
+
+    Notes
+    -----
+    The p-value is about one scan: one in twenty good scans has p < 0.05. It falls for a wrong pose, a changed map and a
+    crowd alike; `through` tells the first two from the last, because people never lengthen a range. For the question
+    whether the robot is lost, use `lost_probability` over successive scans.
+
+    Examples
+    --------
+    >>> from beamfield.maps.occupancy import OccupancyGrid
+    >>> from beamfield.models.beam import BeamModel
+    >>> from beamfield.models.beam_parameters import BeamParameters
+    >>> from beamfield.sensors import RangeFinder
+    >>> room = np.zeros((40, 60))
+    >>> room[[0, -1]] = room[:, [0, -1]] = 100
+    >>> model = BeamModel(OccupancyGrid.from_ros(room, 0.1), BeamParameters(0.8, 0.1, 0.05, 0.05, 0.1, 0.5))
+    >>> finder = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 60), max_range=8.0)
+    >>> scan = model.sample([[2.0, 1.0, 0.3]], np.random.default_rng(1), finder)[0]
+    >>> right, wrong = (scan_fit(model, scan, pose) for pose in ([2.0, 1.0, 0.3], [3.0, 2.5, 2.0]))
+    >>> wrong.misfit > 2.0 * right.misfit
+    True
+    """
+    robot = as_poses(pose, "pose")
+    if robot.size != 3:
+        raise InvalidInputError(f"pose: expected shape (3,), got {robot.shape}")
+    robot = robot.reshape(1, 3)
+    if reference is not None:
+        reference.require_model(model, scan.finder.max_range)
+    statistics = fit_statistics(model, scan.ranges[None, :], scan.finder, robot)
+    p_value = float("nan") if reference is None else float(reference.p_values(statistics.misfit)[0])
+    problem = int(_problems(model, robot, scan.finder.mounts[0], statistics)[0])
+    return ScanFit(
+        p_value,
+        float(statistics.surprise[0]),
+        float(statistics.misfit[0]),
+        float(statistics.through[0]),
+        float(statistics.short[0]),
+        int(statistics.n_beams[0]),
+        PROBLEMS[problem],
+    )
+
+
+@checked
+def judge_log(
+    model: FitModel,
+    log: SensorLog,
+    reference: ScanFitReference,
+    *,
+    is_own: bool = False,
+    rates: LostRates | None = None,
+    statistics: FitStatistics | None = None,
+    progress: Progress | None = None,
+) -> ScanFits:
+    """Judge every scan of a log at its reference pose.
+
+    Parameters
+    ----------
+    model, log, reference
+        The model, the log, and what good scans look like.
+    is_own
+        Whether the reference was learned from this log: then no scan is compared with its neighbours in time.
+    rates
+        How often the robot gets lost and is found, for `lost_probability`.
+    statistics
+        Statistics of all scans, if they are known already.
+    progress
+        Called with (done, total) scans.
+
+    Returns
+    -------
+    One judgement per scan.
+
+    Raises
+    ------
+    InvalidInputError
+        If the reference was made with another model.
+    """
+    reference.require_model(model, log.finder.max_range)
+    if statistics is None:
+        statistics = fit_statistics(model, log.ranges, log.finder, log.poses, progress=progress)
+    misfit = statistics.misfit
+    p_value = reference.own_p_values(misfit, log.stamps) if is_own else reference.p_values(misfit)
+    return ScanFits(
+        log.stamps,
+        statistics,
+        p_value,
+        lost_probability(statistics.surprise, log.stamps, reference.evidence, rates),
+        _problems(model, log.poses, log.finder.mounts[0], statistics),
+    )
+
+
+def _problems(model: FitModel, poses: FloatArray, mount: FloatArray, statistics: FitStatistics) -> NDArray[np.int8]:
+    posed = np.asarray(np.isfinite(poses).all(axis=1))
+    problem = np.zeros(len(poses), np.int8)
+    grid = grid_of(model)
+    if grid is not None:
+        origins = compose(np.where(posed[:, None], poses, 0.0), mount)[:, :2]
+        problem[grid.look_up(grid.occupied, origins)] = PROBLEMS.index("inside a wall")
+        problem[grid.look_up(np.zeros(grid.shape, bool), origins, outside=True)] = PROBLEMS.index("off the map")
+    problem[statistics.n_beams == 0] = PROBLEMS.index("no measurement")
+    problem[~posed] = PROBLEMS.index("no pose")
+    return problem

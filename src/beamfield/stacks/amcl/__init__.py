@@ -1,0 +1,1 @@
+"""AMCL: what nav2 and ROS 1 share."""

@@ -1,0 +1,127 @@
+"""AMCL's beam model: what nav2 and ROS 1 share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import Scan
+from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
+from beamfield.stacks.emulation.beam_selection import Indices, floor_step_beams
+from beamfield.stacks.emulation.emulator import RayEvidence, StackModel
+from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
+from beamfield.stacks.emulation.stack_map import MapMode
+from beamfield.stacks.emulation.stack_rays import AMCL_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges, walled
+from beamfield.stacks.nav2.parameters import AmclParameters
+from beamfield.thread_count import check_threads
+
+P = TypeVar("P", bound=AmclParameters)
+
+
+@dataclass(frozen=True, eq=False)
+class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
+    """``w = 1 + sum p^3`` over beams, where p has four terms, none of them normalised.
+
+    For a beam with range z and expected range z*, p is the sum of
+
+    - ``z_hit exp(-(z - z*)^2 / 2 sigma_hit^2)``,
+    - ``z_short lambda_short exp(-lambda_short z)`` if z < z*,
+    - ``z_max`` if z is exactly range_max,
+    - ``z_rand / range_max`` if z < range_max.
+
+    Rays stop at occupied and unknown cells and where they leave the map. Readings
+    below the shortest range become range_max; +inf scores 0, so that a driver that reports missing returns as +inf
+    (REP 117) never brings z_max in. NaN counts nothing in nav2. ROS 1 has no test for it (``tests_nan``): if one of the
+    beams looked at is NaN, all weights are, and the filter makes all particles equal, as it does where all weights are
+    0; so here they are -inf.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    parameters
+        The stack's own.
+    rays
+        "bresenham" as the program casts them, between centres of cells; "exact" to the border of the first cell.
+    no_return
+        What the robot's driver reports for a missing return: "inf" as in REP 117, or the sensor's longest range,
+        "range_max", which brings in z_max unless laser_max_range is less. Readers of logs turn both into +inf.
+    map_mode
+        How the map server turns the map into a message; see `read_as_stack`.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+    """
+
+    model: ClassVar[str] = "beam"
+    # Whether the program leaves out readings that are NaN.
+    tests_nan: ClassVar[bool]
+
+    grid: OccupancyGrid
+    parameters: P
+    rays: RayChoice = field(default="bresenham", kw_only=True)
+    no_return: str = field(default="inf", kw_only=True)
+    map_mode: MapMode = field(default="trinary", kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    _seen: OccupancyGrid = field(init=False, repr=False)
+    _caster: RayCaster | None = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_threads(self.threads)
+        check_choice(self, "rays", RAYS)
+        check_choice(self, "no_return", NO_RETURNS)
+        seen = amcl_grid(self.grid, self.map_mode)
+        object.__setattr__(self, "_seen", seen)
+        caster = RayCaster(walled(seen), unknown="occupied") if self.rays == "exact" else None
+        object.__setattr__(self, "_caster", caster)
+
+    def selected_beams(self, n_beams: int) -> Indices:
+        """Return the indices of the beams that the program looks at in a scan of n_beams."""
+        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=0)
+
+    def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
+        """Return readings and expected ranges; see `StackModel.evidence`."""
+        robot = as_poses(poses).reshape(-1, 3)
+        parameters = self.parameters.as_nav2()
+        _, range_max = range_limits(z.finder, parameters)
+        ranges = amcl_ranges(z, parameters)
+        if self.no_return == "range_max":
+            ranges[ranges == np.inf] = z.finder.max_range
+        beams = self.selected_beams(len(ranges))
+        # +inf has p = 0 and adds nothing to the sum.
+        beams = beams[np.isfinite(ranges[beams]) | (np.isnan(ranges[beams]) & (not self.tests_nan))]
+        expected = self.expected_ranges(robot, z.finder.mounts[beams], range_max)
+        return RayEvidence(beams, range_max, ranges[beams], expected, settings=self._settings())
+
+    def expected_ranges(self, poses: FloatArray, mounts: FloatArray, range_max: float) -> FloatArray:
+        """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
+        if self._caster is None:
+            return bresenham_ranges(self._seen, poses, mounts, range_max, AMCL_LINE, self.threads)
+        return exact_ranges(self._caster, self._seen, poses, mounts, range_max, off_map=0.0, threads=self.threads)
+
+    def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
+        """Return p of each beam that counts, (n, k); NaN where the reading is."""
+        values = self._parameters_for(evidence, parameters).as_nav2()
+        z, z_star = evidence.ranges, evidence.expected_ranges
+        p = z_star - z
+        with np.errstate(over="ignore"):
+            p *= p
+        p *= -0.5 / values.sigma_hit**2
+        np.exp(p, out=p)
+        p *= values.z_hit
+        p += np.where(z < z_star, values.z_short * values.lambda_short * np.exp(-values.lambda_short * z), 0.0)
+        p += np.where(z == evidence.max_range, values.z_max, 0.0)
+        p += np.where(z < evidence.max_range, values.z_rand / evidence.max_range, 0.0)
+        return np.asarray(p)
+
+    def log_weights(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
+        """Return log(1 + sum p^3), (n,), or -inf if a reading is NaN; see `StackModel.log_weights`."""
+        p = self.beam_values(evidence, parameters)
+        if np.isnan(evidence.ranges).any():
+            return np.full(len(p), -np.inf)
+        return np.asarray(np.log1p((p * p * p).sum(axis=1)))

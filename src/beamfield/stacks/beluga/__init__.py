@@ -1,0 +1,1 @@
+"""Beluga's AMCL."""

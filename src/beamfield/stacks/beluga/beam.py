@@ -1,0 +1,116 @@
+"""Beluga's beam model, emulated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import Scan
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid
+from beamfield.stacks.emulation.emulator import RayEvidence, StackModel
+from beamfield.stacks.emulation.field_table import end_points
+from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
+from beamfield.stacks.emulation.stack_map import MapMode
+from beamfield.stacks.emulation.stack_rays import BELUGA_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges
+from beamfield.thread_count import check_threads
+
+
+@dataclass(frozen=True, eq=False)
+class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
+    """``w = sum p^3`` over beams, where p is the chapter's mixture (Table 6.1) with z_max taken for a density.
+
+    For a beam with range z and expected range z*, p is the sum of
+
+    - ``z_hit eta N(z; z*, sigma_hit^2)``, eta the normaliser on [0, laser_max_range];
+    - ``z_short eta lambda_short exp(-lambda_short z)`` if z < z*, eta the normaliser on [0, z*];
+    - ``z_max`` if z >= laser_max_range;
+    - ``z_rand / laser_max_range`` if z < laser_max_range.
+
+    The program turns readings into end points and knows only these: z is the distance of the end point from the
+    robot's centre, and rays are cast from there, wherever the sensor sits. They stop at every cell that is not free,
+    those of unknown cells included, and meet nothing beyond the map's edge (z* = laser_max_range).
+
+    Parameters
+    ----------
+    grid
+        The map.
+    parameters
+        The stack's own.
+    rays
+        "bresenham" as the program casts them, between centres of cells; "exact" to the border of the first cell.
+    no_return, map_mode, threads
+        As for `BelugaField`.
+    """
+
+    stack: ClassVar[str] = "beluga"
+    model: ClassVar[str] = "beam"
+    evidence_settings: ClassVar[tuple[str, ...]] = SCAN_SETTINGS
+    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
+
+    grid: OccupancyGrid
+    parameters: BelugaParameters
+    rays: RayChoice = field(default="bresenham", kw_only=True)
+    no_return: str = field(default="inf", kw_only=True)
+    map_mode: MapMode = field(default="trinary", kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    _seen: OccupancyGrid = field(init=False, repr=False)
+    _caster: RayCaster | None = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_threads(self.threads)
+        check_choice(self, "rays", RAYS)
+        check_choice(self, "no_return", NO_RETURNS)
+        seen = beluga_grid(self.grid, self.map_mode)
+        object.__setattr__(self, "_seen", seen)
+        object.__setattr__(self, "_caster", RayCaster(seen, unknown="occupied") if self.rays == "exact" else None)
+
+    def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
+        """Return readings and expected ranges from the robot's centre; see `StackModel.evidence`."""
+        robot = as_poses(poses).reshape(-1, 3)
+        beams, ranges = beluga_beams(z, self.parameters, self.no_return)
+        x, y = end_points(z.finder.mounts[beams], ranges)
+        mounts = np.column_stack([np.zeros_like(x), np.zeros_like(x), np.arctan2(y, x)])
+        max_range = self.parameters.laser_max_range
+        expected = self.expected_ranges(robot, mounts, max_range)
+        return RayEvidence(beams, max_range, np.hypot(x, y), expected, settings=self._settings())
+
+    def expected_ranges(self, poses: FloatArray, mounts: FloatArray, max_range: float) -> FloatArray:
+        """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
+        if self._caster is None:
+            ranges = bresenham_ranges(self._seen, poses, mounts, max_range, BELUGA_LINE, self.threads)
+            return np.minimum(ranges, max_range, out=ranges)
+        return exact_ranges(self._caster, self._seen, poses, mounts, max_range, off_map=max_range, threads=self.threads)
+
+    def beam_values(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return p of each beam that counts, (n, k)."""
+        values = self._parameters_for(evidence, parameters)
+        z, z_star, limit = evidence.ranges, evidence.expected_ranges, evidence.max_range
+        width = math.sqrt(2.0) * values.sigma_hit
+        # Here, because it takes longer to load than all else that other models need.
+        from scipy.special import erf
+
+        inside = 0.5 * (erf((limit - z_star) / width) + erf(z_star / width))
+        p = np.exp(-(((z - z_star) / width) ** 2))
+        p *= values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi)) / inside
+        rate = values.lambda_short
+        if rate > 0.0:
+            short = z < z_star
+            # z* = 0 has no shorter readings.
+            normaliser = -np.expm1(-rate * np.where(short, z_star, 1.0))
+            p += np.where(short, values.z_short * rate * np.exp(-rate * z) / normaliser, 0.0)
+        p += np.where(z >= limit, values.z_max, values.z_rand / limit)
+        return np.asarray(p)
+
+    def log_weights(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return log(sum p^3), (n,); -inf without any beam. See `StackModel.log_weights`."""
+        p = self.beam_values(evidence, parameters)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log((p * p * p).sum(axis=1)))

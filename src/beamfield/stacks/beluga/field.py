@@ -1,0 +1,141 @@
+"""Beluga's likelihood_field, emulated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import Scan
+from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries
+from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
+from beamfield.stacks.emulation.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
+from beamfield.stacks.emulation.stack_map import MapMode
+from beamfield.thread_count import check_threads
+
+
+@dataclass(frozen=True, eq=False)
+class BelugaField(FieldModel[BelugaParameters]):
+    """``w = 1 + sum p^3`` with ``p = z_hit N(d; 0, sigma_hit^2) + z_rand / laser_max_range`` for each beam.
+
+    d is the distance from the end point to the nearest obstacle, cut off at laser_likelihood_max_dist, and that maximum
+    in a map without obstacles. Off the map p is 1 / laser_max_range, and so it is with model_unknown_space in unknown
+    cells, unless a hit at the maximum distance is worth more. NaN and readings outside the limits are dropped
+    after max_beams have been selected; a reading of exactly the longest range is a hit.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    parameters
+        The stack's own.
+    distance
+        "exact" distances, or those of the program's "brushfire", which are too long in places.
+    no_return
+        What the robot's driver reports for a missing return: "inf" as in REP 117, which is dropped, or the sensor's
+        longest range, "range_max", which is a hit there unless laser_max_range is less. Readers of logs turn both into
+        +inf.
+    map_mode
+        How the map server turns the map into a message; see `read_as_stack`.
+    threads
+        Number of threads; None uses what pays. It changes no bit of any result.
+
+    Notes
+    -----
+    Unknown space enters the program's field as the distance at which p is 1 / laser_max_range, cut off like any other
+    distance. With z_hit 0 there is no such distance, and the program computes NaN; here p is 1 / laser_max_range or
+    more then, too. With the brushfire p has single precision, as in the program's table; with exact distances it is
+    left smooth in the parameters.
+    """
+
+    stack: ClassVar[str] = "beluga"
+    model: ClassVar[str] = "likelihood_field"
+    evidence_settings: ClassVar[tuple[str, ...]] = (*SCAN_SETTINGS, "only_obstacle_boundaries")
+    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
+    # Whether the node hands model_unknown_space and only_obstacle_boundaries to this model.
+    has_map_options: ClassVar[bool] = True
+
+    grid: OccupancyGrid
+    parameters: BelugaParameters
+    distance: DistanceChoice = field(default="exact", kw_only=True)
+    no_return: str = field(default="inf", kw_only=True)
+    map_mode: MapMode = field(default="trinary", kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    _table: FieldTable = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_threads(self.threads)
+        check_choice(self, "no_return", NO_RETURNS)
+        seen = beluga_grid(self.grid, self.map_mode)
+        only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
+        obstacles = boundaries(seen) if only_boundaries else seen.occupied
+        table = field_table(seen, obstacles, self.distance, BELUGA_FIRE, self.parameters.laser_likelihood_max_dist)
+        if only_boundaries:
+            # The inside of thick walls is as unknown space (Beluga's pull request 541).
+            table = table._replace(unknown=table.unknown | (seen.occupied & ~obstacles))
+        object.__setattr__(self, "_table", table)
+
+    def with_parameters(self, parameters: BelugaParameters) -> Self:
+        """Return the model with other parameters; its distances are made anew if these bear on them."""
+        names = self._table_settings()
+        if any(getattr(parameters, name) != getattr(self.parameters, name) for name in names):
+            return replace(self, parameters=parameters)
+        return super().with_parameters(parameters)
+
+    def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
+        """Return distances of end points; see `StackModel.evidence`."""
+        robot = as_poses(poses).reshape(-1, 3)
+        beams, ranges = beluga_beams(z, self.parameters, self.no_return)
+        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges), self.threads)
+        return FieldEvidence(beams, self.parameters.laser_max_range, distances, places, settings=self._settings())
+
+    def beam_values(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return p of each beam that counts, (n, k)."""
+        values = self._parameters_for(evidence, parameters)
+        uniform, farthest = 1.0 / evidence.max_range, values.laser_likelihood_max_dist
+        p = _mixture(np.minimum(evidence.distances, farthest, dtype=np.float64), values, evidence.max_range)
+        p[evidence.places == OFF_MAP] = uniform
+        if self.has_map_options and values.model_unknown_space:
+            # The nearer of two distances, so the greater of two values.
+            p[evidence.places == UNKNOWN] = max(uniform, *_mixture(np.array([farthest]), values, evidence.max_range))
+        return p.astype(np.float32).astype(np.float64) if self.distance == "brushfire" else p
+
+    def beam_terms(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return p^3 of each beam that counts, (n, k)."""
+        p = self.beam_values(evidence, parameters)
+        return np.asarray(p * p * p)
+
+    def log_of_sums(
+        self,
+        sums: FloatArray,
+        n_beams: int | NDArray[np.int64],  # noqa: ARG002
+        parameters: BelugaParameters,  # noqa: ARG002
+    ) -> FloatArray:
+        """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
+        return np.asarray(np.log1p(sums))
+
+    def _table_settings(self) -> tuple[str, ...]:
+        """Return the names of the parameters that the distances depend on."""
+        names = ("only_obstacle_boundaries",) if self.has_map_options else ()
+        return (*names, "laser_likelihood_max_dist") if self.distance == "brushfire" else names
+
+    def _settings(self) -> dict[str, Any]:
+        return super()._settings() | {name: getattr(self.parameters, name) for name in self._table_settings()}
+
+
+def _mixture(distances: FloatArray, values: BelugaParameters, max_range: float) -> FloatArray:
+    """Return z_hit N(d; 0, sigma_hit^2) + z_rand / max_range for each distance; overwrites the distances."""
+    p = distances
+    p *= p
+    p *= -0.5 / values.sigma_hit**2
+    np.exp(p, out=p)
+    p *= values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi))
+    p += values.z_rand / max_range
+    return p

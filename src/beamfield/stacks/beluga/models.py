@@ -1,0 +1,7 @@
+"""Beluga's AMCL: its three measurement models, emulated."""
+
+from beamfield.stacks.beluga.beam import BelugaBeam
+from beamfield.stacks.beluga.field import BelugaField
+from beamfield.stacks.beluga.field_prob import BelugaFieldProb
+
+__all__ = ["BelugaBeam", "BelugaField", "BelugaFieldProb"]

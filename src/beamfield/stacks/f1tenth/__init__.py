@@ -1,0 +1,1 @@
+"""The sensor model of MIT's racecar and F1TENTH."""

@@ -1,0 +1,50 @@
+"""A comment in a parameter file that says which values beamfield calibrated, and a check that they are still there."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import asdict
+from typing import Any
+
+from beamfield.stacks.files.line_ends import line_break
+from beamfield.stacks.files.parameter_text import Syntax
+
+_MARK = "calibrated by beamfield"
+_RECORD = re.compile(rf"{_MARK} [^\n]*?checksum ([0-9a-f]{{16}})")
+
+
+def record_text(stack: str, model: str, parameters: Any, version: str, judged: str) -> str:
+    """Return the text of a record.
+
+    Parameters
+    ----------
+    stack, model, parameters
+        What was calibrated: all parameters of the stack's dataclass count.
+    version
+        Of beamfield.
+    judged
+        How well the values did, for the reader.
+    """
+    checksum = values_checksum(stack, model, parameters)
+    return f"{stack} {model}: {_MARK} {version}, {judged}; checksum {checksum} of the values"
+
+
+def is_as_calibrated(text: str, stack: str, model: str, parameters: Any) -> bool:
+    """Whether the text of a file has a record of these very parameters: any change since then voids it."""
+    return values_checksum(stack, model, parameters) in _RECORD.findall(text)
+
+
+def values_checksum(stack: str, model: str, parameters: Any) -> str:
+    """Return 16 hexadecimal digits that stand for parameters with the six digits that files hold."""
+    values = sorted(asdict(parameters).items())
+    words = [f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value!r}" for name, value in values]
+    return hashlib.sha256("\n".join([stack, model, *words]).encode()).hexdigest()[:16]
+
+
+def with_record(text: str, record: str, syntax: Syntax) -> str:
+    """Return the text of a file with a record as a comment in its last line."""
+    newline = line_break(text)
+    comment = {"yaml": f"# {record}", "ini": f"// {record}", "launch": f"<!-- {record} -->"}[syntax]
+    before = "" if not text or text.endswith(("\n", "\r")) else newline
+    return f"{text}{before}{comment}{newline}"

@@ -1,0 +1,203 @@
+"""Find amcl's parameters in a launch file (XML)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Set
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+from xml.parsers import expat
+
+from beamfield.errors import FormatError
+from beamfield.io.files.text_lines import read_at_most
+from beamfield.io.files.yaml_file import shorten
+from beamfield.stacks.files.launch_arguments import LaunchArguments
+from beamfield.stacks.files.line_ends import line_break, start_of_line
+from beamfield.stacks.files.parameter_text import Entry, ParameterSection, plain_value
+
+MAX_BYTES = 2_000_000
+# Nodes that localise: what ROS 1 calls type, ROS 2 exec, and the packages they are in.
+_PROGRAMS = ("amcl", "amcl_node", "particle_filter", "particle_filter.py")
+_PACKAGES = ("amcl", "nav2_amcl", "beluga_amcl", "particle_filter")
+_TAG = re.compile(r"<[^\s/>]+")
+_ATTRIBUTE = re.compile(r"""\s+([^\s=<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+def launch_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
+    """Return one section per ``<node>`` with amcl's parameters.
+
+    Parameters
+    ----------
+    path
+        The file. ``$(arg z_hit)`` is filled in with its default if the file has one; a value that nobody knows before
+        the start is None. Nodes and parameters whose ``if`` or ``unless`` takes them out by default are left out.
+    known
+        Names of parameters; a node with one of them counts whatever its type is called. If there is none, nodes
+        count whose type or package is one that localises.
+
+    Raises
+    ------
+    FormatError
+        If the file is too large, no UTF-8, no XML, or declares entities (which can expand without bound); if a node
+        has a parameter twice, or all its parameters are in another file.
+    """
+    content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError(path, f"no XML in UTF-8: byte {content[error.start : error.start + 1]!r}") from error
+    nodes = _Parser(path).nodes(content)
+    chosen = [node for node in nodes if not known.isdisjoint(node.params)]
+    chosen = chosen or [node for node in nodes if node.localises]
+    places = _characters(
+        content, [at for node in chosen for at in (node.end, *(p.offset for p in node.params.values()))]
+    )
+    return [_section(path, text, node, known, places) for node in chosen]
+
+
+class _Param(NamedTuple):
+    value: str | None
+    written: str
+    line: int
+    offset: int
+    conditional: bool
+
+
+@dataclass
+class _Node:
+    label: str
+    package: str
+    localises: bool
+    line: int
+    # Byte offset of its end tag.
+    end: int = 0
+    params: dict[str, _Param] = field(default_factory=dict)
+    elsewhere: list[tuple[int, str]] = field(default_factory=list)
+
+
+class _Parser:
+    """Collects nodes while expat walks through the file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.arguments = LaunchArguments()
+        self.found: list[_Node] = []
+        # Of each open tag: whether it is there, its namespace, and its node.
+        self.open: list[tuple[bool, str, _Node | None]] = []
+
+    def nodes(self, content: bytes) -> list[_Node]:
+        self.expat = expat.ParserCreate("utf-8")
+        self.expat.StartElementHandler = self.begin
+        self.expat.EndElementHandler = self.finish
+        self.expat.StartDoctypeDeclHandler = self.refuse
+        try:
+            self.expat.Parse(content, True)
+        except expat.ExpatError as error:
+            message = f"no valid XML: {expat.ErrorString(error.code)}"
+            raise FormatError(self.path, message, line=error.lineno) from error
+        return self.found
+
+    def begin(self, tag: str, attributes: dict[str, str]) -> None:
+        there, namespace, node = self.open[-1] if self.open else (True, "", None)
+        there = there and self.arguments.is_there(attributes)
+        if tag in ("group", "node"):
+            namespace = "/".join(part for part in (namespace, attributes.get("ns", "").strip("/")) if part)
+        if there and tag == "arg":
+            self.arguments.declare(attributes)
+        elif there and tag == "node":
+            node = self.new_node(namespace, attributes)
+        elif there and node is not None:
+            self.inside(node, tag, attributes)
+        self.open.append((there, namespace, node))
+
+    def finish(self, tag: str) -> None:
+        there, _, node = self.open.pop()
+        if tag == "node" and there and node is not None:
+            node.end = self.expat.CurrentByteIndex
+
+    def refuse(self, name: str, *_: object) -> None:
+        line = self.expat.CurrentLineNumber
+        raise FormatError(
+            self.path, f"a document type is not read, got <!DOCTYPE {shorten(name)[1:-1]} ...>", line=line
+        )
+
+    def new_node(self, namespace: str, attributes: dict[str, str]) -> _Node:
+        names = (self.arguments.fill_in(attributes.get(key, "")) for key in ("pkg", "type", "exec"))
+        package, *programs = (name or "" for name in names)
+        label = "/".join(part for part in (namespace, attributes.get("name", "")) if part)
+        localises = package in _PACKAGES or any(program in _PROGRAMS for program in programs)
+        node = _Node(label, package, localises, self.expat.CurrentLineNumber)
+        self.found.append(node)
+        return node
+
+    def inside(self, node: _Node, tag: str, attributes: dict[str, str]) -> None:
+        line = self.expat.CurrentLineNumber
+        if tag == "rosparam" or (tag == "param" and "from" in attributes):
+            source = attributes.get("file", attributes.get("from"))
+            node.elsewhere.append((line, "the text of <rosparam>" if source is None else source))
+        elif tag == "param" and "value" in attributes:
+            name = (self.arguments.fill_in(attributes.get("name", "")) or "").removeprefix("~")
+            conditional = "if" in attributes or "unless" in attributes
+            if name in node.params:
+                if conditional or node.params[name].conditional:
+                    return
+                raise FormatError(self.path, "the parameter is there twice", line=line, field=name)
+            written = attributes["value"]
+            value = self.arguments.fill_in(written)
+            node.params[name] = _Param(value, written, line, self.expat.CurrentByteIndex, conditional)
+
+
+def _section(path: Path, text: str, node: _Node, known: Set[str], places: dict[int, int]) -> ParameterSection:
+    if node.elsewhere and known.isdisjoint(node.params):
+        line, source = node.elsewhere[0]
+        raise FormatError(path, f"the parameters of the node {node.label!r} are not in this file but in {source!r}",
+                          line=line)  # fmt: skip
+    entries = {}
+    for name, param in node.params.items():
+        start, stop = _value_place(path, text, places[param.offset], name, param.line)
+        value = None if param.value is None else plain_value(param.value)
+        filled_in = param.written if param.value != param.written else ""
+        entries[name] = Entry(name, value, param.line, start, stop, filled_in)
+    end = places[node.end]
+    at: int | None = None
+    before = line_break(text)
+    if text.startswith("</", end):
+        begin = start_of_line(text, end)
+        indent = text[begin:end]
+        if indent.strip() or begin == 0:
+            at, before = end, ""
+        else:
+            # On a line of its own before the end tag. No comment reaches there: the line has nothing but the tag.
+            at = begin - (2 if text[begin - 2 : begin] == "\r\n" else 1)
+            before += _indent(text, entries.values()) or indent + "  "
+    return ParameterSection(path, "launch", node.label, node.line, text, entries, at, before,
+                            package=node.package, elsewhere=tuple(node.elsewhere))  # fmt: skip
+
+
+def _value_place(path: Path, text: str, begin: int, name: str, line: int) -> tuple[int, int]:
+    """Return where the value of a tag stands, between its quotes."""
+    at = _TAG.match(text, begin)
+    while at is not None:
+        at = _ATTRIBUTE.match(text, at.end())
+        if at is not None and at.group(1) == "value":
+            return at.start(2) + 1, at.end(2) - 1
+    raise FormatError(path, "the value's place in the text was not found", line=line, field=name)
+
+
+def _indent(text: str, entries: Iterable[Entry]) -> str:
+    last = max(entries, key=lambda entry: entry.start, default=None)
+    if last is None:
+        return ""
+    tag = text.rfind("<", 0, last.start)
+    indent = text[start_of_line(text, tag) : tag]
+    return "" if indent.strip() else indent
+
+
+def _characters(content: bytes, offsets: list[int]) -> dict[int, int]:
+    """Return the places in the decoded text that belong to places in the bytes, each byte decoded once."""
+    places, done, count = {}, 0, 0
+    for offset in sorted(set(offsets)):
+        count += len(content[done:offset].decode("utf-8", errors="ignore"))
+        places[offset], done = count, offset
+    return places

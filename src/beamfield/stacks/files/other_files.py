@@ -1,0 +1,77 @@
+"""Files that users give by mistake for a stack's parameter file: say what they are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from beamfield.errors import FormatError
+from beamfield.io.files.yaml_file import YamlFile, read_yaml
+
+EXPECTED = "expected a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH"
+_YAML = (".yaml", ".yml")
+# Keys that only such files have at their top level, and what they are.
+_KINDS: Mapping[frozenset[str], str] = {
+    frozenset(("beam_model",)): (
+        "this is beamfield's own beam model: `beamfield translate` converts it, and "
+        "`beamfield calibrate LOG --map MAP --stack nav2` (or another stack) fits that program's own formula"
+    ),
+    frozenset(("likelihood_field",)): (
+        "this is beamfield's own likelihood field: the same names mean other things in these programs' formulas, and "
+        "`beamfield calibrate LOG --map MAP --stack nav2` (or another stack) fits those"
+    ),
+    frozenset(("landmark_model",)): "this is beamfield's own landmark model, which none of these programs has",
+    frozenset(("image", "resolution", "origin")): "this is the YAML file of a map (give it with --map)",
+    frozenset(("rosbag2_bagfile_information",)): "this is the metadata of a ROS 2 bag (give its folder with --log)",
+}
+# TUM: a stamp, a position and a quaternion.
+_TUM = re.compile(rb"(\s*#[^\n]*\n)*\s*([-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t]*\r?(\n|$)")
+_CSV = re.compile(rb"[^\n]*\bx\b[^\n]*,[^\n]*\by\b[^\n]*,[^\n]*\b(theta|yaw|qw|map_theta)\b", re.IGNORECASE)
+_SNIFFED = 2000
+
+
+def is_beam_model(path: str | Path) -> bool:
+    """Whether a file is beamfield's own beam_model.yaml, by its top-level key.
+
+    Raises
+    ------
+    FormatError
+        If it ends in .yaml or .yml and is no YAML.
+    OSError
+        As the file system says.
+    """
+    return Path(path).suffix.lower() in _YAML and "beam_model" in read_yaml(path, number_keys=True).values
+
+
+def read_parameter_yaml(path: Path) -> YamlFile:
+    """Read a YAML file that should hold a stack's parameters.
+
+    Raises
+    ------
+    FormatError
+        If it is of a kind that holds none, with what it is; or if it is no YAML that `read_yaml` takes.
+    """
+    if path.suffix.lower() == ".json":
+        raise FormatError(path, f"this is JSON, in which beamfield writes results, not parameters; {EXPECTED}")
+    try:
+        file = read_yaml(path, number_keys=True)
+    except FormatError:
+        kind = _kind_of_text(path)
+        if kind:
+            raise FormatError(path, f"{kind}; {EXPECTED}") from None
+        raise
+    kind = next((kind for keys, kind in _KINDS.items() if keys <= file.values.keys()), "")
+    if kind:
+        raise FormatError(path, f"{kind}; {EXPECTED}")
+    return file
+
+
+def _kind_of_text(path: Path) -> str:
+    with path.open("rb") as stream:
+        begin = stream.read(_SNIFFED)
+    if begin.startswith((b"#ROSBAG", b"\x89MCAP")):
+        return "this is a bag (give it with --log)"
+    if _TUM.match(begin) or _CSV.match(begin):
+        return "this is a file of poses (give it with --poses)"
+    return ""

@@ -1,0 +1,210 @@
+"""The parameters in a stack's own file, with their places in its text, so that a value can change and nothing else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.files.yaml_file import shorten
+
+Value = float | int | bool | str
+Syntax = Literal["yaml", "launch", "ini"]
+
+# Longer ones are no counts, and Python refuses to convert very long ones.
+_WHOLE = re.compile(r"[-+]?\d{1,30}", re.ASCII)
+_NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|inf|infinity|nan)", re.ASCII | re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One parameter as the file has it.
+
+    Parameters
+    ----------
+    name
+        As in the file, without node or section.
+    value
+        Its plain value; None where the file has no value, or one that is known only when the robot starts.
+    line
+        Counted from 1.
+    start, stop
+        Where the value stands in the text; what lies between is replaced when the value changes.
+    filled_in
+        What stands in the file instead of the value, such as ``$(arg z_hit)``; "" if it is the value itself.
+    """
+
+    name: str
+    value: Value | None
+    line: int
+    start: int
+    stop: int
+    filled_in: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSection:
+    """The part of a file that holds one node's parameters.
+
+    Parameters
+    ----------
+    path
+        The file.
+    syntax
+        "yaml" (ROS 1 and 2, F1TENTH), "launch" (ROS 1 XML) or "ini" (MRPT).
+    label
+        The keys, node or section that hold the parameters; "" at the top level of a file.
+    line
+        Where it begins, counted from 1.
+    text
+        The whole file.
+    entries
+        The parameters by name.
+    insert_at
+        Where a new parameter goes in the text; None if there is no place for one.
+    insert_before, insert_after
+        What stands before and after a new parameter: line break and indentation, or a comma.
+    package
+        The package of the node, if the file says it (launch files).
+    elsewhere
+        (line, text) of what loads further parameters from somewhere else.
+    """
+
+    path: Path
+    syntax: Syntax
+    label: str
+    line: int
+    text: str
+    entries: Mapping[str, Entry]
+    insert_at: int | None
+    insert_before: str
+    insert_after: str = ""
+    package: str = ""
+    elsewhere: tuple[tuple[int, str], ...] = ()
+
+    def error(self, name: str, message: str) -> FormatError:
+        """Return the error that says what is wrong with one parameter."""
+        entry = self.entries.get(name)
+        return FormatError(self.path, message, line=self.line if entry is None else entry.line, field=name)
+
+    def number(self, name: str) -> float | None:
+        """Return a parameter as a number (maybe infinite or NaN); None if the file does not have it.
+
+        Raises
+        ------
+        FormatError
+            If it is no number.
+        """
+        entry = self.entries.get(name)
+        if entry is None:
+            return None
+        if entry.filled_in and entry.value is None:
+            raise self.error(name, f"expected a number, got {entry.filled_in!r}, which is filled in elsewhere")
+        if isinstance(entry.value, bool) or not isinstance(entry.value, (int, float)):
+            raise self.error(name, f"expected a number, got {shorten(entry.value)}")
+        try:
+            return float(entry.value)
+        except OverflowError:
+            raise self.error(name, "expected a number, got one too large for floating point") from None
+
+    def with_values(self, values: Mapping[str, Value]) -> str:
+        """Return the file's text with these values; parameters that it lacks are added, all else stays as it is.
+
+        Parameters
+        ----------
+        values
+            By name, as in the file.
+
+        Raises
+        ------
+        InvalidInputError
+            If a text value cannot stand in the file.
+        FormatError
+            If the file has no place for a new parameter.
+        """
+        edits: list[tuple[int, int, str]] = []
+        added = ""
+        for name, value in values.items():
+            written = value_text(value, self.syntax)
+            entry = self.entries.get(name)
+            if entry is None:
+                added += self.insert_before + _pair(name, written, self.syntax) + self.insert_after
+                continue
+            if entry.value == value and type(entry.value) is type(value) and not entry.filled_in:
+                continue  # the user's own way of writing it stays
+            if entry.start == entry.stop and self.syntax == "yaml":
+                written = " " + written
+            edits.append((entry.start, entry.stop, written))
+        if added:
+            if self.insert_at is None:
+                # <node .../> has no inside to write into.
+                raise FormatError(
+                    self.path, "has no end tag to put new parameters before", line=self.line, field=self.label
+                )
+            edits.append((self.insert_at, self.insert_at, added))
+        text = self.text
+        for start, stop, written in sorted(edits, reverse=True):
+            text = text[:start] + written + text[stop:]
+        return text
+
+
+def plain_value(word: str) -> Value | None:
+    """Return the value that a word in a launch or ini file stands for; None for no word.
+
+    Examples
+    --------
+    >>> plain_value("1e-3"), plain_value("30"), plain_value("True"), plain_value("beam")
+    (0.001, 30, True, 'beam')
+    """
+    word = word.strip()
+    if not word:
+        return None
+    if word.lower() in ("true", "false"):
+        return word.lower() == "true"
+    if _WHOLE.fullmatch(word):
+        return int(word)
+    if _NUMBER.fullmatch(word):
+        return float(word)
+    return word
+
+
+def value_text(value: Value, syntax: Syntax) -> str:
+    """Return a value as the file's reader takes it.
+
+    Whole floating-point numbers keep their point: ROS 2 refuses an integer where it declared a double.
+
+    Examples
+    --------
+    >>> value_text(1.0, "yaml"), value_text(True, "ini"), value_text(0.1 + 0.2, "yaml")
+    ('1.0', 'true', '0.3')
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return _float_text(value, syntax)
+    if not value or any(character in value for character in "\n\r\"'<>&#{}[],"):
+        raise InvalidInputError(f"value: expected plain text on one line, got {value!r}")
+    return f'"{value}"' if syntax == "yaml" else value
+
+
+def _float_text(value: float, syntax: Syntax) -> str:
+    if value != value or value in (float("inf"), float("-inf")):
+        raise InvalidInputError(f"value: expected a finite number, got {value!r}")
+    # Six digits are more than any calibration knows.
+    short = f"{value:.6g}"
+    if "e" in short:
+        mantissa, exponent = short.split("e")
+        # YAML 1.1 readers take 1e-05 for text: the mantissa needs a point.
+        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}"
+    return short if "." in short or syntax == "ini" else short + ".0"
+
+
+def _pair(name: str, written: str, syntax: Syntax) -> str:
+    if syntax == "launch":
+        return f'<param name="{name}" value="{written}"/>'
+    return f"{name} = {written}" if syntax == "ini" else f"{name}: {written}"

@@ -1,0 +1,161 @@
+"""Turn the values of a parameter file into the stack's parameters, and say which cannot be."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import Field, fields
+from typing import Any, Literal, NamedTuple
+
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.files.yaml_file import shorten
+from beamfield.stacks.files.parameter_file import StackFile
+from beamfield.stacks.files.parameter_text import Entry, Value
+from beamfield.stacks.files.yaml_sections import ROS_2_KEY
+from beamfield.stacks.registry import parameter_class
+from beamfield.stacks.ros1.parameters import PREFIXED, Ros1Parameters, ros1_name
+
+# Truth values of YAML 1.1, which ROS reads.
+_TRUE, _FALSE = ("yes", "on", "y", "true"), ("no", "off", "n", "false")
+# What YAML 1.1 reads as a number with an exponent.
+_EXPONENT_1_1 = re.compile(r"[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)[eE][-+]\d+")
+# A number or a name in the file; `file.model` says what it stands for.
+MRPT_MODEL = "likelihoodMethod"
+MODEL = "laser_model_type"
+# What is wrong with a value: known only when the robot starts; an integer where ROS 2 wants a double; of another type;
+# NaN or infinite; outside its range; no model of the stack.
+Fault = Literal["filled-in", "integer", "type", "not-finite", "range", "model"]
+MOST = 2**63 - 1
+# No distance, weight or rate of a robot is smaller; squares and cubes of it still are numbers.
+LEAST = 1e-12
+
+
+class Unusable(NamedTuple):
+    """A value that its stack cannot take."""
+
+    name: str
+    """As in the file."""
+    fault: Fault
+    message: str
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it is clear what the program runs with, and the parameters have that."""
+        return self.fault in ("integer", "model")
+
+
+class TypedValues(NamedTuple):
+    """A file's values as the stack's parameters."""
+
+    parameters: Any
+    """Of the stack's dataclass; its defaults where the file says nothing, or nothing usable."""
+    unusable: tuple[Unusable, ...]
+
+
+def typed_values(file: StackFile) -> TypedValues:
+    """Return the stack's parameters that a file asks for, and the values that cannot be used."""
+    kind = parameter_class(file.stack, file.model)
+    usable: dict[str, Value] = _prefixed_defaults() if file.is_prefixed else {}
+    unusable: list[Unusable] = []
+    for item in fields(kind):
+        name = file.name_in_file(item.name)
+        entry = file.section.entries.get(name)
+        if entry is None or item.name == MRPT_MODEL:
+            continue
+        value, wrong = _read(file, entry, item)
+        if wrong is None or wrong[0] == "integer":
+            wrong = _refusal(kind, usable, item.name, value) or wrong
+        if wrong is not None:
+            unusable.append(Unusable(name, *wrong))
+        if wrong is None or wrong[0] == "integer":
+            usable[item.name] = value
+    if MODEL in {item.name for item in fields(kind)}:
+        # The program runs its default where the file names no model of it.
+        usable[MODEL] = file.model
+    return TypedValues(kind(**usable), tuple(unusable))
+
+
+def is_strict(file: StackFile) -> bool:
+    """Whether the program declares each parameter's type and stops if the file has another: nodes of ROS 2 do."""
+    return file.stack in ("nav2", "beluga") and not file.is_prefixed
+
+
+def checked_values(file: StackFile) -> Any:
+    """Return the stack's parameters that a file asks for.
+
+    Raises
+    ------
+    FormatError
+        If a value cannot be used; names the line.
+    """
+    typed = typed_values(file)
+    for item in typed.unusable:
+        raise file.section.error(item.name, item.message)
+    return typed.parameters
+
+
+def _prefixed_defaults() -> dict[str, Value]:
+    """Return the defaults of Beluga's node for ROS 1: those of ROS 1's amcl."""
+    defaults = Ros1Parameters()
+    return {name: getattr(defaults, ros1_name(name)) for name in PREFIXED}
+
+
+def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[Fault, str] | None]:
+    """Return the value in the type of the parameter, and what is wrong with it, if anything."""
+    if entry.filled_in and entry.value is None:
+        return None, ("filled-in", f"is filled in when the robot starts: {entry.filled_in!r}")
+    text = _plain_text(file, entry)
+    by_ros_1 = file.section.syntax == "yaml" and file.section.label.rsplit(".", 1)[-1] != ROS_2_KEY
+    if by_ros_1 and isinstance(entry.value, float) and "e" in text.lower() and not _EXPONENT_1_1.fullmatch(text):
+        message = "expected a number as ROS 1 reads it (1.0e-3: with a point and a signed exponent), got the text"
+        return entry.value, ("type", f"{message} {text!r}")
+    return _convert(entry, text, item, strict=is_strict(file))
+
+
+def _plain_text(file: StackFile, entry: Entry) -> str:
+    """Return what stands in the file; "" if it is in quotes, which make it text."""
+    text = file.section.text[entry.start : entry.stop].strip()
+    return "" if file.section.syntax == "yaml" and text[:1] in ("'", '"') else text
+
+
+def _convert(entry: Entry, text: str, item: Field[Any], *, strict: bool) -> tuple[Any, tuple[Fault, str] | None]:
+    value, default = entry.value, item.default
+    if isinstance(default, bool):
+        if isinstance(value, bool):
+            return value, None
+        if value in (0, 1) and not strict:
+            return bool(value), None
+        if isinstance(value, str) and text.lower() in _TRUE + _FALSE:
+            return text.lower() in _TRUE, None
+        return value, ("type", f"expected true or false, got {shorten(value)}")
+    if isinstance(default, str):
+        return value, (None if isinstance(value, str) else ("type", f"expected text, got {shorten(value)}"))
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return value, ("type", f"expected a number, got {shorten(value)}")
+    if isinstance(value, int) and abs(value) > MOST:
+        return value, ("range", f"expected a number that fits into 64 bits, got {shorten(value)}")
+    if not math.isfinite(value):
+        return value, ("not-finite", f"expected a finite number, got {value!r}")
+    if value and not LEAST <= abs(value) <= 1.0 / LEAST and not isinstance(default, int):
+        return value, ("range", f"expected 0 or a number between {LEAST:g} and {1.0 / LEAST:g}, got {value!r}")
+    if isinstance(default, int):
+        if isinstance(value, int):
+            return value, None
+        if value.is_integer() and not strict:
+            return int(value), None
+        return value, ("type", f"expected a whole number, got {value!r}")
+    if strict and isinstance(value, int):
+        message = f"expected a number with a point ({value}.0): ROS 2 declares it as double, got the integer {value}"
+        return float(value), ("integer", message)
+    return float(value), None
+
+
+def _refusal(kind: type[Any], usable: Mapping[str, Any], name: str, value: Any) -> tuple[Fault, str] | None:
+    """Return why the stack's parameters cannot have a value; None if they can."""
+    try:
+        kind(**{**usable, name: value})
+    except (InvalidInputError, FormatError) as error:
+        fault: Fault = "model" if name == MODEL else "type" if isinstance(value, str) else "range"
+        return fault, str(error).removeprefix(f"{name}: ")
+    return None

@@ -1,0 +1,100 @@
+"""Find the sections of a YAML file that hold a stack's parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Set
+from typing import Any
+
+from beamfield.errors import FormatError
+from beamfield.io.files.yaml_file import Place, YamlFile, shorten
+from beamfield.stacks.files.line_ends import end_of_line, line_break, start_of_line, start_of_yaml_line
+from beamfield.stacks.files.parameter_text import Entry, ParameterSection
+
+# ROS 2 puts a node's parameters under this key.
+ROS_2_KEY = "ros__parameters"
+# Nodes that localise, whatever they are called before and behind.
+_NODES = ("amcl", "particle_filter")
+
+
+def yaml_sections(file: YamlFile, known: Set[str]) -> list[ParameterSection]:
+    """Return the sections that hold parameters of a measurement model, in the order of the file.
+
+    Parameters
+    ----------
+    file
+        Read with `number_keys`.
+    known
+        Names by which a section is recognised; one is enough. If no section has one, those of nodes count that have
+        "amcl" or "particle_filter" in their names.
+
+    Raises
+    ------
+    FormatError
+        If a key without value is written in a way that is not found.
+    """
+    maps = [(place, values) for place, values in _maps(file.values, ()) if place or values]
+    chosen = [item for item in maps if not known.isdisjoint(_scalars(item[1]))]
+    # nav2's files have further nodes with amcl in their names; they only count where no node says anything.
+    chosen = chosen or [item for item in maps if _is_node(item[0])]
+    return [_section(file, place, values, known) for place, values in chosen]
+
+
+def _maps(values: Any, place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:
+    if isinstance(values, dict):
+        yield place, values
+        for key, value in values.items():
+            yield from _maps(value, (*place, key))
+
+
+def _scalars(values: dict[str, Any]) -> Iterator[str]:
+    return (name for name, value in values.items() if not isinstance(value, (dict, list)))
+
+
+def _is_node(place: Place) -> bool:
+    owner = str(place[-2]) if len(place) > 1 and place[-1] == ROS_2_KEY else ""
+    return any(node in owner for node in _NODES)
+
+
+def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[str]) -> ParameterSection:
+    entries = {}
+    for name, value in values.items():
+        is_scalar = not isinstance(value, (dict, list))
+        if not is_scalar and name not in known:
+            continue
+        start, stop = file.spans[(*place, name)]
+        line = file.lines[(*place, name)]
+        if start == stop:
+            # The parser finds a missing value at the next key; it belongs behind this one's colon.
+            start = stop = _behind_colon(file, line, name)
+        entries[name] = Entry(name, value if is_scalar else shorten(value), line, start, stop)
+    label = ".".join(str(key) for key in place)
+    at, before, after = _insertion(file, place, entries)
+    return ParameterSection(file.path, "yaml", label, file.lines[place], file.source, entries, at, before, after)
+
+
+def _behind_colon(file: YamlFile, line: int, name: str) -> int:
+    key = re.compile(rf"""(?<![\w."'])["']?{re.escape(name)}["']?\s*:""")
+    found = key.search(file.source, start_of_yaml_line(file.source, line))
+    if found is None:
+        raise FormatError(file.path, "the place of its missing value was not found", line=line, field=name)
+    return found.end()
+
+
+def _insertion(file: YamlFile, place: Place, entries: dict[str, Entry]) -> tuple[int, str, str]:
+    """Return where a new key goes, and what stands before and after it."""
+    text, start = file.source, file.spans[place][0]
+    newline = line_break(text)
+    if text[start : start + 1] == "{":
+        # A comma behind the last pair is allowed.
+        return start + 1, "", ", "
+    indent = " " * (start - start_of_line(text, start))
+    if not entries:
+        # Only maps and lists inside: before the first of them, whose key begins the section.
+        return start, "", newline + indent
+    # Behind the last parameter, which stands on lines of its own. Entries are in the file's order.
+    last = max(entries.values(), key=lambda entry: entry.stop)
+    if text[last.start : last.start + 1] in ("|", ">"):
+        # The end of a text in lines is somewhere below it.
+        return start, "", newline + indent
+    return end_of_line(text, last.stop), newline + indent, ""

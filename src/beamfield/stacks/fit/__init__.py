@@ -1,0 +1,1 @@
+"""Fit a stack's parameters in its own formula."""

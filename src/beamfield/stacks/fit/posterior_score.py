@@ -1,0 +1,45 @@
+"""Judge a stack's weights by the posterior they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from beamfield.calibration.field.posterior_judge import PosteriorScores, judge_weights
+from beamfield.calibration.pose_windows import Rivals, WindowOptions
+from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.fit.window_evidence import LANES, WindowEvidence
+from beamfield.thread_count import check_threads
+
+
+def score_windows(
+    model: StackModel[Any, Any], evidence: WindowEvidence, candidates: Sequence[Any], rivals: Rivals,
+    options: WindowOptions, *, threads: int | None = None,
+) -> list[PosteriorScores]:  # fmt: skip
+    """Return how well parameters do on windows.
+
+    A filter knows where the robot is up to a prior, which is off the truth as far as its spread says, or that it may be
+    anywhere. The posterior is that prior times the stack's weights. It is judged where the truth may be: around the
+    reference.
+
+    Parameters
+    ----------
+    model
+        Makes weights from evidence.
+    evidence
+        From `gather_evidence`.
+    candidates
+        The stack's parameters, one set after the other.
+    rivals, options
+        As the windows were cut with.
+    threads
+        Number of threads; None uses what pays.
+    """
+    check_threads(threads)
+    scores = []
+    for first in range(0, len(candidates), LANES):
+        chunk = candidates[first : first + LANES]
+        log_weights = evidence.log_weights(model, chunk, threads)
+        log_score, covered = judge_weights(log_weights, evidence.n_near, rivals, options)
+        scores += [PosteriorScores(*pair) for pair in zip(log_score.T, covered.T, strict=True)]
+    return scores

@@ -1,0 +1,1 @@
+"""MRPT's likelihood models."""

@@ -1,0 +1,1 @@
+"""Translate parameters from one stack to another."""

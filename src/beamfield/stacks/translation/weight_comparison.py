@@ -1,0 +1,204 @@
+"""How far the weights of two models differ, computed by the formulas themselves on a sample of scans and poses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from beamfield.geometry import FloatArray
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence, RayEvidence
+from beamfield.stacks.registry import build_model
+
+# The sample: one scan at so many poses.
+N_POSES, N_BEAMS = 500, 30
+# Files hold six digits, which is worth less than this over a scan.
+TOLERANCE = 1e-3
+# The part of a scan that hits no wall at any pose, and how far poses are off at most, in sigmas.
+ELSEWHERE, FARTHEST = 0.2, 4.0
+# Cells so small that cutting distances off at whole ones changes nothing, metres.
+FINE = 1e-5
+
+# Stack, model, parameters.
+StackModelOf = tuple[str, str, Any]
+
+
+@dataclass(frozen=True)
+class ChapterField:
+    """Parameters of `beamfield.models.likelihood_field.LikelihoodFieldModel`, and the scans' max_range, metres."""
+
+    z_hit: float
+    z_rand: float
+    sigma_hit: float
+    max_distance: float
+    max_range: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Log-weights of the same scan at the same poses by two models.
+
+    Parameters
+    ----------
+    difference
+        The largest difference of the logarithm of the ratio of two poses' weights, nats: a common factor of all weights
+        changes nothing. inf if one model gives a pose the weight 0 and the other does not.
+    spread, other_spread
+        The largest logarithm of such a ratio by either model, nats.
+    """
+
+    difference: float
+    spread: float
+    other_spread: float
+
+    @property
+    def is_same(self) -> bool:
+        """Whether relative weights are the same but for the digits of a file."""
+        return self.difference <= TOLERANCE
+
+
+def compare(log_weights: FloatArray, others: FloatArray) -> Comparison:
+    """Return how far log-weights (n,) of the same poses differ."""
+    both = np.isfinite(log_weights) & np.isfinite(others)
+    alike = np.array_equal(np.isfinite(log_weights), np.isfinite(others))
+    if not both.any():
+        return Comparison(0.0 if alike else math.inf, 0.0, 0.0)
+    difference = float(np.ptp(log_weights[both] - others[both])) if alike else math.inf
+    return Comparison(difference, float(np.ptp(log_weights[both])), float(np.ptp(others[both])))
+
+
+def sample_distances(sigma: float, max_distance: float) -> FloatArray:
+    """Return distances (n, k) from end points to obstacles, metres: of poses that fit and poses that do not."""
+    rng = np.random.default_rng(0)
+    widths = sigma * rng.uniform(0.2, FARTHEST, (N_POSES, 1))
+    distances = np.abs(rng.normal(0.0, widths, (N_POSES, N_BEAMS)))
+    elsewhere = rng.random(distances.shape) < ELSEWHERE
+    distances[elsewhere] = rng.uniform(0.0, 1.3 * max_distance, int(elsewhere.sum()))
+    return distances
+
+
+def sample_ranges(sigma: float, typical_range: float, max_range: float) -> tuple[FloatArray, FloatArray]:
+    """Return readings (k,) and expected ranges (n, k), metres: of poses that fit and poses that do not.
+
+    All readings return: what else they may be (too short, of nothing) counts for all poses. Expected ranges have the
+    root mean square `typical_range`, but for those cut at `max_range`.
+    """
+    rng = np.random.default_rng(0)
+    truth = np.minimum(rng.rayleigh(typical_range / math.sqrt(2.0), N_BEAMS), 0.95 * max_range)
+    readings = truth + rng.normal(0.0, sigma, N_BEAMS)
+    elsewhere = rng.random(N_BEAMS) < ELSEWHERE
+    readings[elsewhere] = rng.uniform(0.1, 1.0, int(elsewhere.sum())) * truth[elsewhere]
+    readings = np.clip(readings, 0.02 * max_range, 0.98 * max_range)
+    widths = sigma * rng.uniform(0.2, FARTHEST, (N_POSES, 1))
+    expected = np.clip(truth + rng.normal(0.0, widths, (N_POSES, N_BEAMS)), 0.02 * max_range, max_range)
+    return readings, expected
+
+
+def compare_fields(
+    model: StackModelOf, other: StackModelOf, distances: FloatArray, limits: tuple[float, float], cell: float | None
+) -> Comparison:
+    """Compare the weights of two fields by the distances (n, k) from end points to obstacles, metres.
+
+    Parameters
+    ----------
+    model, other
+        Stack, model and parameters of each.
+    distances
+        From `sample_distances`.
+    limits
+        The ranges that nav2 and ROS 1 divide by, metres; Beluga and MRPT have it in their parameters.
+    cell
+        Side of the map's cells, metres: nav2 and ROS 1 cut distances off at a whole number of them. None leaves
+        distances as they are.
+    """
+    seen = distances if cell is None else between_cells(distances, cell)
+    weights = [
+        field_weights(stack, name, parameters, seen, limit, cell)
+        for (stack, name, parameters), limit in zip((model, other), limits, strict=True)
+    ]
+    return compare(*weights)
+
+
+def compare_rays(
+    model: StackModelOf, other: StackModelOf, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float
+) -> Comparison:
+    """Compare the weights of two beam models by readings (k,) and expected ranges (n, k), metres.
+
+    Parameters
+    ----------
+    model, other
+        Stack, model and parameters of each.
+    ranges, expected
+        From `sample_ranges`.
+    max_range
+        The sensor's longest range, metres.
+    cell
+        Side of the map's cells, metres, in which F1TENTH counts.
+    """
+    return compare(*(ray_weights(*named, ranges, expected, max_range, cell) for named in (model, other)))
+
+
+def ray_weights(
+    stack: str, model: str, parameters: Any, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float
+) -> FloatArray:
+    """Return the log-weights (n,) of a stack's beam model; see `compare_rays`."""
+    made, settings = _emulator(stack, model, parameters, cell)
+    evidence = RayEvidence(np.arange(len(ranges)), max_range, ranges, expected, settings=settings)
+    return np.asarray(made.log_weights(evidence))
+
+
+def beam_log_values(
+    stack: str, model: str, parameters: Any, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float
+) -> FloatArray:
+    """Return log p (k,) of single beams by a stack's beam model, up to a constant; see `compare_rays`."""
+    made, settings = _emulator(stack, model, parameters, cell)
+    beams = np.arange(len(ranges))
+    if stack == "mrpt":
+        # Scans of one beam each: their weight is p but for a factor.
+        alone = RayEvidence(beams[:1], max_range, ranges[:, None], expected[:, None], settings=settings)
+        return np.asarray(made.log_weights(alone))
+    evidence = RayEvidence(beams, max_range, ranges, expected[None, :], settings=settings)
+    if stack == "f1tenth":
+        return np.asarray(made.beam_log_values(evidence)[0])
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(made.beam_values(evidence)[0]))
+
+
+def field_weights(
+    stack: str, model: str, parameters: Any, distances: FloatArray, limit: float, cell: float | None = None
+) -> FloatArray:
+    """Return the log-weights (n,) of a stack's field; see `compare_fields`."""
+    if isinstance(parameters, ChapterField):
+        return chapter_field_weights(parameters, distances)
+    made, settings = _emulator(stack, model, parameters, FINE if cell is None else cell)
+    divisor = parameters.laser_max_range if stack == "beluga" else limit
+    places = np.full(distances.shape, KNOWN, np.int8)
+    evidence = FieldEvidence(np.arange(distances.shape[1]), divisor, distances, places, settings=settings)
+    return np.asarray(made.log_weights(evidence))
+
+
+def between_cells(distances: FloatArray, cell: float) -> FloatArray:
+    """Return distances as they are between cells: their squares are whole numbers of cells.
+
+    The side of a cell is taken in single precision, as it comes in the map's message.
+    """
+    side = float(np.float32(cell))
+    return np.asarray(np.sqrt(np.round((distances / side) ** 2)) * side)
+
+
+def chapter_field_weights(parameters: ChapterField, distances: FloatArray) -> FloatArray:
+    """Return the log-weights (n,) of the chapter's field (Table 6.3): the product of p over beams."""
+    d = np.minimum(distances, parameters.max_distance)
+    hit = np.exp(-0.5 * (d / parameters.sigma_hit) ** 2) / (math.sqrt(2.0 * math.pi) * parameters.sigma_hit)
+    with np.errstate(divide="ignore"):
+        p = np.log(parameters.z_hit * hit + parameters.z_rand / parameters.max_range)
+    return np.asarray(p.sum(axis=1))
+
+
+def _emulator(stack: str, model: str, parameters: Any, cell: float) -> tuple[Any, dict[str, Any]]:
+    grid = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=float(np.float32(cell)))
+    made = build_model(stack, model, grid, parameters)
+    return made, {name: getattr(parameters, name) for name in made.evidence_settings}

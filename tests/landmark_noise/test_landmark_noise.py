@@ -1,0 +1,431 @@
+"""Sample sightings from known noise, learn it again; and what the learner says when the data are not as modelled."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from beamfield.detection_log import DetectionLog
+from beamfield.detections import SPURIOUS, UNKNOWN, Detections
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.geometry import wrap_angle
+from beamfield.landmark_noise.em import NoiseLikelihood, NoiseProblem, NoiseTheta, climb_noise, noise_starts
+from beamfield.landmark_noise.learning import learn_landmark_parameters
+from beamfield.landmark_noise.sighting_table import sighting_table
+from beamfield.maps.landmarks import LandmarkMap
+from beamfield.models.landmark import LandmarkModel
+from beamfield.models.landmark_parameters import LandmarkParameters
+
+MAP = LandmarkMap([[0.0, 0.0], [9.0, 1.0], [8.0, 7.0], [1.0, 8.0], [4.0, 4.0]], ids=[4, 9, 2, 7, 30])
+MOUNT = (0.2, -0.1, 0.7)
+BOTH = LandmarkParameters(
+    0.15, 0.03, spurious_rate=0.08, max_range=14.0, range_bias=0.25, bearing_bias=-0.05, range_scale=1.04
+)
+RANGE_ONLY = replace(BOTH, sigma_bearing=None, bearing_bias=0.0)
+BEARING_ONLY = replace(BOTH, sigma_range=None, range_bias=0.0, range_scale=1.0, max_range=None, sigma_bearing=0.1)
+KINDS = {"range and bearing": BOTH, "range only": RANGE_ONLY, "bearing only": BEARING_ONLY}
+NAMES = ("range_bias", "range_scale", "sigma_range", "bearing_bias", "sigma_bearing", "spurious_rate")
+
+
+def simulate(truth: LandmarkParameters, rng: np.random.Generator, n: int = 400, landmarks: LandmarkMap = MAP):
+    """Return a log whose spurious features keep the id of the landmark they were taken for."""
+    poses = rng.uniform([1.0, 1.0, -3.0], [8.0, 7.0, 3.0], (n, 3))
+    model = LandmarkModel(landmarks, truth, correspondence="known", mount=MOUNT)
+    detections = []
+    for i, z in enumerate(model.sample(poses, rng)):
+        wrong = rng.random(len(z)) < truth.spurious_rate
+        ranges = np.where(wrong & ~np.isnan(z.ranges), rng.uniform(0.0, truth.max_range or 1.0, len(z)), z.ranges)
+        bearings = np.where(wrong & ~np.isnan(z.bearings), rng.uniform(-math.pi, math.pi, len(z)), z.bearings)
+        detections.append(Detections(ranges, bearings, ids=z.ids, stamp=0.1 * i))
+    return DetectionLog(poses, tuple(detections))
+
+
+def learn(log: DetectionLog, landmarks: LandmarkMap = MAP, **options):
+    return learn_landmark_parameters(landmarks, log, mount=MOUNT, **{"n_replicates": 60, **options})
+
+
+def names_of(result) -> set[str]:
+    return {finding.name for finding in result.findings}
+
+
+def finding(result, name: str):
+    return next(item for item in result.findings if item.name == name)
+
+
+def edited(log: DetectionLog, change) -> DetectionLog:
+    return replace(log, detections=tuple(change(i, z) for i, z in enumerate(log.detections)))
+
+
+def test_one_start_trusts_the_middle_half_of_the_residuals_and_one_all():
+    """Ranges off by -0.1, 0.1, 0.3 and 4 m, bearings by -0.02, 0, 0.03 and 1 rad, seen from the origin."""
+    off = np.array([[-0.1, -0.02], [0.1, 0.0], [0.1, 0.0], [0.3, 0.03], [4.0, 1.0]])
+    z = Detections(9.0 + off[:, 0], off[:, 1], ids=[1] * 5, stamp=0.0)
+    log = DetectionLog(np.zeros((1, 3)), (z,))
+    table = sighting_table(LandmarkMap([[9.0, 0.0]], ids=[1]), log)
+    robust, plain = noise_starts(NoiseLikelihood(table, NoiseProblem(14.0)))
+    assert robust.range_bias == pytest.approx(0.1)
+    # Median distances from the median: 0, 0, 0.2, 0.2, 3.9 and 0, 0, 0.02, 0.03, 1.
+    assert robust.sigma_range == pytest.approx(1.4826 * 0.2)
+    assert robust.bearing_bias == pytest.approx(0.0, abs=1e-12)
+    assert robust.sigma_bearing == pytest.approx(1.4826 * 0.02)
+    assert (plain.range_bias, plain.sigma_range) == pytest.approx((0.88, np.std(off[:, 0])))
+    assert (plain.bearing_bias, plain.sigma_bearing) == pytest.approx((0.202, np.std(off[:, 1])))
+    assert (robust.spurious_rate, plain.spurious_rate) == (0.1, 0.01)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_known_parameters_come_back_within_their_standard_errors(kind, seed):
+    truth = KINDS[kind]
+    result = learn(simulate(truth, np.random.default_rng(seed)), max_range=truth.max_range)
+    assert result.converged
+    learned = set(result.intervals)
+    assert learned == {name for name in NAMES if getattr(truth, name) not in (None, 0.0, 1.0)}
+    for name in learned:
+        off = abs(getattr(result.parameters, name) - getattr(truth, name))
+        assert off < 4.0 * result.standard_errors[name], name
+        # Useful, too: not an error bar that holds everything.
+        assert result.standard_errors[name] < 0.15 * abs(getattr(truth, name)) + 0.01, name
+    for name in set(NAMES) - learned:
+        assert getattr(result.parameters, name) == getattr(truth, name), name
+    # 160 of 2000 sightings are spurious: none at all is excluded.
+    low, high = result.intervals["spurious_rate"]
+    assert 0.04 < low < high < 0.13
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    held = []
+    for seed in range(14):
+        result = learn(simulate(BOTH, np.random.default_rng(100 + seed), n=200), max_range=14.0, fit_scale=True)
+        held += [low <= getattr(BOTH, name) <= high for name, (low, high) in result.intervals.items()]
+    # 84 intervals of 95 %: fewer than 71 would be a chance of 1e-5.
+    assert sum(held) >= 71
+
+
+def test_intervals_allow_for_errors_that_last():
+    landmarks, held, n_blocks = MAP, 0, 24
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        truth = replace(RANGE_ONLY, range_scale=1.0, spurious_rate=0.0, range_bias=0.0)
+        log = simulate(truth, rng, n=480)
+        lasting = np.repeat(rng.normal(0.0, 0.1, n_blocks), 480 // n_blocks)
+        log = edited(log, lambda i, z, lasting=lasting: replace(z, ranges=z.ranges + lasting[i]))
+        result = learn(log, landmarks, fit_spurious=False, fit_scale=False)
+        low, high = result.intervals["range_bias"]
+        held += low <= 0.0 <= high
+        # The errors alone: 0.1 m / sqrt(24); as if independent: 0.18 m / sqrt(2400).
+        assert 0.012 < result.standard_errors["range_bias"] < 0.03
+    assert held >= 6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("cut", [None, (0.4, 0.25)], ids=["whole", "cut"])
+@pytest.mark.parametrize("scale", [False, True], ids=["bias", "bias and scale"])
+def test_em_never_falls(kind, cut, scale, rng):
+    log = simulate(replace(KINDS[kind], range_scale=1.0, range_bias=0.1), rng, n=150)
+    table = sighting_table(MAP, log, mount=MOUNT)
+    if cut is not None:
+        residuals = np.nan_to_num([table.range_residuals, table.bearing_residuals])
+        table = table.subset((np.abs(residuals) < np.array([cut]).T).all(axis=0))
+    likelihood = NoiseLikelihood(table, NoiseProblem(14.0, cut or (None, None), fit_scale=scale))
+    bad = NoiseTheta(-2.0, 1.0, 3.0, 2.0, 2.5, 0.9)
+    for start in (*noise_starts(likelihood), bad):
+        climb = climb_noise(likelihood, start, tolerance=1e-12, max_iterations=200)
+        assert len(climb.trace) > 3
+        assert np.diff(climb.trace).min() >= -1e-9
+
+
+@pytest.mark.parametrize("cut", [None, (0.4, 0.12)], ids=["whole", "cut"])
+def test_the_end_is_the_maximum_that_a_general_optimiser_finds(cut, rng):
+    log = simulate(replace(BOTH, range_scale=1.0, range_bias=0.1), rng, n=150)
+    table = sighting_table(MAP, log, mount=MOUNT)
+    c_r, c_b = cut or (np.inf, np.pi)
+    kept = (np.abs(table.range_residuals) < c_r) & (np.abs(table.bearing_residuals) < c_b)
+    table = table.subset(kept)
+    e, b, d = table.range_residuals, table.bearing_residuals, table.expected_ranges
+    if cut is None:
+        log_none = np.where((table.ranges >= 0) & (table.ranges <= 14.0), -np.log(14.0 * 2.0 * np.pi), -np.inf)
+    else:
+        span = np.minimum(d + c_r, 14.0) - np.maximum(d - c_r, 0.0)
+        log_none = np.where((table.ranges >= 0) & (table.ranges <= 14.0), -np.log(span * 2.0 * c_b), -np.inf)
+
+    def log_likelihood(x: np.ndarray) -> float:
+        bias, sigma, shift, spread = x[0], np.exp(x[1]), x[2], np.exp(x[3])
+        rate = 1.0 / (1.0 + np.exp(-x[4]))
+        first = stats.truncnorm.logpdf(e, (-c_r - bias) / sigma, (c_r - bias) / sigma, bias, sigma)
+        if cut is None:
+            second = stats.truncnorm.logpdf(wrap_angle(b - shift), -np.pi / spread, np.pi / spread, 0.0, spread)
+        else:
+            second = stats.truncnorm.logpdf(b, (-c_b - shift) / spread, (c_b - shift) / spread, shift, spread)
+        return float(np.logaddexp(np.log1p(-rate) + first + second, np.log(rate) + log_none).mean())
+
+    found = optimize.minimize(
+        lambda x: -log_likelihood(x), [0.0, -1.5, 0.0, -3.0, -2.0], method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-14, "maxiter": 4000, "maxfev": 6000, "adaptive": True},
+    )  # fmt: skip
+    likelihood = NoiseLikelihood(table, NoiseProblem(14.0, cut or (None, None)))
+    ends = [climb_noise(likelihood, start, tolerance=1e-13) for start in noise_starts(likelihood)]
+    best = max(ends, key=lambda climb: climb.trace[-1])
+    assert best.trace[-1] == pytest.approx(-found.fun, abs=1e-9)
+    theta = best.theta
+    got = [theta.range_bias, np.log(theta.sigma_range), theta.bearing_bias, np.log(theta.sigma_bearing)]
+    np.testing.assert_allclose(got, found.x[:4], atol=2e-4)
+    assert theta.spurious_rate == pytest.approx(1.0 / (1.0 + np.exp(-found.x[4])), abs=2e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_likelihood_is_the_landmark_models_own(kind, rng):
+    log = simulate(KINDS[kind], rng, n=60)
+    result = learn(log, max_range=KINDS[kind].max_range)
+    p = result.parameters
+    model = LandmarkModel(MAP, p, correspondence="known", mount=MOUNT)
+    total = 0.0
+    for pose, z in zip(log.poses, log.detections, strict=True):
+        of_landmark = model.detection_log_likelihood(z, pose)
+        of_none = model.detection_log_likelihood(replace(z, ids=np.full(len(z), SPURIOUS)), pose)
+        total += np.logaddexp(np.log1p(-p.spurious_rate) + of_landmark, np.log(p.spurious_rate) + of_none).sum()
+    assert result.log_likelihood == pytest.approx(total / log.n_detections, rel=1e-9)
+
+
+def test_biases_are_reported_and_do_not_end_up_in_the_sigmas(rng):
+    truth = replace(BOTH, range_scale=1.0, range_bias=2.8, spurious_rate=0.0)
+    result = learn(simulate(truth, rng))
+    assert result.parameters.sigma_range == pytest.approx(0.15, rel=0.1)
+    text = finding(result, "range-bias").text
+    assert text.startswith("Range bias +2.")
+    assert "remove it at the sensor or keep range_bias" in text
+    assert finding(result, "bearing-bias").values["bias"] == pytest.approx(-0.05, abs=0.01)
+    none, bias = result.forms[:2]
+    assert (none.name, bias.name, bias.chosen) == ("no bias", "bias", True)
+    assert bias.gain > 10.0 * bias.gain_se > 0.0
+    without = learn(simulate(truth, np.random.default_rng(3)), fit_bias=False)
+    assert without.parameters.sigma_range > 2.7
+    assert "range_bias" not in without.intervals
+
+
+def test_no_bias_is_reported_where_there_is_none(rng):
+    truth = LandmarkParameters(0.15, 0.03)
+    result = learn(simulate(truth, rng))
+    assert names_of(result) <= {"no-spurious", "range-bias", "bearing-bias"}
+    assert result.parameters.spurious_rate == 0.0
+    low, high = result.intervals["spurious_rate"]
+    assert (low, high) == (0.0, pytest.approx(3.0 / result.n_sightings))
+    assert abs(result.forms[1].gain) < 0.01
+    assert result.parameters.range_scale == 1.0
+
+
+def test_a_scale_is_learned_only_where_it_is_worth_it_or_asked_for(rng):
+    scaled = simulate(BOTH, rng)
+    assert learn(scaled, max_range=14.0).parameters.range_scale == pytest.approx(1.04, abs=0.01)
+    without = learn(scaled, max_range=14.0, fit_scale=False)
+    assert without.parameters.range_scale == 1.0
+    assert "it was not asked for" in finding(without, "range-scale").text
+    plain = simulate(replace(BOTH, range_scale=1.0), rng)
+    assert learn(plain, max_range=14.0).parameters.range_scale == 1.0
+    asked = learn(plain, max_range=14.0, fit_scale=True)
+    assert asked.parameters.range_scale != 1.0
+    assert asked.parameters.range_scale == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_was_cut_off_is_allowed_for_when_said_and_suspected_when_not(rng):
+    truth = LandmarkParameters(0.3, 0.1, range_bias=0.1)
+    log = simulate(truth, rng, n=1500)
+    cut = 0.4, 0.15
+    model = LandmarkModel(MAP, LandmarkParameters(1.0, 1.0), correspondence="known", mount=MOUNT)
+
+    def within(i, z):
+        expected = model.expected(log.poses[i])
+        off = np.column_stack([z.ranges - expected[:, 0], wrap_angle(z.bearings - expected[:, 1])])
+        return z.subset((np.abs(off) < cut).all(axis=1))
+
+    log = edited(log, within)
+    blind = learn(log, fit_spurious=False)
+    assert blind.parameters.sigma_range < 0.23
+    assert {"range-looks-cut", "bearing-looks-cut"} <= names_of(blind)
+    assert finding(blind, "range-looks-cut").values["cut"] == pytest.approx(0.4, abs=1e-3)
+    aware = learn(log, truncated_at=cut, fit_spurious=False)
+    assert aware.parameters.sigma_range == pytest.approx(0.3, abs=4.0 * aware.standard_errors["sigma_range"])
+    assert aware.parameters.sigma_bearing == pytest.approx(0.1, abs=4.0 * aware.standard_errors["sigma_bearing"])
+    assert aware.parameters.range_bias == pytest.approx(0.1, abs=4.0 * aware.standard_errors["range_bias"])
+    with pytest.raises(
+        InvalidInputError, match=r"truncated_at: expected all range residuals within 0\.2, got .* lie bey"
+    ):
+        learn(log, truncated_at=(0.2, None))
+
+
+def test_the_rate_among_kept_features_says_so(rng):
+    log = simulate(replace(BOTH, range_scale=1.0, range_bias=0.0), rng, n=600)
+    table = sighting_table(MAP, log, mount=MOUNT)
+    assert np.abs(table.bearing_residuals).max() > 3.0
+    result = learn(log, truncated_at=(20.0, None), max_range=14.0)
+    assert "the share among those that were kept" in finding(result, "spurious-of-kept").text
+
+
+def test_bearings_wrap_for_a_sensor_that_looks_backwards_and_for_wide_noise(rng):
+    truth = LandmarkParameters(None, 0.9, bearing_bias=3.1)
+    result = learn(simulate(truth, rng), fit_spurious=False)
+    off = wrap_angle(result.parameters.bearing_bias - 3.1)
+    assert abs(off) < 4.0 * result.standard_errors["bearing_bias"]
+    assert result.standard_errors["bearing_bias"] < 0.1
+    assert result.parameters.sigma_bearing == pytest.approx(0.9, abs=4.0 * result.standard_errors["sigma_bearing"])
+
+
+def test_features_of_no_use_are_counted_and_known_spurious_ones_count_as_such(rng):
+    log = simulate(replace(BOTH, spurious_rate=0.0), rng, n=100)
+
+    def change(i, z):
+        ids = z.ids.copy()
+        ids[0] = UNKNOWN
+        ids[1] = SPURIOUS
+        return replace(z, ids=ids) if i else z.without_ids()
+
+    poses = log.poses.copy()
+    poses[5] = np.nan
+    result = learn(replace(edited(log, change), poses=poses))
+    # One observation without ids, one without pose; of the others one of five features is unknown.
+    assert finding(result, "features-left-out").values == {"n_unknown": 99.0 + 5.0, "n_without_pose": 4.0}
+    assert result.n_sightings == 98 * 4
+    assert result.parameters.spurious_rate == pytest.approx(0.25, abs=0.005)
+    without = learn(replace(edited(log, change), poses=poses), fit_spurious=False)
+    assert (without.parameters.spurious_rate, without.n_sightings) == (0.0, 98 * 3)
+
+
+def test_spurious_features_beyond_the_sensors_limit_are_refused(rng):
+    log = simulate(RANGE_ONLY, rng, n=30)
+    log = edited(log, lambda i, z: replace(z, ids=np.full(len(z), SPURIOUS), ranges=z.ranges + 20.0) if i == 3 else z)
+    with pytest.raises(InvalidInputError, match=r"max_range: expected ranges of .* in \[0, 14\], got .* at stamp 0\.3"):
+        learn(log, max_range=14.0)
+
+
+def test_heavy_tails_are_found(rng):
+    log = simulate(replace(RANGE_ONLY, spurious_rate=0.0), rng)
+    log = edited(log, lambda _, z: replace(z, ranges=z.ranges + 0.1 * rng.standard_t(2.0, len(z))))
+    result = learn(log, fit_spurious=False)
+    assert finding(result, "range-heavy-tails").values["beyond"] > 0.02
+
+
+def test_a_landmark_in_the_wrong_place_and_noise_that_grows_are_found(rng):
+    log = simulate(LandmarkParameters(0.05, 0.02), rng)
+    moved = LandmarkMap([*MAP.positions[:4], MAP.positions[4] + [0.3, 0.0]], ids=MAP.ids)
+    grown = edited(log, lambda _, z: replace(z, ranges=z.ranges + 0.05 * z.ranges * rng.standard_normal(len(z))))
+    assert finding(learn(grown), "range-sigma-by-distance").values["far"] > 0.25
+    misplaced = LandmarkMap(moved.positions, ids=MAP.ids)
+    poses = np.column_stack([np.full(len(log), 7.5), np.linspace(3.5, 4.5, len(log)), np.zeros(len(log))])
+    model = LandmarkModel(MAP, LandmarkParameters(0.05, 0.02), correspondence="known", mount=MOUNT)
+    seen = [replace(z, stamp=float(i)) for i, z in enumerate(model.sample(poses, rng))]
+    result = learn(DetectionLog(poses, tuple(seen)), misplaced)
+    by_landmark = finding(result, "range-bias-by-landmark")
+    assert by_landmark.values["id"] == 30.0
+    assert by_landmark.values["worst"] > 0.1
+
+
+def test_errors_longer_than_a_block_are_found(rng):
+    log = simulate(LandmarkParameters(0.05, None), rng, n=480)
+    drift = np.sin(np.arange(480) / 480 * 4.0 * np.pi)
+    log = edited(log, lambda i, z: replace(z, ranges=z.ranges + 0.3 * drift[i]))
+    assert finding(learn(log), "range-blocks-depend").values["correlation"] > 0.5
+
+
+def test_places_are_the_blocks_where_a_log_has_them(rng):
+    log = simulate(BOTH, rng, n=120)
+    places = np.repeat([5, 3, 9], 40)
+    result = learn(replace(log, places=places), max_range=14.0)
+    assert result.n_blocks == 3
+    assert finding(result, "few-blocks").values == {"n_blocks": 3.0}
+    assert learn(replace(log, places=places), max_range=14.0, block_s=1.0).n_blocks == 12
+
+
+def test_one_block_has_neither_intervals_nor_scores(rng):
+    log = edited(simulate(BOTH, rng, n=60), lambda _, z: replace(z, stamp=0.0))
+    result = learn(log, max_range=14.0)
+    assert (result.intervals, result.forms, result.n_blocks) == ({}, (), 1)
+    assert "no-intervals" in names_of(result)
+
+
+def test_exact_measurements_stop_at_a_floor_and_say_so(rng):
+    log = simulate(LandmarkParameters(1e-12, 1e-12), rng, n=50)
+    result = learn(log)
+    assert result.parameters.sigma_range == 1e-6
+    assert {"range-exact", "bearing-exact"} <= names_of(result)
+
+
+def test_too_few_iterations_are_reported(rng):
+    result = learn(simulate(BOTH, rng, n=60), max_range=14.0, max_iterations=1)
+    assert not result.converged
+    assert "not-converged" in names_of(result)
+
+
+def test_threads_and_seed_decide_no_bit_but_the_draws(rng):
+    log = simulate(BOTH, rng, n=100)
+    first, second = (learn(log, max_range=14.0, threads=threads) for threads in (1, 2))
+    assert first.intervals == second.intervals
+    assert learn(log, max_range=14.0, seed=1).intervals != first.intervals
+
+
+def test_signature_noise_is_carried_over(rng):
+    keep = LandmarkParameters(1.0, 1.0, sigma_signature=0.7)
+    assert learn(simulate(BOTH, rng, n=30), keep=keep).parameters.sigma_signature == 0.7
+
+
+def test_progress_counts_replicates(rng):
+    seen = []
+    learn(simulate(BOTH, rng, n=30), n_replicates=5, threads=1, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(i + 1, 5) for i in range(5)]
+
+
+def test_too_little_data_is_an_error_that_says_where_the_rest_went(rng):
+    log = simulate(BOTH, rng, n=30)
+    poses = log.poses.copy()
+    poses[2:] = np.nan
+    with pytest.raises(
+        TooLittleDataError, match=r"10 sightings .* need 20: 0 more are of unknown .*, 140 have no pose"
+    ):
+        learn(replace(log, poses=poses))
+
+
+def test_ranges_that_shrink_with_distance_have_no_scale(rng):
+    log = simulate(RANGE_ONLY, rng, n=60)
+    log = edited(log, lambda _, z: replace(z, ranges=20.0 - 1.5 * z.ranges))
+    with pytest.raises(TooLittleDataError, match="do not grow with the distance"):
+        learn(log, fit_scale=True, fit_spurious=False)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"truncated_at": (0.5,)}, r"truncated_at: expected \(metres, radians\), got \(0.5,\)"),
+        ({"truncated_at": (0.5, -0.1)}, "truncated_at: expected positive numbers or None"),
+        ({"tolerance": 0.0}, "tolerance: expected a positive number of nats per sighting, got 0.0"),
+        ({"max_iterations": 0}, "max_iterations: expected at least 1, got 0"),
+        ({"max_range": np.inf}, "max_range: expected a positive, finite number of metres, got inf"),
+        ({"n_replicates": 1}, "n_replicates: expected at least 2, got 1"),
+        ({"level": 1.0}, "level: expected a share between 0 and 1, got 1.0"),
+        ({"block_s": 0.0}, "block_s: expected a positive number of seconds, got 0.0"),
+        ({"fit_scale": True, "fit_bias": False}, "fit_scale: expected ranges at several distances and fit_bias=True"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, dict) else "",
+)
+def test_impossible_options_are_refused(options, message, rng):
+    with pytest.raises(InvalidInputError, match=message):
+        learn(simulate(BOTH, rng, n=20), **options)
+
+
+def test_a_mount_that_is_no_pose_and_an_unknown_id_are_refused(rng):
+    log = simulate(BOTH, rng, n=20)
+    with pytest.raises(InvalidInputError, match=r"mount: expected shape \(3,\), got \(2, 3\)"):
+        learn_landmark_parameters(MAP, log, mount=np.zeros((2, 3)))
+    with pytest.raises(InvalidInputError, match="ids: expected ids of the map, got 30"):
+        learn_landmark_parameters(LandmarkMap(MAP.positions[:4], ids=[4, 9, 2, 7]), log)
+
+
+def test_the_table_expects_what_the_model_expects(rng):
+    log = simulate(BOTH, rng, n=20)
+    table = sighting_table(MAP, log, mount=MOUNT)
+    model = LandmarkModel(MAP, LandmarkParameters(1.0, 1.0), correspondence="known", mount=MOUNT)
+    expected = model.expected(log.poses).reshape(-1, 2)
+    np.testing.assert_allclose(table.expected_ranges, expected[:, 0], rtol=1e-14)
+    np.testing.assert_allclose(wrap_angle(table.expected_bearings - expected[:, 1]), 0.0, atol=1e-13)

@@ -32,3 +32,9 @@ def test_a_value_that_is_no_probability_is_named_with_its_place(bad):
     values[0], values[2, 1] = (0.0, 1.0, 0.5, np.nan), bad
     with pytest.raises(InvalidInputError, match=r"got .* at \(row, col\) = \(2, 1\)"):
         OccupancyGrid(values, 0.1)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -0.05, 1.7e308, 1e-300, np.nan])
+def test_cells_whose_area_cannot_be_computed_are_refused(resolution):
+    with pytest.raises(InvalidInputError, match="resolution: expected a positive number from 1e-12 to 1e"):
+        OccupancyGrid(np.zeros((2, 3)), resolution)

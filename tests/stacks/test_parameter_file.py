@@ -8,6 +8,7 @@ import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.stacks.files.parameter_file import MODELS, check_patch_target, read_stack_file, write_values
+from beamfield.stacks.files.parameter_text import plain_value
 from beamfield.stacks.files.typed_values import checked_values
 
 NAV2 = """\
@@ -438,3 +439,18 @@ def test_files_of_other_kinds_are_named(write, name):
     with pytest.raises(FormatError, match=message) as refused:
         read_stack_file(write(text, name))
     assert "expected a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH" in str(refused.value)
+
+
+def test_a_long_value_takes_a_time_that_grows_with_its_length():
+    # Where digits match in two ways, this takes minutes.
+    word = "0" * 200_000 + "x"
+    assert plain_value(word) == word
+
+
+@pytest.mark.parametrize("text", ["x,y," * 500, "# a\n" * 400 + "1 " * 600])
+def test_a_file_of_another_kind_is_known_in_a_time_that_grows_with_its_length(write, text):
+    # A pattern of several free parts takes a minute for the first 400 characters of columns.
+    with pytest.raises(FormatError):
+        read_stack_file(write("a: [\n" + text, "poses.yaml"))
+    with pytest.raises(FormatError):
+        read_stack_file(write(text, "poses.csv"))

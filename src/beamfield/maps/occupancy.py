@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, check_fields, checked
+from beamfield.arguments import as_floats, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, invert, transform_points
 
@@ -71,8 +71,7 @@ class OccupancyGrid:
             raise InvalidInputError(
                 f"probability: expected [0, 1] or NaN, got {probability[row, col]} at (row, col) = ({row}, {col})"
             )
-        if not 0.0 < self.resolution < np.inf:
-            raise InvalidInputError(f"resolution: expected a positive number of metres, got {self.resolution}")
+        check_magnitude("resolution", self.resolution)
         if not 0.0 <= self.free_thresh < self.occupied_thresh <= 1.0:
             raise InvalidInputError(
                 "thresholds: expected 0 <= free_thresh < occupied_thresh <= 1, "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,8 +53,6 @@ class RangeMixtureModel(ABC):
     frozen dataclass with these fields.
     """
 
-    is_normalized: ClassVar[bool] = True
-
     parameters: BeamParameters
     exponent: float
     n_beams: int | None
@@ -74,6 +72,11 @@ class RangeMixtureModel(ABC):
         if self.n_beams is not None and self.n_beams < 1:
             raise InvalidInputError(f"n_beams: expected at least 1 or None, got {self.n_beams}")
         object.__setattr__(self, "_source", self._make_source())
+
+    @property
+    def is_normalized(self) -> bool:
+        """Whether it is a density over scans: a power of one is none, and some beams say nothing of the others."""
+        return self.exponent == 1.0 and self.n_beams is None
 
     def with_parameters(self, parameters: BeamParameters) -> Self:
         """Return the model with other intrinsic parameters and the same map, options and tables.

@@ -45,7 +45,7 @@ from beamfield.calibration.reference_checks import pose_findings
 from beamfield.calibration.selection import Selection, select_scans
 from beamfield.calibration.time_split import held_out_mask, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
-from beamfield.finding import Finding
+from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -231,7 +231,7 @@ def calibrate(
         timeline=timeline(table, fit, held_out),
         opposite=opposite,
         refinement=refinement,
-        findings=tuple(sorted(findings, key=lambda finding: finding.severity != "warning")),
+        findings=worst_first(findings),
         options=options,
     )
 

@@ -15,10 +15,10 @@ from beamfield.errors import InvalidInputError
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
+    from beamfield.finding import Finding
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
-    from beamfield.stacks.doctor.diagnosis import Diagnosis
-    from beamfield.stacks.doctor.patient import MapFile
+    from beamfield.stacks.doctor.subject import MapFile
     from beamfield.stacks.files.parameter_file import StackFile
 
 DESCRIPTION = """
@@ -80,7 +80,7 @@ def _read_map(path: Path) -> tuple[OccupancyGrid, MapFile]:
     from beamfield.io.files.yaml_file import read_yaml
     from beamfield.io.maps.ros_map import between_share, ros_map_notes
     from beamfield.io.read_map import read_map
-    from beamfield.stacks.doctor.patient import MapFile
+    from beamfield.stacks.doctor.subject import MapFile
 
     grid = read_map(path)
     yaw = float(grid.origin[2])
@@ -104,7 +104,7 @@ def _read_log(arguments: argparse.Namespace) -> SensorLog:
     return log.only_sensor(arguments.sensor[0] if arguments.sensor else None)
 
 
-def _as_text(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
+def _as_text(file: StackFile, found: tuple[Finding, ...]) -> str:
     width = min(shutil.get_terminal_size((100, 24)).columns, 120)
     section = f", section {printable(file.section.label)}" if file.section.label else ""
     lines = [f"{file.section.path}: {file.stack}, {file.model}{section}"]
@@ -113,14 +113,14 @@ def _as_text(file: StackFile, found: tuple[Diagnosis, ...]) -> str:
         lines.append("")
         head = f"{item.severity}: {item.name}{where}"
         lines.append(head)
-        for label, text in (("seen", item.seen), ("why", item.why), ("do", item.remedy)):
+        for label, text in (("seen", item.text), ("why", item.why), ("do", item.do)):
             lines += textwrap.wrap(text, width, initial_indent=f"  {label + ':':6}", subsequent_indent=" " * 8)
     counts = {kind: sum(item.severity == kind for item in found) for kind in ("error", "warning", "info")}
     summary = ", ".join(f"{n} {kind}{'s' if n != 1 and kind != 'info' else ''}" for kind, n in counts.items() if n)
     return "\n".join([*lines, "", summary or "nothing found"])
 
 
-def _as_document(file: StackFile, found: tuple[Diagnosis, ...]) -> dict[str, Any]:
+def _as_document(file: StackFile, found: tuple[Finding, ...]) -> dict[str, Any]:
     return {
         "file": file.section.path.name,
         "stack": file.stack,
@@ -130,7 +130,7 @@ def _as_document(file: StackFile, found: tuple[Diagnosis, ...]) -> dict[str, Any
         "findings": [
             {
                 "name": item.name, "severity": item.severity, "parameter": item.parameter or None, "line": item.line,
-                "seen": item.seen, "why": item.why, "remedy": item.remedy, "values": dict(item.values),
+                "seen": item.text, "why": item.why, "remedy": item.do, "values": dict(item.values),
             }
             for item in found
         ],

@@ -19,7 +19,7 @@ def findings() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for path in sorted(DOCTOR.glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "finds":
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "finding":
                 name, severity = node.args[:2]
                 assert isinstance(name, ast.Constant), f"{path.name}:{node.lineno}: the name is no constant"
                 words = [part.value for part in ast.walk(severity) if isinstance(part, ast.Constant)]

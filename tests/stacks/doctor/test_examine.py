@@ -11,7 +11,7 @@ from beamfield.errors import FormatError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, SensorLog
 from beamfield.stacks.doctor.examine import CHECKS, examine
-from beamfield.stacks.doctor.patient import MapFile
+from beamfield.stacks.doctor.subject import MapFile
 from beamfield.stacks.files.calibration_record import record_text, with_record
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.nav2.parameters import Nav2Parameters
@@ -260,7 +260,7 @@ def test_a_finding_in_files_of_mrpt_and_f1tenth(tmp_path, case):
     write, sick, with_sick, well, with_well = OTHERS[case]
     found = [item for item in examine(write(tmp_path, **sick), **with_sick) if item.name == name]
     assert len(found) == 1
-    assert all((found[0].seen, found[0].why, found[0].remedy))
+    assert all((found[0].text, found[0].why, found[0].do))
     assert name not in [item.name for item in examine(write(tmp_path, **well), **with_well)]
 
 
@@ -286,7 +286,7 @@ def test_a_finding_comes_where_it_is_due_and_not_elsewhere(tmp_path, case):
     sick, with_sick, well, with_well = FINDINGS[case]
     found = [item for item in examine(amcl(tmp_path, **sick), **with_sick) if item.name == name]
     assert len(found) == 1
-    assert all((found[0].seen, found[0].why, found[0].remedy))
+    assert all((found[0].text, found[0].why, found[0].do))
     assert name not in [item.name for item in examine(amcl(tmp_path, **well), **with_well)]
 
 
@@ -294,12 +294,12 @@ def test_every_check_has_a_test(tmp_path):
     """Run each check on all the cases that trigger something: none may stay silent."""
     silent = set(CHECKS)
     for sick, others, _, _ in FINDINGS.values():
-        from beamfield.stacks.doctor.patient import Patient
+        from beamfield.stacks.doctor.subject import Subject
         from beamfield.stacks.files.typed_values import typed_values
 
         file = amcl(tmp_path, **sick)
-        patient = Patient(file, typed_values(file), **others)
-        silent -= {check for check in silent if list(check(patient))}
+        subject = Subject(file, typed_values(file), **others)
+        silent -= {check for check in silent if list(check(subject))}
     assert not silent
 
 
@@ -310,9 +310,9 @@ def test_a_misspelt_model_is_named_with_the_right_one_and_examined_as_the_progra
     assert (unknown.name, unknown.severity, unknown.parameter, unknown.line) == (
         "unknown-model", "error", "laser_model_type", 3,
     )  # fmt: skip
-    assert "laser_model_type is 'likelihood_feild_prob'" in unknown.seen
+    assert "laser_model_type is 'likelihood_feild_prob'" in unknown.text
     assert "nav2 runs likelihood_field instead, without a message" in unknown.why
-    assert unknown.remedy == "write likelihood_field_prob"
+    assert unknown.do == "write likelihood_field_prob"
     assert {"sigma-huge", "nearly-flat"} <= {item.name for item in found}
     assert "logs a warning" in texts(examine(amcl(tmp_path, stack="ros1", **wrong)), "unknown-model")
     assert "stops" in texts(examine(amcl(tmp_path, stack="beluga", **wrong)), "unknown-model")
@@ -328,7 +328,7 @@ def test_whoever_writes_values_still_refuses_a_misspelt_model(tmp_path):
 
 
 def texts(found, name):
-    return next(f"{item.seen} {item.why} {item.remedy}" for item in found if item.name == name)
+    return next(f"{item.text} {item.why} {item.do}" for item in found if item.name == name)
 
 
 def test_what_a_sum_other_than_one_does_depends_on_the_model(tmp_path):
@@ -363,7 +363,7 @@ def test_parameters_of_beam_skipping_in_belugas_file_are_one_finding(tmp_path):
     skipping = {"do_beamskip": "false", "beam_skip_distance": 0.5, "beam_skip_threshold": 0.3}
     found = [item for item in examine(amcl(tmp_path, "beluga", **skipping)) if item.name == "foreign-name"]
     assert [item.severity for item in found] == ["info"]
-    assert found[0].seen.startswith("do_beamskip, beam_skip_distance, beam_skip_threshold are parameters of nav2")
+    assert found[0].text.startswith("do_beamskip, beam_skip_distance, beam_skip_threshold are parameters of nav2")
     skipping["do_beamskip"] = "true"
     found = [item for item in examine(amcl(tmp_path, "beluga", **skipping)) if item.name == "foreign-name"]
     assert [item.severity for item in found] == ["warning"]
@@ -402,7 +402,7 @@ def test_parameters_keep_the_names_of_their_stack(tmp_path):
     found = examine(amcl(tmp_path, stack="ros1", laser_z_hit=0.5))
     sums = next(item for item in found if item.name == "weights-sum")
     assert sums.parameter == "laser_z_hit"
-    assert sums.seen == "the weights that likelihood_field uses sum to 0.55: laser_z_hit 0.5 + laser_z_rand 0.05"
+    assert sums.text == "the weights that likelihood_field uses sum to 0.55: laser_z_hit 0.5 + laser_z_rand 0.05"
 
 
 def test_sharpness_is_measured_on_the_log_if_there_are_poses(tmp_path):
@@ -415,9 +415,9 @@ def test_sharpness_is_measured_on_the_log_if_there_are_poses(tmp_path):
     file = amcl(tmp_path, laser_model_type="likelihood_field_prob", sigma_hit=0.05, z_hit=0.99, z_rand=0.01)
     log = scans(walls, poses=poses)
     found = {item.name: item for item in examine(file, grid=grid, log=log)}
-    assert "in the log" in found["absurdly-sharp"].seen
+    assert "in the log" in found["absurdly-sharp"].text
     without = {item.name: item for item in examine(file, grid=grid, log=replace(log, poses=np.full((10, 3), np.nan)))}
-    assert "in a plain room" in without["absurdly-sharp"].seen
+    assert "in a plain room" in without["absurdly-sharp"].text
 
 
 def test_an_integer_for_a_double_does_not_hide_what_else_is_wrong(tmp_path):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from beamfield.stacks.doctor.diagnosis import Diagnosis
-from beamfield.stacks.doctor.patient import Patient
+from beamfield.finding import Finding
+from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.files.calibration_record import is_as_calibrated
 
 # What calibration weighed against its effect on the posterior, on windows of a log held out.
@@ -15,18 +15,18 @@ SETTLED = frozenset(
 )  # fmt: skip
 
 
-def is_calibrated(patient: Patient) -> bool:
+def is_calibrated(subject: Subject) -> bool:
     """Whether the file has the very values that beamfield calibrated, by its record of them."""
-    file = patient.file
-    return not patient.typed.unusable and is_as_calibrated(
-        file.section.text, file.stack, file.model, patient.parameters
+    file = subject.file
+    return not subject.typed.unusable and is_as_calibrated(
+        file.section.text, file.stack, file.model, subject.parameters
     )
 
 
-def calibrated(patient: Patient) -> Iterator[Diagnosis]:
+def calibrated(subject: Subject) -> Iterator[Finding]:
     """Say that the values are those of a calibration."""
-    if is_calibrated(patient):
-        yield patient.finds(
+    if is_calibrated(subject):
+        yield subject.finding(
             "calibrated", "info", "all values are as `beamfield calibrate --stack` wrote them",
             "they were chosen by the posterior they make on held-out parts of a log: advice to calibrate, to use other "
             "widths or fewer beams is left out",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from beamfield.finding import Finding, worst_first
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor import (
@@ -16,12 +17,11 @@ from beamfield.stacks.doctor import (
     weight_checks,
 )
 from beamfield.stacks.doctor.calibration_check import SETTLED, calibrated, is_calibrated
-from beamfield.stacks.doctor.diagnosis import Diagnosis, worst_first
-from beamfield.stacks.doctor.patient import MapFile, Patient
+from beamfield.stacks.doctor.subject import MapFile, Subject
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import typed_values
 
-CHECKS: tuple[Callable[[Patient], Iterator[Diagnosis]], ...] = (
+CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.unusable_values,
     value_checks.missing_ros_key,
     map_checks.no_obstacles,
@@ -57,7 +57,7 @@ def examine(
     grid: OccupancyGrid | None = None,
     map_file: MapFile | None = None,
     log: SensorLog | None = None,
-) -> tuple[Diagnosis, ...]:
+) -> tuple[Finding, ...]:
     """Return everything that is wrong with a parameter file, or worth knowing, worst first.
 
     Parameters
@@ -69,8 +69,8 @@ def examine(
     log
         Scans of the robot; None leaves out what needs them.
     """
-    patient = Patient(file, typed_values(file), grid, map_file, log)
-    found = [item for check in CHECKS for item in check(patient)]
-    if is_calibrated(patient):
+    subject = Subject(file, typed_values(file), grid, map_file, log)
+    found = [item for check in CHECKS for item in check(subject)]
+    if is_calibrated(subject):
         found = [item for item in found if item.name not in SETTLED]
     return worst_first(found)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from beamfield.stacks.doctor.diagnosis import Diagnosis
-from beamfield.stacks.doctor.patient import Patient
+from beamfield.finding import Finding
+from beamfield.stacks.doctor.subject import Subject
 
 
-def uninitialised_queue(patient: Patient) -> Iterator[Diagnosis]:
+def uninitialised_queue(subject: Subject) -> Iterator[Finding]:
     """Say that nav2's distances depend on how it was built."""
-    if patient.file.stack == "nav2" and patient.is_field:
-        yield patient.finds(
+    if subject.file.stack == "nav2" and subject.is_field:
+        yield subject.finding(
             "distance-queue-uninitialised", "info",
             "nav2 since April 2025 (commit def640f3d) never sets the distance by which it sorts obstacles in its queue",
             "the queue's order depends on what is in memory: distances come out right or metres too long, from build "

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.stacks.doctor.diagnosis import Diagnosis
-from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.emulation.stack_map import read_as_stack
 
 YAW_TOLERANCE = 1e-9
@@ -18,31 +18,31 @@ CHANGED_SHARE = 0.02
 OPEN_EDGE_SHARE = 0.002
 
 
-def ignored_yaw(patient: Patient) -> Iterator[Diagnosis]:
+def ignored_yaw(subject: Subject) -> Iterator[Finding]:
     """Find a map origin with a yaw that the stack does not honour."""
-    if patient.map_file is None or abs(patient.map_file.yaw) <= YAW_TOLERANCE:
+    if subject.map_file is None or abs(subject.map_file.yaw) <= YAW_TOLERANCE:
         return
-    if patient.file.stack in ("beluga", "f1tenth"):
+    if subject.file.stack in ("beluga", "f1tenth"):
         return
-    yield patient.finds(
+    yield subject.finding(
         "map-yaw-ignored", "error",
-        f"the map's origin has a yaw of {math.degrees(patient.map_file.yaw):.3g} degrees",
-        "MRPT's bridge from ROS takes no map with a turned origin" if patient.file.stack == "mrpt" else
-        f"{patient.file.stack} takes only the origin's x and y: every pose is matched against a map that lies turned",
-        "save the map with a yaw of 0 (turn the picture)", values={"yaw": patient.map_file.yaw},
+        f"the map's origin has a yaw of {math.degrees(subject.map_file.yaw):.3g} degrees",
+        "MRPT's bridge from ROS takes no map with a turned origin" if subject.file.stack == "mrpt" else
+        f"{subject.file.stack} takes only the origin's x and y: every pose is matched against a map that lies turned",
+        "save the map with a yaw of 0 (turn the picture)", values={"yaw": subject.map_file.yaw},
     )  # fmt: skip
 
 
-def half_cell(patient: Patient) -> Iterator[Diagnosis]:
+def half_cell(subject: Subject) -> Iterator[Finding]:
     """Say how far the stack places cells from where the map has them."""
-    if patient.grid is None or patient.file.stack not in ("nav2", "ros1"):
+    if subject.grid is None or subject.file.stack not in ("nav2", "ros1"):
         return
-    shift = patient.grid.resolution / 2.0
-    sigma = patient.value("sigma_hit")
+    shift = subject.grid.resolution / 2.0
+    sigma = subject.value("sigma_hit")
     numbers = {"shift": shift} if sigma is None else {"shift": shift, "sigma": float(sigma)}
-    yield patient.finds(
+    yield subject.finding(
         "half-cell-shift", "info",
-        f"{patient.file.stack} centres cell (0, 0) on the map's origin: to it every wall lies {shift:g} m too low in x "
+        f"{subject.file.stack} centres cell (0, 0) on the map's origin: to it every wall lies {shift:g} m too low in x "
         "and y",
         "poses come out shifted with the walls; other programs on the robot (costmaps, planners) do not shift them",
         f"use a finer map, or give amcl alone a copy of the map's file with {shift:g} m added to x and y of its origin",
@@ -50,24 +50,24 @@ def half_cell(patient: Patient) -> Iterator[Diagnosis]:
     )  # fmt: skip
 
 
-def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
+def unknown_space(subject: Subject) -> Iterator[Finding]:
     """Say what the stack makes of unknown cells that beams can reach."""
-    if patient.grid is None:
+    if subject.grid is None:
         return
-    share = _open_edges(patient.grid)
+    share = _open_edges(subject.grid)
     if share <= OPEN_EDGE_SHARE:
         return
     seen = f"{share:.1%} of the free cells have an unknown neighbour"
-    model, stack = patient.file.model, patient.file.stack
+    model, stack = subject.file.model, subject.file.stack
     if model == "beam":
-        yield patient.finds(
+        yield subject.finding(
             "unknown-stops-rays", "info", seen,
             "rays stop at unknown cells as at walls: readings through open doors into unmapped rooms count against the "
             "true pose, and poses inside unknown space see walls at arm's length",
             "paint unknown cells that beams pass as free, or use a field model", values={"share": share},
         )  # fmt: skip
-    elif stack == "beluga" and model == "likelihood_field" and patient.parameters.model_unknown_space:
-        yield patient.finds(
+    elif stack == "beluga" and model == "likelihood_field" and subject.parameters.model_unknown_space:
+        yield subject.finding(
             "unknown-attracts", "warning", seen,
             "with model_unknown_space an end point in unknown space is worth 1 / laser_max_range, more than the "
             "z_rand / laser_max_range of free space: poses gain by pointing beams there",
@@ -75,20 +75,20 @@ def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
             parameter="model_unknown_space", values={"share": share},
         )  # fmt: skip
     elif stack == "f1tenth":
-        yield patient.finds(
+        yield subject.finding(
             "unknown-is-free", "info", seen,
             "rays pass unknown cells as free ones: readings that end in unmapped rooms count as short ones",
             "nothing, if the map covers where the robot goes", values={"share": share},
         )  # fmt: skip
     elif model == "rayTracing":
-        yield patient.finds(
+        yield subject.finding(
             "unknown-ends-rays", "info", seen,
             "a ray that meets an unknown cell expects the sensor's longest range: readings through open doors into "
             "unmapped rooms, and from walls behind unknown cells, count against the true pose",
             "paint unknown cells that beams pass as free, or use LF_Thrun", values={"share": share},
         )  # fmt: skip
     else:
-        yield patient.finds(
+        yield subject.finding(
             "unknown-is-free", "info", seen,
             "the field treats unknown cells as free: a pose whose readings end in unmapped space loses as much as one "
             "whose readings end in a free room",
@@ -96,47 +96,47 @@ def unknown_space(patient: Patient) -> Iterator[Diagnosis]:
         )  # fmt: skip
 
 
-def lost_cells(patient: Patient) -> Iterator[Diagnosis]:
+def lost_cells(subject: Subject) -> Iterator[Finding]:
     """Find maps of probabilities that become mostly unknown, and thresholds that turn unknown into free."""
-    if patient.map_file is None or patient.grid is None:
+    if subject.map_file is None or subject.grid is None:
         return
-    for note in patient.map_file.notes:
-        yield patient.finds(
-            "unknown-read-as-free", "info", f"{patient.map_file.name}: {note}",
+    for note in subject.map_file.notes:
+        yield subject.finding(
+            "unknown-read-as-free", "info", f"{subject.map_file.name}: {note}",
             "space that nobody has seen counts as free: rays pass it, and particles are spread over it",
             "set free_thresh to 0.196 in the map's file",
         )  # fmt: skip
-    if patient.map_file.between_share > CHANGED_SHARE:
-        share = patient.map_file.between_share
-        yield patient.finds(
+    if subject.map_file.between_share > CHANGED_SHARE:
+        share = subject.map_file.between_share
+        yield subject.finding(
             "thresholds-lose-cells", "warning",
-            f"{share:.1%} of the pixels of {patient.map_file.name} lie between free_thresh and occupied_thresh, not "
+            f"{share:.1%} of the pixels of {subject.map_file.name} lie between free_thresh and occupied_thresh, not "
             "counting the grey that means unknown",
             "they become unknown: walls that were seen less often are no obstacles, and seldom seen space is not free",
             "bring the thresholds nearer to each other, so that what is probably a wall counts as one",
             values={"share": share},
         )  # fmt: skip
-    if not patient.is_amcl or patient.map_file.mode == "trinary":
+    if not subject.is_amcl or subject.map_file.mode == "trinary":
         return
-    grid = patient.grid
+    grid = subject.grid
     known = ~np.isnan(grid.probability)
-    mode = "raw" if patient.map_file.mode == "raw" else "scale"
+    mode = "raw" if subject.map_file.mode == "raw" else "scale"
     seen = read_as_stack(grid, "raw") if mode == "raw" else grid
     between = float((known & seen.unknown).mean())
     if between > CHANGED_SHARE:
-        yield patient.finds(
+        yield subject.finding(
             "map-mode-loses-cells", "warning",
-            f"{patient.map_file.name} has mode {patient.map_file.mode}: {between:.1%} of its cells have a value "
+            f"{subject.map_file.name} has mode {subject.map_file.mode}: {between:.1%} of its cells have a value "
             "strictly between free (0) and occupied (100)",
             "amcl keeps only 0 and 100; all else becomes unknown, among it most walls of a map of probabilities",
             "set mode: trinary in the map's file", values={"share": between},
         )  # fmt: skip
 
 
-def no_obstacles(patient: Patient) -> Iterator[Diagnosis]:
+def no_obstacles(subject: Subject) -> Iterator[Finding]:
     """Find a map in which the stack sees no wall."""
-    if patient.grid is not None and not patient.grid.occupied.any():
-        yield patient.finds(
+    if subject.grid is not None and not subject.grid.occupied.any():
+        yield subject.finding(
             "no-obstacles", "error", "the map has no occupied cell",
             "no reading is nearer to an obstacle at one pose than at another: no pose can be told from the next",
             "look at occupied_thresh, negate and the picture",

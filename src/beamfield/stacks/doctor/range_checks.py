@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from beamfield.finding import Finding
 from beamfield.sensors import SensorLog
-from beamfield.stacks.doctor.diagnosis import Diagnosis
-from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.doctor.subject import Subject
 
 # A limit that hides more of the readings than this is worth a word.
 HIDDEN_SHARE = 0.02
@@ -16,18 +16,18 @@ HIDDEN_SHARE = 0.02
 SHORT_LIMIT = 3.0
 
 
-def unreachable_z_max(patient: Patient) -> Iterator[Diagnosis]:
+def unreachable_z_max(subject: Subject) -> Iterator[Finding]:
     """Find a z_max that no reading of a REP 117 driver brings in."""
-    if patient.file.model != "beam" or not patient.value("z_max"):
+    if subject.file.model != "beam" or not subject.value("z_max"):
         return
-    limit, log = patient.value("laser_max_range"), patient.log
+    limit, log = subject.value("laser_max_range"), subject.log
     share = None if log is None else float(np.isposinf(log.ranges).mean())
-    if limit is None or share == 0.0 or (log is not None and _reports_limit(log, limit, patient.file.stack)):
+    if limit is None or share == 0.0 or (log is not None and _reports_limit(log, limit, subject.file.stack)):
         return
-    seen = f"{patient.name_of('z_max')} is {patient.value('z_max'):g}"
+    seen = f"{subject.name_of('z_max')} is {subject.value('z_max'):g}"
     if share is not None:
         seen += f", and {share:.1%} of the log's readings are missing returns"
-    if patient.file.stack == "beluga":
+    if subject.file.stack == "beluga":
         why = "z_max counts only readings of laser_max_range that the sensor's own limit lets pass; +inf is dropped"
         to = "have the driver report range_max where nothing comes back, and set laser_max_range to it"
     else:
@@ -36,7 +36,7 @@ def unreachable_z_max(patient: Patient) -> Iterator[Diagnosis]:
             "too short ones, which amcl turns into it; +inf scores 0 and readings beyond laser_max_range nearly so"
         )
         to = "have the driver report range_max where nothing comes back, with laser_max_range at that limit or above"
-    yield patient.finds(
+    yield subject.finding(
         "z-max-unreachable", "info", seen,
         f"{why}: with a driver that follows REP 117 and reports +inf, missing returns say nothing",
         f"{to}; else z_max has no effect",
@@ -44,15 +44,15 @@ def unreachable_z_max(patient: Patient) -> Iterator[Diagnosis]:
     )  # fmt: skip
 
 
-def range_limits(patient: Patient) -> Iterator[Diagnosis]:
+def range_limits(subject: Subject) -> Iterator[Finding]:
     """Find a longest range that is not the sensor's, or without a log can hardly be."""
-    limit = patient.value("laser_max_range")
-    if limit is None or patient.file.model in ("rayTracing",):
+    limit = subject.value("laser_max_range")
+    if limit is None or subject.file.model in ("rayTracing",):
         return
-    name = patient.name_of("laser_max_range")
-    if patient.log is None:
-        if 0.0 < limit < SHORT_LIMIT and patient.file.stack != "mrpt":  # MRPT only divides by it
-            yield patient.finds(
+    name = subject.name_of("laser_max_range")
+    if subject.log is None:
+        if 0.0 < limit < SHORT_LIMIT and subject.file.stack != "mrpt":  # MRPT only divides by it
+            yield subject.finding(
                 "range-limit-short", "warning", f"{name} is {limit:g} m",
                 "nearly all lasers see farther: readings beyond it count for nothing, or are cut down to it, and they "
                 "are those that tell headings best",
@@ -60,21 +60,21 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
                 parameter="laser_max_range", values={"limit": float(limit)},
             )  # fmt: skip
         return
-    sensor = patient.log.finder.max_range
+    sensor = subject.log.finder.max_range
     # nav2 and ROS 1 take the lesser of the two.
-    if limit > sensor * 1.01 and not _amcl(patient):
-        rand = patient.name_of("z_rand")
-        yield patient.finds(
+    if limit > sensor * 1.01 and not _amcl(subject):
+        rand = subject.name_of("z_rand")
+        yield subject.finding(
             "range-limit-above-sensor", "info", f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
             f"random readings are spread over {limit:g} m, {rand} / {limit:g} for each metre, where the sensor has "
             f"{sensor:g}: they are worth {limit / sensor:.1f} times too little",
             f"set it to {sensor:g}", parameter="laser_max_range", values={"limit": limit, "sensor": sensor},
         )  # fmt: skip
-    elif 0.0 < limit < sensor and patient.file.stack != "mrpt":  # MRPT only divides by it
-        finite = patient.log.ranges[np.isfinite(patient.log.ranges)]
+    elif 0.0 < limit < sensor and subject.file.stack != "mrpt":  # MRPT only divides by it
+        finite = subject.log.ranges[np.isfinite(subject.log.ranges)]
         hidden = float((finite >= limit).mean()) if finite.size else 0.0
         if hidden > HIDDEN_SHARE:
-            yield patient.finds(
+            yield subject.finding(
                 "range-limit-hides-readings", "warning",
                 f"{name} is {limit:g} m, {hidden:.1%} of the log's readings are longer",
                 "these readings are cut down to it, or count for nothing, and they are those that tell headings best",
@@ -83,15 +83,15 @@ def range_limits(patient: Patient) -> Iterator[Diagnosis]:
             )  # fmt: skip
 
 
-def short_limit(patient: Patient) -> Iterator[Diagnosis]:
+def short_limit(subject: Subject) -> Iterator[Finding]:
     """Find a shortest range that AMCL turns real readings into missing returns with."""
-    low = patient.value("laser_min_range")
-    if not _amcl(patient) or patient.log is None or low is None:
+    low = subject.value("laser_min_range")
+    if not _amcl(subject) or subject.log is None or low is None:
         return
-    finite = patient.log.ranges[np.isfinite(patient.log.ranges)]
+    finite = subject.log.ranges[np.isfinite(subject.log.ranges)]
     hidden = float((finite <= low).mean()) if finite.size else 0.0
     if low > 0.0 and hidden > HIDDEN_SHARE:
-        yield patient.finds(
+        yield subject.finding(
             "min-range-hides-readings", "warning",
             f"laser_min_range is {low:g} m, {hidden:.1%} of the log's readings are shorter",
             "AMCL turns readings that are too short into the longest range, as if nothing were there",
@@ -100,8 +100,8 @@ def short_limit(patient: Patient) -> Iterator[Diagnosis]:
         )  # fmt: skip
 
 
-def _amcl(patient: Patient) -> bool:
-    return patient.file.stack in ("nav2", "ros1")
+def _amcl(subject: Subject) -> bool:
+    return subject.file.stack in ("nav2", "ros1")
 
 
 def _reports_limit(log: SensorLog, limit: float, stack: str) -> bool:

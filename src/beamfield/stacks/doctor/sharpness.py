@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from beamfield.errors import InvalidInputError
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from beamfield.stacks.doctor.diagnosis import Diagnosis
-from beamfield.stacks.doctor.patient import Patient
+from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence, RayEvidence
 from beamfield.stacks.registry import build_model
 
@@ -37,16 +37,16 @@ _FLATTER = {"ros1": "fewer beams or a wider laser_sigma_hit", "mrpt": "a larger 
             "f1tenth": "a larger squash_factor"}  # fmt: skip
 
 
-def sharpness(patient: Patient) -> Iterator[Diagnosis]:
+def sharpness(subject: Subject) -> Iterator[Finding]:
     """Find parameters with which a scan hardly moves the particles, or with which a handful take all the weight."""
-    if not all(item.is_clear for item in patient.typed.unusable):
+    if not all(item.is_clear for item in subject.typed.unusable):
         return
     try:
-        effective, where = _effective(patient)
+        effective, where = _effective(subject)
     except InvalidInputError:  # the program would not return; another check says so
         return
     if effective == 0.0:
-        yield patient.finds(
+        yield subject.finding(
             "all-weights-zero", "error", f"one scan gives all {N_PARTICLES} particles around the true pose {where} the "
             "weight 0", "weights are divided by their sum: there is nothing left to choose poses by",
             "give random readings (z_rand) a few percent, and hits something",
@@ -59,18 +59,18 @@ def sharpness(patient: Patient) -> Iterator[Diagnosis]:
     )
     numbers = {"effective_sample_size": effective, "particles": float(N_PARTICLES)}
     if share > FLAT:
-        yield patient.finds(
+        yield subject.finding(
             "nearly-flat", "warning" if share > FLATTEST else "info", seen,
             "weights hardly differ: the filter follows odometry and corrects only over many scans",
             "calibrate (beamfield calibrate --stack), or use likelihood_field_prob with few beams"
-            if patient.file.model == "likelihood_field" else "calibrate (beamfield calibrate --stack)",
+            if subject.file.model == "likelihood_field" else "calibrate (beamfield calibrate --stack)",
             values=numbers,
         )  # fmt: skip
     elif share < SHARP:
-        yield patient.finds(
+        yield subject.finding(
             "absurdly-sharp", "warning", seen,
             "beams err together, but count as if they were independent: one bad scan can throw away the true pose",
-            f"calibrate (beamfield calibrate --stack), or take {_FLATTER.get(patient.file.stack, _FEWER)}",
+            f"calibrate (beamfield calibrate --stack), or take {_FLATTER.get(subject.file.stack, _FEWER)}",
             values=numbers,
         )  # fmt: skip
 
@@ -84,16 +84,16 @@ def effective_sample_size(log_weights: FloatArray) -> float:
     return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
-def _effective(patient: Patient) -> tuple[float, str]:
+def _effective(subject: Subject) -> tuple[float, str]:
     """Return the effective sample size after one scan, and where that was."""
-    log, grid = patient.log, patient.grid
+    log, grid = subject.log, subject.grid
     if log is not None and grid is not None and log.has_poses:
-        return _effective_in_log(patient, log, grid), f"in the log (median of up to {N_SCANS} scans)"
-    return effective_sample_size(_room_weights(patient)), "in a plain room"
+        return _effective_in_log(subject, log, grid), f"in the log (median of up to {N_SCANS} scans)"
+    return effective_sample_size(_room_weights(subject)), "in a plain room"
 
 
-def _effective_in_log(patient: Patient, log: SensorLog, grid: OccupancyGrid) -> float:
-    model = build_model(patient.file.stack, patient.file.model, grid, patient.parameters)
+def _effective_in_log(subject: Subject, log: SensorLog, grid: OccupancyGrid) -> float:
+    model = build_model(subject.file.stack, subject.file.model, grid, subject.parameters)
     with_pose = np.flatnonzero(np.isfinite(log.poses).all(axis=1))
     chosen = with_pose[np.linspace(0, len(with_pose) - 1, min(N_SCANS, len(with_pose))).astype(np.int64)]
     rng = np.random.default_rng(0)
@@ -107,36 +107,36 @@ def _effective_in_log(patient: Patient, log: SensorLog, grid: OccupancyGrid) -> 
     return float(np.median(sizes))
 
 
-def _room_weights(patient: Patient) -> FloatArray:
+def _room_weights(subject: Subject) -> FloatArray:
     grid = OccupancyGrid.from_ros(np.zeros((1, 1)), resolution=0.05)
-    model: Any = build_model(patient.file.stack, patient.file.model, grid, patient.parameters)
-    settings = {name: getattr(patient.parameters, name) for name in model.evidence_settings}
-    n_beams = _n_beams(patient)
+    model: Any = build_model(subject.file.stack, subject.file.model, grid, subject.parameters)
+    settings = {name: getattr(subject.parameters, name) for name in model.evidence_settings}
+    n_beams = _n_beams(subject)
     readings, expected = _room(np.random.default_rng(0), n_beams)
-    beams, limit = np.arange(n_beams), _range_limit(patient)
-    if patient.is_field:
+    beams, limit = np.arange(n_beams), _range_limit(subject)
+    if subject.is_field:
         distances = np.abs(readings - expected)
         places = np.full(distances.shape, KNOWN, np.int8)
         return np.asarray(model.log_weights(FieldEvidence(beams, limit, distances, places, settings=settings)))
     return np.asarray(model.log_weights(RayEvidence(beams, limit, readings, expected, settings=settings)))
 
 
-def _range_limit(patient: Patient) -> float:
+def _range_limit(subject: Subject) -> float:
     """Return the range that random readings are spread over, metres; at least what the room needs."""
-    asked = patient.value("laser_max_range")
+    asked = subject.value("laser_max_range")
     limit = float(asked) if asked is not None and asked > 0.0 else PLAIN_LIMIT
-    if patient.log is not None and patient.file.stack in ("nav2", "ros1"):
-        limit = min(limit, patient.log.finder.max_range)
+    if subject.log is not None and subject.file.stack in ("nav2", "ros1"):
+        limit = min(limit, subject.log.finder.max_range)
     return max(limit, 1.5 * ROOM[1])
 
 
-def _n_beams(patient: Patient) -> int:
-    asked = patient.value("max_beams")
+def _n_beams(subject: Subject) -> int:
+    asked = subject.value("max_beams")
     if asked is not None:
-        return min(int(asked), MOST_BEAMS if patient.log is None else patient.log.finder.n_beams)
-    if patient.log is None:
+        return min(int(asked), MOST_BEAMS if subject.log is None else subject.log.finder.n_beams)
+    if subject.log is None:
         return DEFAULT_BEAMS
-    return math.ceil(patient.log.finder.n_beams / int(patient.value("beam_step")))
+    return math.ceil(subject.log.finder.n_beams / int(subject.value("beam_step")))
 
 
 def _room(rng: np.random.Generator, n_beams: int) -> tuple[FloatArray, FloatArray]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import fields
 
-from beamfield.stacks.doctor.diagnosis import Diagnosis
-from beamfield.stacks.doctor.patient import Patient
+from beamfield.finding import Finding
+from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.registry import parameter_names
 
 SUM_TOLERANCE = 1e-3
@@ -14,18 +14,18 @@ SUM_TOLERANCE = 1e-3
 CUT_SIGMAS = 2.5
 
 
-def weights_sum(patient: Patient) -> Iterator[Diagnosis]:
+def weights_sum(subject: Subject) -> Iterator[Finding]:
     """Find weights that the model uses and that do not sum to 1."""
-    if patient.file.stack == "mrpt" and not patient.is_field:
+    if subject.file.stack == "mrpt" and not subject.is_field:
         return
-    names = ("z_hit", "z_rand") if patient.is_field else ("z_hit", "z_short", "z_max", "z_rand")
-    values = [patient.value(name) for name in names]
+    names = ("z_hit", "z_rand") if subject.is_field else ("z_hit", "z_short", "z_max", "z_rand")
+    values = [subject.value(name) for name in names]
     if None in values or abs(sum(values) - 1.0) <= SUM_TOLERANCE:
         return
     total = float(sum(values))
-    terms = " + ".join(f"{patient.name_of(name)} {value:g}" for name, value in zip(names, values, strict=True))
+    terms = " + ".join(f"{subject.name_of(name)} {value:g}" for name, value in zip(names, values, strict=True))
     why = "the stack's documents ask for a sum of 1, but nothing checks it. "
-    if _factor_cancels(patient):
+    if _factor_cancels(subject):
         why += "A common factor changes all poses' weights alike, so that nothing is lost but their meaning as shares"
     else:
         # Of a sum of 0 there are no shares.
@@ -33,89 +33,89 @@ def weights_sum(patient: Patient) -> Iterator[Diagnosis]:
         why += (
             f": the beams count {total**3:.2g} times as much against that 1 as with a sum of 1" if total > 0.0 else ""
         )
-    yield patient.finds(
+    yield subject.finding(
         "weights-sum", "info",
-        f"the weights that {patient.file.model} uses sum to {total:.4g}: {terms}", why,
-        "divide each by their sum, and look at nearly-flat afterwards" if total < 1.0 or _factor_cancels(patient)
+        f"the weights that {subject.file.model} uses sum to {total:.4g}: {terms}", why,
+        "divide each by their sum, and look at nearly-flat afterwards" if total < 1.0 or _factor_cancels(subject)
         else "divide each by their sum; the scan then counts less, so calibrate or look at nearly-flat",
         parameter="z_hit", values={"total": total},
     )  # fmt: skip
 
 
-def value_above_one(patient: Patient) -> Iterator[Diagnosis]:
+def value_above_one(subject: Subject) -> Iterator[Finding]:
     """Find factors with which one beam is worth more than 1, which amcl's code takes for impossible."""
-    if patient.file.stack not in ("nav2", "ros1"):
+    if subject.file.stack not in ("nav2", "ros1"):
         return
-    hit, short, most, rand, rate = (patient.value(n) for n in ("z_hit", "z_short", "z_max", "z_rand", "lambda_short"))
+    hit, short, most, rand, rate = (subject.value(n) for n in ("z_hit", "z_short", "z_max", "z_rand", "lambda_short"))
     if None in (hit, short, most, rand, rate):
         return
     # Random readings add z_rand / range_max, a few percent of it at most.
-    largest = hit if patient.is_field else max(hit + short * rate, hit + most)
+    largest = hit if subject.is_field else max(hit + short * rate, hit + most)
     if largest > 1.0 + 1e-9:
-        yield patient.finds(
+        yield subject.finding(
             "value-above-one", "warning", f"one beam can be worth {largest:.4g}, which is more than 1",
-            f"{patient.file.stack} asserts that no beam is worth more than 1: builds with assertions, such as debug "
+            f"{subject.file.stack} asserts that no beam is worth more than 1: builds with assertions, such as debug "
             "builds, stop there",
             "divide the weights by their sum", parameter="z_hit", values={"largest": float(largest)},
         )  # fmt: skip
 
 
-def unused_weights(patient: Patient) -> Iterator[Diagnosis]:
+def unused_weights(subject: Subject) -> Iterator[Finding]:
     """Find values in the file that its model never reads."""
-    for names, why in _unused(patient):
-        given = [name for name in names if name in patient.file.section.entries]
+    for names, why in _unused(subject):
+        given = [name for name in names if name in subject.file.section.entries]
         if given:
-            yield patient.finds(
+            yield subject.finding(
                 "unused-parameters", "info",
-                f"{', '.join(given)} {'does' if len(given) == 1 else 'do'} nothing in {patient.file.model}",
+                f"{', '.join(given)} {'does' if len(given) == 1 else 'do'} nothing in {subject.file.model}",
                 f"{why}; another value changes nothing",
                 "leave them out when comparing files", own=given[0],
             )  # fmt: skip
 
 
-def no_random(patient: Patient) -> Iterator[Diagnosis]:
+def no_random(subject: Subject) -> Iterator[Finding]:
     """Find a product of beams in which one unexplained reading forbids a pose."""
     # Where values are added up, a beam without value only adds nothing.
-    averages = patient.file.model == "LF_Thrun" and patient.parameters.LF_alternateAverageMethod
-    if patient.value("z_rand") == 0.0 and _multiplies(patient) and not averages:
-        yield patient.finds(
-            "no-random-readings", "warning", f"{patient.name_of('z_rand')} is 0",
+    averages = subject.file.model == "LF_Thrun" and subject.parameters.LF_alternateAverageMethod
+    if subject.value("z_rand") == 0.0 and _multiplies(subject) and not averages:
+        yield subject.finding(
+            "no-random-readings", "warning", f"{subject.name_of('z_rand')} is 0",
             "one reading that nothing in the map explains, such as a person, makes the true pose (nearly) impossible",
             "give it a few percent", parameter="z_rand",
         )  # fmt: skip
 
 
-def sigma_against_resolution(patient: Patient) -> Iterator[Diagnosis]:
+def sigma_against_resolution(subject: Subject) -> Iterator[Finding]:
     """Find a sigma that the map's cells cannot show, or one as wide as a corridor."""
-    sigma, grid = _sigma_metres(patient), patient.grid
+    sigma, grid = _sigma_metres(subject), subject.grid
     if sigma is None:
         return
     if grid is not None and sigma < grid.resolution / 2.0:
-        yield patient.finds(
+        yield subject.finding(
             "sigma-below-resolution", "warning",
-            f"{patient.name_of('sigma_hit')} is {sigma:g} m, the map's cells are {grid.resolution:g} m",
+            f"{subject.name_of('sigma_hit')} is {sigma:g} m, the map's cells are {grid.resolution:g} m",
             "a wall is drawn up to half a cell from where it is: a narrower hit calls most true readings random",
             f"take at least half a cell, {grid.resolution / 2.0:g} m, or calibrate", parameter="sigma_hit",
             values={"sigma": sigma, "resolution": grid.resolution},
         )  # fmt: skip
     if sigma > 0.5:
-        yield patient.finds(
-            "sigma-huge", "info", f"{patient.name_of('sigma_hit')} is {sigma:g} m",
+        yield subject.finding(
+            "sigma-huge", "info", f"{subject.name_of('sigma_hit')} is {sigma:g} m",
             "laser readings miss walls of a good map by centimetres; so wide a hit cannot tell a pose from the next",
             "calibrate it; 0.05 to 0.2 m is usual", parameter="sigma_hit", values={"sigma": sigma},
         )  # fmt: skip
 
 
-def distance_limit(patient: Patient) -> Iterator[Diagnosis]:
+def distance_limit(subject: Subject) -> Iterator[Finding]:
     """Find a maximum distance that cuts into the hits."""
-    if not patient.is_field:
+    if not subject.is_field:
         return
-    sigma, limit = _sigma_metres(patient), patient.value("laser_likelihood_max_dist")
-    width = patient.name_of("sigma_hit")
+    sigma, limit = _sigma_metres(subject), subject.value("laser_likelihood_max_dist")
+    width = subject.name_of("sigma_hit")
     if sigma is not None and limit is not None and limit < CUT_SIGMAS * sigma:
-        yield patient.finds(
+        yield subject.finding(
             "distance-limit", "info",
-            f"{patient.name_of('laser_likelihood_max_dist')} is {limit:g} m, {limit / sigma:.2g} {width}",
+            f"{subject.name_of('laser_likelihood_max_dist')} is {limit:g} m, {limit / sigma:.2g} {width}",
             "a reading anywhere beyond it is worth as much as one at that distance, which is still a fair hit: weights "
             "get flatter, and far readings that do not fit hardly count",
             f"nothing, if that is meant; else at least {CUT_SIGMAS:g} {width}, {CUT_SIGMAS * sigma:.2g} m",
@@ -123,35 +123,35 @@ def distance_limit(patient: Patient) -> Iterator[Diagnosis]:
         )  # fmt: skip
 
 
-def _factor_cancels(patient: Patient) -> bool:
+def _factor_cancels(subject: Subject) -> bool:
     # Products; a table with columns divided by their sums; and a bare sum of cubes.
-    return _multiplies(patient) or (patient.file.stack == "beluga" and patient.file.model == "beam")
+    return _multiplies(subject) or (subject.file.stack == "beluga" and subject.file.model == "beam")
 
 
-def _multiplies(patient: Patient) -> bool:
-    return patient.file.model in ("likelihood_field_prob", "LF_Thrun", "table")
+def _multiplies(subject: Subject) -> bool:
+    return subject.file.model in ("likelihood_field_prob", "LF_Thrun", "table")
 
 
-def _unused(patient: Patient) -> Iterator[tuple[list[str], str]]:
+def _unused(subject: Subject) -> Iterator[tuple[list[str], str]]:
     """Yield names that the model never reads, and why."""
-    stack, model = patient.file.stack, patient.file.model
-    if patient.is_amcl and patient.is_field:
-        names = [patient.name_of(name) for name in ("z_short", "z_max", "lambda_short")]
+    stack, model = subject.file.stack, subject.file.model
+    if subject.is_amcl and subject.is_field:
+        names = [subject.name_of(name) for name in ("z_short", "z_max", "lambda_short")]
         yield names, "only the beam model has short and max readings"
-    if patient.is_amcl and model != "likelihood_field_prob" and patient.value("do_beamskip"):
+    if subject.is_amcl and model != "likelihood_field_prob" and subject.value("do_beamskip"):
         # Switched off, as in the programs' example files, nobody expects anything of it.
         yield ["do_beamskip"], "only likelihood_field_prob leaves out beams"
     if stack == "mrpt":
-        read = {item.name for item in fields(patient.parameters)}
+        read = {item.name for item in fields(subject.parameters)}
         yield sorted(parameter_names("mrpt") - read), "likelihoodMethod chooses another model"
-    if stack == "f1tenth" and patient.parameters.range_method in ("bl", "rm", "rmgpu"):
-        yield ["theta_discretization"], f"range_method {patient.parameters.range_method} has no table of directions"
+    if stack == "f1tenth" and subject.parameters.range_method in ("bl", "rm", "rmgpu"):
+        yield ["theta_discretization"], f"range_method {subject.parameters.range_method} has no table of directions"
 
 
-def _sigma_metres(patient: Patient) -> float | None:
-    sigma = patient.value("sigma_hit")
+def _sigma_metres(subject: Subject) -> float | None:
+    sigma = subject.value("sigma_hit")
     if sigma is None:
         return None
-    if patient.file.stack == "f1tenth":  # in pixels of the map
-        return None if patient.grid is None else float(sigma) * patient.grid.resolution
+    if subject.file.stack == "f1tenth":  # in pixels of the map
+        return None if subject.grid is None else float(sigma) * subject.grid.resolution
     return float(sigma)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from beamfield.finding import Finding, Severity
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from beamfield.stacks.doctor.diagnosis import Diagnosis, Severity
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import TypedValues
 from beamfield.stacks.ros1.parameters import ros1_name
@@ -48,7 +48,7 @@ class MapFile:
 
 
 @dataclass(frozen=True, eq=False)
-class Patient:
+class Subject:
     """Everything that a check may look at.
 
     Parameters
@@ -106,20 +106,20 @@ class Patient:
             return _F1TENTH.get(parameter, parameter)
         return parameter
 
-    def finds(
+    def finding(
         self,
         name: str,
         severity: Severity,
         seen: str,
         why: str,
-        remedy: str,
+        do: str,
         *,
         parameter: str = "",
         own: str = "",
         values: Mapping[str, float] | None = None,
-    ) -> Diagnosis:
-        """Return a diagnosis; the parameter is given by nav2's name, or as `own` by the file's."""
+    ) -> Finding:
+        """Return a finding; the parameter is given by nav2's name, or as `own` by the file's."""
         own = own or self.name_of(parameter)
         entry = self.file.section.entries.get(own)
         line = None if entry is None else entry.line
-        return Diagnosis(name, severity, seen, why, remedy, own, line, values or {})
+        return Finding(name, severity, seen, values or {}, why=why, do=do, parameter=own, line=line)

@@ -131,7 +131,7 @@ def add_log_options(parser: argparse.ArgumentParser, *, several: bool = False) -
 def add_unpacking_option(group: argparse._ActionsContainer) -> None:
     """Add the option that says how much a bag may unpack to; it is for all files that a command reads."""
     group.add_argument("--max-unpacked", type=float, metavar="GB",
-                       help="gigabytes that a compressed bag may unpack to (default: 500 times its size, 1 GB a chunk)")  # fmt: skip
+                       help="gigabytes that a bag may unpack to (default: 500 times its size, 1 a chunk)")  # fmt: skip
 
 
 def log_options(arguments: argparse.Namespace) -> dict[str, Any]:

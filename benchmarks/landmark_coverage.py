@@ -6,7 +6,7 @@ A robot visits places and sees six landmarks from each, with known noise; three 
 - dependent: half of the errors' variance is shared by all sightings of a block
 - rare: as dependent, with one spurious sighting in 200
 
-Run: python benchmarks/landmark_coverage.py [LOGS]     (200 logs a row, of 4, 6, 12 and 24 blocks)
+Run: python benchmarks/landmark_coverage.py [LOGS [BLOCKS ...]]     (200 logs a row, of 4, 6, 12 and 24 blocks)
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import sys
 
 import numpy as np
 
-from beamfield.landmark_noise.learn import learn_landmark_parameters
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.landmark_noise.learning import learn_landmark_parameters
 from beamfield.maps.landmarks import LandmarkMap
 from tables import print_table
 
@@ -29,7 +29,7 @@ KINDS = {"independent": (0.0, 0.05), "dependent": (0.5, 0.05), "rare": (0.5, 0.0
 
 
 def simulate(n_blocks: int, shared: float, spurious_rate: float, rng: np.random.Generator) -> DetectionLog:
-    """Return a log of as many places in each block of time; the share `shared` of the errors' variance is the block's."""
+    """Return a log; the part `shared` of the errors' variance is common to a block of time."""
     poses, seen = [], []
     for block in range(n_blocks):
         common = rng.normal(size=(2, 1)) * np.sqrt(shared)
@@ -60,7 +60,7 @@ def row(kind: str, n_blocks: int, n_logs: int) -> dict[str, str]:
     shared, spurious_rate = KINDS[kind]
     truth = {**TRUTH, "spurious_rate": spurious_rate}
     landmarks = LandmarkMap(LANDMARKS)
-    held = {name: 0 for name in truth}
+    held = dict.fromkeys(truth, 0)
     for i in range(n_logs):
         log = simulate(n_blocks, shared, spurious_rate, np.random.default_rng([i, n_blocks, list(KINDS).index(kind)]))
         result = learn_landmark_parameters(
@@ -77,7 +77,8 @@ def row(kind: str, n_blocks: int, n_logs: int) -> dict[str, str]:
 def main() -> None:
     """Print the table."""
     n_logs = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    print_table([row(kind, n_blocks, n_logs) for kind in KINDS for n_blocks in (4, 6, 12, 24)])
+    blocks = [int(word) for word in sys.argv[2:]] or (4, 6, 12, 24)
+    print_table([row(kind, n_blocks, n_logs) for kind in KINDS for n_blocks in blocks])
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from beamfield.cli.main import main
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.bags import unpacking as bag_unpacking
 from beamfield.io.bags.bag_file import BagFile
-from beamfield.io.bags.unpacking import max_unpacked, unpacked_bound
 from beamfield.io.bags.reader import read_bag, read_bag_map
+from beamfield.io.bags.unpacking import max_unpacked, unpacked_bound
 from tests.io.mini_bag import MiniBag
 
 zstd = bag_unpacking._zstd()

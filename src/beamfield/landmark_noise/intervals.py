@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from beamfield.calibration.intrinsic.block_intervals import share_interval
-from beamfield.landmark_noise.em import NoiseLikelihood, NoiseTheta, climb_noise
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels.threads import run_in_slices

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
-from beamfield.io.files.atomic import scratch_folder
 from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
+from beamfield.io.files.atomic import scratch_folder
 from beamfield.io.files.yaml_file import read_yaml
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from PIL.PngImagePlugin import PngImageFile
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.bags.bag_file import BagFile, BagMessage
-from beamfield.io.maps.png_pixels import require_all_pixels
+from beamfield.io.files.png_pixels import require_all_pixels
 from beamfield.models.camera_intrinsics import CameraIntrinsics
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

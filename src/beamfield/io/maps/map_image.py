@@ -18,7 +18,7 @@ from PIL.ImageFile import ImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.maps.png_pixels import require_all_pixels
+from beamfield.io.files.png_pixels import require_all_pixels
 
 MAX_PIXELS = 400_000_000  # 1 km x 1 km at 5 cm
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.io.files.text_lines import most_bytes, read_lines
 from beamfield.io.files.yaml_file import shorten
+from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.maps.occupancy import OccupancyGrid
 
 _SPECIFICATION = re.compile(r"robot_specifications->(\w+)\s+(\S+)\s*$")

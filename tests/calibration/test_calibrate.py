@@ -129,7 +129,7 @@ def test_a_map_of_another_place_is_said_to_be_useless(drive):
     turned = compose([15.0, 0.0, 1.3], between(drive.poses[0], drive.poses))
     found = calibrate(drive.with_poses(turned), elsewhere, replace(OPTIONS, refine=False))
     assert {"map-says-nothing", "poses-off-map"} <= set(names(found))
-    assert verdict(found).startswith("The readings do not fit this map")
+    assert verdict(found).startswith("Do not use these values yet: the readings do not fit this map")
     assert not is_good(found)
 
 

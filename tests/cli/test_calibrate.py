@@ -8,15 +8,18 @@ import json
 import os
 import re
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.main import main
+from beamfield.finding import Finding
 from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
+from beamfield.io.read_log import read_log
 from beamfield.models.beam_parameters import BeamParameters
 
 FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html")
@@ -81,8 +84,8 @@ class TestResult:
     def test_the_likelihood_field_is_learned_too(self, out: Path):
         saved = read_likelihood_field(out / "likelihood_field.yaml")
         document = json.loads((out / "calibration.json").read_text())["likelihood_field"]
-        assert document["parameters"] == vars(saved.parameters)
-        assert (document["exponent"], document["n_beams"]) == (saved.exponent, saved.n_beams)
+        assert document["parameters"] == pytest.approx(vars(saved.parameters), rel=5e-6)
+        assert (document["exponent"], document["n_beams"]) == (pytest.approx(saved.exponent, rel=5e-6), saved.n_beams)
         assert (saved.n_beams, saved.max_range) == (60, 12.0)
         assert saved.parameters.z_hit > 0.6
         assert 0.0 < saved.exponent < 1.0
@@ -110,11 +113,50 @@ class TestResult:
 def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert calibrate(world, tmp_path / "out") == 0
     text = capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "calibration.json").read_text())["verdict"] in text
     for words in (
         "scans used", "sigma_hit", "95 % interval", "nav2 defaults", "ROS 1 defaults", "uniform", "likelihood field",
         "beam model's, exponent 1", "The exponent is for 60 beams",
     ):  # fmt: skip
         assert words in text
+
+
+def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdict(
+    world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def doubtful(*given):
+        return replace(learn_field(*given), findings=(Finding("field-says-nothing", "warning", "No better."),))
+
+    monkeypatch.setattr("beamfield.cli.calibrate.learn_field", doubtful)
+    assert calibrate(world, tmp_path / "out", "--no-refine") == 0
+    document = json.loads((tmp_path / "out" / "calibration.json").read_text())
+    assert "field-says-nothing" in [finding["name"] for finding in document["findings"]]
+    assert document["verdict"].startswith("Do not use these values yet: the readings hardly tell where the robot is")
+    text = capsys.readouterr().out
+    assert document["verdict"] in text
+    assert text.count("warning (field-says-nothing): No better.") == 1
+    head = (tmp_path / "out" / "report.html").read_text().split('id="parameters"')[0]
+    assert "<code>field-says-nothing</code>" in head
+    assert 'class="verdict bad">Do not use these values yet' in head
+
+
+def test_masked_beams_count_as_no_measurement_and_the_mask_is_recorded(world: Path, tmp_path: Path):
+    assert calibrate(world, tmp_path / "out", "--no-refine", "--mask=-30.5:-10", "--mask=170:-170") == 0
+    document = json.loads((tmp_path / "out" / "calibration.json").read_text())
+    log = read_log(world / "log.carmen").only_sensor()
+    degrees = np.degrees(log.finder.bearings)
+    n_masked = int(((degrees > -30.5) & (degrees < -10)).sum() + (np.abs(degrees) > 170).sum())
+    assert n_masked > 3
+    assert document["beams"]["n_nan"] == n_masked * document["selection"]["n_used"]
+    assert document["provenance"]["options"]["mask"] == ["-30.5:-10", "170:-170"]
+    assert f"{n_masked} of {len(degrees)} beams masked" in " ".join(document["notes"])
+    assert "nan-readings" not in [finding["name"] for finding in document["findings"]]
+
+
+@pytest.mark.parametrize("bad", ["", "10", "a:b", "1:2:3", "nan:3"])
+def test_a_mask_that_is_no_sector_is_refused(world: Path, tmp_path: Path, capsys, bad: str):
+    line = fails(capsys, calibrate(world, tmp_path / "out", f"--mask={bad}"))
+    assert "--mask: expected DEG:DEG, got" in line
 
 
 def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, tmp_path: Path):

@@ -15,13 +15,12 @@ from beamfield.cli import inspect
 from beamfield.cli.inspect_picture import log_picture
 from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
 from beamfield.cli.main import main
-from beamfield.errors import FormatError
-from beamfield.io import read_map as read_map_module
 from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map import save_map
 from beamfield.io.trajectory import write_tum
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track
+from tests.io.mini_bag import MiniBag
 
 
 def make_sensor(n_scans: int = 20, **changes) -> SensorLog:
@@ -139,28 +138,26 @@ def test_wean_maps_and_coreslam_logs_share_an_ending_and_are_told_apart(tmp_path
     assert "unknown format" in refused(capsys, tmp_path / "b.dat")
 
 
-def test_a_bag_without_scans_is_shown_as_the_map_it_holds(tmp_path, capsys, monkeypatch):
+def test_a_bag_without_scans_is_shown_as_the_map_it_holds(tmp_path, capsys):
+    path = MiniBag("ros1").grid(1.0, 60, 50, np.zeros(3000, np.int8)).write(tmp_path)
+    assert "map of 60 x 50 cells" in shown(capsys, path)
+    assert "map of 60 x 50 cells" in shown(capsys, path, "--map-topic", "/map")
+
+
+def test_a_bag_with_neither_scans_nor_map_is_refused_for_its_scans(tmp_path, capsys):
+    path = MiniBag("ros1").odometry(1.0, (0.0, 0.0)).write(tmp_path)
+    text = refused(capsys, path)
+    assert "no scans" in text
+    assert "no map" not in text
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
-    calls = []
-
-    def read_map(path, *, topic=None):
-        calls.append((path.name, topic))
-        return make_grid()
-
-    monkeypatch.setattr(read_map_module, "read_map", read_map)
-    assert "map of 60 x 50 cells" in shown(capsys, tmp_path / "a.bag")
-    assert "map of 60 x 50 cells" in shown(capsys, tmp_path / "a.bag", "--map-topic", "/map")
-    assert calls == [("a.bag", None), ("a.bag", "/map")]
+    assert "damaged" in refused(capsys, tmp_path / "a.bag")
 
 
-def test_a_bag_with_neither_scans_nor_map_is_refused_for_its_scans(tmp_path, capsys, monkeypatch):
-    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
-
-    def read_map(path, **_options):
-        raise FormatError(path, "no map")
-
-    monkeypatch.setattr(read_map_module, "read_map", read_map)
-    assert "no map" not in refused(capsys, tmp_path / "a.bag")
+def test_what_is_wrong_with_the_map_of_a_bag_without_scans_is_said(tmp_path, capsys):
+    path = MiniBag("ros1").grid(1.0, 60, 50, np.zeros(2999, np.int8)).write(tmp_path)
+    text = refused(capsys, path)
+    assert "/map, message 1: expected width 60 x height 50 cells, got 2999" in text
+    assert "no scans" not in text
 
 
 # ----------------------------------------------------------------------------------------------------------------- logs

@@ -12,11 +12,12 @@ import lz4.frame
 import numpy as np
 import pytest
 
+from beamfield.cli.main import main
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.bags import unpacking as bag_unpacking
 from beamfield.io.bags.bag_file import BagFile
 from beamfield.io.bags.reader import read_bag, read_bag_map
-from beamfield.io.bags.unpacking import VARIABLE, unpacked_bound
+from beamfield.io.bags.unpacking import max_unpacked, unpacked_bound
 from tests.io.mini_bag import MiniBag
 
 zstd = bag_unpacking._zstd()
@@ -26,7 +27,7 @@ KINDS = [
     ("mcap", "message"), ("mcap", "storage"),
 ]  # fmt: skip
 MEGABYTE = 2**20
-REFUSED = f"unpacks to more than .* GB: refused as a bomb; .*{VARIABLE}"
+REFUSED = "unpacks to more than .* GB: refused as a bomb; .*max_unpacked"
 
 
 @pytest.fixture
@@ -63,12 +64,14 @@ def test_compressed_bags_are_read_as_others(storage, compression, tmp_path):
 
 @pytest.mark.usefixtures("low_limits")
 @pytest.mark.parametrize(("storage", "compression"), KINDS)
-def test_a_bomb_is_refused_unless_the_environment_allows_it(storage, compression, tmp_path, monkeypatch):
+def test_a_bomb_is_refused_unless_it_is_allowed(storage, compression, tmp_path):
     path = maps(storage, 8 * MEGABYTE).write(tmp_path, compression=compression)
     with pytest.raises(FormatError, match=REFUSED):
         read_bag_map(path)
-    monkeypatch.setenv(VARIABLE, "0.02")
-    assert read_bag_map(path).shape == (1, 8 * MEGABYTE)
+    with max_unpacked(0.02):
+        assert read_bag_map(path).shape == (1, 8 * MEGABYTE)
+    with pytest.raises(FormatError, match=REFUSED):
+        read_bag_map(path)
 
 
 @pytest.mark.usefixtures("low_limits")
@@ -92,12 +95,18 @@ def test_a_chunk_that_does_not_fit_into_memory_is_refused_in_large_bags_too(
             walk(path)
 
 
-def test_a_limit_that_is_no_number_is_an_error(tmp_path, monkeypatch):
-    path = maps("mcap", 100).write(tmp_path)
-    for bad in ("much", "-1", "0", "nan", "inf", ""):
-        monkeypatch.setenv(VARIABLE, bad)
-        with pytest.raises(InvalidInputError, match=f"{VARIABLE}: expected a positive number of gigabytes, got "):
-            read_bag_map(path)
+@pytest.mark.usefixtures("low_limits")
+def test_the_option_of_the_command_line_is_named_and_allows_more(tmp_path, capsys):
+    path = str(maps("ros1", 8 * MEGABYTE).write(tmp_path, compression="lz4"))
+    assert main(["inspect", path]) == 1
+    assert "allow more gigabytes with --max-unpacked" in capsys.readouterr().err
+    assert main(["inspect", path, "--max-unpacked", "0.02"]) == 0
+
+
+@pytest.mark.parametrize("bad", ["much", -1, 0, float("nan"), float("inf"), True, None])
+def test_a_limit_that_is_no_number_is_an_error(bad):
+    with pytest.raises(InvalidInputError, match="expected a positive number of gigabytes, got "), max_unpacked(bad):
+        pass
 
 
 def test_an_unpacked_file_is_removed_and_what_a_killed_run_left_as_well(tmp_path, monkeypatch):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import struct
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 from rosbags.typesys import get_types_from_msg
 
 from beamfield.errors import FormatError, InvalidInputError
@@ -229,6 +231,27 @@ def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
     small[29:33] = zlib.crc32(small[12:29]).to_bytes(4, "big")
     with pytest.raises(FormatError, match="expected at most 67108864 pixels, got 60000 x 60000"):
         list(read_camera_images(CameraBag().image(1.0, bytes(small)).write(tmp_path)))
+
+
+def png(width: int, height: int, rows: bytes) -> bytes:
+    """Return a PNG in grey of any rows."""
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + parts
+
+
+def test_a_png_with_missing_rows_is_refused_before_room_is_made_for_it(tmp_path, monkeypatch):
+    ((_, whole),) = read_camera_images(CameraBag().image(1.0, png(3, 2, b"\0abc\0def")).write(tmp_path, "whole"))
+    assert whole.tolist() == [[97, 98, 99], [100, 101, 102]]
+    monkeypatch.setattr(PngImageFile, "load", lambda *_: pytest.fail("room was made"))
+    for number, (width, height) in enumerate([(3, 3), (8000, 8000)]):
+        bag = CameraBag().image(1.0, png(width, height, b"\0abc\0def"))
+        with pytest.raises(FormatError, match=f"message 1: .*truncated, {width} x {height} pixels take"):
+            list(read_camera_images(bag.write(tmp_path, str(number))))
 
 
 def test_a_type_of_that_name_with_other_fields_is_refused(tmp_path):

@@ -1,9 +1,10 @@
-"""likelihood_field.yaml: what is written is read back to the last bit, and what is wrong is named with its line."""
+"""likelihood_field.yaml: what is written is read back to six digits, and what is wrong is named with its line."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
@@ -33,17 +34,33 @@ def written(folder: Path, text: str) -> Path:
 
 def test_reading_returns_what_was_written(tmp_path, text):
     path = written(tmp_path, text)
-    assert read_likelihood_field(path) == (PARAMETERS, 1.0 / 7.0, 60, 12.5, 0.15)
+    assert read_likelihood_field(path) == (
+        LikelihoodFieldParameters(0.3, 0.333333, 0.07),
+        0.142857,
+        60,
+        12.5,
+        0.15,
+    )
     assert is_likelihood_field(path)
     assert "  exponent: null\n" in text.split("intervals_95")[1]
     assert not is_likelihood_field(written(tmp_path, "beam_model:\n  z_hit: 1.0\n"))
 
 
+def test_numbers_have_no_more_digits_than_are_known(tmp_path):
+    finder = RangeFinder.from_bearings([0.0, 0.1], max_range=12.5, min_range=float(np.float32(0.15)), name="laser")
+    weights = LikelihoodFieldParameters(0.6666666, 1.0 - 0.6666666, 0.07)
+    text = likelihood_field_text(weights, finder, exponent=0.5, n_beams=60, intervals={"z_hit": (1.2e-4 + 1e-19, 0.4)})
+    assert "min_range: 0.15\n" in text
+    assert "- 0.00012\n" in text
+    saved = read_likelihood_field(written(tmp_path, text)).parameters
+    assert (saved.z_hit, saved.z_rand) == (0.666667, 0.333333)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "line", "message"),
     [
-        ("  exponent: 0.14285714285714285", "  exponent: 1.5", 10, r"expected a number in \(0, 1\], got 1.5"),
-        ("  exponent: 0.14285714285714285", "  exponent: 0", 10, "expected a number in"),
+        ("  exponent: 0.142857", "  exponent: 1.5", 10, r"expected a number in \(0, 1\], got 1.5"),
+        ("  exponent: 0.142857", "  exponent: 0", 10, "expected a number in"),
         ("  n_beams: 60", "  n_beams: 2.5", 11, "expected a whole number >= 1, got 2.5"),
         ("  n_beams: 60", "  n_beams: 0", 11, "expected a whole number >= 1, got 0"),
         ("  n_beams: 60\n", "", None, "n_beams"),

@@ -113,14 +113,27 @@ def test_corrupted_metadata(tmp_path):
     path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
     metadata = path / "metadata.yaml"
     good = metadata.read_text()
-    for bad in ("{", "", "[1, 2", "rosbag2_bagfile_information: 7", "a: &a [*a]", "!!python/object:os.system [ls]",
-                good.replace("sqlite3", "floppy"), good.replace("version: 9", "version: 99"), "\x00\xff",
-                good.replace("duration:", "duration: 1 #")):  # fmt: skip
+    for bad, reason in (("{", "no valid YAML"), ("", "empty"), ("[1, 2", "no valid YAML"), ("a: &a [*a]", "anchors"),
+                        ("rosbag2_bagfile_information: 7", "damaged or cut"), ("a: 1", "is missing"),
+                        ("!!python/object:os.system [ls]", "expected keys"), ("\x00\xff", "no valid YAML"),
+                        (good.replace("relative_file_paths", "more"), "damaged or cut"),
+                        (good.replace("- log.db3", "- 7"), "damaged or cut")):  # fmt: skip
         metadata.write_text(bad)
-        refuse(path, "damaged or cut")
-    for old, new in (("message_count: 1", "message_count: many"), ("name: /scan", "name: 7"), ("name: /scan", "name:")):
-        metadata.write_text(good.replace(old, new))
-        refuse(path, "expected topic, type and number of messages|damaged or cut")
+        refuse(path, reason)
+
+
+def test_what_storage_files_hold_is_not_taken_from_metadata(tmp_path):
+    path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
+    metadata = path / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 1", "message_count: many").replace("/scan", "7"))
+    assert len(read_bag(path).only_sensor("/scan")) == 1
+
+
+def test_metadata_that_takes_long_to_read_is_refused(tmp_path):
+    path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
+    metadata = path / "metadata.yaml"
+    metadata.write_text(metadata.read_text() + f"  more: [{'1,' * 20_000}]\n")
+    refuse(path, r"metadata\.yaml:\d+: more than 15000 keys, values and brackets")
 
 
 def test_metadata_in_yaml_1_1_is_read_in_silence(tmp_path):
@@ -134,7 +147,7 @@ def test_metadata_of_absurd_size(tmp_path):
     path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
     with (path / "metadata.yaml").open("ab") as file:
         file.truncate(2**30)
-    with pytest.raises(FormatError, match=r"metadata\.yaml: expected at most"):
+    with pytest.raises(FormatError, match=r"metadata\.yaml: expected a YAML file of at most"):
         read_bag(path)
 
 

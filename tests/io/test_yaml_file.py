@@ -65,6 +65,7 @@ def test_dates_stay_text(write):
         ("a: " + "1" * 5000 + "\n", 1, "expected a value of type int"),
         ("a: " + "[" * 60 + "\n", 1, "nested deeper"),
         ("[" * 3000, 1, "nested deeper"),
+        ("a:\nb: [" + "1," * 20_000 + "]\n", 2, "more than 15000 keys, values and brackets"),
         (b"a: 1\nb: \xff\n", 2, r"b'\xff'"),
         (b"a: \x00\x01\n", None, "no valid YAML"),
     ],

@@ -213,9 +213,35 @@ def test_no_bias_is_reported_where_there_is_none(rng):
     assert names_of(result) <= {"no-spurious", "range-bias", "bearing-bias"}
     assert result.parameters.spurious_rate == 0.0
     low, high = result.intervals["spurious_rate"]
-    assert (low, high) == (0.0, pytest.approx(3.0 / result.n_sightings))
+    # The rule of three, wider as few blocks are less sure of their own number.
+    wider = stats.t.ppf(0.975, result.n_blocks - 1) / stats.norm.ppf(0.975)
+    assert (low, high) == (0.0, pytest.approx(-np.log(0.05) * wider**2 / result.n_sightings))
     assert abs(result.forms[1].gain) < 0.01
     assert result.parameters.range_scale == 1.0
+
+
+def test_intervals_of_few_blocks_are_those_of_students_t(rng):
+    """The bias is a mean: its interval is that of the blocks' means, as textbooks have it."""
+    landmarks = LandmarkMap([[0.0, 0.0], [6.0, 0.0], [3.0, 5.0]])
+    n_blocks, n_places = 4, 30
+    poses = rng.uniform([1.0, 1.0, -3.0], [5.0, 4.0, 3.0], (n_blocks * n_places, 3))
+    shifts = np.repeat(rng.normal(0.0, 0.1, n_blocks), n_places)
+    errors = shifts[:, None] + rng.normal(0.0, 0.05, (len(poses), 3))
+    distances = np.hypot(*(landmarks.positions[None] - poses[:, None, :2]).transpose(2, 0, 1))
+    seen = [
+        Detections(r, np.full(3, np.nan), ids=landmarks.ids, stamp=float(i)) for i, r in enumerate(distances + errors)
+    ]
+    result = learn_landmark_parameters(
+        landmarks, DetectionLog(poses, seen), fit_scale=False, fit_spurious=False, block_s=float(n_places)
+    )
+    assert result.n_blocks == n_blocks
+    means = errors.reshape(n_blocks, -1).mean(axis=1)
+    reach = stats.t.ppf(0.975, n_blocks - 1) * means.std(ddof=1) / np.sqrt(n_blocks)
+    np.testing.assert_allclose(
+        result.intervals["range_bias"], means.mean() + np.array([-reach, reach]), atol=0.15 * reach
+    )
+    low, high = result.intervals["sigma_range"]
+    assert result.parameters.sigma_range**2 == pytest.approx(low * high)
 
 
 def test_a_scale_is_learned_only_where_it_is_worth_it_or_asked_for(rng):

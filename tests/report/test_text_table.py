@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import CalibrationOptions
+from beamfield.finding import Finding
 from beamfield.report.parameter_rows import decimals_for, parameter_rows
 from beamfield.report.text_table import form_line, parameter_table, plus_minus, readings_line, score_table
+from beamfield.report.verdict import DOUBTS, is_good, verdict
 
 
 def cells(table: str) -> dict[str, str]:
@@ -56,8 +58,22 @@ def test_the_floor_of_the_search_is_not_printed_as_noise(case):
 
 
 def test_noise_that_grows_is_spelt_out_at_some_ranges(case):
-    found = row(with_interval(case, "sigma_slope", 0.01, (0.008, 0.012)), "sigma_slope")
-    assert found.meaning.endswith("0.051, 0.058, 0.112 m at 1, 3, 10 m")
+    growing = with_interval(case, "sigma_slope", 0.01, (0.008, 0.012))
+    assert "noise of a hit, 0.051, 0.058, 0.112 m at 1, 3, 10 m" in row(growing, "sigma_hit").meaning
+    assert "The noise of a hit grows with range: 0.051, 0.058, 0.112 m at 1, 3, 10 m." in verdict(growing)
+    assert "sigma_hit" not in verdict(growing)
+
+
+@pytest.mark.parametrize("name", DOUBTS)
+def test_the_verdict_does_not_praise_a_fit_to_poses_or_a_map_that_cannot_be_trusted(case, name):
+    assert is_good(case.calibration)
+    doubtful = replace(
+        case.calibration, findings=(Finding(name, "warning", "..."), Finding("few-blocks", "warning", ""))
+    )
+    assert verdict(doubtful) == (
+        f"Do not use these values yet: {DOUBTS[name]}. Read the 2 warnings before you trust it."
+    )
+    assert not is_good(doubtful)
 
 
 def test_readings_are_accounted_for(case):

@@ -29,6 +29,7 @@ from beamfield.calibration.evaluation import (
     uniform_parameters,
 )
 from beamfield.calibration.findings import (
+    blind_findings,
     cone_findings,
     left_out_findings,
     score_findings,
@@ -211,7 +212,8 @@ def calibrate(
         *selection_findings(selection),
         *score_findings(scores),
         *cone_findings(log),
-        *left_out_findings(table),
+        *left_out_findings(table, log),
+        *blind_findings(table, log),
         *chosen.result.findings,
         *intervals.findings,
         *(drawn if isinstance(grid, CrossFitMaps) else table_findings(table)),

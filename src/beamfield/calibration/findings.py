@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.evaluation import ModelScore
 from beamfield.calibration.selection import Selection
 from beamfield.finding import Finding
+from beamfield.geometry import FloatArray
 from beamfield.sensors import SensorLog
 
 # A fit that gains less than this per held-out beam (nats) over a uniform has learned hardly anything from the map: with
@@ -15,6 +18,10 @@ from beamfield.sensors import SensorLog
 LEAST_GAIN_OVER_UNIFORM = 0.5
 # More readings without a measurement than this are worth a word: they may be meant as "no return".
 NOTABLE_SHARE_LEFT_OUT = 0.03
+# A beam is judged by so many readings, and blind where fewer than this share return. More sectors do not help.
+FEWEST_OF_A_BEAM = 50
+MOST_OF_A_BLIND_BEAM = 0.01
+MOST_SECTORS = 5
 
 
 def selection_findings(selection: Selection) -> list[Finding]:
@@ -77,10 +84,12 @@ def cone_findings(log: SensorLog) -> list[Finding]:
     ]
 
 
-def left_out_findings(table: BeamTable) -> list[Finding]:
+def left_out_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
     """Say where many readings carry no measurement: they are in no parameter, z_max included."""
     total = max(table.n_readings, 1)
-    nan, close = table.n_nan / total, table.n_too_close / total
+    # Beams that are NaN in all scans are masked.
+    masked = float(np.isnan(log.ranges).all(axis=0).mean())
+    nan, close = table.n_nan / total - masked, table.n_too_close / total
     found = []
     if nan > NOTABLE_SHARE_LEFT_OUT:
         text = (
@@ -95,6 +104,42 @@ def left_out_findings(table: BeamTable) -> list[Finding]:
         )
         found.append(Finding("too-close-readings", "info", text, {"n": float(table.n_too_close), "share": close}))
     return found
+
+
+def blind_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
+    """Name the beams that never return although the map has something there: parts of the robot."""
+    k = log.finder.n_beams
+    hits = ~table.hits_nothing
+    expected = np.bincount(table.beam[hits], minlength=k)
+    returned = np.bincount(table.beam[hits & (table.ranges < table.max_range)], minlength=k)
+    judged = expected >= FEWEST_OF_A_BEAM
+    blind = judged & (returned < MOST_OF_A_BLIND_BEAM * expected)
+    if not blind.any() or returned[judged].sum() < 0.5 * expected[judged].sum():
+        return []
+    runs = np.split(np.flatnonzero(blind), np.flatnonzero(np.diff(np.flatnonzero(blind)) > 1) + 1)
+    sectors = [_sector(log.finder.bearings[run]) for run in runs]
+    shown = ", ".join(
+        f"{run[0]}..{run[-1]} (bearings {first:g} to {last:g} degrees)"
+        for run, (first, last) in zip(runs[:MOST_SECTORS], sectors, strict=False)
+    ) + (f" and {len(runs) - MOST_SECTORS} more sectors" if len(runs) > MOST_SECTORS else "")
+    share = float(expected[blind].sum() / hits.sum())
+    options = " ".join(f"--mask={first:g}:{last:g}" for first, last in sectors[:MOST_SECTORS])
+    return [
+        Finding(
+            "blind-beams",
+            "warning",
+            f"Beams {shown} never return although the map has something there: parts of the robot, most likely. They "
+            f"are {share:.1%} of the readings and count in z_max: mask them ({options}).",
+            {"n_beams": float(blind.sum()), "share": share},
+        )
+    ]
+
+
+def _sector(bearings: FloatArray) -> tuple[float, float]:
+    """Return the ends of neighbouring bearings, counter-clockwise, in degrees rounded outwards."""
+    degrees = np.degrees(np.unwrap(bearings))
+    first, last = math.floor(10.0 * degrees.min() - 1e-6) / 10.0, math.ceil(10.0 * degrees.max() + 1e-6) / 10.0
+    return (first + 180.0) % 360.0 - 180.0, (last + 180.0) % 360.0 - 180.0
 
 
 def table_findings(table: BeamTable) -> list[Finding]:

@@ -9,6 +9,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,6 +116,8 @@ def add_log_options(parser: argparse.ArgumentParser, *, several: bool = False) -
     group.add_argument(
         "--min-range", type=float, metavar="M", help="shortest range that counts (default: as the log says)"
     )
+    group.add_argument("--mask", action="append", default=[], metavar="DEG:DEG",
+                       help="bearings whose readings do not count, as --mask=-170:-155; repeatable")  # fmt: skip
     group.add_argument("--opening-angle", type=float, metavar="DEG",
                        help="full width of the sensor's cones, if the log does not say it; 0: beams")  # fmt: skip
     group.add_argument(
@@ -125,6 +128,13 @@ def add_log_options(parser: argparse.ArgumentParser, *, several: bool = False) -
     )
     group.add_argument("--lone-poses", choices=("reference", "odometry"), default="reference",
                        help="text logs with one pose per scan: what it is (default: reference)")  # fmt: skip
+    add_unpacking_option(group)
+
+
+def add_unpacking_option(group: argparse._ActionsContainer) -> None:
+    """Add the option that says how much a bag may unpack to; it is for all files that a command reads."""
+    group.add_argument("--max-unpacked", type=float, metavar="GB",
+                       help="gigabytes that a bag may unpack to (default: 500 times its size, 1 a chunk)")  # fmt: skip
 
 
 def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -146,9 +156,20 @@ def log_options(arguments: argparse.Namespace) -> dict[str, Any]:
         "max_range": arguments.max_range,
         "min_range": arguments.min_range,
         "opening_angle": _radians(arguments.opening_angle),
+        "mask": [_sector(text) for text in arguments.mask],
         "stamps": arguments.stamps,
         "lone_poses": arguments.lone_poses,
     }
+
+
+def _sector(text: str) -> tuple[float, float]:
+    try:
+        first, last = (math.radians(float(word)) for word in text.split(":"))
+    except ValueError:
+        first = last = math.nan
+    if not (math.isfinite(first) and math.isfinite(last)):
+        raise InvalidInputError(f"--mask: expected DEG:DEG, got {text!r}")
+    return first, last
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -311,6 +332,7 @@ def _calibrate_sensor(
     from beamfield.report.as_json import calibration_as_dict
     from beamfield.report.html import render_report
     from beamfield.report.text_table import parameter_table, readings_line, score_table
+    from beamfield.report.verdict import verdict
 
     try:
         maps: OccupancyGrid | CrossFitMaps
@@ -320,6 +342,8 @@ def _calibrate_sensor(
             maps = grid
         result = calibrate(sensor, maps, options, progress=progress)
         field = None if grid is None else learn_field(arguments, sensor, grid, result, origin, progress)
+        if field is not None:
+            result = replace(result, findings=(*result.findings, *field.findings))
         stack = None
         if arguments.stack is not None and grid is not None:
             stack = fit_for_stack(arguments, sensor, grid, result, patched, progress)
@@ -350,11 +374,13 @@ def _calibrate_sensor(
         files[stack.file_name] = stack.file_text
     # Lines are broken for a terminal only: in a file or a pipe, one line is one parameter or warning.
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    said = verdict(result)
     warnings = [f"warning ({f.name}): {in_options(f.text)}" for f in result.findings if f.severity == "warning"]
     if width is not None:
+        said = textwrap.fill(said, width)
         warnings = [textwrap.fill(text, width, subsequent_indent="  ") for text in warnings]
     parameters = parameter_table(result, width=width)
     data = f"{result.selection.describe()}\n{readings_line(result)}"
-    table = "\n\n".join([data, parameters, score_table(result), *warnings])
+    table = "\n\n".join([said, data, parameters, score_table(result), *warnings])
     table = "\n\n".join([table, *(part.table for part in (field, stack) if part is not None)])
     return files, table, result.converged, stack

@@ -12,6 +12,7 @@ from beamfield.errors import TooLittleDataError
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import Calibration
+    from beamfield.finding import Finding
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.report.page_section import PageSection
     from beamfield.sensors import SensorLog
@@ -33,12 +34,15 @@ class FieldResult:
         For the report.
     files
         The parameter file by its name; none if too little could be learned from.
+    findings
+        For the findings of the calibration.
     """
 
     table: str
     document: Mapping[str, Any]
     section: PageSection
     files: Mapping[str, str]
+    findings: tuple[Finding, ...] = ()
 
 
 def learn_field(
@@ -77,4 +81,6 @@ def learn_field(
         intervals=learned.intervals,
         provenance=origin,
     )
-    return FieldResult(field_tables(learned), plain(learned), field_section(learned, text), {FILE_NAME: text})
+    return FieldResult(
+        field_tables(learned), plain(learned), field_section(learned, text), {FILE_NAME: text}, learned.findings
+    )

@@ -112,10 +112,17 @@ def _map_of_bag(path: Path, no_log: FormatError) -> OccupancyGrid:
 
     if not (path.is_dir() or path.suffix in _BAGS):
         raise no_log
+    from beamfield.io.bags.bag_file import BagFile
+    from beamfield.io.bags.map_topic import OCCUPANCY_GRID
+
     try:
-        return read_map(path)
+        with BagFile(path) as bag:
+            has_map = bool(bag.of_type(OCCUPANCY_GRID))
     except BeamfieldError:
+        has_map = False
+    if not has_map:
         raise no_log from None
+    return read_map(path)
 
 
 def _read_background(content: OccupancyGrid | ScanLog, arguments: argparse.Namespace) -> OccupancyGrid:

@@ -8,6 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 from beamfield import __version__
 from beamfield.cli import (
@@ -81,7 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("default", BeamfieldWarning)
             warnings.showwarning = _show_warning
-            code = int(parsed.run(parsed))
+            with _unpacking_limit(parsed):
+                code = int(parsed.run(parsed))
             sys.stdout.flush()
             return code
     except BeamfieldError as error:
@@ -95,6 +97,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"{where}{error.strerror or error}", 1)
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
+
+
+def _unpacking_limit(parsed: argparse.Namespace) -> AbstractContextManager[None]:
+    gigabytes = getattr(parsed, "max_unpacked", None)
+    if gigabytes is None:
+        return nullcontext()
+    from beamfield.io.bags.unpacking import max_unpacked
+
+    return max_unpacked(gigabytes)
 
 
 def _fail(message: str, code: int) -> int:

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from beamfield.cli.calibrate import add_unpacking_option
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import file_hash, provenance
 from beamfield.cli.simulate_sonar import add_sonar_options, cause_shares, given_options, physics_of, ring_of
@@ -65,6 +66,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def _add_world_options(parser: argparse.ArgumentParser) -> None:
     world = parser.add_argument_group("world and drive")
     world.add_argument("--map", type=Path, metavar="MAP", help="drive through this map instead of an office")
+    add_unpacking_option(world)
     world.add_argument("--width", type=float, default=40.0, metavar="M", help="of the office (default: %(default)g)")
     world.add_argument("--height", type=float, default=24.0, metavar="M", help="of the office (default: %(default)g)")
     world.add_argument("--resolution", type=float, default=0.05, metavar="M", help="of the map (default: %(default)g)")

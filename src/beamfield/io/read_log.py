@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
@@ -51,6 +52,7 @@ def read_log(
     max_range: float | None = None,
     min_range: float | None = None,
     opening_angle: float | None = None,
+    mask: Sequence[tuple[float, float]] = (),
     stamps: StampRule = "file",
     lone_poses: LonePoses = "reference",
 ) -> ScanLog:
@@ -73,6 +75,8 @@ def read_log(
         The sensor's limits in metres, instead of what the file or the data say.
     opening_angle
         Full width of the sensor's cones in radians, instead of what the file or the format says; 0 for beams.
+    mask
+        Sectors (from, to) of bearings in radians, counter-clockwise, whose readings become NaN: parts of the robot.
     stamps
         Text logs only: "file", or "order" to number the scans, one second apart.
     lone_poses
@@ -117,7 +121,7 @@ def read_log(
             max_range=max_range,
             min_range=min_range,
         )
-        return _with_cones(bag, opening_angle)
+        return _with_cones(_masked(bag, mask), opening_angle)
     bag_options = {"poses_topic": poses_topic, "map_frame": map_frame, "base_frame": base_frame, "mount": mount}
     for name, value in bag_options.items():
         if value is not None:
@@ -127,13 +131,28 @@ def read_log(
     asked = (sensor_topic,) if isinstance(sensor_topic, str) else None if sensor_topic is None else tuple(sensor_topic)
     options = TextOptions(asked, no_return, max_range, min_range, stamps, lone_poses)
     reader = _text_reader(source)
-    log = _with_cones(reader(source, options), opening_angle)
+    log = _with_cones(_masked(reader(source, options), mask), opening_angle)
     if asked is None:
         return log
     if not set(asked) <= set(log.sensors):
         # Read once more without the choice, to say what there is to choose from.
         log = reader(source, replace(options, sensors=None))
     return _only(log, asked)
+
+
+def _masked(log: ScanLog, sectors: Sequence[tuple[float, float]]) -> ScanLog:
+    """Return the log without the readings of some sectors."""
+    sensors, notes = dict(log.sensors), list(log.notes)
+    for name, sensor in log.sensors.items() if len(sectors) else ():
+        bearings = sensor.finder.bearings
+        blind = np.zeros(len(bearings), dtype=bool)
+        for first, last in sectors:
+            if not (math.isfinite(first) and math.isfinite(last)):
+                raise InvalidInputError(f"mask: expected finite bearings in radians, got {(first, last)!r}")
+            blind |= (bearings - first) % (2.0 * math.pi) <= (last - first) % (2.0 * math.pi)
+        sensors[name] = replace(sensor, ranges=np.where(blind, np.nan, sensor.ranges))
+        notes.append(f"{name}: {blind.sum()} of {len(blind)} beams masked")
+    return replace(log, sensors=sensors, notes=tuple(notes))
 
 
 def _with_cones(log: ScanLog, opening_angle: float | None) -> ScanLog:

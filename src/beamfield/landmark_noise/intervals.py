@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtri, stdtrit
 
+from beamfield.calibration.intrinsic.block_intervals import share_interval
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels.threads import run_in_slices
@@ -24,14 +26,14 @@ _MOST_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class NoiseIntervals:
-    """Intervals by block bootstrap.
+    """Intervals from a bootstrap of blocks.
 
     Parameters
     ----------
     intervals
         (low, high) per learned parameter; empty where there is one block only.
     standard_errors
-        Standard deviation of the replicates per learned parameter.
+        Standard error per learned parameter.
     level
         The share of such intervals that are to hold the truth.
     n_blocks
@@ -55,7 +57,7 @@ def noise_intervals(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> NoiseIntervals:
-    """Resample blocks with replacement, learn again from each sample, return percentiles.
+    """Resample blocks with replacement and learn again from each sample: how far the samples scatter tells intervals.
 
     Parameters
     ----------
@@ -83,12 +85,20 @@ def noise_intervals(
 
     Notes
     -----
-    Percentiles are taken further out than `level` says, by Student's t for the number of blocks (Hesterberg's expanded
-    percentile interval): few blocks vary less than what they are drawn from.
+    With s the standard deviation of the replicates times sqrt(B / (B - 1)) for B blocks, which vary less than what they
+    are drawn from, and t, z the quantiles of Student's distribution of B - 1 degrees of freedom and of the normal one:
+
+    - Biases and scale: estimate -+ t s. Sigmas: the same for their logarithms.
+    - The spurious rate p: Clopper and Pearson's interval for p (1 - p) / (s t / z)^2 independent sightings (Korn and
+      Graubard); where no sighting is spurious, the rule of three, times (t / z)^2.
+
+    Percentiles would not do: those that few blocks need lie beyond the outermost of some hundred replicates.
 
     References
     ----------
-    Hesterberg, "What teachers should know about the bootstrap", American Statistician 69, 2015.
+    Efron and Tibshirani, "An Introduction to the Bootstrap", 1993, chapters 6 and 12.
+    Korn and Graubard, "Confidence intervals for proportions with small expected number of positive counts estimated
+    from survey data", Survey Methodology 24, 1998.
     """
     check_threads(threads)
     if n_replicates < 2:
@@ -102,20 +112,27 @@ def noise_intervals(
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(n_blocks, np.full(n_blocks, 1.0 / n_blocks), size=n_replicates)
     replicates = _replicates(likelihood, number, theta, draws, threads, progress)
-    tail = _expanded_tail(level, n_blocks)
-    low, high = np.quantile(replicates, [tail, 1.0 - tail], axis=0)
-    learned = [NoiseTheta._fields.index(name) for name in _learned(likelihood)]
-    names = NoiseTheta._fields
-    rate, n = names.index("spurious_rate"), len(likelihood)
-    if theta.spurious_rate * n < 1.0:
-        # Samples of blocks without a spurious sighting have none; the rule of three says what that excludes.
-        low[rate], high[rate] = 0.0, max(high[rate], 3.0 / n)
-    return NoiseIntervals(
-        {names[i]: (float(low[i]), float(high[i])) for i in learned},
-        {names[i]: float(replicates[:, i].std(ddof=1)) for i in learned},
-        level,
-        n_blocks,
-    )
+    scatter = replicates.std(axis=0, ddof=1) * math.sqrt(n_blocks / (n_blocks - 1))
+    errors = {name: float(scatter[NoiseTheta._fields.index(name)]) for name in _learned(likelihood)}
+    intervals = {
+        name: _interval(name, theta, error, level, n_blocks, len(likelihood)) for name, error in errors.items()
+    }
+    return NoiseIntervals(intervals, errors, level, n_blocks)
+
+
+def _interval(
+    name: str, theta: NoiseTheta, error: float, level: float, n_blocks: int, n_sightings: int
+) -> tuple[float, float]:
+    value = getattr(theta, name)
+    t = float(stdtrit(n_blocks - 1, 0.5 + 0.5 * level))
+    if name == "spurious_rate":
+        wider = t / float(ndtri(0.5 + 0.5 * level))
+        if value * n_sightings < 1.0 or error == 0.0:
+            return 0.0, min(max(value + t * error, -math.log(1.0 - level) * wider**2 / n_sightings), 1.0)
+        return share_interval(value, (error * wider) ** 2, 1.0 - level)
+    if name in ("sigma_range", "sigma_bearing"):
+        return value * math.exp(-t * error / value), value * math.exp(t * error / value)
+    return value - t * error, value + t * error
 
 
 def _replicates(
@@ -168,12 +185,3 @@ def _learned(likelihood: NoiseLikelihood) -> list[str]:
         "spurious_rate": problem.fit_spurious,
     }
     return [name for name, is_learned in learned.items() if is_learned]
-
-
-def _expanded_tail(level: float, n_blocks: int) -> float:
-    """Return the share of the replicates beyond each end of an interval from so many blocks (Hesterberg).
-
-    It is below (1 - level) / 2, which it approaches with more blocks.
-    """
-    quantile = stdtrit(n_blocks - 1, 0.5 * (1.0 - level))
-    return float(ndtr(np.sqrt(n_blocks / (n_blocks - 1.0)) * quantile))

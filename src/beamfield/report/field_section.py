@@ -21,7 +21,7 @@ SCORE_HEADER = ("held-out blocks", "nats per reading ± s.e.", "nats per posteri
 
 
 def field_tables(learned: FieldLearning) -> str:
-    """Return the tables for the terminal: the parameters, how they do on held-out blocks, and warnings.
+    """Return the tables for the terminal: the parameters, and how they do on held-out blocks.
 
     Parameters
     ----------
@@ -33,7 +33,6 @@ def field_tables(learned: FieldLearning) -> str:
         aligned(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3)),
         f"The exponent is for {learned.n_beams} beams of each scan.",
     ]
-    parts += [f"warning ({f.name}): {f.text}" for f in learned.findings if f.severity == "warning"]
     return "\n\n".join(parts)
 
 
@@ -47,14 +46,12 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
     file_text
         The parameter file.
     """
-    items = "".join(f"<li>{html.escape(finding.text)}</li>" for finding in learned.findings)
-    findings = f'<ul class="findings">{items}</ul>' if items else ""
     markup = (
         f"{_table(PARAMETER_HEADER, _parameter_rows(learned), (1,))}"
         f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "
         "sigma_hit make the readings most likely along the axes of their beams; without the reference poses' error "
         f"sigma_hit is {learned.density_sigma:.4g} m. The exponent is the one whose posteriors around the reference "
-        f"poses hold them best.</p>{findings}"
+        f"poses hold them best.</p>"
         f"{_table(SCORE_HEADER, [_score_row(score) for score in learned.scores], (1, 2, 3))}"
         "<p>Nats per reading: mean log density along the axis, given that the reading is a range. Nats per posterior: "
         "mean logarithm of the posterior's density at the reference over the prior's, of a few scans each; 0 for a "

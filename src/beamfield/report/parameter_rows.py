@@ -114,7 +114,7 @@ def _row(calibration: Calibration, name: str) -> ParameterRow:
         _value(calibration, name, value, interval, decimals),
         None if interval is None else (_fixed(interval[0], decimals), _fixed(interval[1], decimals)),
         UNITS[name],
-        _noise(calibration) if name == "sigma_slope" else MEANINGS[name],
+        _meaning(calibration, name),
         name in calibration.options.hold,
     )
 
@@ -139,11 +139,17 @@ def at_floor(calibration: Calibration) -> bool:
     return "sigma_hit" not in calibration.options.hold and calibration.parameters.sigma_hit <= 1.000001 * floor
 
 
-def _noise(calibration: Calibration) -> str:
-    """Return what a sigma that grows with range comes to."""
+def noise_at_ranges(calibration: Calibration) -> str:
+    """Return what the noise of a hit comes to at some expected ranges, where it grows with range."""
     sigma, slope = calibration.parameters.sigma_hit, calibration.parameters.sigma_slope
     noise = ", ".join(f"{math.hypot(sigma, slope * z):.3f}" for z in NOISE_AT)
-    return f"{MEANINGS['sigma_slope']}: {noise} m at {', '.join(f'{z:g}' for z in NOISE_AT)} m"
+    return f"{noise} m at {', '.join(f'{z:g}' for z in NOISE_AT)} m"
+
+
+def _meaning(calibration: Calibration, name: str) -> str:
+    if name == "sigma_hit" and calibration.parameters.sigma_slope != 0.0:
+        return f"noise of a hit, {noise_at_ranges(calibration)}: the part that does not grow with range"
+    return MEANINGS[name]
 
 
 def _fixed(value: float, decimals: int) -> str:

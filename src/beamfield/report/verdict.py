@@ -4,39 +4,48 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from beamfield.calibration.calibrate import Calibration
-from beamfield.report.parameter_rows import parameter_rows
+from beamfield.report.parameter_rows import noise_at_ranges, parameter_rows
 
 # Rivals that the verdict names, and what to call them; the uniform is in the table.
 RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
+
+# Findings that take the ground from under all values, and what each means in a few words.
+DOUBTS = {
+    "map-says-nothing": "the readings do not fit this map at these poses, the fit is hardly better than a uniform",
+    "map-scale": "the scale of the map is wrong",
+    "poses-off-map": "many reference poses lie off the map",
+    "reference-stands-still": "the reference poses stand still while the robot drives",
+    "reference-slides": "the reference poses do not move as the odometry does",
+    "field-says-nothing": "the readings hardly tell where the robot is in this map",
+}
 
 # An interval whose ends differ by more than this factor tells next to nothing.
 VAGUE = 10.0
 
 
 def verdict(calibration: Calibration) -> str:
-    """Return whether the fit beats the defaults, by how much, and how noisy the sensor is in this map."""
-    if _ignores_the_map(calibration):
-        return (
-            "The readings do not fit this map at these poses: the fit is hardly better than a uniform that knows "
-            "nothing of the map. Do not use these parameters before you know why."
-        )
-    sentences = [_against_defaults(calibration), _noise(calibration), _warnings(calibration)]
+    """Return whether to use the fit: why not, or by how much it beats the defaults and how noisy hits are."""
+    doubts = _doubts(calibration)
+    if doubts:
+        sentences = [f"Do not use these values yet: {'; '.join(doubts)}."]
+    else:
+        sentences = [_against_defaults(calibration), _noise(calibration)]
+    sentences.append(_warnings(calibration))
     if not calibration.converged:
         sentences.append("The fit did not converge: do not use it as it is.")
     return " ".join(sentence for sentence in sentences if sentence)
 
 
 def is_good(calibration: Calibration) -> bool:
-    """Return whether the fit converged, learned from the map and beats every other model on held-out beams."""
+    """Return whether the fit converged, beats every other model on held-out beams, and map and poses can be trusted."""
     beats_all = all(score.behind_fit > 0 for score in calibration.scores[1:])
-    return calibration.converged and beats_all and not _ignores_the_map(calibration)
+    return calibration.converged and beats_all and not _doubts(calibration)
 
 
-def _ignores_the_map(calibration: Calibration) -> bool:
-    return any(finding.name == "map-says-nothing" for finding in calibration.findings)
+def _doubts(calibration: Calibration) -> list[str]:
+    found = {finding.name for finding in calibration.findings}
+    return [words for name, words in DOUBTS.items() if name in found]
 
 
 def _against_defaults(calibration: Calibration) -> str:
@@ -55,20 +64,12 @@ def _nats(gain: float) -> str:
 
 
 def _noise(calibration: Calibration) -> str:
-    parameters, rows = calibration.parameters, parameter_rows(calibration)
-    sigma = next(row for row in rows if row.name == "sigma_hit")
-    text = f"{sigma.name} is {sigma.value} m {sigma.interval_text}{_doubt(calibration)}"
-    expected = calibration.table.expected_ranges[~calibration.table.hits_nothing]
-    if parameters.sigma_slope == 0.0 or len(expected) == 0:
-        return f"{text.rstrip(',')}."
-    typical = float(np.median(expected))
-    spread = math.hypot(parameters.sigma_hit, parameters.sigma_slope * typical)
-    return f"{text} and grows with range, to a noise of {spread:.3f} m at {typical:.1f} m, the median expected range."
-
-
-def _doubt(calibration: Calibration) -> str:
+    if calibration.parameters.sigma_slope != 0.0:
+        return f"The noise of a hit grows with range: {noise_at_ranges(calibration)}."
+    sigma = next(row for row in parameter_rows(calibration) if row.name == "sigma_hit")
     interval = calibration.intervals.intervals.get("sigma_hit")
-    return ", hardly determined by this log," if interval is not None and interval[1] > VAGUE * interval[0] else ""
+    vague = ", hardly determined by this log" if interval is not None and interval[1] > VAGUE * interval[0] else ""
+    return f"{sigma.name} is {sigma.value} m {sigma.interval_text}{vague}."
 
 
 def _warnings(calibration: Calibration) -> str:

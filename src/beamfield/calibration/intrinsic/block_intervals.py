@@ -193,6 +193,22 @@ def block_intervals(
     )
 
 
+def share_interval(share: float, variance: float, outside: float) -> tuple[float, float]:
+    """Return Clopper and Pearson's interval for a share in (0, 1) of as many independent things as its variance tells.
+
+    Parameters
+    ----------
+    share, variance
+        The estimate, and its variance, positive.
+    outside
+        The share of such intervals that may miss the truth.
+    """
+    n = share * (1.0 - share) / variance
+    hits, misses = share * n, (1.0 - share) * n
+    low = float(betaincinv(hits, misses + 1.0, 0.5 * outside))
+    return low, float(betaincinv(hits + 1.0, misses, 1.0 - 0.5 * outside))
+
+
 def _checked(
     ranges: ArrayLike, expected_ranges: ArrayLike, stamps: ArrayLike, max_range: float, min_range: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -318,10 +334,7 @@ class _Jackknife:
             absent = [k for k in range(4) if self.problem.free[k] and self.theta[k] <= self.problem.lower[k]]
             rise = max((self._rise_from_bound(k, self._largest_design_effect) for k in absent), default=0.0)
             return max(w - rise, 0.0), w
-        n = w * (1.0 - w) / variance / self.wider**2
-        hits, misses = w * n, (1.0 - w) * n
-        low = float(betaincinv(hits, misses + 1.0, self.tail))
-        high = float(betaincinv(hits + 1.0, misses, 1.0 - self.tail))
+        low, high = share_interval(w, variance * self.wider**2, 2.0 * self.tail)
         return low, min(high, most)
 
     def _shape_interval(self, i: int) -> tuple[float, float]:

@@ -17,13 +17,14 @@ from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
 from beamfield.io.files.atomic import scratch_folder
+from beamfield.io.files.yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
 METADATA = "metadata.yaml"
-MAX_METADATA_BYTES = 16 * 2**20  # a thousand topics need less than one of them
+MAX_METADATA_BYTES = 2**20  # a thousand topics need less
 
 
 @contextmanager
@@ -82,8 +83,6 @@ class BagFile:
     ------
     FormatError
         If it is no bag, is cut or damaged, or unpacks to far more than its size (`bag_unpacking`).
-    InvalidInputError
-        If the environment's limit for unpacking is no number.
     MissingDependencyError
         If the package rosbags is not installed.
     FileNotFoundError, PermissionError
@@ -219,12 +218,11 @@ def seconds(stamp: Any) -> float:
 
 def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes], bytes] | None]:
     """Return what rosbags shall open, checked, and what unpacks messages that are compressed one by one."""
-    paths = _resolve(path)
-    if not paths[0].is_dir():
-        for file in paths:
-            check_storage(file)
-        return paths, None
-    files, mode = _files_of_metadata(paths[0])
+    files = _resolve(path)
+    mode = ""
+    if files[0].is_dir():
+        # Readers of folders would take the time to read all of the metadata, which storage files hold as well.
+        files, mode = _files_of_metadata(files[0])
     if mode == "file":
         # rosbags would do it without a limit.
         scratch = stack.enter_context(scratch_folder(Path(tempfile.gettempdir()), path.name))
@@ -236,14 +234,13 @@ def _storage(path: Path, stack: ExitStack) -> tuple[list[Path], Callable[[bytes]
         check_storage(file)
     if mode == "message":
         return files, partial(unpack_message, allowance=Allowance(path, sum(file.stat().st_size for file in files)))
-    return paths, None
+    return files, None
 
 
 def _files_of_metadata(folder: Path) -> tuple[list[Path], str]:
     """Return the storage files of a bag, and how they are compressed: "", "file" or "message"."""
-    from ruamel.yaml import YAML
-
-    bag = YAML(typ="safe").load((folder / METADATA).read_text())["rosbag2_bagfile_information"]
+    metadata = read_yaml(folder / METADATA, max_bytes=MAX_METADATA_BYTES, number_keys=True)
+    bag = metadata.value("rosbag2_bagfile_information")
     files = [folder / PurePath(name).name for name in bag["relative_file_paths"]]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
@@ -268,7 +265,7 @@ def _reader(paths: list[Path]) -> AnyReader:
 def _resolve(path: Path) -> list[Path]:
     """Return what to open for a path that a user names."""
     if path.is_dir():
-        return [_checked_folder(path)] if (path / METADATA).is_file() else _without_metadata(path)
+        return [path] if (path / METADATA).is_file() else _without_metadata(path)
     storage = _storage_of(path)
     if storage is None:
         with path.open("rb") as file:
@@ -277,7 +274,7 @@ def _resolve(path: Path) -> list[Path]:
     if path.suffix != storage:
         raise FormatError(path, f"its content is that of a {storage} file, but its name ends in {path.suffix!r}")
     if storage != ".bag" and _listed_in_metadata(path):
-        return [_checked_folder(path.parent)]
+        return [path.parent]
     return [path]
 
 
@@ -286,13 +283,6 @@ def _storage_of(path: Path) -> str | None:
     with path.open("rb") as file:
         start = file.read(16)
     return next((suffix for suffix, magic in MAGIC.items() if start.startswith(magic)), None)
-
-
-def _checked_folder(folder: Path) -> Path:
-    size = (folder / METADATA).stat().st_size
-    if size > MAX_METADATA_BYTES:
-        raise FormatError(folder / METADATA, f"expected at most {MAX_METADATA_BYTES} bytes, got {size}")
-    return folder
 
 
 def _storage_files(folder: Path) -> list[Path]:

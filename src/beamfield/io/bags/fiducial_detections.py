@@ -18,6 +18,7 @@ from PIL.PngImagePlugin import PngImageFile
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.bags.bag_file import BagFile, BagMessage
+from beamfield.io.files.png_pixels import require_all_pixels
 from beamfield.models.camera_intrinsics import CameraIntrinsics
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -257,9 +258,12 @@ def _decode(data: bytes) -> NDArray[np.uint8]:
     try:
         # The readers themselves, for Image.open would warn of sizes that are checked here; they warn of chunks that
         # are not needed, such as an animation that is damaged.
-        with warnings.catch_warnings(action="ignore"), kind(io.BytesIO(data)) as image:
+        file = io.BytesIO(data)
+        with warnings.catch_warnings(action="ignore"), kind(file) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise InvalidInputError(f"expected at most {MAX_PIXELS} pixels, got {image.width} x {image.height}")
+            if isinstance(image, PngImageFile):
+                require_all_pixels(file, image)
             return np.asarray(image.convert("L"))
     except InvalidInputError:
         raise

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import bz2
 import importlib
+import math
 import os
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
+from contextvars import ContextVar
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -21,7 +23,6 @@ from typing import Any, BinaryIO, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError
 
-VARIABLE = "BEAMFIELD_MAX_UNPACKED_GB"
 # Scans shrink to a third, empty maps and costmaps to a hundredth; a bomb reaches 1/30,000.
 MAX_EXPANSION = 500
 FREE_BYTES = 96 * 2**20  # a map of 10,000 x 10,000 cells
@@ -33,10 +34,41 @@ _ZSTD_BLOCK = 128 * 2**10
 _LZ4_BLOCKS = {4: 2**16, 5: 2**18, 6: 2**20, 7: 2**22}
 _LZ4_EXPANSION = 255
 _BLOCK = 2**20
+# Of all bags, whatever reads them: logs, maps, reference poses, pictures.
+_LIMIT: ContextVar[int | None] = ContextVar("max_unpacked", default=None)
+
+
+@contextmanager
+def max_unpacked(gigabytes: float) -> Iterator[None]:
+    """Let each bag that is read meanwhile unpack to so much, instead of in proportion to its size.
+
+    Parameters
+    ----------
+    gigabytes
+        The limit in 10^9 bytes.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is no positive finite number.
+
+    Examples
+    --------
+    >>> from beamfield.io.read_log import read_log
+    >>> with max_unpacked(20):
+    ...     log = read_log("recorded_by_myself.bag")  # doctest: +SKIP
+    """
+    if isinstance(gigabytes, bool) or not isinstance(gigabytes, int | float) or not 0.0 < gigabytes < math.inf:
+        raise InvalidInputError(f"max_unpacked: expected a positive number of gigabytes, got {gigabytes!r}")
+    token = _LIMIT.set(int(gigabytes * 1e9))
+    try:
+        yield
+    finally:
+        _LIMIT.reset(token)
 
 
 class Allowance:
-    """How many bytes a bag may unpack to: in proportion to its size, or what the environment says.
+    """How many bytes a bag may unpack to: in proportion to its size, or as `max_unpacked` says.
 
     Parameters
     ----------
@@ -44,16 +76,11 @@ class Allowance:
         The bag, for errors.
     packed
         The size of its file in bytes.
-
-    Raises
-    ------
-    InvalidInputError
-        If the environment's value is no positive number.
     """
 
     def __init__(self, path: Path, packed: int) -> None:
         self._path, self._packed = path, packed
-        given = _given_limit()
+        given = _LIMIT.get()
         self._total = max(FREE_BYTES, MAX_EXPANSION * packed) if given is None else given
         self.chunk = min(self._total, MAX_CHUNK_BYTES) if given is None else given
         self._spent = 0
@@ -72,19 +99,8 @@ class Allowance:
             raise FormatError(
                 self._path,
                 f"{self._packed} bytes, but {what} unpacks to more than {limit / 1e9:.3g} GB: refused as a bomb; if "
-                f"you trust the bag, allow more by setting {VARIABLE} in the environment",
+                "you trust the bag, allow more gigabytes with max_unpacked",
             )
-
-
-def _given_limit() -> int | None:
-    text = os.environ.get(VARIABLE)
-    if text is None:
-        return None
-    with suppress(ValueError, OverflowError):
-        limit = int(float(text) * 1e9)
-        if limit > 0:
-            return limit
-    raise InvalidInputError(f"{VARIABLE}: expected a positive number of gigabytes, got {text!r}")
 
 
 def check_storage(path: Path, unpacked_from: Path | None = None) -> None:

@@ -43,9 +43,28 @@ def read_lines(path: str | Path) -> Iterator[tuple[int, str]]:
         if not compressed:
             yield from _decode(source, file, None)
             return
-        limit = max(FREE_BYTES, MAX_EXPANSION * source.stat().st_size)
+        limit = most_bytes(source)
         with io.BufferedReader(gzip.GzipFile(fileobj=file), 2**18) as stream:
             yield from _decode(source, stream, limit)
+
+
+def most_bytes(path: Path) -> int:
+    """Return how many bytes `read_lines` takes from a file at most: its size, or the limit on what gzip unpacks to.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    OSError
+        As the file system says.
+    """
+    with path.open("rb") as file:
+        compressed = file.read(2) == b"\x1f\x8b"
+        size = file.seek(0, io.SEEK_END)
+    return max(FREE_BYTES, MAX_EXPANSION * size) if compressed else size
 
 
 def read_at_most(path: Path, max_bytes: int, what: str) -> bytes:

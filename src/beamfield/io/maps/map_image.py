@@ -18,7 +18,7 @@ from PIL.ImageFile import ImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.maps.png_pixels import require_all_pixels
+from beamfield.io.files.png_pixels import require_all_pixels
 
 MAX_PIXELS = 400_000_000  # 1 km x 1 km at 5 cm
 
@@ -195,9 +195,10 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
         # Pillow warns of chunks that no map needs, such as an animation that is damaged.
         with warnings.catch_warnings(action="ignore"), kind(file) as picture:
             _check_size(path, *picture.size, max_pixels)
-            if magic == b"\x89P":
-                _require_whole_chunks(file, path)
-            _require_all_pixels(file, path, picture)
+            if isinstance(picture, PngImageFile):
+                require_all_pixels(file, picture)
+            else:
+                _require_all_of_bmp(file, path, picture)
             picture.load()
             return _grey_and_opaque(picture)
     except FormatError:
@@ -210,36 +211,16 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
         raise FormatError(path, f"damaged picture: {reason}") from error
 
 
-def _require_all_pixels(file: BinaryIO, path: Path, picture: ImageFile) -> None:
-    # Before Pillow makes room for them.
-    if len(picture.tile) != 1 or picture.tile[0][1] != (0, 0, *picture.size):
-        raise FormatError(path, "damaged picture: truncated, it has no data for some of its pixels")
+def _require_all_of_bmp(file: BinaryIO, path: Path, picture: ImageFile) -> None:
+    # Before Pillow makes room for its pixels.
     decoder, _, data_start, details = picture.tile[0]
-    stride: Any = details[1] if decoder == "raw" and details else 0
-    where = file.tell()
-    if decoder == "zip":
-        require_all_pixels(file, path, data_start)
-    elif decoder == "raw":
-        needed, found = stride * picture.height, os.fstat(file.fileno()).st_size - data_start
-        if found < needed:
-            raise FormatError(path, f"damaged picture: truncated, its pixels take {needed} bytes, got {max(found, 0)}")
-    else:
+    if decoder != "raw":
         # Its codes may leave pixels out.
         raise FormatError(path, "BMP pictures with run-length codes are not read: save it without, or as PNG")
-    file.seek(where)
-
-
-def _require_whole_chunks(file: BinaryIO, path: Path) -> None:
-    """Refuse a PNG with a chunk that is longer than the rest of the file: Pillow makes room for what it declares."""
-    where, size, at, name = file.tell(), os.fstat(file.fileno()).st_size, 8, b""
-    while at + 8 <= size and name != b"IEND":
-        file.seek(at)
-        length, name = struct.unpack(">I4s", file.read(8))
-        at += 12 + length
-        # Some programs leave out the checksum of the last chunk.
-        if at > size + 4:
-            raise FormatError(path, f"damaged picture: truncated, a chunk {name!r} declares {length} bytes")
-    file.seek(where)
+    stride: Any = details[1] if details else 0
+    needed, found = stride * picture.height, os.fstat(file.fileno()).st_size - data_start
+    if found < needed:
+        raise FormatError(path, f"damaged picture: truncated, its pixels take {needed} bytes, got {max(found, 0)}")
 
 
 def _grey_and_opaque(picture: Image.Image) -> MapImage:

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 import re
-import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.files.text_lines import most_bytes, read_lines
 from beamfield.io.files.yaml_file import shorten
 from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.maps.occupancy import OccupancyGrid
 
-_SPECIFICATION = re.compile(rb"robot_specifications->(\w+)\s+(\S+)\s*$")
-_SIZE = re.compile(rb"global_map\[0\]:\s*([0-9]{1,9})\s+([0-9]{1,9})\s*$")
+_SPECIFICATION = re.compile(r"robot_specifications->(\w+)\s+(\S+)\s*$")
+_SIZE = re.compile(r"global_map\[0\]:\s*([0-9]{1,9})\s+([0-9]{1,9})\s*$")
 _HEADER_LINES = 100
-_LINE_LIMIT = 65_536
-_BYTES_PER_CELL = 32
+_EXPECTED = "expected 'robot_specifications->...' or 'global_map[0]: rows cols'"
 
 
 def read_wean_map(
@@ -52,7 +49,8 @@ def read_wean_map(
     Raises
     ------
     FormatError
-        If the header is incomplete, the number of cells is wrong or a value is neither -1 nor in [0, 1].
+        If the header is incomplete, the number of cells is wrong or more than the file can hold, a value is neither -1
+        nor in [0, 1], or the file is a bomb (`read_lines`).
     InvalidInputError
         If a parameter is outside its range.
     OSError
@@ -68,54 +66,39 @@ def read_wean_map(
     if max_cells < 1:
         raise InvalidInputError(f"max_cells: expected at least 1, got {max_cells}")
     source = Path(path)
-    with _opened(source) as file:
-        resolution_cm, n_x, n_y, line = _read_header(file, source, max_cells)
-        free = _read_values(file, source, n_x, n_y, line)
-    # Unknown is NaN from here on; rows of the grid are y, lines of the file are x.
-    probability = (1.0 - np.where(free < 0, np.nan, free)).T.astype(np.float32)
+    lines = read_lines(source)
+    resolution_cm, n_x, n_y = _read_header(lines, source, max_cells)
+    # Rows of the grid are y, lines of the file are x.
     return OccupancyGrid(
-        probability, resolution_cm / 100.0, np.zeros(3), occupied_thresh=occupied_thresh, free_thresh=free_thresh
+        _read_values(lines, source, n_x, n_y).T,
+        resolution_cm / 100.0,
+        np.zeros(3),
+        occupied_thresh=occupied_thresh,
+        free_thresh=free_thresh,
     )
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    with path.open("rb") as raw:
-        is_compressed = raw.read(2) == b"\x1f\x8b"
-        raw.seek(0)
-        if not is_compressed:
-            yield raw
-            return
-        try:
-            with gzip.GzipFile(fileobj=raw) as file:
-                yield file  # type: ignore[misc]
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise FormatError(path, f"damaged gzip file: {error}") from error
-
-
-def _read_header(file: BinaryIO, path: Path, max_cells: int) -> tuple[float, int, int, int]:
-    """Return the resolution in centimetres, the number of cells in x and y, and the number of lines read."""
+def _read_header(lines: Iterator[tuple[int, str]], path: Path, max_cells: int) -> tuple[float, int, int]:
+    """Return the resolution in centimetres, and the number of cells in x and y."""
     numbers: dict[str, float] = {}
-    for line in range(1, _HEADER_LINES + 1):
-        text = file.readline(_LINE_LIMIT)
+    line = 0
+    for line, text in islice(lines, _HEADER_LINES):
         size = _SIZE.match(text)
         if size is not None:
             n_x, n_y = int(size[1]), int(size[2])
             _check_header(numbers, n_x, n_y, path, line, max_cells)
-            return numbers["resolution"], n_x, n_y, line
+            return numbers["resolution"], n_x, n_y
         specification = _SPECIFICATION.match(text)
         if specification is not None:
-            name = specification[1].decode("ascii", "replace")
-            numbers[name] = _number(specification[2], path, line, name)
-        elif not text or text.strip():
-            found = shorten(text[:60]) if text else "the end of the file"
-            raise FormatError(
-                path, f"expected 'robot_specifications->...' or 'global_map[0]: rows cols', got {found}", line=line
-            )
+            numbers[specification[1]] = _number(specification[2], path, line, specification[1])
+        elif text.strip():
+            raise FormatError(path, f"{_EXPECTED}, got {shorten(text[:60])}", line=line)
+    if line < _HEADER_LINES:
+        raise FormatError(path, f"{_EXPECTED}, got the end of the file", line=line + 1)
     raise FormatError(path, f"expected 'global_map[0]: rows cols' within {_HEADER_LINES} lines")
 
 
-def _number(text: bytes, path: Path, line: int, name: str) -> float:
+def _number(text: str, path: Path, line: int, name: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -139,24 +122,28 @@ def _check_header(numbers: dict[str, float], n_x: int, n_y: int, path: Path, lin
         raise FormatError(path, f"expected a map with cells, got {n_x} x {n_y}", line=line)
     if n_x * n_y > max_cells:
         raise FormatError(path, f"{n_x} x {n_y} cells are more than the limit of {max_cells}: not read", line=line)
+    # A digit and a space for each.
+    if 2 * n_x * n_y - 1 > most_bytes(path):
+        raise FormatError(path, f"truncated: {n_x} x {n_y} cells are more than the file can hold", line=line)
 
 
-def _read_values(file: BinaryIO, path: Path, n_x: int, n_y: int, line: int) -> NDArray[np.float64]:
-    columns = []  # grows with what the file really holds, not with what its header says
-    for i in range(n_x):
-        text = file.readline(_BYTES_PER_CELL * n_y + 2)
-        line += 1
-        if not text:
-            raise FormatError(path, f"truncated: expected {n_x} lines of numbers, got {i}", line=line)
-        columns.append(_read_column(text, path, n_y, line))
-    while rest := file.readline(_LINE_LIMIT):
-        line += 1
-        if rest.strip():
-            raise FormatError(path, f"expected {n_x} lines of numbers, got more: {shorten(rest[:40])}", line=line)
-    return np.array(columns)
+def _read_values(lines: Iterator[tuple[int, str]], path: Path, n_x: int, n_y: int) -> NDArray[np.float32]:
+    """Return the probabilities of being occupied, (n_x, n_y); NaN where it is unknown."""
+    probability = np.empty((n_x, n_y), np.float32)
+    done = 0
+    for line, text in lines:
+        if done < n_x:
+            free = _read_column(text, path, n_y, line)
+            probability[done] = 1.0 - np.where(free < 0, np.nan, free)
+            done += 1
+        elif text.strip():
+            raise FormatError(path, f"expected {n_x} lines of numbers, got more: {shorten(text[:40])}", line=line)
+    if done < n_x:
+        raise FormatError(path, f"truncated: expected {n_x} lines of numbers, got {done}")
+    return probability
 
 
-def _read_column(text: bytes, path: Path, n_y: int, line: int) -> NDArray[np.float64]:
+def _read_column(text: str, path: Path, n_y: int, line: int) -> NDArray[np.float64]:
     words = text.split()
     if len(words) != n_y:
         raise FormatError(path, f"expected {n_y} numbers, got {len(words)}", line=line)

@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
-from beamfield.io.parameters.document import document_text, named_numbers
+from beamfield.io.parameters.document import document_text, named_numbers, sensor_section, six_digits
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -60,17 +59,12 @@ def beam_model_text(
     finder
         The sensor they belong to.
     intervals, provenance
-        As for `beamfield.io.parameters.document.document_text`; bounds are written with six digits.
+        As for `beamfield.io.parameters.document.document_text`.
     """
-    min_range, max_range = _six_digits(finder.min_range), _six_digits(finder.max_range)
-    if max_range > finder.max_range:
-        max_range = float(finder.max_range)  # rounded up, readings at the limit would no longer be "no return"
     document: dict[str, Any] = {
         "beam_model": _rounded(parameters),
-        "sensor": {"name": printable(finder.name), "min_range": min_range, "max_range": max_range},
+        "sensor": sensor_section(finder),
     }
-    if intervals is not None:
-        intervals = {name: (_six_digits(low), _six_digits(high)) for name, (low, high) in intervals.items()}
     if finder.opening_angle > 0.0:
         # Radians: parameters of cones mean nothing to a model of beams.
         document["sensor"]["opening_angle"] = float(finder.opening_angle)
@@ -78,14 +72,10 @@ def beam_model_text(
 
 
 def _rounded(parameters: BeamParameters) -> dict[str, float]:
-    rounded = {name: _six_digits(value) for name, value in asdict(parameters).items()}
+    rounded = {name: six_digits(value) for name, value in asdict(parameters).items()}
     largest = max(WEIGHTS, key=lambda name: rounded[name])
     rounded[largest] = round(1.0 - sum(rounded[name] for name in WEIGHTS if name != largest), 12)
     return rounded
-
-
-def _six_digits(value: float) -> float:
-    return float(f"{value:.6g}")
 
 
 def read_beam_model(path: str | Path) -> SavedBeamModel:

@@ -10,6 +10,8 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from beamfield.io.files.yaml_file import YamlFile
+from beamfield.printable import printable
+from beamfield.sensors import RangeFinder
 
 
 def document_text(
@@ -28,14 +30,14 @@ def document_text(
     document
         The sections, of plain values; numbers are written so that reading returns the same bits.
     intervals
-        95 % interval per parameter; written as null where a bound is not finite: not determined.
+        95 % interval per parameter, written with six digits; null where a bound is not finite: not determined.
     provenance
         Plain values that say where the parameters come from.
     """
     whole = dict(document)
     if intervals:
         whole["intervals_95"] = {
-            name: [float(low), float(high)] if math.isfinite(low) and math.isfinite(high) else None
+            name: [six_digits(low), six_digits(high)] if math.isfinite(low) and math.isfinite(high) else None
             for name, (low, high) in intervals.items()
         }
     if provenance:
@@ -46,6 +48,19 @@ def document_text(
     stream = io.StringIO()
     yaml.dump(whole, stream)
     return header + stream.getvalue()
+
+
+def sensor_section(finder: RangeFinder) -> dict[str, Any]:
+    """Return the section that names the sensor and its limits, with six digits: logs have single precision."""
+    max_range = six_digits(finder.max_range)
+    if max_range > finder.max_range:
+        max_range = float(finder.max_range)  # rounded up, readings at the limit would no longer be "no return"
+    return {"name": printable(finder.name), "min_range": six_digits(finder.min_range), "max_range": max_range}
+
+
+def six_digits(value: float) -> float:
+    """Return the number that six significant digits give."""
+    return float(f"{value:.6g}")
 
 
 def named_numbers(

@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
-from beamfield.io.parameters.document import document_text, named_numbers
+from beamfield.io.parameters.document import document_text, named_numbers, sensor_section, six_digits
 from beamfield.models.field_parameters import LikelihoodFieldParameters
-from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -59,19 +58,18 @@ def likelihood_field_text(
     Parameters
     ----------
     parameters, exponent, n_beams
-        The parameters, written so that reading returns the same bits.
+        The parameters, written with six digits.
     finder
         The sensor they belong to.
     intervals, provenance
         As for `beamfield.io.parameters.document.document_text`.
     """
+    rounded = {name: six_digits(value) for name, value in asdict(parameters).items()}
+    if rounded["z_hit"] + rounded["z_rand"] > 1.0:
+        rounded["z_rand"] = round(1.0 - rounded["z_hit"], 12)
     document = {
-        "likelihood_field": {**asdict(parameters), "exponent": float(exponent), "n_beams": int(n_beams)},
-        "sensor": {
-            "name": printable(finder.name),
-            "min_range": float(finder.min_range),
-            "max_range": float(finder.max_range),
-        },
+        "likelihood_field": {**rounded, "exponent": six_digits(exponent), "n_beams": int(n_beams)},
+        "sensor": sensor_section(finder),
     }
     return document_text(HEADER, document, intervals=intervals, provenance=provenance)
 

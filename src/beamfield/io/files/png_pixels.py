@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from pathlib import Path
 from typing import BinaryIO
 
-from beamfield.errors import FormatError
+from PIL.PngImagePlugin import PngImageFile
 
 # A byte of deflated data stands for at most 1032 bytes: two bits for a repetition of 258.
 _LARGEST_RATIO = 1032
@@ -19,46 +18,60 @@ _WHOLE = ((0, 0, 1, 1),)
 _BLOCK = 2**18
 
 
-def require_all_pixels(file: BinaryIO, path: Path, data_start: int) -> None:
-    """Check that the compressed data of a PNG holds every pixel; takes no memory, however large the picture.
+def require_all_pixels(file: BinaryIO, picture: PngImageFile) -> None:
+    """Check that a PNG holds what its chunks and its header declare, before Pillow makes room for it.
+
+    Takes no memory, however large the picture.
 
     Parameters
     ----------
     file
-        The open file; it may be read from anywhere afterwards.
-    path
-        Its name, for errors.
-    data_start
-        Where the content of the first IDAT chunk begins.
+        The open file; it stands where it stood afterwards.
+    picture
+        The file as Pillow opened it, its pixels not read yet.
 
     Raises
     ------
-    FormatError
-        If pixels are missing, or the data is damaged.
+    ValueError
+        If pixels are missing, or the data is damaged; the text says how.
 
     References
     ----------
     Portable Network Graphics (third edition), sections 7.2, 8 and 10.
     """
+    if len(picture.tile) != 1 or picture.tile[0][1] != (0, 0, *picture.size):
+        raise ValueError("truncated, it has no data for some of its pixels")
+    where, size = file.tell(), file.seek(0, os.SEEK_END)
+    _require_whole_chunks(file, size)
     file.seek(0)
     start = file.read(29)
     if start[12:16] != b"IHDR" or len(start) < 29:
-        raise FormatError(path, f"damaged picture: expected its header at the start, got {start[8:24]!r}")
+        raise ValueError(f"expected its header at the start, got {start[8:24]!r}")
     width, height, depth, colour, _, _, interlaced = struct.unpack(">IIBBBBB", start[16:])
     if colour not in _CHANNELS:
-        raise FormatError(path, f"damaged picture: expected a colour type of PNG, got {colour}")
+        raise ValueError(f"expected a colour type of PNG, got {colour}")
     needed = _unpacked_bytes(width, height, depth * _CHANNELS[colour], _INTERLACED if interlaced else _WHOLE)
-    packed = os.fstat(file.fileno()).st_size - data_start
-    found = 0
-    if needed <= _LARGEST_RATIO * packed:
+    data_start, found = picture.tile[0][2], 0
+    if needed <= _LARGEST_RATIO * (size - data_start):
         try:
             found = _count_unpacked(file, data_start, needed)
         except zlib.error as error:
-            raise FormatError(path, f"damaged picture: {error}") from error
+            raise ValueError(str(error)) from error
     if found < needed:
-        raise FormatError(
-            path, f"damaged picture: truncated, {width} x {height} pixels take {needed} bytes unpacked, it has less"
-        )
+        raise ValueError(f"truncated, {width} x {height} pixels take {needed} bytes unpacked, it has less")
+    file.seek(where)
+
+
+def _require_whole_chunks(file: BinaryIO, size: int) -> None:
+    """Refuse a chunk that is longer than the rest of the file: Pillow makes room for what it declares."""
+    at, name = 8, b""
+    while at + 8 <= size and name != b"IEND":
+        file.seek(at)
+        length, name = struct.unpack(">I4s", file.read(8))
+        at += 12 + length
+        # Some programs leave out the checksum of the last chunk.
+        if at > size + 4:
+            raise ValueError(f"truncated, a chunk {name!r} declares {length} bytes")
 
 
 def _unpacked_bytes(width: int, height: int, bits: int, passes: tuple[tuple[int, int, int, int], ...]) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import LARGEST, check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import as_indices
@@ -233,12 +233,14 @@ def finite_copy(values: ArrayLike, name: str) -> FloatArray:
     Raises
     ------
     InvalidInputError
-        If one is not finite; it is named with its index.
+        If one is not finite, or so large that sums overflow (beyond 1e9); it is named with its index.
     """
     array = np.array(values, dtype=np.float64)
-    if not np.isfinite(array).all():
-        where = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-        raise InvalidInputError(f"{name}: expected finite numbers, got {array[where]} at index {where}")
+    usable = np.abs(array) <= LARGEST
+    if not usable.all():
+        where = tuple(np.argwhere(~usable)[0].tolist())
+        what = f"numbers up to {LARGEST:g}" if np.isfinite(array[where]) else "finite numbers"
+        raise InvalidInputError(f"{name}: expected {what}, got {array[where]} at index {where}")
     array.flags.writeable = False
     return array
 

@@ -44,6 +44,10 @@ def test_ids_lead_to_indices():
     [
         (lambda: LineMap([]), r"lines: expected shape \(n, 2\)"),
         (lambda: LineMap([[1.0, np.nan]]), r"lines: expected finite numbers, got nan at index \(0, 1\)"),
+        (
+            lambda: LineMap.from_segments([[0.0, 1.7e308, 1.0, 1.7e308]]),
+            r"expected numbers up to 1e\+09, got 1.7e\+308",
+        ),
         (lambda: LineMap([[1.0, 0.0]] * 2, ids=[4, 4]), "ids: expected each id once, got 4 2 times"),
         (lambda: LineMap([[1.0, 0.0]], ids=[-1]), "ids: expected at least 0"),
         (

@@ -58,7 +58,7 @@ def test_ids_lead_to_indices():
         (lambda: LineMap.from_segments([[1.0, 2.0, 1.0, 2.0]]), "segments: expected two different ends, got"),
         (lambda: LineMap.from_segments([[1.0, 2.0, 1.0]]), r"segments: expected shape \(n, 4\)"),
     ],
-    ids=["none", "nan", "twice", "negative", "off", "count", "point", "three numbers"],
+    ids=["none", "nan", "far", "twice", "negative", "off", "count", "point", "three numbers"],
 )
 def test_bad_maps_are_refused(build, message):
     with pytest.raises(InvalidInputError, match=message):

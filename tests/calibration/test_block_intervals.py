@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from beamfield.calibration.intrinsic.block_intervals import block_intervals
 from beamfield.calibration.intrinsic.curvature import naive_covariance
@@ -83,15 +83,36 @@ def test_standard_errors_are_those_of_learning_again_without_each_block():
         assert error == pytest.approx(want, rel=0.1), name
 
 
-def test_the_weight_of_no_return_is_a_share_whose_interval_is_that_of_korn_and_graubard():
-    z, expected, stamps, _ = dependent_beams(np.random.default_rng(3), n_blocks=9)
+def reaches_of_skewed_blocks(shares: np.ndarray) -> tuple[float, float]:
+    """Standard errors down and up, where Hall's transform of the studentised mean is as far out as Student's t."""
+    n, mean, t = len(shares), shares.mean(), stats.t.ppf(0.975, len(shares) - 1)
+    beams = mean * (1.0 - mean) / (shares.var(ddof=1) / n)
+    a = stats.skew(shares) / np.sqrt(n) - stats.binom.stats(1, mean, moments="s") / np.sqrt(beams)
+
+    def transformed(x):  # Hall 1992, equation of the cubic transform
+        return x + a * x**2 / 3.0 + a**2 * x**3 / 27.0 + a / 6.0
+
+    down, up = (optimize.brentq(lambda x, end=end: transformed(x) - end, -99.0, 99.0) for end in (t, -t))
+    return max(down, t), max(-up, t)
+
+
+@pytest.mark.parametrize("odd_block", [1.0, 4.0])
+def test_the_weight_of_no_return_is_a_share_whose_interval_is_that_of_korn_and_graubard(odd_block):
+    """With Hall's correction where one block has many times as many such readings as the others."""
+    rng = np.random.default_rng(3)
+    z, expected, stamps, _ = dependent_beams(rng, n_blocks=9)
+    z[:150][rng.random(150) < 0.1 * (odd_block - 1.0)] = MAX_RANGE
     parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE).parameters
     got = block_intervals(z, expected, stamps, MAX_RANGE, parameters, block_s=BLOCK_S)
     per_block = (z >= MAX_RANGE).reshape(9, -1).mean(axis=1)  # blocks of equal size: their mean is the estimate
-    share, t = per_block.mean(), stats.t.ppf(0.975, 8)
-    n = share * (1.0 - share) / (per_block.var(ddof=1) / 9) * (stats.norm.ppf(0.975) / t) ** 2
-    low = stats.beta.ppf(0.025, share * n, n - share * n + 1.0)
-    high = stats.beta.ppf(0.975, share * n + 1.0, n - share * n)
+    share, down_and_up = per_block.mean(), reaches_of_skewed_blocks(per_block)
+    assert (down_and_up[1] > 1.3 * stats.t.ppf(0.975, 8)) == (odd_block > 1.0)
+    below, above = (
+        share * (1.0 - share) / (per_block.var(ddof=1) / 9) * (stats.norm.ppf(0.975) / reach) ** 2
+        for reach in down_and_up
+    )
+    low = stats.beta.ppf(0.025, share * below, below - share * below + 1.0)
+    high = stats.beta.ppf(0.975, share * above + 1.0, above - share * above)
     assert got.intervals["z_max"] == pytest.approx((low, high), rel=0.1)
     assert got.standard_errors["z_max"] == pytest.approx(per_block.std(ddof=1) / 3.0, rel=0.1)
 

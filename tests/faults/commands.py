@@ -81,8 +81,8 @@ COMMANDS = (
             "--out {out}/landmarks.yaml --quiet", 18),
     Command("figures", "figures --only 6.3 6.4 --out {out}/figures --quiet", 8),
     Command("fit", f"fit {_LOG} --out {{out}}/fit", 5),
-    Command("calibrate", f"calibrate {_LOG} --bootstrap 40 --no-refine --out {{out}}/c", 4),
-    Command("calibrate --stack --patch", f"calibrate {_LOG} --bootstrap 40 --no-refine --out {{out}}/c --stack nav2 "
+    Command("calibrate", f"calibrate {_LOG} --no-refine --out {{out}}/c", 4),
+    Command("calibrate --stack --patch", f"calibrate {_LOG} --no-refine --out {{out}}/c --stack nav2 "
             "--patch {out}/nav2.yaml", 3, {"nav2.yaml": NAV2}),
     Command("demo", "demo --out {out}/demo --duration 60 --quiet", 2, in_steps=True),
 )  # fmt: skip

@@ -142,6 +142,24 @@ def test_a_cause_that_was_not_seen_has_an_upper_bound_by_the_rule_of_three(name)
     assert 0.99 * wider * 3.0 / z.size < high < 6.0 * wider * 3.0 / z.size
 
 
+def test_a_weight_that_other_causes_move_is_not_a_share_of_less_than_one_reading():
+    """Random readings before the wall in one block, behind it in the others: as if a few of all were shorts."""
+    rng = np.random.default_rng(0)
+    expected, place = rng.uniform(1.0, 7.0, (8, 400)), rng.random((8, 400))
+    anywhere, before, behind = MAX_RANGE * place, expected * place, expected + (MAX_RANGE - expected) * place
+    moved = np.where(np.arange(8)[:, None] == 7, before, np.where(rng.random((8, 400)) < 0.12, behind, anywhere))
+    z = np.where(rng.random((8, 400)) < 0.3, moved, rng.normal(expected, 0.05)).ravel()
+    beams, hold = (z, expected.ravel()), {"lambda_short": 0.0}
+    stamps = (np.repeat(np.arange(8), 400) + np.tile(np.linspace(0.0, 0.95, 400), 8)) * BLOCK_S
+    parameters = learn_intrinsic_parameters(*beams, MAX_RANGE, hold=hold).parameters
+    got = block_intervals(*beams, stamps, MAX_RANGE, parameters, hold=hold, block_s=BLOCK_S)
+    share, error = parameters.z_short, got.standard_errors["z_short"]
+    assert 0.0 < share < error
+    of_one_reading = stats.beta.ppf(0.975, 2.0, (1.0 - share) / share)
+    most = max(of_one_reading, share + stats.t.ppf(0.975, 7) * error)
+    assert got.intervals["z_short"][1] == pytest.approx(most, rel=0.01)
+
+
 def test_only_hits_leave_no_parameter_without_width():
     truth = BeamParameters(1.0, 0.0, 0.0, 0.0, 0.02, 0.0)
     z, expected, stamps = independent_beams(truth, 4000, np.random.default_rng(2))

@@ -140,7 +140,8 @@ def block_intervals(
       possible.
     - A weight w: for either end, with r s the reach and z the Gaussian quantile, that of Clopper and Pearson for the
       share w of w (1 - w) / s^2 (z / r)^2 independent beams (Korn and Graubard). It is as lopsided as a share of
-      independent beams, (1 - 2 w) s / (w (1 - w)), which is taken from a.
+      independent beams, (1 - 2 w) s / (w (1 - w)), which is taken from a. Where these beams hold less than one reading
+      of the cause, the upper end is at most w + r s or that of one reading.
     - A parameter on its bound, such as a weight of 0: one-sided, to where the log-likelihood, to second order and the
       other parameters following, has fallen by D (t / z)^2 ln(1 / (1 - level)). Where no reading at all looks like the
       cause of a weight, that is the rule of three, 3 / (n / D). The design effect D is the variance above over that
@@ -365,6 +366,9 @@ class _Jackknife:
         down, up = self._reaches(i, (1.0 - 2.0 * w) * error / (w * (1.0 - w)))
         low, _ = share_interval(w, variance * (down / self.gaussian) ** 2, 2.0 * self.tail)
         _, high = share_interval(w, variance * (up / self.gaussian) ** 2, 2.0 * self.tail)
+        # Less than one reading in all is no share: what moves such a weight are readings of other causes.
+        _, of_one_reading = share_interval(w, w**2 * (1.0 - w), 2.0 * self.tail)
+        high = min(high, max(of_one_reading, w + up * error))
         return low, min(high, most)
 
     def _shape_interval(self, i: int) -> tuple[float, float]:

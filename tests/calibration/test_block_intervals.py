@@ -160,6 +160,15 @@ def test_a_weight_that_other_causes_move_is_not_a_share_of_less_than_one_reading
     assert got.intervals["z_short"][1] == pytest.approx(most, rel=0.01)
 
 
+@pytest.mark.parametrize("tiny", [1e-12, 1e-200, 5e-324])
+def test_a_vanishing_weight_has_a_finite_interval(tiny):
+    truth = BeamParameters(0.9, 0.0, 0.05, 0.05, 0.05, 0.0)
+    z, expected, stamps = independent_beams(truth, 2000, np.random.default_rng(6))
+    given = BeamParameters(0.9, tiny, 0.05, 0.05, 0.05, 0.0)
+    low, high = block_intervals(z, expected, stamps, MAX_RANGE, given).intervals["z_short"]
+    assert 0.0 <= low <= tiny < high < 0.1
+
+
 def test_only_hits_leave_no_parameter_without_width():
     truth = BeamParameters(1.0, 0.0, 0.0, 0.0, 0.02, 0.0)
     z, expected, stamps = independent_beams(truth, 4000, np.random.default_rng(2))

@@ -213,7 +213,7 @@ def share_interval(share: float, variance: float, outside: float) -> tuple[float
     """
     n = share * (1.0 - share) / variance
     hits, misses = share * n, (1.0 - share) * n
-    low = float(betaincinv(hits, misses + 1.0, 0.5 * outside))
+    low = float(betaincinv(hits, misses + 1.0, 0.5 * outside)) if hits > 1e-100 else 0.0  # SciPy's is NaN there
     return low, float(betaincinv(hits + 1.0, misses, 1.0 - 0.5 * outside))
 
 
@@ -347,7 +347,7 @@ class _Jackknife:
     def _reaches(self, i: int, known_skewness: float = 0.0) -> tuple[float, float]:
         """Return how many standard errors an interval reaches down and up."""
         a = self.errors.skewness(i) / math.sqrt(len(self.scores)) - known_skewness
-        if abs(a) < 1e-6:
+        if not 1e-6 < abs(a) < 1e6:  # beyond either end the formula gives t, but for rounding
             return self.t, self.t
         low, high = (3.0 / a * (math.cbrt(1.0 + a * x - a**2 / 6.0) - 1.0) for x in (self.t, -self.t))
         return max(low, self.t), max(-high, self.t)
@@ -367,8 +367,8 @@ class _Jackknife:
         low, _ = share_interval(w, variance * (down / self.gaussian) ** 2, 2.0 * self.tail)
         _, high = share_interval(w, variance * (up / self.gaussian) ** 2, 2.0 * self.tail)
         # Less than one reading in all is no share: what moves such a weight are readings of other causes.
-        _, of_one_reading = share_interval(w, w**2 * (1.0 - w), 2.0 * self.tail)
-        high = min(high, max(of_one_reading, w + up * error))
+        of_one_reading = float(betaincinv(2.0, (1.0 - w) / w, 1.0 - self.tail))
+        high = min(high, max(w + up * error, of_one_reading))  # in this order: the second may be NaN
         return low, min(high, most)
 
     def _shape_interval(self, i: int) -> tuple[float, float]:

@@ -153,7 +153,9 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
         ) from error
     except FormatError:
         raise
-    except (YAMLError, ValueError, AssertionError) as error:  # the last is what it says of other versions of YAML
+    except (AssertionError, KeyError) as error:  # what ruamel.yaml says of other versions
+        raise FormatError(source, "expected YAML 1.1 or 1.2, got another version") from error
+    except (YAMLError, ValueError) as error:
         raise FormatError(source, f"no valid YAML: {' '.join(str(error).split())}") from error
     if root is None:
         raise FormatError(source, "the file is empty")

@@ -12,6 +12,7 @@ from scipy import integrate, stats
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of
 from beamfield.kernels import intrinsics as kernels
 from beamfield.models.beam_density import beam_log_density, beam_responsibilities
+from tests.threads import forced_threads
 
 MAX_RANGE = 8.0
 # w_hit, w_short, w_max, w_rand, sigma^2, sigma_slope^2, offset, lambda
@@ -185,8 +186,10 @@ def test_any_number_of_threads_gives_the_same_bits():
     expected = rng.uniform(0.1, 7.9, 120_000)
     z = np.clip(rng.normal(expected, 0.1), 0.0, MAX_RANGE)
     theta = np.array(THETAS["offset and slope"])
-    one = IntrinsicLikelihood(z, expected, MAX_RANGE, threads=1)
-    many = IntrinsicLikelihood(z, expected, MAX_RANGE, threads=5)
-    assert one.expected_statistics(theta).log_likelihood == many.expected_statistics(theta).log_likelihood
-    for values, same in zip(one.derivatives(theta)[1:], many.derivatives(theta)[1:], strict=True):
-        assert np.array_equal(values, same)
+    likelihood = IntrinsicLikelihood(z, expected, MAX_RANGE)
+    with forced_threads(1):
+        one, derivatives = likelihood.expected_statistics(theta), likelihood.derivatives(theta)
+    with forced_threads(5):
+        assert likelihood.expected_statistics(theta).log_likelihood == one.log_likelihood
+        for values, same in zip(derivatives[1:], likelihood.derivatives(theta)[1:], strict=True):
+            assert np.array_equal(values, same)

@@ -9,16 +9,12 @@ all that lies off it, so that limits replace branches.
 
 from __future__ import annotations
 
-import functools
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numba
 import numpy as np
-from numba.np.numpy_support import carray
 from numpy.typing import NDArray
 
-from beamfield.kernels.atomic import pointer
 from beamfield.kernels.jit import fast_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -36,8 +32,6 @@ IMPOSSIBLE = -1
 BLOCK = 512
 # Beams whose codes are added in one go: fewer loads and stores of the sums.
 GROUP = 4
-# Words that describe a job for several threads; the last tells whether all poses were finite.
-JOB_WORDS, ALL_FINITE = 11, 10
 # Positions are limited to this many cells: far off any table, and far from the limits of single precision.
 FAR_OFF = 1e9
 
@@ -283,41 +277,6 @@ def fill_single_ends(ranges: Floats, mounts: Floats, shortest: float, longest: f
 
 
 @kernel
-def write_range_sums_job(poses: Floats, packed: Floats, ranges: Floats, mounts: Floats, shortest: float, longest: float,
-                         codes: Codes, out: Floats, job: NDArray[np.int64]) -> None:  # fmt: skip
-    """Fill job (JOB_WORDS + k,) with the arguments of `range_sums_job`, the end points behind the addresses."""
-    singles = job[JOB_WORDS:].view(np.float32).reshape(2, ranges.size)
-    n = fill_single_ends(ranges, mounts, shortest, longest, packed[5], singles)
-    job[0], job[1], job[2] = poses.ctypes.data, poses.shape[0], packed.ctypes.data
-    job[3], job[4], job[5] = singles.ctypes.data, singles.shape[1], n
-    job[6], job[7], job[8], job[9] = codes.ctypes.data, codes.shape[0], codes.shape[1], out.ctypes.data
-    job[ALL_FINITE] = 1
-
-
-def _range_sums_job(job: Any, start: int, stop: int) -> None:
-    """Do `fill_range_sums` for the poses [start, stop) of a job, for `beamfield.kernels.crew`."""
-    words = carray(job, (JOB_WORDS,))
-    poses = carray(pointer(words[0]), (words[1], 3), np.float64)
-    packed = carray(pointer(words[2]), (9,), np.float64)
-    singles = carray(pointer(words[3]), (2, words[4]), np.float32)
-    codes = carray(pointer(words[6]), (words[7], words[8]), np.int32)
-    out = carray(pointer(words[9]), (words[1],), np.float64)
-    frame = FrameView(packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6])
-    ends = singles[:, : words[5]]
-    if not fill_scan_sums(poses[start:stop], frame, ends, codes, packed[7], packed[8], out[start:stop]):
-        words[ALL_FINITE] = 0
-
-
-@functools.cache
-def range_sums_job() -> Any:
-    """Return the compiled function, with its address, that does `fill_range_sums` for a part of a job's poses.
-
-    Kept, because whoever holds the address alone does not keep the code.
-    """
-    return numba.cfunc("void(CPointer(int64), int64, int64)", cache=True)(_range_sums_job)
-
-
-@kernel
 def add_four(flat: Codes, c0: NDArray[np.uint64], c1: NDArray[np.uint64], c2: NDArray[np.uint64],
              c3: NDArray[np.uint64], total: NDArray[np.int64]) -> None:  # fmt: skip
     """Add the codes of four beams to total (2 n,), for (n,) pairs of 32-bit indices.
@@ -349,27 +308,6 @@ def fill_beam_values(poses: Floats, frame: FrameView, ends: Singles, codes: Code
             for i in range(n):
                 code = flat[cells[i]]
                 out[start + i, j] = -math.inf if code == IMPOSSIBLE else low + step * code
-
-
-@kernel
-def fill_careful_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes, low: float, step: float, out: Floats
-                      ) -> None:  # fmt: skip
-    """Fill out (n,) as `fill_scan_sums` does, with a table that may hold IMPOSSIBLE: then a sum may be -inf."""
-    values = np.empty((BLOCK, ends.shape[1]))
-    for start in range(0, poses.shape[0], BLOCK):
-        n = min(BLOCK, poses.shape[0] - start)
-        fill_beam_values(poses[start : start + n], frame, ends, codes, low, step, values[:n])
-        for i in range(n):
-            out[start + i] = row_sum(values, i)
-
-
-@kernel
-def row_sum(values: Floats, i: int) -> float:
-    """Return the sum of one row, from left to right."""
-    total = 0.0
-    for j in range(values.shape[1]):
-        total += values[i, j]
-    return total
 
 
 # --- distances at end points ------------------------------------------------------------------------------------------

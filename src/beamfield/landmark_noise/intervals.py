@@ -12,9 +12,8 @@ from scipy.special import ndtr, stdtrit
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.landmark_noise.em import NoiseLikelihood, NoiseTheta, climb_noise
-from beamfield.thread_count import check_threads
 
 # A replicate is found when further iterations promise less than this over all its sightings: a fifth of the standard
 # error that independent sightings would have, and theirs depend.
@@ -52,7 +51,6 @@ def noise_intervals(
     n_replicates: int = 200,
     level: float = 0.95,
     seed: int = 0,
-    threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> NoiseIntervals:
     """Resample blocks with replacement, learn again from each sample, return percentiles.
@@ -67,8 +65,6 @@ def noise_intervals(
         What was learned from all sightings; each replicate starts there.
     n_replicates, level, seed
         Number of samples, share of intervals that are to hold the truth, and the seed for the samples.
-    threads
-        Number of threads; None uses what pays. It changes no bit of the result.
     progress
         Called with the number of finished replicates and their total.
 
@@ -90,7 +86,6 @@ def noise_intervals(
     ----------
     Hesterberg, "What teachers should know about the bootstrap", American Statistician 69, 2015.
     """
-    check_threads(threads)
     if n_replicates < 2:
         raise InvalidInputError(f"n_replicates: expected at least 2, got {n_replicates}")
     if not 0.0 < level < 1.0:
@@ -101,7 +96,7 @@ def noise_intervals(
         return NoiseIntervals({}, {}, level, 1)
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(n_blocks, np.full(n_blocks, 1.0 / n_blocks), size=n_replicates)
-    replicates = _replicates(likelihood, number, theta, draws, threads, progress)
+    replicates = _replicates(likelihood, number, theta, draws, progress)
     tail = _expanded_tail(level, n_blocks)
     low, high = np.quantile(replicates, [tail, 1.0 - tail], axis=0)
     learned = [NoiseTheta._fields.index(name) for name in _learned(likelihood)]
@@ -123,7 +118,6 @@ def _replicates(
     number: NDArray[np.int64],
     theta: NoiseTheta,
     draws: NDArray[np.int64],
-    threads: int | None,
     progress: Callable[[int, int], None] | None,
 ) -> FloatArray:
     out: FloatArray = np.empty((len(draws), len(theta)))
@@ -149,7 +143,7 @@ def _replicates(
                 if progress is not None:
                     progress(n_done, len(draws))
 
-    run_in_slices(work, len(draws), threads=threads, work_per_row=20 * len(likelihood))
+    run_in_blocks(work, len(draws), work_per_row=20 * len(likelihood))
     bearing = NoiseTheta._fields.index("bearing_bias")
     out[:, bearing] = theta.bearing_bias + wrap_angle(out[:, bearing] - theta.bearing_bias)
     return out

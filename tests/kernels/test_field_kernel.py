@@ -53,14 +53,6 @@ def test_without_hits_nothing_depends_on_the_distance():
     assert field.log_value(0.0, view) == field.log_value(9.0, view) == math.log(0.01)
 
 
-def test_sine_and_cosine_hold_to_twelve_digits(rng):
-    exact = np.pi / 4 * np.arange(-16, 17)
-    for angle in [*exact, *rng.uniform(-10, 10, 200), *rng.uniform(-1e5, 1e5, 200)]:
-        sine, cosine = field.sin_cos(angle)
-        assert sine == pytest.approx(math.sin(angle), abs=1e-12)
-        assert cosine == pytest.approx(math.cos(angle), abs=1e-12)
-
-
 def test_codes_come_back_within_half_a_step():
     low, step = -5.0, 1e-8
     for value in (-5.0, -4.123456789, 0.3):

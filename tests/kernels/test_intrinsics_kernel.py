@@ -143,15 +143,6 @@ def test_an_impossible_beam_has_likelihood_zero_not_nan():
     assert np.isfinite(got.counts).all()
 
 
-def test_exp_and_log_are_the_c_librarys():
-    x = np.concatenate([np.linspace(-700.0, 700.0, 999), np.linspace(-1.0, 1.0, 999), [0.0]])
-    got, want = np.array([kernels._exp(v) for v in x]), np.exp(x)
-    assert np.all(np.abs(got / want - 1.0) <= 1e-15 + 4e-17 * np.abs(x))
-    assert kernels._exp(-1e9) < 1e-300
-    y = np.exp(x[(x > -690.0) & (x < 690.0)])
-    assert np.array([kernels._log(v) for v in y]) == pytest.approx(np.log(y), rel=2e-15, abs=2e-15)
-
-
 @pytest.mark.parametrize(
     ("low", "high"), [(-1.0, 2.0), (-40.0, 50.0), (3.0, 4.0), (-4.0, -3.0), (24.9, 60.0), (25.1, 60.0), (100.0, 130.0)]
 )

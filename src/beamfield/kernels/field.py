@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import quick_sin_cos
 from beamfield.kernels.jit import fast_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -38,8 +39,6 @@ FAR_OFF = 1e9
 # Up to this many cells, a distance whose last digit is wrong still tells its whole square.
 WHOLE_SQUARES = 1024.0
 
-TWO_OVER_PI = 0.6366197723675814
-HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 # Beyond this heading the reduction to a quarter turn loses digits; such poses take the library's functions.
 LARGE_HEADING = 1e5
 
@@ -101,23 +100,6 @@ def log_value(distance: float, view: FieldView) -> float:
 
 
 @kernel
-def sin_cos(angle: float) -> tuple[float, float]:
-    """Return sine and cosine within 1e-12 for |angle| < LARGE_HEADING, in a form that the compiler vectorises."""
-    quarters = np.floor(angle * TWO_OVER_PI + 0.5)
-    r = (angle - quarters * HALF_PI_HIGH) - quarters * HALF_PI_LOW
-    z = r * r
-    s = -2.505210838544172e-08 + z * 1.6059043836821613e-10
-    s = r + r * z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * s))))
-    c = -2.755731922398589e-07 + z * (2.08767569878681e-09 - z * 1.1470745597729725e-11)
-    c = 1.0 + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 + z * c))))
-    # 0, 1/4, 1/2 or 3/4 of a turn. One comparison each: `or` would be a branch, and branches are not vectorised.
-    turn = 0.25 * quarters - np.floor(0.25 * quarters)
-    swapped = abs(turn - 0.5) == 0.25
-    sine, cosine = c if swapped else s, s if swapped else c
-    return -sine if turn >= 0.5 else sine, -cosine if abs(turn - 0.375) < 0.25 else cosine
-
-
-@kernel
 def fill_end_points(ranges: Floats, mounts: Floats, shortest: float, longest: float, cells_per_metre: float,
                     beams: NDArray[np.int64], out: Floats) -> int:  # fmt: skip
     """Fill in which beams have an end point, and the end points (2, m) in the robot frame, in cells: (6.32) at pose 0.
@@ -128,7 +110,7 @@ def fill_end_points(ranges: Floats, mounts: Floats, shortest: float, longest: fl
     for k in range(ranges.size):
         if shortest <= ranges[k] < longest:
             theta = mounts[k, 2]
-            sine, cosine = sin_cos(theta) if abs(theta) < LARGE_HEADING else (math.sin(theta), math.cos(theta))
+            sine, cosine = quick_sin_cos(theta) if abs(theta) < LARGE_HEADING else (math.sin(theta), math.cos(theta))
             u = (mounts[k, 0] + ranges[k] * cosine) * cells_per_metre
             v = (mounts[k, 1] + ranges[k] * sine) * cells_per_metre
             out[0, m], out[1, m] = min(max(u, -FAR_OFF), FAR_OFF), min(max(v, -FAR_OFF), FAR_OFF)
@@ -181,7 +163,7 @@ def place(poses: Floats, frame: FrameView, x: Singles, y: Singles, c: Singles, s
         x[i] = np.float32(u if abs(u) < FAR_OFF else FAR_OFF)
         y[i] = np.float32(v if abs(v) < FAR_OFF else FAR_OFF)
     for i in range(n):
-        sine, cosine = sin_cos(heading[i])
+        sine, cosine = quick_sin_cos(heading[i])
         s[i], c[i] = np.float32(sine), np.float32(cosine)
     return usual == 3 * n or place_unusual(poses, heading, x, y, c, s)
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import erf
 
 from beamfield.kernels.beam import fill_scan_log_likelihood
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel, beam_log_density, beam_responsibilities, sample_beams
 from beamfield.models.beam_density import as_view
@@ -32,7 +33,7 @@ def run() -> list[dict[str, Any]]:
     grid = office(rng)
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
-    model = BeamModel(grid, PARAMETERS, threads=1)
+    model = BeamModel(grid, PARAMETERS)
     scan = model.sample(truth, rng, finder)[0]
     rows: list[dict[str, Any]] = []
     for name, poses in {"track": near(truth, rng), "global": anywhere(grid, rng)}.items():
@@ -62,10 +63,10 @@ def given_ranges(name: str, scan: Scan, expected: np.ndarray) -> list[dict[str, 
         "NumPy closed form, given ranges": baseline,
         "sum of log densities, given ranges": least_ns(fused, expected.size),
         "log density per beam, given ranges": least_ns(
-            lambda: beam_log_density(scan.ranges, expected, MAX_RANGE, PARAMETERS, threads=1), expected.size
+            lambda: beam_log_density(scan.ranges, expected, MAX_RANGE, PARAMETERS), expected.size
         ),
         "responsibilities, given ranges": least_ns(
-            lambda: beam_responsibilities(scan.ranges, expected, MAX_RANGE, PARAMETERS, threads=1), expected.size
+            lambda: beam_responsibilities(scan.ranges, expected, MAX_RANGE, PARAMETERS), expected.size
         ),
         "drawing samples, given ranges": least_ns(
             lambda: sample_beams(expected, MAX_RANGE, PARAMETERS, np.random.default_rng(1)), expected.size
@@ -76,12 +77,9 @@ def given_ranges(name: str, scan: Scan, expected: np.ndarray) -> list[dict[str, 
 
 def end_to_end(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -> list[dict[str, Any]]:
     """Time ray casting and mixture together, as a particle filter would call them."""
-    rows = []
-    for threads in (1, 2):
-        model = BeamModel(grid, PARAMETERS, threads=threads)
-        ns = least_ns(lambda model=model: model.log_likelihood(scan, poses), len(poses) * N_BEAMS)  # type: ignore[misc]
-        rows.append(row("ray casting and mixture", name, len(poses), threads, ns, None))
-    return rows
+    model = BeamModel(grid, PARAMETERS)
+    ns = least_ns(lambda: model.log_likelihood(scan, poses), len(poses) * N_BEAMS)
+    return [row("ray casting and mixture", name, len(poses), 1, ns, None)]
 
 
 def large_scan(grid: OccupancyGrid, truth: np.ndarray, rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -161,4 +159,5 @@ def least_ns(call: Callable[[], object], n: int, repeats: int = 15) -> float:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

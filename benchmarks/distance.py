@@ -9,7 +9,6 @@ Run: python benchmarks/distance.py [CELLS ...]
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 import tracemalloc
@@ -21,6 +20,7 @@ import numpy as np
 from scipy import ndimage
 
 from beam_model import office
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from tables import print_table
@@ -123,15 +123,11 @@ def median_ratio(ours: Call, other: Call, threads: int) -> float:
 
 @contextmanager
 def limited(threads: int) -> Iterator[None]:
-    """Keep beamfield and OpenCV to so many threads; beamfield has one per processor that it may use."""
-    allowed = os.sched_getaffinity(0)
+    """Keep beamfield and OpenCV to so many threads."""
     if cv2 is not None:
         cv2.setNumThreads(threads)
-    os.sched_setaffinity(0, sorted(allowed)[:threads])
-    try:
+    with set_threads(threads):
         yield
-    finally:
-        os.sched_setaffinity(0, allowed)
 
 
 def peak_bytes(call: Call) -> int:

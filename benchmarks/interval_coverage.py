@@ -25,6 +25,7 @@ from beamfield.calibration.intrinsic.learning_problem import learning_problem
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of, theta_of
 from beamfield.calibration.time_split import held_out_mask
 from beamfield.geometry import FloatArray
+from beamfield.kernels.threads import set_threads
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import beams_from_uniforms
 from beamfield.simulation.dependence import Dependence, dependent_uniforms
@@ -101,10 +102,10 @@ def one_log(duration: float, truth: BeamParameters, kind: str, rng: np.random.Ge
     fitted = ~held_out_mask(stamps) & (expected < MAX_RANGE)
     beams = ranges[fitted], expected[fitted]
     # The maximum, from a start that is near it: several starts would only cost time.
-    likelihood = IntrinsicLikelihood(*beams, MAX_RANGE, threads=1)
+    likelihood = IntrinsicLikelihood(*beams, MAX_RANGE)
     end = climb(likelihood, learning_problem(MAX_RANGE), theta_of(truth), tolerance=1e-10, max_iterations=200,
                 em_steps_first=2)  # fmt: skip
-    result = block_intervals(*beams, stamps[fitted], MAX_RANGE, parameters_of(end.theta), threads=1)
+    result = block_intervals(*beams, stamps[fitted], MAX_RANGE, parameters_of(end.theta))
     return {name: np.array(result.intervals[name]) for name in NAMES}
 
 
@@ -150,4 +151,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from beamfield.detections import Detections
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
@@ -27,16 +28,16 @@ def run() -> list[dict[str, Any]]:
     landmarks = LandmarkMap(rng.uniform(0.0, 20.0, (N_DETECTIONS, 2)))
     truth = np.array([9.0, 8.0, 0.7])
     poses = truth + rng.normal(0.0, [1.0, 1.0, 0.5], (N_POSES, 3))
-    known = LandmarkModel(landmarks, PARAMETERS, correspondence="known", threads=1)
+    known = LandmarkModel(landmarks, PARAMETERS, correspondence="known")
     z = known.sample(truth, rng)[0]
     np.testing.assert_allclose(known.log_likelihood(z, poses), numpy_log_likelihood(landmarks, z, poses), rtol=1e-9)
     rows = [row("known, NumPy closed form", N_POSES, 1, lambda: numpy_log_likelihood(landmarks, z, poses))]
     rows.append(row("known", N_POSES, 1, lambda: known.log_likelihood(z, poses)))
-    all_threads = LandmarkModel(landmarks, PARAMETERS, correspondence="known")
-    rows.append(row("known", N_POSES, "all", lambda: all_threads.log_likelihood(z, poses)))
+    with set_threads(None):
+        rows.append(row("known", N_POSES, "all", lambda: known.log_likelihood(z, poses)))
     unknown = z.without_ids()
     for how, n in (("nearest", N_POSES), ("sum", N_POSES), ("assignment", N_ASSIGNMENT_POSES)):
-        model = LandmarkModel(landmarks, PARAMETERS, correspondence=how, threads=1)
+        model = LandmarkModel(landmarks, PARAMETERS, correspondence=how)
         rows.append(
             row(f"{how}, {N_DETECTIONS} landmarks", n, 1, lambda m=model, n=n: m.log_likelihood(unknown, poses[:n]))
         )
@@ -69,4 +70,5 @@ def numpy_log_likelihood(landmarks: LandmarkMap, z: Detections, poses: np.ndarra
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

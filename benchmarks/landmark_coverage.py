@@ -64,7 +64,7 @@ def row(kind: str, n_blocks: int, n_logs: int) -> dict[str, str]:
     for i in range(n_logs):
         log = simulate(n_blocks, shared, spurious_rate, np.random.default_rng([i, n_blocks, list(KINDS).index(kind)]))
         result = learn_landmark_parameters(
-            landmarks, log, fit_scale=False, max_range=MAX_RANGE, block_s=BLOCK_S, seed=i, threads=1
+            landmarks, log, fit_scale=False, max_range=MAX_RANGE, block_s=BLOCK_S, seed=i
         )
         for name, value in truth.items():
             low, high = result.intervals[name]

@@ -21,6 +21,7 @@ from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.calibration.intrinsic.learning_problem import learning_problem
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
 from beamfield.calibration.intrinsic.m_steps import m_step
+from beamfield.kernels.threads import set_threads
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 
@@ -49,18 +50,20 @@ def measure(n: int, form: str) -> dict[str, Any]:
     expected = np.minimum(rng.gamma(2.0, 2.5, n) + 0.2, 29.9)
     z = np.concatenate([sample_beams(part, MAX_RANGE, TRUTH, rng) for part in np.array_split(expected, 1 + n // 10**6)])
     # Compile before the clock runs.
-    learn_intrinsic_parameters(z[:5000], expected[:5000], MAX_RANGE, threads=1, **options)
+    learn_intrinsic_parameters(z[:5000], expected[:5000], MAX_RANGE, **options)
 
     e_step, m_steps, newton = time_passes(z, expected, options)
     start = time.perf_counter()
-    result = learn_intrinsic_parameters(z, expected, MAX_RANGE, threads=1, **options)
+    result = learn_intrinsic_parameters(z, expected, MAX_RANGE, **options)
     fit = time.perf_counter() - start
     start = time.perf_counter()
-    learn_intrinsic_parameters(z, expected, MAX_RANGE, **options)
+    with set_threads(None):
+        learn_intrinsic_parameters(z, expected, MAX_RANGE, **options)
     fit_all = time.perf_counter() - start
     stamps = np.linspace(0.0, 1800.0, n)
     start = time.perf_counter()
-    block_intervals(z, expected, stamps, MAX_RANGE, result.parameters, **options)
+    with set_threads(None):
+        block_intervals(z, expected, stamps, MAX_RANGE, result.parameters, **options)
     return {
         "beams": n,
         "form": form,
@@ -78,7 +81,7 @@ def measure(n: int, form: str) -> dict[str, Any]:
 
 def time_passes(z: np.ndarray, expected: np.ndarray, options: dict[str, bool]) -> tuple[float, float, float]:
     """Seconds of an E-step, an M-step and a pass for Newton, on one thread."""
-    likelihood = IntrinsicLikelihood(z, expected, MAX_RANGE, threads=1)
+    likelihood = IntrinsicLikelihood(z, expected, MAX_RANGE)
     problem = learning_problem(MAX_RANGE, **options)
     theta = problem.apply(theta_of(TRUTH))
     slope = bool(options)
@@ -119,6 +122,7 @@ def main(sizes: tuple[int, ...] = SIZES) -> None:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     if sys.argv[1:2] == ["--one"]:
         print(json.dumps(measure(int(sys.argv[2]), sys.argv[3])))
     elif len(sys.argv) > 1:

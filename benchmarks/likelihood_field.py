@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from beam_model import N_BEAMS, anywhere, least_ns, near, office, row
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
@@ -30,7 +31,7 @@ def run() -> list[dict[str, Any]]:
     grid = office(rng)
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
-    scan = BeamModel(grid, BEAM_PARAMETERS, threads=1).sample(truth, rng, finder)[0]
+    scan = BeamModel(grid, BEAM_PARAMETERS).sample(truth, rng, finder)[0]
     rows: list[dict[str, Any]] = []
     for n in (2_000, 20_000, 200_000):
         for name, poses in {"track": near(truth, rng, n), "global": anywhere(grid, rng, n)}.items():
@@ -50,15 +51,13 @@ def whole_calls(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -
     reference = numpy_model(grid)
     baseline = least_ns(lambda: reference(scan, poses), pairs)
     rows = [row("NumPy float32, nearest", name, n, 1, baseline, baseline)]
-    for threads in (1, 2):
-        model = LikelihoodFieldModel.from_grid(grid, PARAMETERS, threads=threads)
-        # A few end points in a million read another cell.
-        apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
-        assert np.median(apart) < 1e-3
-        # Many short calls: the caches of both processors take some to fill.
-        repeats = max(51, 2_000_000 // n)
-        ns = least_ns(lambda model=model: model.log_likelihood(scan, poses), pairs, repeats=repeats)  # type: ignore[misc]
-        rows.append(row("nearest", name, n, threads, ns, baseline))
+    model = LikelihoodFieldModel.from_grid(grid, PARAMETERS)
+    # A few end points in a million read another cell.
+    apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
+    assert np.median(apart) < 1e-3
+    # Many short calls: the caches take some to fill.
+    ns = least_ns(lambda: model.log_likelihood(scan, poses), pairs, repeats=max(51, 2_000_000 // n))
+    rows.append(row("nearest", name, n, 1, ns, baseline))
     return rows + interpolated_calls(name, grid, scan, poses)
 
 
@@ -68,15 +67,14 @@ def interpolated_calls(name: str, grid: OccupancyGrid, scan: Scan, poses: np.nda
     reference = numpy_interpolated(grid)
     baseline = least_ns(lambda: reference(scan, poses), pairs)
     rows = [row("NumPy float32, bilinear", name, n, 1, baseline, baseline)]
-    for threads in (1, 2):
-        model = LikelihoodFieldModel.from_grid(grid, PARAMETERS, interpolation="bilinear", threads=threads)
-        apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
-        assert np.median(apart) < 1e-2
-        repeats = max(15, 200_000 // n)
-        ns = least_ns(lambda model=model: model.log_likelihood(scan, poses), pairs, repeats=repeats)  # type: ignore[misc]
-        rows.append(row("bilinear", name, n, threads, ns, baseline))
-        ns = least_ns(lambda model=model: model.log_likelihood_gradient(scan, poses), pairs, repeats=repeats)  # type: ignore[misc]
-        rows.append(row("gradient, bilinear", name, n, threads, ns, None))
+    model = LikelihoodFieldModel.from_grid(grid, PARAMETERS, interpolation="bilinear")
+    apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
+    assert np.median(apart) < 1e-2
+    repeats = max(15, 200_000 // n)
+    ns = least_ns(lambda: model.log_likelihood(scan, poses), pairs, repeats=repeats)
+    rows.append(row("bilinear", name, n, 1, ns, baseline))
+    ns = least_ns(lambda: model.log_likelihood_gradient(scan, poses), pairs, repeats=repeats)
+    rows.append(row("gradient, bilinear", name, n, 1, ns, None))
     return rows
 
 
@@ -161,4 +159,5 @@ def end_points(scan: Scan, poses: np.ndarray, scale: float, offset: np.float32) 
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.lines import LineMap
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
@@ -26,7 +27,7 @@ def run() -> list[dict[str, Any]]:
     walls = LineMap.from_segments(rng.uniform(0.0, 20.0, (N_LINES, 4)))
     truth = np.array([9.0, 8.0, 0.7])
     poses = truth + rng.normal(0.0, [1.0, 1.0, 0.5], (N_POSES, 3))
-    known = LineModel(walls, PARAMETERS, correspondence="known", threads=1)
+    known = LineModel(walls, PARAMETERS, correspondence="known")
     seen = known.sample(truth, rng)[0]
     ends = np.tile([0.0, 0.0, 1.0, 0.0], (N_LINES, 1))
     z = LineDetections(seen.lines, segments=ends, ids=seen.ids)
@@ -40,7 +41,7 @@ def run() -> list[dict[str, Any]]:
         ("sum", N_POSES, None),
         ("assignment", N_ASSIGNMENT_POSES, None),
     ):
-        model = LineModel(walls, PARAMETERS, correspondence=how, min_overlap=overlap, threads=1)
+        model = LineModel(walls, PARAMETERS, correspondence=how, min_overlap=overlap)
         what = f"{how}, {N_LINES} mapped lines" + (", min_overlap" if overlap else "")
         rows.append(row(what, n, 1, lambda m=model, n=n: m.log_likelihood(unknown, poses[:n])))
     return rows
@@ -76,4 +77,5 @@ def numpy_log_likelihood(walls: LineMap, z: LineDetections, poses: np.ndarray) -
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

@@ -16,6 +16,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from beamfield.geometry import compose, wrap_angle
 from beamfield.kernels import global_search as kernels
+from beamfield.kernels.threads import set_threads
 from beamfield.localization.global_search import GlobalSearch, SearchWindow
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.mapping import build_map, local_map, scan_map
@@ -83,18 +85,13 @@ def matching(grid: OccupancyGrid, log: SensorLog) -> list[dict[str, Any]]:
         local = scan_map(z, resolution=grid.resolution) if isinstance(z, Scan) else z
         n_cells = int(np.count_nonzero(~np.isnan(local.probability)))
         plain = plain_correlation(grid, local)
-        one, two = MapMatchingModel(grid, threads=1), MapMatchingModel(grid, threads=2)
-        error = np.abs(plain(poses) - one.correlation(z, poses)).max()
+        model = MapMatchingModel(grid)
+        error = np.abs(plain(poses) - model.correlation(z, poses)).max()
         seconds = {
             "NumPy float32": median(lambda plain=plain, poses=poses: plain(poses), 3),
-            "correlation": median(lambda m=one, z=z, poses=poses: m.correlation(z, poses)),
-            "correlation, two threads": median(lambda m=two, z=z, poses=poses: m.correlation(z, poses)),
-            "cell difference": median(
-                lambda z=z, poses=poses: CellDifferenceModel(grid, threads=1).log_likelihood(z, poses)
-            ),
-            "histograms": median(
-                lambda z=z, poses=poses: HistogramMatchingModel(grid, threads=1).log_likelihood(z, poses)
-            ),
+            "correlation": median(partial(model.correlation, z, poses)),
+            "cell difference": median(lambda z=z, poses=poses: CellDifferenceModel(grid).log_likelihood(z, poses)),
+            "histograms": median(lambda z=z, poses=poses: HistogramMatchingModel(grid).log_likelihood(z, poses)),
         }
         rows.append(
             {
@@ -238,4 +235,5 @@ def median(call: Callable[[], object], repeats: int = 5) -> float:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

@@ -26,6 +26,7 @@ BENCHMARKS = (
     "stacks",
     "scan_fit",
     "sonar",
+    "threads",
 )
 
 

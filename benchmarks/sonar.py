@@ -26,6 +26,7 @@ from beamfield.calibration.evaluation import uniform_parameters
 from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.calibration.time_split import held_out_mask
 from beamfield.io.read_log import read_log
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -79,8 +80,8 @@ def cone_times(repeats: int = 25) -> list[dict[str, Any]]:
             n_rays = 1 + int(np.ceil(width * MAX_RANGE / RESOLUTION))
             fan = RangeFinder.from_bearings(np.linspace(-width / 2, width / 2, n_rays), MAX_RANGE)
             calls = {
-                "cones": partial(cones.cast, poses, width, MAX_RANGE, threads=1),
-                "fan": partial(rays.expected_ranges, poses, fan, threads=1),
+                "cones": partial(cones.cast, poses, width, MAX_RANGE),
+                "fan": partial(rays.expected_ranges, poses, fan),
             }
             best = least_seconds(calls, repeats)
             ns = {what: value / N_CONES * 1e9 for what, value in best.items()}
@@ -244,4 +245,5 @@ def least_seconds(calls: dict[str, Any], repeats: int) -> dict[str, float]:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main(sys.argv[1:])

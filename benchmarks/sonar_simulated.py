@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
+from beamfield.kernels.threads import set_threads
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
@@ -54,9 +55,7 @@ def run() -> list[dict[str, Any]]:
                     | fit(grid, log.only_sensor()))  # fmt: skip
     for name, physics in WORLDS.items():
         ring = sonar_ring(16)
-        log, readings = simulate_sonar_log(
-            grid, ring, physics, duration=DURATION, scan_rate=SCAN_RATE, seed=SEED, threads=1
-        )
+        log, readings = simulate_sonar_log(grid, ring, physics, duration=DURATION, scan_rate=SCAN_RATE, seed=SEED)
         sensor = log.only_sensor()
         known = {
             "heard right": f"{(np.abs(readings.ranges - readings.nearest) < NEAR).mean():.2f}",
@@ -97,4 +96,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

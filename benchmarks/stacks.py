@@ -20,6 +20,7 @@ from unittest.mock import patch
 import numpy as np
 
 from beam_model import MAX_RANGE, N_BEAMS, N_POSES, PARAMETERS, anywhere, near, office
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.sensors import RangeFinder, Scan
@@ -185,7 +186,7 @@ def times() -> list[dict[str, Any]]:
     rows = []
     for kind in (*KINDS, *MRPT_KINDS, F1tenthTable):
         parameters = _defaults(kind)
-        model = kind(grid, parameters, threads=1)
+        model = kind(grid, parameters)
         evidence = model.evidence(scan, poses)
         row: dict[str, Any] = {
             "emulator": kind.__name__,
@@ -193,7 +194,7 @@ def times() -> list[dict[str, Any]]:
             "log_weights [ms]": _least_ms(lambda model=model, evidence=evidence: model.log_weights(evidence)),
         }
         if kind.model in ("beam", "rayTracing"):
-            exact = kind(grid, parameters, threads=1, rays="exact")
+            exact = kind(grid, parameters, rays="exact")
             row["evidence, exact rays [ms]"] = _least_ms(lambda exact=exact: exact.evidence(scan, poses))
         else:
             row["evidence, exact rays [ms]"] = ""
@@ -224,7 +225,7 @@ def _scene() -> tuple[OccupancyGrid, Scan, dict[str, np.ndarray]]:
     grid = office(rng)
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
-    scan = BeamModel(grid, PARAMETERS, threads=1).sample(truth, rng, finder)[0]
+    scan = BeamModel(grid, PARAMETERS).sample(truth, rng, finder)[0]
     return grid, scan, {"track": near(truth, rng, N_POSES), "global": anywhere(grid, rng, N_POSES)}
 
 
@@ -287,4 +288,5 @@ def _least_ms(function: Callable[[], object], repeats: int = 15) -> str:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

@@ -14,6 +14,7 @@ from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, thet
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
+from tests.threads import forced_threads
 
 MAX_RANGE = 8.0
 BLOCK_S = 20.0
@@ -268,7 +269,10 @@ def test_held_parameters_get_no_interval_and_learned_extras_do():
 def test_same_bits_with_any_number_of_threads():
     z, expected, stamps, _ = dependent_beams(np.random.default_rng(3))
     parameters = learn_intrinsic_parameters(z, expected, MAX_RANGE).parameters
-    one, three = (block_intervals(z, expected, stamps, MAX_RANGE, parameters, threads=n) for n in (1, 3))
+    with forced_threads(1):
+        one = block_intervals(z, expected, stamps, MAX_RANGE, parameters)
+    with forced_threads(3):
+        three = block_intervals(z, expected, stamps, MAX_RANGE, parameters)
     assert one.intervals == three.intervals
     assert one.standard_errors == three.standard_errors
 

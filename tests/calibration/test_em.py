@@ -17,6 +17,7 @@ from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from tests.reference import table_6_2
+from tests.threads import forced_threads
 
 # What makes learning hard: hits cut at 0, hits cut at the maximum range, shorts far from 0, shorts near it.
 CASES = {
@@ -160,8 +161,10 @@ def test_weights_count_beams():
 
 def test_any_order_of_beams_and_number_of_threads_gives_the_same():
     z, expected, max_range, _, _ = draw("indoor", 70_000)
-    one = learn_intrinsic_parameters(z, expected, max_range, threads=1)
-    assert learn_intrinsic_parameters(z, expected, max_range, threads=3) == one
+    with forced_threads(1):
+        one = learn_intrinsic_parameters(z, expected, max_range)
+    with forced_threads(3):
+        assert learn_intrinsic_parameters(z, expected, max_range) == one
     turned = learn_intrinsic_parameters(z[::-1].copy(), expected[::-1].copy(), max_range)
     assert turned.log_likelihood == pytest.approx(one.log_likelihood, rel=1e-11)
 

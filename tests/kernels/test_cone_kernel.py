@@ -25,7 +25,7 @@ def one_cone(half):
 
 
 def test_tolerances_are_those_of_the_ray_caster():
-    for name in ("TIE", "SNAP", "PARALLEL", "FAR"):
+    for name in ("TIE", "PARALLEL", "FAR"):
         assert getattr(kernels, name) == getattr(raycast, name)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -53,21 +51,6 @@ def test_rectangles_are_at_most_255_cells_long():
     table = tables_of(np.zeros((1, 300), bool))[0, 1, 1:-1]
     assert (table & 255)[:3].tolist() == [255, 255, 255]
     assert (table >> 8).tolist() == [1] * 300
-
-
-@pytest.mark.parametrize("scale", [1e-12, 1e-3, 1.0, 10.0, 1e3, 9.9e5])
-def test_own_cosines_are_those_of_the_c_library(rng, scale):
-    for angle in [*(rng.uniform(-1, 1, 200) * scale), 0.0, scale]:
-        cosine, sine = kernels._cos_sin(angle)
-        assert abs(cosine - math.cos(angle)) <= 2.3e-16
-        assert abs(sine - math.sin(angle)) <= 2.3e-16
-
-
-@pytest.mark.parametrize("quarter", range(-8, 9))
-def test_own_cosines_are_nearly_exact_at_multiples_of_a_right_angle(quarter):
-    angle = quarter * math.pi / 2
-    for own, theirs in zip(kernels._cos_sin(angle), (math.cos(angle), math.sin(angle)), strict=True):
-        assert own == pytest.approx(theirs, rel=1e-15, abs=1e-31)
 
 
 def test_rays_in_lockstep_equal_rays_one_by_one(rng):

@@ -19,6 +19,7 @@ from beamfield.landmark_noise.sighting_table import sighting_table
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
+from tests.threads import forced_threads
 
 MAP = LandmarkMap([[0.0, 0.0], [9.0, 1.0], [8.0, 7.0], [1.0, 8.0], [4.0, 4.0]], ids=[4, 9, 2, 7, 30])
 MOUNT = (0.2, -0.1, 0.7)
@@ -387,7 +388,10 @@ def test_too_few_iterations_are_reported(rng):
 
 def test_threads_and_seed_decide_no_bit_but_the_draws(rng):
     log = simulate(BOTH, rng, n=100)
-    first, second = (learn(log, max_range=14.0, threads=threads) for threads in (1, 2))
+    with forced_threads(1):
+        first = learn(log, max_range=14.0)
+    with forced_threads(2):
+        second = learn(log, max_range=14.0)
     assert first.intervals == second.intervals
     assert learn(log, max_range=14.0, seed=1).intervals != first.intervals
 
@@ -399,7 +403,7 @@ def test_signature_noise_is_carried_over(rng):
 
 def test_progress_counts_replicates(rng):
     seen = []
-    learn(simulate(BOTH, rng, n=30), n_replicates=5, threads=1, progress=lambda done, total: seen.append((done, total)))
+    learn(simulate(BOTH, rng, n=30), n_replicates=5, progress=lambda done, total: seen.append((done, total)))
     assert seen == [(i + 1, 5) for i in range(5)]
 
 

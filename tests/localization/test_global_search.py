@@ -16,6 +16,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, Scan
 from tests.reference.map_matching_slow import every_pose
+from tests.threads import forced_threads
 
 FINDER = RangeFinder.from_bearings(np.linspace(-2.2, 2.2, 61), max_range=8.0, mount=(0.1, 0.0, 0.0))
 EMPTY = Scan(np.full(61, np.nan), FINDER)
@@ -82,7 +83,8 @@ def test_any_number_of_threads_gives_the_same_result(rng):
     for scan in (scan_at(grid, [2.0, 3.3, 0.7], rng), Scan(rng.uniform(0.5, 8.5, 61), FINDER)):
         results = []
         for threads in (1, 2, 5):
-            found = GlobalSearch(grid, threads=threads).search(scan, SearchWindow([3.0, 4.0, 0.0], 6.0, 6.0))
+            with forced_threads(threads):
+                found = GlobalSearch(grid).search(scan, SearchWindow([3.0, 4.0, 0.0], 6.0, 6.0))
             results.append((found.best.pose.tolist(), found.best.score, found.runner_up.pose.tolist()))
         assert results[0] == results[1] == results[2]
 

@@ -17,6 +17,7 @@ from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import RangeFinder, Scan
+from tests.threads import forced_threads
 
 HEADINGS = 14
 ANGLES = wrap_angle(2.0 * np.pi * np.arange(HEADINGS) / HEADINGS)
@@ -140,7 +141,10 @@ def test_tiles_change_nothing(monkeypatch):
 def test_the_number_of_threads_changes_no_bit():
     grid = a_map()
     z, places = a_local_map(grid), every_place(grid, 0.1)
-    one, three = (find(MapMatchingModel(grid, threads=n), z, places, 0.1, np.float32) for n in (1, 3))
+    with forced_threads(1):
+        one = find(MapMatchingModel(grid), z, places, 0.1, np.float32)
+    with forced_threads(3):
+        three = find(MapMatchingModel(grid), z, places, 0.1, np.float32)
     np.testing.assert_array_equal(one.correlation, three.correlation)
     np.testing.assert_array_equal(one.heading_index, three.heading_index)
 

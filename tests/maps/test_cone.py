@@ -15,6 +15,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
 from tests.reference.cone_oracles import clip_cells, fan_out
+from tests.threads import forced_threads
 
 EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 
@@ -199,9 +200,11 @@ def test_any_number_of_threads_gives_the_same_bits(rng):
     caster = ConeCaster(grid)
     finder = RangeFinder.from_bearings(np.linspace(-3, 3, 16), 6.0, opening_angle=0.4)
     poses = np.column_stack([rng.uniform(0, [8, 6], (501, 2)), rng.uniform(-4, 4, 501)])
-    one = caster.expected_ranges(poses, finder, threads=1)
-    for threads in (2, 3, 5, None):
-        np.testing.assert_array_equal(caster.expected_ranges(poses, finder, threads=threads), one)
+    with forced_threads(1):
+        one = caster.expected_ranges(poses, finder)
+    for threads in (2, 3, 5):
+        with forced_threads(threads):
+            np.testing.assert_array_equal(caster.expected_ranges(poses, finder), one)
     with ThreadPoolExecutor(4) as pool:
         for ranges in pool.map(lambda _: caster.expected_ranges(poses, finder), range(8)):
             np.testing.assert_array_equal(ranges, one)

@@ -137,7 +137,7 @@ def test_sides_of_many_cells_stay_exact(shape):
 
 
 @pytest.mark.parametrize("parts", [2, 3, 7])
-def test_any_number_of_slices_gives_the_same_bits(parts, rng, monkeypatch):
+def test_any_number_of_blocks_gives_the_same_bits(parts, rng, monkeypatch):
     occupied = large_map("clutter beside a hall", rng)
     expected = distance_to_obstacles(grid_of(occupied))
     works = []
@@ -147,7 +147,7 @@ def test_any_number_of_slices_gives_the_same_bits(parts, rng, monkeypatch):
         for i in reversed(range(parts)):
             work(n_rows * i // parts, n_rows * (i + 1) // parts)
 
-    monkeypatch.setattr("beamfield.maps.distance.run_in_slices", in_parts)
+    monkeypatch.setattr("beamfield.maps.distance.run_in_blocks", in_parts)
     assert np.array_equal(distance_to_obstacles(grid_of(occupied)), expected)
     assert len(works) == 2
 

@@ -12,6 +12,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
+from tests.threads import forced_threads
 
 EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 NORTH_EAST, SOUTH_WEST = np.pi / 4, -3 * np.pi / 4
@@ -182,11 +183,13 @@ def test_the_number_of_threads_changes_no_bit(rng, threads):
     caster = RayCaster(OccupancyGrid((rng.random((200, 200)) < 0.01).astype(float), 0.05))
     poses = np.column_stack([rng.uniform(-1, 11, (1111, 2)), rng.uniform(-4, 4, 1111)])
     finder = RangeFinder.from_bearings(np.linspace(-2, 2, 61), 8.0)
-    one = caster.expected_ranges(poses, finder, threads=1)
-    assert caster.expected_ranges(poses, finder, threads=threads).tobytes() == one.tobytes()
-    hits = caster.expected_hits(poses, finder, threads=1)
-    assert caster.expected_hits(poses, finder, threads=threads).tobytes() == hits.tobytes()
-    assert caster.cast(poses, 8.0, threads=threads).tobytes() == caster.cast(poses, 8.0, threads=1).tobytes()
+
+    def results(n):
+        with forced_threads(n):
+            yield from (caster.expected_ranges(poses, finder), caster.expected_hits(poses, finder))
+            yield from (caster.cast(poses, 8.0), caster.cast_hits(poses, 8.0))
+
+    assert all(many.tobytes() == one.tobytes() for many, one in zip(results(threads), results(1), strict=True))
 
 
 def test_poses_one_by_one_give_the_same_bits_as_together(rng):

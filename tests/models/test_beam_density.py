@@ -13,6 +13,7 @@ from beamfield.models.beam_density import beam_cdf, beam_components, beam_log_de
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from tests.reference.beam_tables import beam_range_finder_model
+from tests.threads import forced_threads
 
 MAX_RANGE = 8.0
 PARAMETERS = BeamParameters(z_hit=0.6, z_short=0.15, z_max=0.05, z_rand=0.2, sigma_hit=0.1, lambda_short=0.7)
@@ -156,9 +157,11 @@ def test_where_no_reading_is_expected_none_is_drawn(rng):
 def test_any_number_of_threads_gives_the_same_bits(rng):
     ranges, expected = beams(rng, 50_001)
     for function in (beam_log_density, beam_responsibilities, beam_components, beam_cdf):
-        one = function(ranges, expected, MAX_RANGE, PARAMETERS, threads=1)
+        with forced_threads(1):
+            one = function(ranges, expected, MAX_RANGE, PARAMETERS)
         for threads in (2, 3, 7):
-            assert (function(ranges, expected, MAX_RANGE, PARAMETERS, threads=threads) == one).all()
+            with forced_threads(threads):
+                assert (function(ranges, expected, MAX_RANGE, PARAMETERS) == one).all()
 
 
 @pytest.mark.parametrize("max_range", [0.0, -1.0, np.inf, np.nan])

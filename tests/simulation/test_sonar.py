@@ -25,6 +25,7 @@ from beamfield.simulation.sonar_log import simulate_sonar_log
 from beamfield.simulation.surfaces import Surfaces, surfaces_of_grid
 from beamfield.simulation.trajectory import drive_through
 from tests.reference.sound_rays import returning_ways
+from tests.threads import forced_threads
 
 # Mirrors only, every echo heard, no noise.
 EXACT = SonarPhysics(
@@ -244,10 +245,10 @@ def test_ranges_below_the_shortest_are_too_close():
 
 def test_the_same_seed_gives_the_same_readings_on_any_number_of_threads():
     poses = drive_through(OFFICE, np.arange(0.0, 20.0, 0.5)).poses
-    runs = [
-        simulate_sonar(OFFICE, poses, sonar_ring(8), None, np.random.default_rng(seed), threads=threads)
-        for seed, threads in ((3, 1), (3, 2), (4, 1))
-    ]
+    runs = []
+    for seed, threads in ((3, 1), (3, 2), (4, 1)):
+        with forced_threads(threads):
+            runs.append(simulate_sonar(OFFICE, poses, sonar_ring(8), None, np.random.default_rng(seed)))
     np.testing.assert_array_equal(runs[0].ranges, runs[1].ranges)
     np.testing.assert_array_equal(runs[0].causes, runs[1].causes)
     assert (runs[0].ranges != runs[2].ranges).any()

@@ -16,7 +16,6 @@ from beamfield.maps.cone import make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import SensorLog, usable_ranges
-from beamfield.thread_count import check_threads
 
 UnknownRule = Literal["skip", "free", "occupied"]
 Progress = Callable[[int, int], None]
@@ -121,7 +120,6 @@ def build_beam_table(
     scans: ArrayLike,
     *,
     unknown: UnknownRule = "skip",
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> BeamTable:
     """Cast the beams of the given scans from their reference poses; cones, if the sensor has an opening angle.
@@ -136,8 +134,6 @@ def build_beam_table(
         What a ray does in unknown cells: "skip" leaves out beams whose ray enters unknown space before an obstacle
         (their expected range is not known); "free" passes through; "occupied" stops there. A cone is left out if its
         axis enters unknown space nearer than its expected range: some cell beside the axis nearly always is unknown.
-    threads
-        For the ray caster; None uses what pays.
     progress
         Called with (done, total) scans.
 
@@ -148,9 +144,8 @@ def build_beam_table(
     Raises
     ------
     InvalidInputError
-        If the map has no obstacle, a scan has no finite pose, or threads < 1.
+        If the map has no obstacle, a scan has no finite pose,.
     """
-    check_threads(threads)
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
     chosen = np.arange(len(log))[np.asarray(scans)]
@@ -161,13 +156,13 @@ def build_beam_table(
     for start in range(0, len(chosen), SCANS_PER_CHUNK):
         rows = chosen[start : start + SCANS_PER_CHUNK]
         ranges = usable_ranges(log.ranges[rows], log.finder)
-        expected = caster.expected_ranges(log.poses[rows], log.finder, threads=threads)
+        expected = caster.expected_ranges(log.poses[rows], log.finder)
         keep = np.isfinite(ranges)
         n_no_measurement += int((~keep).sum())
         n_too_close += int((~keep & ~np.isnan(log.ranges[rows])).sum())
         if stopping is not None:
             # The ray stopped by unknown cells is shorter exactly if it enters one before the obstacle.
-            doubtful = keep & (stopping.expected_ranges(log.poses[rows], log.finder, threads=threads) < expected)
+            doubtful = keep & (stopping.expected_ranges(log.poses[rows], log.finder) < expected)
             n_unknown += int(doubtful.sum())
             keep &= ~doubtful
         in_chunk, in_scan = np.nonzero(keep)

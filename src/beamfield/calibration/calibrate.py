@@ -250,10 +250,10 @@ def _cast(
     report: Progress,
 ) -> tuple[BeamTable, BeamTable | None]:
     """Cast the beams of the chosen scans in the map, or in the map that the other half drew, as `cross_fit_table`."""
-    unknown, threads, progress = options.unknown, options.threads, partial(report, "casting rays")
+    unknown, progress = options.unknown, partial(report, "casting rays")
     if isinstance(grid, CrossFitMaps):
-        return cross_fit_table(log, grid, scans, unknown=unknown, threads=threads, progress=progress)
-    return build_beam_table(log, grid, scans, unknown=unknown, threads=threads, progress=progress), None
+        return cross_fit_table(log, grid, scans, unknown=unknown, progress=progress)
+    return build_beam_table(log, grid, scans, unknown=unknown, progress=progress), None
 
 
 def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Selection, *, drawn: bool) -> None:
@@ -289,7 +289,6 @@ def _intervals(table: BeamTable, chosen: Candidate, options: CalibrationOptions)
         fit_sigma_slope="sigma slope" in chosen.name,
         hold=options.hold,
         block_s=options.block_s,
-        threads=options.threads,
     )
 
 

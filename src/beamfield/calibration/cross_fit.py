@@ -17,7 +17,6 @@ from beamfield.maps.hit_counts import FREE_AFTER_ONE_PASS, HitCounts, count_hits
 from beamfield.maps.mapping import build_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog, usable_ranges
-from beamfield.thread_count import check_threads
 
 Progress = Callable[[str, int, int], None]
 
@@ -114,7 +113,6 @@ def cross_fit_table(
     scans: NDArray[np.bool_],
     *,
     unknown: UnknownRule = "skip",
-    threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[BeamTable, BeamTable | None]:
     """Cast each scan's beams in the map of the other half.
@@ -129,7 +127,7 @@ def cross_fit_table(
         "skip" takes expected ranges from the end points that drew the walls, see `ranges_to_walls`, and leaves out
         beams that enter unseen space or meet something that the map is not sure of. Otherwise, and for a sensor with an
         opening angle, expected ranges are those of cells as in `build_beam_table`.
-    threads, progress
+    progress
         As for `build_beam_table`.
 
     Returns
@@ -143,7 +141,6 @@ def cross_fit_table(
     InvalidInputError
         As for `build_beam_table`.
     """
-    check_threads(threads)
     total = int(scans.sum())
     parts: list[tuple[BeamTable, BeamTable | None]] = []
     done = 0
@@ -157,22 +154,20 @@ def cross_fit_table(
                 progress(before + in_half, total)
 
         if maps.counts is not None and unknown == "skip":
-            parts.append(_tables_of_walls(log, maps.counts[1 - half], chosen, threads))
+            parts.append(_tables_of_walls(log, maps.counts[1 - half], chosen))
             show(int(chosen.sum()), total)
         else:
             grid = maps.halves[1 - half]
-            parts.append((build_beam_table(log, grid, chosen, unknown=unknown, threads=threads, progress=show), None))
+            parts.append((build_beam_table(log, grid, chosen, unknown=unknown, progress=show), None))
         done += int(chosen.sum())
     clutter = [part[1] for part in parts if part[1] is not None]
     return _in_order_of_scans([part[0] for part in parts]), _in_order_of_scans(clutter) if clutter else None
 
 
-def _tables_of_walls(
-    log: SensorLog, counts: HitCounts, scans: NDArray[np.bool_], threads: int | None
-) -> tuple[BeamTable, BeamTable]:
+def _tables_of_walls(log: SensorLog, counts: HitCounts, scans: NDArray[np.bool_]) -> tuple[BeamTable, BeamTable]:
     """Return the beams that meet a line, or nothing, and those that meet clutter."""
     chosen = np.flatnonzero(scans)
-    expected, met = ranges_to_walls(counts, log.poses[chosen], log.finder, threads=threads)
+    expected, met = ranges_to_walls(counts, log.poses[chosen], log.finder)
     ranges = usable_ranges(log.ranges[chosen], log.finder)
     measured = np.isfinite(ranges)
     n_unseen, n_unsure = (

@@ -75,7 +75,6 @@ def with_clutter(
         min_range=clutter.min_range,
         fit_offset=True,
         hold=hold,
-        threads=options.threads,
     ).parameters
     there = block_intervals(
         clutter.ranges,
@@ -87,7 +86,6 @@ def with_clutter(
         fit_offset=True,
         hold=hold,
         block_s=options.block_s,
-        threads=options.threads,
     )
     share = n_beams / (n_beams + len(clutter))
 

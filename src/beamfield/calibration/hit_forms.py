@@ -65,7 +65,7 @@ def fit_candidates(
     held_out
         (n,) which beams judge the forms; they are fitted to the others.
     options
-        Which forms are allowed, what is held, how many threads.
+        Which forms are allowed, and what is held.
     progress
         Called with ("learning", done, total).
 
@@ -111,7 +111,6 @@ def _learn(table: BeamTable, options: CalibrationOptions, *, offset: bool, slope
         fit_offset=offset,
         fit_sigma_slope=slope,
         hold=options.hold,
-        threads=options.threads,
     )
 
 

@@ -10,7 +10,6 @@ from beamfield.arguments import check_fields
 from beamfield.calibration.beam_table import UnknownRule
 from beamfield.calibration.selection import SelectionOptions
 from beamfield.errors import InvalidInputError
-from beamfield.thread_count import check_threads
 
 Choice = Literal["auto", "on", "off"]
 
@@ -37,8 +36,6 @@ class CalibrationOptions:
         Whether to refine reference poses to see their share in sigma_hit.
     seed
         For the randomised PIT.
-    threads
-        None uses what pays.
     """
 
     selection: SelectionOptions = field(default_factory=SelectionOptions)
@@ -49,10 +46,8 @@ class CalibrationOptions:
     hold: Mapping[str, float] = field(default_factory=dict)
     refine: bool = True
     seed: int = 0
-    threads: int | None = None
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         for name, allowed in (
             ("unknown", ("skip", "free", "occupied")),

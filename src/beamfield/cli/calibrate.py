@@ -252,7 +252,6 @@ def _options(arguments: argparse.Namespace) -> CalibrationOptions:
         hold=_held(arguments.hold),
         refine=not arguments.no_refine,
         seed=arguments.seed,
-        threads=arguments.threads,
     )
 
 

@@ -69,7 +69,6 @@ def learn_field(
             selection=result.options.selection,
             block_s=arguments.block,
             seed=arguments.seed,
-            threads=arguments.threads,
         )
     except TooLittleDataError as error:
         return FieldResult(f"no likelihood field: {error}", {"missing": str(error)}, field_missing(str(error)), {})

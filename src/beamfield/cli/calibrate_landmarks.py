@@ -82,7 +82,6 @@ def run(arguments: argparse.Namespace) -> int:
                 block_s=arguments.block,
                 n_replicates=arguments.replicates,
                 seed=arguments.seed,
-                threads=arguments.threads,
                 progress=lambda done, total: progress("intervals", done, total),
             )
         except (InvalidInputError, TooLittleDataError) as error:

@@ -123,7 +123,6 @@ def fit_for_stack(
                     reference_turn_error=arguments.reference_error / REFERENCE_LEVER, seed=arguments.seed,
                 ),
                 selection=result.options.selection, block_s=arguments.block, progress=progress,
-                threads=arguments.threads,
             )
         )  # fmt: skip
     best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))

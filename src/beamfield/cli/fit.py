@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         given = _read(arguments, progress)
         try:
             parameters = _parameters(given, arguments, progress)
-            model = _model(given, parameters, arguments)
+            model = _model(given, parameters)
             origin = _provenance(arguments)
             reference = _reference(model, given, origin, arguments, progress)
             fits = judge_log(
@@ -199,16 +199,16 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
 
     if given.parameters is not None:
         return given.parameters
-    options = CalibrationOptions(refine=False, seed=arguments.seed, threads=arguments.threads)
+    options = CalibrationOptions(refine=False, seed=arguments.seed)
     return calibrate(given.good, given.grid, options, progress=progress).parameters
 
 
-def _model(given: _Inputs, parameters: BeamParameters, arguments: argparse.Namespace) -> RangeMixtureModel:
+def _model(given: _Inputs, parameters: BeamParameters) -> RangeMixtureModel:
     from beamfield.models.beam import BeamModel
     from beamfield.models.sonar import SonarModel
 
     kind = SonarModel if given.log.finder.opening_angle > 0.0 else BeamModel
-    return kind(given.grid, parameters, threads=arguments.threads)
+    return kind(given.grid, parameters)
 
 
 def _reference(

@@ -161,10 +161,10 @@ def _measurement_and_model(
     from beamfield.models.sonar import SonarModel
 
     if arguments.model == "matching":
-        return _local_map(sensor, grid, arguments), MapMatchingModel(grid, threads=arguments.threads)
+        return _local_map(sensor, grid, arguments), MapMatchingModel(grid)
     lattice = {"resolution": arguments.resolution, "headings": arguments.headings}
     n_beams = DEFAULT_BEAMS if arguments.beams is None else arguments.beams or None
-    options: dict[str, Any] = {"n_beams": n_beams, "threads": arguments.threads}
+    options: dict[str, Any] = {"n_beams": n_beams}
     if arguments.model == "beam":
         parameters = _parameters(arguments, scan)
         if not arguments.no_widening:

@@ -27,6 +27,7 @@ from beamfield.cli import map as map_command
 from beamfield.cli.terminal import Parser, complain
 from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError, BeamfieldWarning
+from beamfield.kernels.threads import set_threads
 
 COMMANDS = (
     calibrate,
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if threads is not None and threads < 1:
         parser.error(f"argument --threads: expected at least 1, got {threads}")
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), set_threads(threads) if threads is not None else nullcontext():
             warnings.simplefilter("default", BeamfieldWarning)
             warnings.showwarning = _show_warning
             with _unpacking_limit(parsed):

@@ -146,7 +146,6 @@ def _simulate_laser(
         seed=arguments.seed,
         drive=drive,
         dependence=dependence,
-        threads=arguments.threads,
         progress=progress,
     )
     return log, {"parameters": asdict(parameters), "dependence": asdict(dependence), "drive": asdict(drive)}
@@ -167,7 +166,6 @@ def _simulate_sonar(
         scan_rate=arguments.scan_rate,
         seed=arguments.seed,
         drive=drive,
-        threads=arguments.threads,
         progress=progress,
     )
     return log, {"physics": asdict(physics), "causes": cause_shares(readings), "drive": asdict(drive)}

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import exp
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -38,10 +39,6 @@ SMALL_DENSITY = 1e-290
 # Products of densities are turned into logarithms before they leave these bounds.
 SMALL_PRODUCT, LARGE_PRODUCT = 1e-150, 1e150
 
-# exp underflows below this.
-SMALLEST_EXPONENT = -708.0
-LOG2_E = 1.4426950408889634
-LOG_2_HIGH, LOG_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 # Beams of one pass of the vectorised loops: their densities stay in the nearest cache.
 BLOCK = 512
 # The normal distribution function and its derivative at every 1/32 sigma from 0 to WHOLE_SIGMAS.
@@ -294,34 +291,6 @@ def mixture_cdf(z: float, z_star: float, view: BeamView) -> float:
 
 
 @inlined_kernel
-def quick_exp(x: float) -> float:
-    """Return exp(x) for -708 <= x <= 0, exp(-708) for anything below and NaN; within 3e-16, relatively.
-
-    x = n log 2 + r with |r| <= log(2) / 2; a Taylor polynomial gives exp(r), the exponent's bits give 2^n. A call of
-    math.exp would keep the loop from being vectorised.
-    """
-    x = x if x > SMALLEST_EXPONENT else SMALLEST_EXPONENT
-    n = math.floor(x * LOG2_E + 0.5)
-    r = (x - n * LOG_2_HIGH) - n * LOG_2_LOW
-    p = 1.0 / 6227020800.0
-    p = p * r + 1.0 / 479001600.0
-    p = p * r + 1.0 / 39916800.0
-    p = p * r + 1.0 / 3628800.0
-    p = p * r + 1.0 / 362880.0
-    p = p * r + 1.0 / 40320.0
-    p = p * r + 1.0 / 5040.0
-    p = p * r + 1.0 / 720.0
-    p = p * r + 1.0 / 120.0
-    p = p * r + 1.0 / 24.0
-    p = p * r + 1.0 / 6.0
-    p = p * r + 0.5
-    p = p * r + 1.0
-    p = p * r + 1.0
-    power: float = np.int64((np.int64(n) + 1023) << 52).view(np.float64)
-    return p * power
-
-
-@inlined_kernel
 def quick_normal_below(t: float) -> float:
     """Return the standard normal distribution function for 0 <= t, within 4e-16; that of the nearer limit outside.
 
@@ -362,7 +331,7 @@ def _quick_hit(z: float, z_star: float, at_limit: float, view: BeamView) -> floa
     factor = INV_SQRT_2PI * scale / (mass if sound else 1.0)
     factor = factor if sound else -1.0
     factor = at_limit if z_star == view.max_range else factor
-    return factor * quick_exp(-0.5 * u * u)
+    return factor * exp(-0.5 * u * u)
 
 
 @inlined_kernel
@@ -374,8 +343,8 @@ def _quick_short(z: float, z_star: float, view: BeamView) -> float:
     y = x * x
     series = 1.0 + 0.5 * x + y * (1.0 / 12.0 - y * (1.0 / 720.0 - y * (1.0 / 30240.0)))
     large = x if x > 0.1 else 0.1
-    ratio = large / (1.0 - quick_exp(-large)) if x > 0.1 else series
-    density = ratio / support * quick_exp(-view.lambda_short * z)
+    ratio = large / (1.0 - exp(-large)) if x > 0.1 else series
+    density = ratio / support * exp(-view.lambda_short * z)
     return density if z <= support else 0.0
 
 

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import split
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -31,7 +32,6 @@ Bits = NDArray[np.uint32]
 
 # The ray caster's tolerances, see kernels/raycast.py; a test holds the two together.
 TIE = 1e-9
-SNAP = 1e-9
 PARALLEL = 1e-12
 FAR = 1e12
 # Stands for 1 / 0; its product with the length of a cell is still farther than anything.
@@ -183,8 +183,8 @@ def _nearest(
     x: float, y: float, c: float, s: float, cones: Cones, b: int, bits: Bits, bands: Bits, cols: int, limit: float
 ) -> Nearest:
     """Return the nearest point of an occupied cell in one cone of a placed robot, if nearer than `limit`."""
-    cell_x, offset_x = _split(x + (c * cones.x[b] - s * cones.y[b]))
-    cell_y, offset_y = _split(y + (s * cones.x[b] + c * cones.y[b]))
+    cell_x, offset_x = split(x + (c * cones.x[b] - s * cones.y[b]))
+    cell_y, offset_y = split(y + (s * cones.x[b] + c * cones.y[b]))
     nearest = Nearest(limit * limit, 0.0, 0.0, -1, -1)
     if not (abs(cell_x) < FAR and abs(cell_y) < FAR):
         return nearest
@@ -203,15 +203,6 @@ def _nearest(
             # On the lower border of its row: what lies below begins with a whole row.
             nearest = _search(nearest, half, col, offset_x, row - 1, -1, 1.0, bits, bands, cols)
     return nearest
-
-
-@inlined_kernel
-def _split(x: float) -> tuple[float, float]:
-    """Return the cell of a coordinate and the offset in it; coordinates near a border are on it."""
-    nearest = np.floor(x + 0.5)
-    x = nearest if abs(x - nearest) <= SNAP else x
-    cell = np.floor(x)
-    return cell, x - cell
 
 
 @inlined_kernel

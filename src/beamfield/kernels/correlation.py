@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import SNAP
 from beamfield.kernels.jit import fast_kernel, kernel
 
 Floats = NDArray[np.float64]
 
-# Coordinates this far below a cell border, in cells, are on it.
-SNAP = 1e-9
 # Stands for an undefined cell; values are at most 1 in magnitude. A NaN must not reach these loops.
 UNDEFINED = np.float32(2.0)
 # Cells that are transformed, then looked up, then summed: each step is a loop that LLVM vectorises.

@@ -9,16 +9,13 @@ all that lies off it, so that limits replace branches.
 
 from __future__ import annotations
 
-import functools
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numba
 import numpy as np
-from numba.np.numpy_support import carray
 from numpy.typing import NDArray
 
-from beamfield.kernels.atomic import pointer
+from beamfield.kernels.elementary import quick_sin_cos
 from beamfield.kernels.jit import fast_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -36,16 +33,12 @@ IMPOSSIBLE = -1
 BLOCK = 512
 # Beams whose codes are added in one go: fewer loads and stores of the sums.
 GROUP = 4
-# Words that describe a job for several threads; the last tells whether all poses were finite.
-JOB_WORDS, ALL_FINITE = 11, 10
 # Positions are limited to this many cells: far off any table, and far from the limits of single precision.
 FAR_OFF = 1e9
 
 # Up to this many cells, a distance whose last digit is wrong still tells its whole square.
 WHOLE_SQUARES = 1024.0
 
-TWO_OVER_PI = 0.6366197723675814
-HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 # Beyond this heading the reduction to a quarter turn loses digits; such poses take the library's functions.
 LARGE_HEADING = 1e5
 
@@ -107,23 +100,6 @@ def log_value(distance: float, view: FieldView) -> float:
 
 
 @kernel
-def sin_cos(angle: float) -> tuple[float, float]:
-    """Return sine and cosine within 1e-12 for |angle| < LARGE_HEADING, in a form that the compiler vectorises."""
-    quarters = np.floor(angle * TWO_OVER_PI + 0.5)
-    r = (angle - quarters * HALF_PI_HIGH) - quarters * HALF_PI_LOW
-    z = r * r
-    s = -2.505210838544172e-08 + z * 1.6059043836821613e-10
-    s = r + r * z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * s))))
-    c = -2.755731922398589e-07 + z * (2.08767569878681e-09 - z * 1.1470745597729725e-11)
-    c = 1.0 + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 + z * c))))
-    # 0, 1/4, 1/2 or 3/4 of a turn. One comparison each: `or` would be a branch, and branches are not vectorised.
-    turn = 0.25 * quarters - np.floor(0.25 * quarters)
-    swapped = abs(turn - 0.5) == 0.25
-    sine, cosine = c if swapped else s, s if swapped else c
-    return -sine if turn >= 0.5 else sine, -cosine if abs(turn - 0.375) < 0.25 else cosine
-
-
-@kernel
 def fill_end_points(ranges: Floats, mounts: Floats, shortest: float, longest: float, cells_per_metre: float,
                     beams: NDArray[np.int64], out: Floats) -> int:  # fmt: skip
     """Fill in which beams have an end point, and the end points (2, m) in the robot frame, in cells: (6.32) at pose 0.
@@ -134,7 +110,7 @@ def fill_end_points(ranges: Floats, mounts: Floats, shortest: float, longest: fl
     for k in range(ranges.size):
         if shortest <= ranges[k] < longest:
             theta = mounts[k, 2]
-            sine, cosine = sin_cos(theta) if abs(theta) < LARGE_HEADING else (math.sin(theta), math.cos(theta))
+            sine, cosine = quick_sin_cos(theta) if abs(theta) < LARGE_HEADING else (math.sin(theta), math.cos(theta))
             u = (mounts[k, 0] + ranges[k] * cosine) * cells_per_metre
             v = (mounts[k, 1] + ranges[k] * sine) * cells_per_metre
             out[0, m], out[1, m] = min(max(u, -FAR_OFF), FAR_OFF), min(max(v, -FAR_OFF), FAR_OFF)
@@ -187,7 +163,7 @@ def place(poses: Floats, frame: FrameView, x: Singles, y: Singles, c: Singles, s
         x[i] = np.float32(u if abs(u) < FAR_OFF else FAR_OFF)
         y[i] = np.float32(v if abs(v) < FAR_OFF else FAR_OFF)
     for i in range(n):
-        sine, cosine = sin_cos(heading[i])
+        sine, cosine = quick_sin_cos(heading[i])
         s[i], c[i] = np.float32(sine), np.float32(cosine)
     return usual == 3 * n or place_unusual(poses, heading, x, y, c, s)
 
@@ -283,41 +259,6 @@ def fill_single_ends(ranges: Floats, mounts: Floats, shortest: float, longest: f
 
 
 @kernel
-def write_range_sums_job(poses: Floats, packed: Floats, ranges: Floats, mounts: Floats, shortest: float, longest: float,
-                         codes: Codes, out: Floats, job: NDArray[np.int64]) -> None:  # fmt: skip
-    """Fill job (JOB_WORDS + k,) with the arguments of `range_sums_job`, the end points behind the addresses."""
-    singles = job[JOB_WORDS:].view(np.float32).reshape(2, ranges.size)
-    n = fill_single_ends(ranges, mounts, shortest, longest, packed[5], singles)
-    job[0], job[1], job[2] = poses.ctypes.data, poses.shape[0], packed.ctypes.data
-    job[3], job[4], job[5] = singles.ctypes.data, singles.shape[1], n
-    job[6], job[7], job[8], job[9] = codes.ctypes.data, codes.shape[0], codes.shape[1], out.ctypes.data
-    job[ALL_FINITE] = 1
-
-
-def _range_sums_job(job: Any, start: int, stop: int) -> None:
-    """Do `fill_range_sums` for the poses [start, stop) of a job, for `beamfield.kernels.crew`."""
-    words = carray(job, (JOB_WORDS,))
-    poses = carray(pointer(words[0]), (words[1], 3), np.float64)
-    packed = carray(pointer(words[2]), (9,), np.float64)
-    singles = carray(pointer(words[3]), (2, words[4]), np.float32)
-    codes = carray(pointer(words[6]), (words[7], words[8]), np.int32)
-    out = carray(pointer(words[9]), (words[1],), np.float64)
-    frame = FrameView(packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6])
-    ends = singles[:, : words[5]]
-    if not fill_scan_sums(poses[start:stop], frame, ends, codes, packed[7], packed[8], out[start:stop]):
-        words[ALL_FINITE] = 0
-
-
-@functools.cache
-def range_sums_job() -> Any:
-    """Return the compiled function, with its address, that does `fill_range_sums` for a part of a job's poses.
-
-    Kept, because whoever holds the address alone does not keep the code.
-    """
-    return numba.cfunc("void(CPointer(int64), int64, int64)", cache=True)(_range_sums_job)
-
-
-@kernel
 def add_four(flat: Codes, c0: NDArray[np.uint64], c1: NDArray[np.uint64], c2: NDArray[np.uint64],
              c3: NDArray[np.uint64], total: NDArray[np.int64]) -> None:  # fmt: skip
     """Add the codes of four beams to total (2 n,), for (n,) pairs of 32-bit indices.
@@ -349,27 +290,6 @@ def fill_beam_values(poses: Floats, frame: FrameView, ends: Singles, codes: Code
             for i in range(n):
                 code = flat[cells[i]]
                 out[start + i, j] = -math.inf if code == IMPOSSIBLE else low + step * code
-
-
-@kernel
-def fill_careful_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes, low: float, step: float, out: Floats
-                      ) -> None:  # fmt: skip
-    """Fill out (n,) as `fill_scan_sums` does, with a table that may hold IMPOSSIBLE: then a sum may be -inf."""
-    values = np.empty((BLOCK, ends.shape[1]))
-    for start in range(0, poses.shape[0], BLOCK):
-        n = min(BLOCK, poses.shape[0] - start)
-        fill_beam_values(poses[start : start + n], frame, ends, codes, low, step, values[:n])
-        for i in range(n):
-            out[start + i] = row_sum(values, i)
-
-
-@kernel
-def row_sum(values: Floats, i: int) -> float:
-    """Return the sum of one row, from left to right."""
-    total = 0.0
-    for j in range(values.shape[1]):
-        total += values[i, j]
-    return total
 
 
 # --- distances at end points ------------------------------------------------------------------------------------------

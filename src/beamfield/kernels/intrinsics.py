@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import fast_exp, fast_log
 from beamfield.kernels.jit import fast_kernel, kernel
 
 FloatArray = NDArray[np.float64]
@@ -45,10 +46,6 @@ _POWERS = np.linalg.inv(np.vander(NODES, TERMS, increasing=True)).T.copy()
 # Chebyshev moments times this: weights at the nodes.
 NODE_WEIGHTS = np.ascontiguousarray((_CHEBYSHEV * np.where(np.arange(TERMS) == 0, 1.0, 2.0) / TERMS).T)
 
-_LOG2_E = 1.4426950408889634
-_LN2_HIGH = 6.93145751953125e-1
-_LN2_LOW = 1.42860682030941723212e-6
-_LN2 = 0.6931471805599453
 _HALF_LOG_2PI = 0.9189385332046727
 # Beyond this many sigma the tail of a normal distribution comes from its asymptotic series.
 _DEEP_SIGMAS = 25.0
@@ -290,52 +287,6 @@ def _fill_densities(
 
 
 @kernel
-def _exp(x: float) -> float:
-    # Written out because a call of the C library's exp keeps LLVM from vectorising the loop: 1 ns instead of 4. Clamped
-    # to [-708, 709]. Fast kernels may join the two parts of log 2: the relative error is then up to 3e-17 |x|.
-    x = min(max(x, -708.0), 709.0)
-    k = math.floor(x * _LOG2_E + 0.5)
-    y = (x - k * _LN2_HIGH) - k * _LN2_LOW
-    p = 1.6059043836821613e-10
-    p = p * y + 2.08767569878681e-09
-    p = p * y + 2.505210838544172e-08
-    p = p * y + 2.755731922398589e-07
-    p = p * y + 2.7557319223985893e-06
-    p = p * y + 2.48015873015873e-05
-    p = p * y + 0.0001984126984126984
-    p = p * y + 0.001388888888888889
-    p = p * y + 0.008333333333333333
-    p = p * y + 0.041666666666666664
-    p = p * y + 0.16666666666666666
-    p = p * y + 0.5
-    p = p * y + 1.0
-    p = p * y + 1.0
-    power = np.int64((np.int64(k) + np.int64(1023)) << np.int64(52)).view(np.float64)
-    return float(p * power)
-
-
-@kernel
-def _log(x: float) -> float:
-    # As _exp: vectorises. Positive normal numbers only; absolute error below 5e-16 near 1, relative elsewhere.
-    bits = np.float64(x).view(np.int64)
-    e = (bits - np.int64(0x3FE6A09E667F3BCD)) >> np.int64(52)
-    m = np.int64(bits - (e << np.int64(52))).view(np.float64)
-    s = (m - 1.0) / (m + 1.0)
-    y = s * s
-    p = 1.0 / 21.0
-    p = p * y + 1.0 / 19.0
-    p = p * y + 1.0 / 17.0
-    p = p * y + 1.0 / 15.0
-    p = p * y + 1.0 / 13.0
-    p = p * y + 1.0 / 11.0
-    p = p * y + 1.0 / 9.0
-    p = p * y + 1.0 / 7.0
-    p = p * y + 1.0 / 5.0
-    p = p * y + 1.0 / 3.0
-    return e * _LN2 + 2.0 * s * (1.0 + p * y)
-
-
-@kernel
 def _polynomial(c: FloatArray, t: float) -> float:
     p = c[7]
     p = p * t + c[6]
@@ -477,10 +428,10 @@ def _densities(
         d = r_i - b
         t[i] = t_i
         r[i] = r_i
-        hit[i] = _exp(_polynomial(log_peak, t_i) - 0.5 * d * d * _polynomial(inverse_variance, t_i))
+        hit[i] = fast_exp(_polynomial(log_peak, t_i) - 0.5 * d * d * _polynomial(inverse_variance, t_i))
     for i in range(z.size):
         support = max(zs[i], SHORTEST_SUPPORT)
-        s = _polynomial(relative_rate, t[i]) / support * _exp(-rate * z[i])
+        s = _polynomial(relative_rate, t[i]) / support * fast_exp(-rate * z[i])
         short[i] = s if z[i] <= support else 0.0
     for i in range(z.size):
         rand[i] = uniform
@@ -545,7 +496,7 @@ def _mixture_sums(
     for i in range(n):
         p = max(w_hit * hit[i] + w_short * short[i] + w_rand * rand[i], 1e-300)
         c = count[i]
-        log_sum += c * _log(p)
+        log_sum += c * fast_log(p)
         share = c / p
         e_hit = w_hit * hit[i] * share
         e_short = w_short * short[i] * share
@@ -648,7 +599,7 @@ def _derivative_sums(
     for i in range(n):
         p = max(w_hit * hit[i] + w_short * short[i] + w_rand * rand[i], 1e-300)
         c = count[i]
-        log_sum += c * _log(p)
+        log_sum += c * fast_log(p)
         u_hit = hit[i] / p
         u_short = short[i] / p
         u_rand = rand[i] / p

@@ -1,14 +1,19 @@
-"""The one decorator that owns Numba's compiler flags."""
+"""The decorators that own Numba's compiler flags, and its cache on disk."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+# The file whose functions kernels of other files compile in.
+_SHARED = Path(__file__).with_name("elementary.py").stat()
+SHARED_STAMP = _SHARED.st_mtime, _SHARED.st_size
 
 
 def integer(value: int) -> int:
@@ -18,12 +23,12 @@ def integer(value: int) -> int:
 
 def kernel(function: F) -> F:
     """Compile a kernel: cached on disk, without the GIL, IEEE results for divisions by zero."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return _compiled(function)
 
 
 def inlined_kernel(function: F) -> F:
     """Compile a scalar function into its callers, so that their loops can be vectorised however long it is."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function))
+    return _compiled(function, forceinline=True)
 
 
 def fast_kernel(function: F) -> F:
@@ -31,4 +36,22 @@ def fast_kernel(function: F) -> F:
 
     Only for loops that no NaN or infinity can reach; each use comes with a test against `kernel`'s result.
     """
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)(function))
+    return _compiled(function, fastmath=True)
+
+
+def shared(function: F, *, fast: bool = False, inline: bool = True) -> F:
+    """Compile an elementary function for kernels of any file.
+
+    Its flags are its own: without a word about `fastmath`, Numba would take them from the caller that comes first. It
+    is on disk only within its callers.
+    """
+    return cast(F, numba.njit(nogil=True, error_model="numpy", forceinline=inline, fastmath=fast)(function))
+
+
+def _compiled(function: F, **flags: Any) -> F:
+    dispatcher = numba.njit(cache=True, nogil=True, error_model="numpy", **flags)(function)
+    # Numba drops what it has on disk when the kernel's own file changes, but knows nothing of the one it shares.
+    file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    if file is not None:
+        file._source_stamp = (file._source_stamp, SHARED_STAMP)
+    return cast(F, dispatcher)

@@ -12,42 +12,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import arc_tangent_2
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 
 # Poses of one pass of the vectorised loop: five columns of doubles stay in the nearest cache.
 BLOCK = 512
-QUARTER_PI, HALF_PI = 0.7853981633974483, 1.5707963267948966
-TAN_PI_8 = 0.41421356237309503
-
-
-@inlined_kernel
-def _arc_tangent_2(v: float, u: float) -> float:
-    """Return atan2(v, u) by arithmetic alone, which LLVM can vectorise; NaN for (0, 0).
-
-    The ratio is reduced to |t| <= tan(pi / 8). There atan(t) / t is a polynomial in t^2 that interpolates its series at
-    the Chebyshev nodes; the whole is within 5e-16 of the exact angle.
-    """
-    across, along = abs(v), abs(u)
-    high, low = max(across, along), min(across, along)
-    wide = low > TAN_PI_8 * high
-    t = (low - high if wide else low) / (low + high if wide else high)
-    s = t * t
-    p = 0.02113537315769327
-    p = p * s - 0.04348052215716471
-    p = p * s + 0.05688349226809016
-    p = p * s - 0.06640233930429411
-    p = p * s + 0.07689953496306857
-    p = p * s - 0.09090773074808414
-    p = p * s + 0.11111106180455946
-    p = p * s - 0.14285714180976467
-    p = p * s + 0.1999999999885511
-    p = p * s - 0.3333333333332844
-    angle = (QUARTER_PI if wide else 0.0) + (t + t * s * p)
-    angle = HALF_PI - angle if across > along else angle
-    angle = 2.0 * HALF_PI - angle if u < 0.0 else angle
-    return -angle if v < 0.0 else angle
 
 
 @inlined_kernel
@@ -75,7 +46,7 @@ def log_value(
     dx = cos if square == 0.0 else dx
     dy = sin if square == 0.0 else dy
     ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-    bearing_error = _arc_tangent_2(left * cos_phi - ahead * sin_phi, ahead * cos_phi + left * sin_phi)
+    bearing_error = arc_tangent_2(left * cos_phi - ahead * sin_phi, ahead * cos_phi + left * sin_phi)
     a = (math.sqrt(square) - r) * range_weight
     b = bearing_error * bearing_weight
     return base - 0.5 * (a * a + b * b)

@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import split
 from beamfield.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
 
 # The ray caster's tolerances, see kernels/raycast.py; a test holds the two together.
 TIE = 1e-9
-SNAP = 1e-9
 PARALLEL = 1e-12
 HUGE = 1e300
 
@@ -286,11 +286,9 @@ def _pass(
 @kernel
 def _start(x: float, c: float) -> tuple[float, float, float, float]:
     """Return offset in the cell, cell, 1 / |c| and |c| of one axis; the offset counts in the ray's direction."""
-    nearest = np.floor(x + 0.5)
-    x = nearest if abs(x - nearest) <= SNAP else x
-    cell = np.floor(x)
+    cell, offset = split(x)
     speed = abs(c) if abs(c) >= PARALLEL else 0.0
-    return 1.0 - (x - cell) if c <= -PARALLEL else x - cell, cell, 1.0 / speed if speed > 0 else HUGE, speed
+    return 1.0 - offset if c <= -PARALLEL else offset, cell, 1.0 / speed if speed > 0 else HUGE, speed
 
 
 @kernel

@@ -15,18 +15,16 @@ does not depend on which of the two found that cell.
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import MANY_TURNS, cos_sin, split
 from beamfield.kernels.jit import inlined_kernel, integer, kernel
 
 # Crossings of a column and a row edge closer than this, in cells, are one crossing of a corner.
 TIE = 1e-9
-# Coordinates closer than this to a cell border, in cells, are on it.
-SNAP = 1e-9
 # Direction components smaller than this are 0: cos(pi / 2) is 6e-17.
 PARALLEL = 1e-12
 # Rays that start farther away than this, in cells, see nothing.
@@ -56,15 +54,6 @@ CELL_X, CELL_Y, OFFSET_X, OFFSET_Y, COS, SIN, OX, OY, IX, IY = (np.intp(i * STRI
 RAY_ROWS = 10
 
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
-
-# pi / 2 in three parts: n times the first and the second is exact for |n| < 2^20.
-_HALF_PI = Fraction("1.5707963267948966192313216916397514420985846996875529")
-HALF_PI_1 = math.floor(_HALF_PI * 2**32) / 2.0**32
-HALF_PI_2 = math.floor((_HALF_PI - Fraction(HALF_PI_1)) * 2**65) / 2.0**65
-HALF_PI_3 = float(_HALF_PI - Fraction(HALF_PI_1) - Fraction(HALF_PI_2))
-# Headings beyond this, in radians, take their cosine from the C library.
-MANY_TURNS = 1e6
-
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
@@ -211,8 +200,8 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
         _place(origins, frame, terrain.resolution, done, count, placed)
         # Lanes beyond count keep rays of the block before: every lane walks, so each must hold a real ray (or zeros).
         for b in range(count):
-            ray[CELL_X + b], ray[OFFSET_X + b] = _split(placed[b])
-            ray[CELL_Y + b], ray[OFFSET_Y + b] = _split(placed[STRIDE + b])
+            ray[CELL_X + b], ray[OFFSET_X + b] = split(placed[b])
+            ray[CELL_Y + b], ray[OFFSET_Y + b] = split(placed[STRIDE + b])
             ray[COS + b] = placed[2 * STRIDE + b]
             ray[SIN + b] = placed[3 * STRIDE + b]
         n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, count, done, ranges)
@@ -315,8 +304,8 @@ def _settle_fan(
             _place(poses, frame, terrain.resolution, i, SINGLE, placed)
             of_pose = i
         x, y, c, s = placed[0], placed[STRIDE], placed[2 * STRIDE], placed[3 * STRIDE]
-        cell_x, offset_x = _split(x + (c * fan_x[b] - s * fan_y[b]))
-        cell_y, offset_y = _split(y + (s * fan_x[b] + c * fan_y[b]))
+        cell_x, offset_x = split(x + (c * fan_x[b] - s * fan_y[b]))
+        cell_y, offset_y = split(y + (s * fan_x[b] + c * fan_y[b]))
         beam_c, beam_s = c * fan_c[b] - s * fan_s[b], s * fan_c[b] + c * fan_s[b]
         ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, beam_c, beam_s, terrain)
         if not only_doubtful:
@@ -338,8 +327,8 @@ def _settle_rays(
         if only_doubtful and ranges[r] >= 0:
             continue
         _place(origins, frame, terrain.resolution, r, SINGLE, placed)
-        cell_x, offset_x = _split(placed[0])
-        cell_y, offset_y = _split(placed[STRIDE])
+        cell_x, offset_x = split(placed[0])
+        cell_y, offset_y = split(placed[STRIDE])
         c, s = placed[2 * STRIDE], placed[3 * STRIDE]
         ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, c, s, terrain)
         if not only_doubtful:
@@ -362,7 +351,7 @@ def _place(
         placed[2 * STRIDE + b] = heading
         many |= abs(heading) > MANY_TURNS
     for b in range(count):
-        placed[2 * STRIDE + b], placed[3 * STRIDE + b] = _cos_sin(placed[2 * STRIDE + b])
+        placed[2 * STRIDE + b], placed[3 * STRIDE + b] = cos_sin(placed[2 * STRIDE + b])
     if many:
         for b in range(count):
             heading = poses[first + b, 2] - yaw
@@ -386,51 +375,13 @@ def _aim(
     cell_x, offset_x = ray[CELL_X + to : CELL_X + to + n], ray[OFFSET_X + to : OFFSET_X + to + n]
     cell_y, offset_y = ray[CELL_Y + to : CELL_Y + to + n], ray[OFFSET_Y + to : OFFSET_Y + to + n]
     if same_mount:
-        cell_x[:], offset_x[:] = _split(x + (c * fan[0, 0] - s * fan[1, 0]))
-        cell_y[:], offset_y[:] = _split(y + (s * fan[0, 0] + c * fan[1, 0]))
+        cell_x[:], offset_x[:] = split(x + (c * fan[0, 0] - s * fan[1, 0]))
+        cell_y[:], offset_y[:] = split(y + (s * fan[0, 0] + c * fan[1, 0]))
     else:
         fan_x, fan_y = fan[0, first : first + n], fan[1, first : first + n]
         for b in range(n):
-            cell_x[b], offset_x[b] = _split(x + (c * fan_x[b] - s * fan_y[b]))
-            cell_y[b], offset_y[b] = _split(y + (s * fan_x[b] + c * fan_y[b]))
-
-
-@inlined_kernel
-def _cos_sin(angle: float) -> tuple[float, float]:
-    """Return cosine and sine within 2^-52 for |angle| <= MANY_TURNS; a loop over it vectorises."""
-    turns = np.floor(angle * (2.0 / math.pi) + 0.5)
-    r = ((angle - turns * HALF_PI_1) - turns * HALF_PI_2) - turns * HALF_PI_3
-    r2 = r * r
-    # Taylor's series about 0 for |r| <= pi / 4; the first term left out is below 1e-17.
-    s = 1.0 / 1307674368000.0 - r2 * (1.0 / 355687428096000.0)
-    s = 1.0 / 6227020800.0 - r2 * s
-    s = 1.0 / 39916800.0 - r2 * s
-    s = 1.0 / 362880.0 - r2 * s
-    s = 1.0 / 5040.0 - r2 * s
-    s = 1.0 / 120.0 - r2 * s
-    s = 1.0 / 6.0 - r2 * s
-    sine = r - r * r2 * s
-    c = 1.0 / 87178291200.0 - r2 * (1.0 / 20922789888000.0)
-    c = 1.0 / 479001600.0 - r2 * c
-    c = 1.0 / 3628800.0 - r2 * c
-    c = 1.0 / 40320.0 - r2 * c
-    c = 1.0 / 720.0 - r2 * c
-    c = 1.0 / 24.0 - r2 * c
-    cosine = 1.0 - (0.5 * r2 - r2 * r2 * c)
-    quarter = turns - 4.0 * np.floor(turns * 0.25)
-    swap = (quarter == 1.0) | (quarter == 3.0)
-    a = sine if swap else cosine
-    b = cosine if swap else sine
-    return (-a if (quarter == 1.0) | (quarter == 2.0) else a), (-b if quarter >= 2.0 else b)
-
-
-@inlined_kernel
-def _split(x: float) -> tuple[float, float]:
-    """Return the cell of a coordinate and the offset in it; coordinates near a border are on it."""
-    nearest = np.floor(x + 0.5)
-    x = nearest if abs(x - nearest) <= SNAP else x
-    cell = np.floor(x)
-    return cell, x - cell
+            cell_x[b], offset_x[b] = split(x + (c * fan_x[b] - s * fan_y[b]))
+            cell_y[b], offset_y[b] = split(y + (s * fan_x[b] + c * fan_y[b]))
 
 
 @inlined_kernel

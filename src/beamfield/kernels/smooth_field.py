@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import exp_2
 from beamfield.kernels.field import FrameView
 from beamfield.kernels.jit import fast_kernel, inlined_kernel, kernel
 
@@ -33,11 +34,9 @@ SMALLEST_EXPONENT = -745.0
 # Logarithm up to which gains are computed, and multiplied with each other; that of a double ends at 709.
 LARGEST_LOG = 600.0
 
-LEAST_POWER = -1020.0
-# Added to a number, it leaves it rounded to a whole one, in the last bits; 2^52 does so with whole numbers from 0 on.
-ROUNDING, WHOLE = 6755399441055744.0, 4503599627370496.0
+# Added to a whole number from 0 on, it leaves it in the last bits.
+WHOLE = 4503599627370496.0
 WHOLE_BITS = np.float64(WHOLE).view(np.int64)
-TAYLOR = tuple(math.log(2.0) ** i / math.factorial(i) for i in range(12))
 
 
 class Table(NamedTuple):
@@ -115,24 +114,6 @@ def log_beam(distance: float, view: SmoothView) -> float:
     hit = view.log_peak + exponent if exponent > SMALLEST_EXPONENT else -math.inf
     low, high = min(hit, view.log_rand), max(hit, view.log_rand)
     return high + math.log1p(math.exp(low - high)) if low > -math.inf else high
-
-
-@inlined_kernel
-def exp_2(x: float) -> float:
-    """Return 2^x for -1020 <= x <= 0, 2^-1020 for anything below and NaN; within 2e-14, relatively.
-
-    The nearest whole number becomes the exponent's bits, a Taylor polynomial of degree 11 does the rest. A call of
-    math.exp would keep loops from being vectorised; and the fewer terms wait for others, the quicker.
-    """
-    x = x if x > LEAST_POWER else LEAST_POWER
-    rounded = x + ROUNDING
-    r = x - (rounded - ROUNDING)
-    c, r2 = TAYLOR, r * r
-    r4 = r2 * r2
-    p = (c[0] + c[1] * r) + r2 * (c[2] + c[3] * r) + r4 * ((c[4] + c[5] * r) + r2 * (c[6] + c[7] * r))
-    p = p + r4 * r4 * ((c[8] + c[9] * r) + r2 * (c[10] + c[11] * r))
-    power: float = np.int64((np.float64(rounded).view(np.int64) + 1023) << 52).view(np.float64)
-    return p * power
 
 
 @inlined_kernel

@@ -14,9 +14,8 @@ from scipy.special import ndtri, stdtrit
 from beamfield.calibration.intrinsic.block_intervals import share_interval
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.landmark_noise.em import NoiseLikelihood, NoiseTheta, climb_noise
-from beamfield.thread_count import check_threads
 
 # A replicate is found when further iterations promise less than this over all its sightings: a fifth of the standard
 # error that independent sightings would have, and theirs depend.
@@ -54,7 +53,6 @@ def noise_intervals(
     n_replicates: int = 200,
     level: float = 0.95,
     seed: int = 0,
-    threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> NoiseIntervals:
     """Resample blocks with replacement and learn again from each sample: how far the samples scatter tells intervals.
@@ -69,8 +67,6 @@ def noise_intervals(
         What was learned from all sightings; each replicate starts there.
     n_replicates, level, seed
         Number of samples, share of intervals that are to hold the truth, and the seed for the samples.
-    threads
-        Number of threads; None uses what pays. It changes no bit of the result.
     progress
         Called with the number of finished replicates and their total.
 
@@ -100,7 +96,6 @@ def noise_intervals(
     Korn and Graubard, "Confidence intervals for proportions with small expected number of positive counts estimated
     from survey data", Survey Methodology 24, 1998.
     """
-    check_threads(threads)
     if n_replicates < 2:
         raise InvalidInputError(f"n_replicates: expected at least 2, got {n_replicates}")
     if not 0.0 < level < 1.0:
@@ -111,7 +106,7 @@ def noise_intervals(
         return NoiseIntervals({}, {}, level, 1)
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(n_blocks, np.full(n_blocks, 1.0 / n_blocks), size=n_replicates)
-    replicates = _replicates(likelihood, number, theta, draws, threads, progress)
+    replicates = _replicates(likelihood, number, theta, draws, progress)
     scatter = replicates.std(axis=0, ddof=1) * math.sqrt(n_blocks / (n_blocks - 1))
     errors = {name: float(scatter[NoiseTheta._fields.index(name)]) for name in _learned(likelihood)}
     intervals = {
@@ -140,7 +135,6 @@ def _replicates(
     number: NDArray[np.int64],
     theta: NoiseTheta,
     draws: NDArray[np.int64],
-    threads: int | None,
     progress: Callable[[int, int], None] | None,
 ) -> FloatArray:
     out: FloatArray = np.empty((len(draws), len(theta)))
@@ -166,7 +160,7 @@ def _replicates(
                 if progress is not None:
                     progress(n_done, len(draws))
 
-    run_in_slices(work, len(draws), threads=threads, work_per_row=20 * len(likelihood))
+    run_in_blocks(work, len(draws), work_per_row=20 * len(likelihood))
     bearing = NoiseTheta._fields.index("bearing_bias")
     out[:, bearing] = theta.bearing_bias + wrap_angle(out[:, bearing] - theta.bearing_bias)
     return out

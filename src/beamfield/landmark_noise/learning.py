@@ -23,7 +23,6 @@ from beamfield.landmark_noise.residuals import ResidualGroup, groups_by_distance
 from beamfield.landmark_noise.sighting_table import SightingTable, sighting_table
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark_parameters import LandmarkParameters
-from beamfield.thread_count import check_threads
 
 # Six parameters from fewer sightings than this are noise.
 FEWEST_SIGHTINGS = 20
@@ -99,7 +98,6 @@ def learn_landmark_parameters(
     seed: int = 0,
     tolerance: float = 1e-9,
     max_iterations: int = 1000,
-    threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> LandmarkLearningResult:
     """Return the noise that makes the sightings most likely, given true poses and known landmarks.
@@ -139,8 +137,6 @@ def learn_landmark_parameters(
         Of the bootstrap.
     tolerance, max_iterations
         Of EM: nats per sighting that further iterations may promise, and the most iterations.
-    threads
-        Number of threads for the bootstrap; None uses what pays. It changes no bit of the result.
     progress
         Called with the number of finished replicates and their total.
 
@@ -185,7 +181,6 @@ def learn_landmark_parameters(
     >>> [finding.name for finding in result.findings]
     ['range-bias', 'no-spurious']
     """
-    check_threads(threads)
     cuts = _checked_cuts(truncated_at)
     _check_options(tolerance, max_iterations, max_range)
     table = _enough(sighting_table(landmark_map, log, mount=mount, block_s=block_s), fit_spurious)
@@ -217,7 +212,6 @@ def learn_landmark_parameters(
         n_replicates=n_replicates,
         level=level,
         seed=seed,
-        threads=threads,
         progress=progress,
     )
     of_landmark = likelihood.e_step(climb.theta)[1]

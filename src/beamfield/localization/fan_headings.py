@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray, transform_points
 from beamfield.kernels.heading_search import fill_heading_scores
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.localization.shared_fan import SharedFan
 from beamfield.maps.occupancy import BoolArray
 from beamfield.models.beam import BeamModel
@@ -73,12 +73,11 @@ def fan_headings(
         places[:, :2] = transform_points(origin, (np.column_stack([col, row]) + 0.5) * resolution)
         ranges = model.expected(places, fan.rays)
         scores = np.empty((len(row), len(fan.index)))
-        run_in_slices(
+        run_in_blocks(
             lambda a, b, ranges=ranges, scores=scores: fill_heading_scores(  # type: ignore[misc]
                 ranges[a:b], index, tables, step_of_table, scores[a:b]
             ),
             len(row),
-            threads=model.threads,
             work_per_row=fan.index.size // LOOK_UPS_PER_WORK_UNIT,
         )
         for (d_row, d_col), headings in groups:
@@ -102,9 +101,7 @@ def _beam_tables(model: BeamModel, scan: Scan) -> tuple[NDArray[np.float32], flo
     n = int(np.clip(limit / (model.parameters.sigma_hit / NODES_PER_SIGMA), 2, MAX_NODES))
     nodes = np.linspace(0.0, limit, n + 1)
     ranges = usable_ranges(scan.ranges, scan.finder)
-    values = beam_log_density(
-        ranges[:, None], nodes, limit, model.parameters, min_range=scan.finder.min_range, threads=model.threads
-    )
+    values = beam_log_density(ranges[:, None], nodes, limit, model.parameters, min_range=scan.finder.min_range)
     # Differences of infinities would be NaN.
     return np.maximum(values, LEAST).astype(np.float32), limit / n
 

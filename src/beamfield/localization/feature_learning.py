@@ -226,7 +226,7 @@ def learn_line_noise(
         return LineParameters(float(rho), float(alpha), float(np.clip(expit(u[2]), 0.005, 0.995)), limit)
 
     def cost(u: FloatArray) -> float:
-        model = LineModel(lines, parameters(u), correspondence="sum", min_overlap=min_overlap, threads=1)
+        model = LineModel(lines, parameters(u), correspondence="sum", min_overlap=min_overlap)
         return -float(sum(model.log_likelihood(scan, pose) for scan, pose in zip(scans, poses, strict=True)))
 
     first = np.array([np.log(start.sigma_rho), np.log(start.sigma_alpha), np.log(0.25)])

@@ -12,12 +12,11 @@ from beamfield.arguments import check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
 from beamfield.kernels import global_search as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
-from beamfield.thread_count import check_threads
 
 # Field values are stored as whole multiples of 1 / STEPS.
 STEPS = 255
@@ -152,8 +151,6 @@ class GlobalSearch:
     angle_step
         Step of the heading in radians; made a little smaller where all headings are searched and it does not divide
         2 pi.
-    threads
-        Number of threads; None uses what pays. It changes no result.
 
     Raises
     ------
@@ -182,11 +179,9 @@ class GlobalSearch:
     grid: OccupancyGrid
     sigma: float = field(default=0.1, kw_only=True)
     angle_step: float = field(default=float(np.radians(1.0)), kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _field: NDArray[np.uint8] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         for name in ("sigma", "angle_step"):
             check_magnitude(name, getattr(self, name))
@@ -229,12 +224,12 @@ class GlobalSearch:
         if len(points) == 0:
             return SearchResult(Candidate(window.center, 0.0), None, False, 0, lattice.n_candidates, 0)
         problem = self._prepare(points, lattice)
-        key, score, n_scored = problem.solve(None, self.threads)
+        key, score, n_scored = problem.solve(None)
         if score <= 0:
             return SearchResult(Candidate(window.center, 0.0), None, False, len(points), lattice.n_candidates, n_scored)
         best = Candidate(lattice.pose(key), score / (STEPS * len(points)))
         hole = lattice.neighbourhood(key, *apart)
-        key, score, more = problem.solve(hole, self.threads)
+        key, score, more = problem.solve(hole)
         runner_up = Candidate(lattice.pose(key), score / (STEPS * len(points))) if score > 0 else None
         return SearchResult(best, runner_up, True, len(points), lattice.n_candidates, n_scored + more)
 
@@ -280,7 +275,7 @@ class GlobalSearch:
         kernels.fill_pyramid(part, pyramid)
         # Far points are off the field wherever they are.
         relative = np.clip(cells - low[:, None] + pad, -(2**30), 2**30).astype(np.int32)
-        return _Problem.of(relative, pyramid, lattice, self.threads)
+        return _Problem.of(relative, pyramid, lattice)
 
 
 class _Lattice(NamedTuple):
@@ -361,23 +356,20 @@ class _Problem(NamedTuple):
     bounds: NDArray[np.int64]
 
     @classmethod
-    def of(
-        cls, points: NDArray[np.int32], pyramid: NDArray[np.uint8], lattice: _Lattice, threads: int | None
-    ) -> _Problem:
+    def of(cls, points: NDArray[np.int32], pyramid: NDArray[np.uint8], lattice: _Lattice) -> _Problem:
         side = 1 << (LEVELS - 1)
         shape = len(points), -(-lattice.n_rows // side), -(-lattice.n_cols // side)
         bounds = np.empty(shape, np.int64)
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: kernels.fill_coarse_bounds(points[a:b], pyramid, bounds[a:b]),
             len(points),
-            threads=threads,
             work_per_row=shape[1] * shape[2] * points.shape[2],
         )
         order = np.argsort(-bounds, axis=None, kind="stable")
         blocks = np.column_stack(np.unravel_index(order, shape)).astype(np.int64)
         return cls(points, pyramid, lattice, blocks, bounds.reshape(-1)[order])
 
-    def solve(self, hole: NDArray[np.int64] | None, threads: int | None) -> tuple[int, int, int]:
+    def solve(self, hole: NDArray[np.int64] | None) -> tuple[int, int, int]:
         """Return key and score of the best candidate outside the hole, -1 if there is none, and the sums taken."""
         lattice = self.lattice
         excluded = np.zeros(4 + len(lattice.headings), np.int64) if hole is None else hole
@@ -388,13 +380,12 @@ class _Problem(NamedTuple):
             stop = done + int(np.count_nonzero(self.bounds[done:stop] >= best))
             blocks, bounds = self.blocks[done:stop], self.bounds[done:stop]
             out = np.empty((len(blocks), 3), np.int64)
-            run_in_slices(
+            run_in_blocks(
                 lambda a, b, blocks=blocks, bounds=bounds, out=out, best=best, key=best_key: kernels.search_blocks(  # type: ignore[misc]
                     blocks[a:b], bounds[a:b], self.points, self.pyramid, lattice.n_rows, lattice.n_cols, excluded,
                     best, key, out[a:b],
                 ),
                 len(blocks),
-                threads=threads,
                 work_per_row=100 * self.points.shape[2],
             )  # fmt: skip
             taken += int(out[:, 2].sum())

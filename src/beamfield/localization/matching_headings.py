@@ -10,7 +10,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from beamfield.geometry import FloatArray, as_poses, compose
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.localization.translation_sums import (
     Integers,
     MapSpectra,
@@ -296,7 +296,7 @@ class _Search:
                 if doubtful.any():
                     scores[b, doubtful] = self._ask(tile.members[doubtful], self._angles[batch[b]])
 
-        run_in_slices(fill, len(batch), threads=self._model.threads, work_per_row=size)
+        run_in_blocks(fill, len(batch), work_per_row=size)
         for score, heading in zip(scores, batch, strict=True):
             best, index = self._best[tile.members], self._index[tile.members]
             better = (score > best) | ((score == best) & (heading < index) & (score > 0.0))

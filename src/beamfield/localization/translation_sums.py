@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from beamfield.geometry import FloatArray
-from beamfield.kernels.correlation import SNAP
+from beamfield.kernels.elementary import SNAP
 from beamfield.maps.occupancy import BoolArray
 from beamfield.models.local_map_cells import LocalCells, OverlapSums
 

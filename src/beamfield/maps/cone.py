@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import check_fields, checked
 from beamfield.geometry import FloatArray, as_poses, compose, transform_points
 from beamfield.kernels import cone as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import IntArray, RayCaster, frame_of, pose_rows
 from beamfield.sensors import RangeFinder
-from beamfield.thread_count import check_threads
 
 # What a cone costs beside a ray, to decide whether threads pay.
 RAYS_PER_CONE = 20
@@ -94,7 +93,7 @@ class ConeCaster:
         return self._rays.table_bytes + self._bits.nbytes + self._bands.nbytes
 
     @checked
-    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
+    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder) -> FloatArray:
         """Return the expected range z* of every cone of a sensor at every pose.
 
         Parameters
@@ -104,8 +103,6 @@ class ConeCaster:
         finder
             The sensor: each cone has its apex and axis at its own mount, all have the same `opening_angle` (full
             width); 0 gives the ranges of rays.
-        threads
-            Number of threads; None uses what pays. It changes no bit of the result.
 
         Returns
         -------
@@ -116,12 +113,11 @@ class ConeCaster:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
-        check_threads(threads)
         robots = as_poses(poses)
         if finder.opening_angle == 0.0:
-            return self._rays.expected_ranges(robots, finder, threads=threads)
+            return self._rays.expected_ranges(robots, finder)
         k = finder.n_beams
-        edges = self._rays.expected_ranges(robots, _edges(finder), threads=threads)
+        edges = self._rays.expected_ranges(robots, _edges(finder))
         ranges: FloatArray = np.minimum(edges[..., :k], edges[..., k:])
         rows, results = pose_rows(robots), ranges.reshape(len(edges.reshape(-1, 2 * k)), k)
         frame, cones = frame_of(self.grid), _cones(finder, self.grid.resolution)
@@ -132,12 +128,10 @@ class ConeCaster:
                 rows[start:stop], frame, resolution, cones, self._bits, self._bands, cols, results[start:stop]
             )  # fmt: skip
 
-        run_in_slices(work, len(rows), threads=threads, work_per_row=k * RAYS_PER_CONE)
+        run_in_blocks(work, len(rows), work_per_row=k * RAYS_PER_CONE)
         return ranges
 
-    def expected_points(
-        self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None
-    ) -> tuple[FloatArray, IntArray]:
+    def expected_points(self, poses: ArrayLike, finder: RangeFinder) -> tuple[FloatArray, IntArray]:
         """Return where the nearest obstacle in each cone is; parameters as for `expected_ranges`.
 
         Returns
@@ -147,10 +141,9 @@ class ConeCaster:
         cells
             (..., k, 2) row and column of the cells they belong to; -1 for none. Where cells touch, one of them.
         """
-        check_threads(threads)
         robots = as_poses(poses)
         rows, resolution, cols = pose_rows(robots), self.grid.resolution, self.grid.shape[1]
-        ranges, points, cells = self._points_on_edges(rows, finder, threads)
+        ranges, points, cells = self._points_on_edges(rows, finder)
         if finder.opening_angle > 0.0:
             frame, cones = frame_of(self.grid), _cones(finder, resolution)
 
@@ -158,20 +151,18 @@ class ConeCaster:
                 found = ranges[a:b], points[a:b], cells[a:b]
                 kernels.find_points(rows[a:b], frame, resolution, cones, self._bits, self._bands, cols, *found)
 
-            run_in_slices(work, len(rows), threads=threads, work_per_row=finder.n_beams * RAYS_PER_CONE)
+            run_in_blocks(work, len(rows), work_per_row=finder.n_beams * RAYS_PER_CONE)
         in_map = self.grid.to_map(points)
         in_map[cells[..., 0] < 0] = np.nan
         shape = (*robots.shape[:-1], finder.n_beams, 2)
         return in_map.reshape(shape), cells.reshape(shape)
 
-    def _points_on_edges(
-        self, poses: FloatArray, finder: RangeFinder, threads: int | None
-    ) -> tuple[FloatArray, FloatArray, IntArray]:
+    def _points_on_edges(self, poses: FloatArray, finder: RangeFinder) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return ranges (n, k), points (n, k, 2) in cells and their cells, of the edge of each cone that ends first."""
         k, n_edges = finder.n_beams, 1 if finder.opening_angle == 0.0 else 2
         edges = finder if n_edges == 1 else _edges(finder)
-        lengths = self._rays.expected_ranges(poses, edges, threads=threads).reshape(-1, n_edges, k)
-        hits = self._rays.expected_hits(poses, edges, threads=threads).reshape(-1, n_edges, k, 2)
+        lengths = self._rays.expected_ranges(poses, edges).reshape(-1, n_edges, k)
+        hits = self._rays.expected_hits(poses, edges).reshape(-1, n_edges, k, 2)
         rays = compose(poses[:, None, None], edges.mounts.reshape(n_edges, k, 3))
         shorter = lengths.argmin(axis=1)[:, None, :]
         ranges = np.take_along_axis(lengths, shorter, axis=1)[:, 0]
@@ -180,9 +171,7 @@ class ConeCaster:
         ends = transform_points(rays, np.stack([ranges, np.zeros_like(ranges)], axis=-1))
         return ranges, self.grid.to_cells(ends), cells
 
-    def cast(
-        self, origins: ArrayLike, opening_angle: float, max_range: float, *, threads: int | None = None
-    ) -> FloatArray:
+    def cast(self, origins: ArrayLike, opening_angle: float, max_range: float) -> FloatArray:
         """Return the range of single cones.
 
         Parameters
@@ -193,8 +182,6 @@ class ConeCaster:
             Full width of the cones, in [0, pi) radians.
         max_range
             Longest range in metres.
-        threads
-            As for `expected_ranges`.
 
         Returns
         -------
@@ -205,9 +192,8 @@ class ConeCaster:
         InvalidInputError
             If the origins are not finite (..., 3), or an option is out of its range.
         """
-        check_threads(threads)
         finder = RangeFinder(np.zeros((1, 3)), max_range, opening_angle=opening_angle)
-        return np.asarray(self.expected_ranges(as_poses(origins, "origins"), finder, threads=threads)[..., 0])
+        return np.asarray(self.expected_ranges(as_poses(origins, "origins"), finder)[..., 0])
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Arrays come back writeable, which would also be another type to the compiler.

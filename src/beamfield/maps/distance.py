@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.kernels.distance import MAX_SIDE_CELLS, fill_heights, fill_metres
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 
 DistanceArray = NDArray[np.float32]
 # 16 GiB, and what tables of a field can count in 32 bits.
 MAX_CELLS = 2**32
-# A second thread is asked for from 2 ms of work on: on a busy machine it takes about as long to come.
-DISTANCES_PER_UNIT_OF_WORK, HEIGHTS_PER_UNIT_OF_WORK = 32, 256
+# How many take as long as what `run_in_blocks` calls a unit of work.
+DISTANCES_PER_UNIT_OF_WORK, HEIGHTS_PER_UNIT_OF_WORK = 8.0, 128.0
 
 
 @checked
@@ -102,13 +102,13 @@ def _to_nearest(obstacles: BoolArray, resolution: float, limit: float) -> Distan
     heights = distance.view(np.int32)
     # One more, so that rounding leaves nothing beyond it that is less than the limit.
     reach = math.ceil(min(limit / resolution, rows + cols)) + 1
-    run_in_slices(
-        lambda a, b: fill_heights(obstacles, a, b, heights), cols, work_per_row=rows // HEIGHTS_PER_UNIT_OF_WORK
+    run_in_blocks(
+        lambda a, b: fill_heights(obstacles, a, b, heights), cols, work_per_row=rows / HEIGHTS_PER_UNIT_OF_WORK
     )
-    run_in_slices(
+    run_in_blocks(
         lambda a, b: fill_metres(reach, resolution, limit, distance[a:b]),
         rows,
-        work_per_row=cols // DISTANCES_PER_UNIT_OF_WORK,
+        work_per_row=cols / DISTANCES_PER_UNIT_OF_WORK,
     )
     return distance
 

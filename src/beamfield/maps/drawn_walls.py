@@ -14,7 +14,6 @@ from beamfield.maps.hit_counts import N_MOMENTS, N_SECTORS, HitCounts
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
-from beamfield.thread_count import check_threads
 
 # A ray is stopped by the first cell in which more than this share of the scans that reached it ended, the prior
 # included: "most cells are empty", worth three passes and half a hit. Six passes outvote one hit.
@@ -66,9 +65,7 @@ class WallRanges(NamedTuple):
     met: NDArray[np.int8]
 
 
-def ranges_to_walls(
-    counts: HitCounts, poses: FloatArray, finder: RangeFinder, *, threads: int | None = None
-) -> WallRanges:
+def ranges_to_walls(counts: HitCounts, poses: FloatArray, finder: RangeFinder) -> WallRanges:
     """Return the ranges that beams are expected to measure in a map drawn from scans, and how sure the map is of them.
 
     A ray goes to the first cell that stopped scans. A wall is the line through the end points around that cell, of
@@ -85,8 +82,6 @@ def ranges_to_walls(
         (t, 3) poses of the robot, metres and radians.
     finder
         The sensor.
-    threads
-        For the ray caster; None uses what pays.
 
     Returns
     -------
@@ -97,7 +92,6 @@ def ranges_to_walls(
     InvalidInputError
         As for `RayCaster.cast`.
     """
-    check_threads(threads)
     grid = _stopping_cells(counts)
     free, stopping = RayCaster(grid), RayCaster(grid, unknown="occupied")
     hits, passes = (ndimage.uniform_filter(n, 3, mode="constant") for n in (counts.hits, counts.passes))
@@ -108,8 +102,8 @@ def ranges_to_walls(
     left, noise = np.arange(len(origins)), None
     for _ in range(MOST_STEPS):
         starts = _moved(origins[left], behind[left])
-        to_cell = free.cast(starts, finder.max_range, threads=threads)
-        to_unseen = stopping.cast(starts, finder.max_range, threads=threads)
+        to_cell = free.cast(starts, finder.max_range)
+        to_unseen = stopping.cast(starts, finder.max_range)
         beyond = behind[left] + np.minimum(to_cell, to_unseen) >= finder.max_range
         met[left[to_unseen < to_cell]] = UNSEEN
         met[left[beyond]] = NOTHING
@@ -117,7 +111,7 @@ def ranges_to_walls(
         left, to_cell = left[stopped], (behind[left] + to_cell)[stopped]
         if not len(left):
             break
-        cells = free.cast_hits(starts[stopped], finder.max_range, threads=threads).astype(np.int64)
+        cells = free.cast_hits(starts[stopped], finder.max_range).astype(np.int64)
         rays = _rays(counts, origins[left], cells)
         lines = _fit_lines(counts, rays)
         noise = _noise(lines) if noise is None else noise

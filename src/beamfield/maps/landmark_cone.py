@@ -11,10 +11,9 @@ from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.landmark_cone import nearest_in_cones
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.sensors import RangeFinder
-from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ class LandmarkCones:
             raise InvalidInputError(f"radius: expected finite metres >= 0, got {radius[wrong].flat[0]}")
         object.__setattr__(self, "_discs", np.column_stack([self.landmarks.positions, np.broadcast_to(radius, n)]))
 
-    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
+    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder) -> FloatArray:
         """Return the expected range z* of every cone of a sensor at every pose.
 
         Parameters
@@ -76,8 +75,6 @@ class LandmarkCones:
             (..., 3) robot poses in the map frame, metres and radians.
         finder
             The sensor; all cones have its `opening_angle`.
-        threads
-            Number of threads; None uses what pays. It changes no bit of the result.
 
         Returns
         -------
@@ -88,7 +85,6 @@ class LandmarkCones:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
-        check_threads(threads)
         robots = as_poses(poses)
         k = finder.n_beams
         ranges: FloatArray = np.empty((*robots.shape[:-1], k))
@@ -100,5 +96,5 @@ class LandmarkCones:
         def work(start: int, stop: int) -> None:
             nearest_in_cones(rows[start:stop], mounts, self._discs, half, longest, results[start:stop])
 
-        run_in_slices(work, len(rows), threads=threads, work_per_row=k * len(self.landmarks))
+        run_in_blocks(work, len(rows), work_per_row=k * len(self.landmarks))
         return ranges

@@ -12,10 +12,9 @@ from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import raycast as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
-from beamfield.thread_count import check_threads
 
 IntArray = NDArray[np.int32]
 # The tables are addressed with 32-bit indices.
@@ -92,7 +91,7 @@ class RayCaster:
         return self._rectangles.nbytes
 
     @checked
-    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
+    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder) -> FloatArray:
         """Return the expected range z* of every beam of a sensor at every pose.
 
         Parameters
@@ -101,8 +100,6 @@ class RayCaster:
             (..., 3) robot poses in the map frame, metres and radians.
         finder
             The sensor; each beam starts at its own mount (x, y, theta)_k,sens in the robot frame, as in (6.32).
-        threads
-            Number of threads; None uses what pays. It changes no bit of the result.
 
         Returns
         -------
@@ -111,7 +108,7 @@ class RayCaster:
         Raises
         ------
         InvalidInputError
-            If the poses are not finite (..., 3) or threads < 1.
+            If the poses are not finite (..., 3).
 
         Examples
         --------
@@ -120,7 +117,6 @@ class RayCaster:
         >>> RayCaster(grid).expected_ranges([0.25, 0.25, 0.0], finder).tolist()
         [1.25, 10.0]
         """
-        check_threads(threads)
         robots = as_poses(poses)
         k = finder.n_beams
         ranges: FloatArray = np.empty((*robots.shape[:-1], k))
@@ -132,16 +128,16 @@ class RayCaster:
             part = results[start * k : stop * k]
             kernels.cast_fan(rows[start:stop], frame, fan, same_mount, terrain, part)
 
-        run_in_slices(work, len(rows), threads=threads, work_per_row=k)
+        run_in_blocks(work, len(rows), work_per_row=k)
         return ranges
 
     @checked
-    def expected_hits(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> IntArray:
+    def expected_hits(self, poses: ArrayLike, finder: RangeFinder) -> IntArray:
         """Return which cell every beam hits.
 
         Parameters
         ----------
-        poses, finder, threads
+        poses, finder
             As for `expected_ranges`.
 
         Returns
@@ -154,7 +150,6 @@ class RayCaster:
         InvalidInputError
             As for `expected_ranges`.
         """
-        check_threads(threads)
         robots = as_poses(poses)
         k = finder.n_beams
         cells = np.empty((*robots.shape[:-1], k, 2), np.int32)
@@ -166,11 +161,11 @@ class RayCaster:
             part = results[start * k : stop * k]
             kernels.trace_fan(rows[start:stop], frame, fan, terrain, np.empty(len(part)), part)
 
-        run_in_slices(work, len(rows), threads=threads, work_per_row=k)
+        run_in_blocks(work, len(rows), work_per_row=k)
         return cells
 
     @checked
-    def cast(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> FloatArray:
+    def cast(self, origins: ArrayLike, max_range: float) -> FloatArray:
         """Return the range of single rays.
 
         Parameters
@@ -179,8 +174,6 @@ class RayCaster:
             (..., 3) start and direction of each ray in the map frame, metres and radians.
         max_range
             Longest range in metres.
-        threads
-            As for `expected_ranges`.
 
         Returns
         -------
@@ -189,9 +182,8 @@ class RayCaster:
         Raises
         ------
         InvalidInputError
-            If the origins are not finite (..., 3), max_range is not positive and finite, or threads < 1.
+            If the origins are not finite (..., 3), max_range is not positive and finite,.
         """
-        check_threads(threads)
         rays = as_poses(origins, "origins")
         ranges: FloatArray = np.empty(rays.shape[:-1])
         rows, results = pose_rows(rays), ranges.reshape(-1)
@@ -200,16 +192,16 @@ class RayCaster:
         def work(start: int, stop: int) -> None:
             kernels.cast_rays(rows[start:stop], frame, terrain, results[start:stop])
 
-        run_in_slices(work, len(rows), threads=threads)
+        run_in_blocks(work, len(rows))
         return ranges
 
     @checked
-    def cast_hits(self, origins: ArrayLike, max_range: float, *, threads: int | None = None) -> IntArray:
+    def cast_hits(self, origins: ArrayLike, max_range: float) -> IntArray:
         """Return which cell each single ray hits.
 
         Parameters
         ----------
-        origins, max_range, threads
+        origins, max_range
             As for `cast`.
 
         Returns
@@ -221,7 +213,6 @@ class RayCaster:
         InvalidInputError
             As for `cast`.
         """
-        check_threads(threads)
         rays = as_poses(origins, "origins")
         cells = np.empty((*rays.shape[:-1], 2), np.int32)
         rows, results = pose_rows(rays), cells.reshape(-1, 2)
@@ -231,7 +222,7 @@ class RayCaster:
             part = results[start:stop]
             kernels.trace_rays(rows[start:stop], frame, terrain, np.empty(len(part)), part)
 
-        run_in_slices(work, len(rows), threads=threads)
+        run_in_blocks(work, len(rows))
         return cells
 
     def __setstate__(self, state: dict[str, Any]) -> None:

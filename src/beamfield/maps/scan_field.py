@@ -14,11 +14,10 @@ from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import scan_field as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_surfaces import Fan, measured_fans
 from beamfield.sensors import Scan
-from beamfield.thread_count import check_threads
 
 # Nearer than this many sigma to a surface, a point is taken to be on it.
 HIT_SIGMAS = 3.0
@@ -254,7 +253,7 @@ class ScanField:
         return np.asarray(np.where(distance <= HIT_SIGMAS * self.sigma_hit, Category.HIT, seen), dtype=np.int8)
 
     @checked
-    def log_likelihood(self, z: Scan, poses: ArrayLike, *, threads: int | None = None) -> FloatArray:
+    def log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return the sum over a scan's end points of the field's logarithm, for robot poses in the field's frame.
 
         Readings without return and without measurement are left out, as in Table 6.3.
@@ -265,8 +264,6 @@ class ScanField:
             The scan.
         poses
             (..., 3) metres and radians.
-        threads
-            Number of threads; None uses what pays. It changes no bit of the result.
 
         Returns
         -------
@@ -277,7 +274,6 @@ class ScanField:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
-        check_threads(threads)
         where = as_poses(poses)
         flat = np.ascontiguousarray(where.reshape(-1, 3))
         points, out = hit_points(z.ranges, z.finder), np.empty(len(flat))
@@ -286,7 +282,7 @@ class ScanField:
         def work(start: int, stop: int) -> None:
             kernels.fill_scores(points, flat[start:stop], reach, margin, self.sigma_hit, self.view, out[start:stop])
 
-        run_in_slices(work, len(flat), threads=threads, work_per_row=len(points))
+        run_in_blocks(work, len(flat), work_per_row=len(points))
         return out.reshape(where.shape[:-1])
 
     def _look_up(self, points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:

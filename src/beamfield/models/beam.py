@@ -60,8 +60,6 @@ class BeamModel(RangeMixtureModel):
         Whether rays pass unknown cells ("free") or stop there ("occupied").
     finder
         The sensor, for `sample` and `expected`; scans bring their own.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Raises
     ------
@@ -102,7 +100,6 @@ class BeamModel(RangeMixtureModel):
     n_beams: int | None = field(default=None, kw_only=True)
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     finder: RangeFinder | None = field(default=None, kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _source: RangeSource = field(init=False, repr=False)
 
     def _make_source(self) -> RangeSource:

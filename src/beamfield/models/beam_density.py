@@ -22,10 +22,9 @@ from beamfield.kernels.beam import (
     fill_log_density,
     fill_responsibilities,
 )
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits, counted_from, expected_from
-from beamfield.thread_count import check_threads
 
 CAUSES = ("hit", "short", "max", "rand")
 """The four causes of a reading (6.3.1), in the order of every axis of length 4."""
@@ -41,7 +40,6 @@ def beam_log_density(
     parameters: BeamParameters,
     *,
     min_range: float = 0.0,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return the logarithm of the mixture (6.12) for each beam.
 
@@ -63,8 +61,6 @@ def beam_log_density(
     min_range
         Nearer readings are dropped, metres: each density is cut to [min_range, max_range], and the weights are shares
         of the readings that are left. 0: all readings are seen.
-    threads
-        Number of threads; None uses what pays. It changes no bit of the result.
 
     Returns
     -------
@@ -100,7 +96,7 @@ def beam_log_density(
     >>> beam_log_density([3.0, 1.0, 8.0, float("nan")], 3.0, 8.0, parameters).round(3).tolist()
     [1.037, -2.965, -2.303, 0.0]
     """
-    return _fill(fill_log_density, ranges, expected_ranges, max_range, parameters, min_range, threads, ())
+    return _fill(fill_log_density, ranges, expected_ranges, max_range, parameters, min_range, ())
 
 
 @checked
@@ -111,7 +107,6 @@ def beam_responsibilities(
     parameters: BeamParameters,
     *,
     min_range: float = 0.0,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return the posterior probability of each cause of each reading.
 
@@ -119,7 +114,7 @@ def beam_responsibilities(
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, min_range, threads
+    ranges, expected_ranges, max_range, parameters, min_range
         As for `beam_log_density`.
 
     Returns
@@ -127,7 +122,7 @@ def beam_responsibilities(
     (..., 4) hit, short, max, rand; they sum to 1, or are all 0 where there is no measurement or the range is
     impossible.
     """
-    return _fill(fill_responsibilities, ranges, expected_ranges, max_range, parameters, min_range, threads, (4,))
+    return _fill(fill_responsibilities, ranges, expected_ranges, max_range, parameters, min_range, (4,))
 
 
 @checked
@@ -138,7 +133,6 @@ def beam_components(
     parameters: BeamParameters,
     *,
     min_range: float = 0.0,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return p_hit, p_short, p_max and p_rand one by one, without their weights: Figure 6.3.
 
@@ -146,7 +140,7 @@ def beam_components(
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, min_range, threads
+    ranges, expected_ranges, max_range, parameters, min_range
         As for `beam_log_density`.
 
     Returns
@@ -154,7 +148,7 @@ def beam_components(
     (..., 4): densities in 1/metre, but p_max, which is a probability: 1 for z >= max_range, where the densities are 0.
     All 0 where there is no measurement.
     """
-    return _fill(fill_components, ranges, expected_ranges, max_range, parameters, min_range, threads, (4,))
+    return _fill(fill_components, ranges, expected_ranges, max_range, parameters, min_range, (4,))
 
 
 @checked
@@ -165,20 +159,19 @@ def beam_cdf(
     parameters: BeamParameters,
     *,
     min_range: float = 0.0,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return P(reading <= z | z*): 0 at min_range, continuous below max_range, with a step of height z_max to 1 there.
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, min_range, threads
+    ranges, expected_ranges, max_range, parameters, min_range
         As for `beam_log_density`.
 
     Returns
     -------
     Probabilities of the broadcast shape; NaN where there is no measurement.
     """
-    return _fill(fill_cdf, ranges, expected_ranges, max_range, parameters, min_range, threads, ())
+    return _fill(fill_cdf, ranges, expected_ranges, max_range, parameters, min_range, ())
 
 
 @checked
@@ -190,7 +183,6 @@ def beam_pit(
     rng: np.random.Generator,
     *,
     min_range: float = 0.0,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return the randomised probability integral transform: uniform on [0, 1] if the model is right.
 
@@ -198,7 +190,7 @@ def beam_pit(
 
     Parameters
     ----------
-    ranges, expected_ranges, max_range, parameters, min_range, threads
+    ranges, expected_ranges, max_range, parameters, min_range
         As for `beam_log_density`.
     rng
         Spreads the readings at max_range.
@@ -207,7 +199,7 @@ def beam_pit(
     -------
     Values in [0, 1] of the broadcast shape; NaN where there is no measurement.
     """
-    pit = beam_cdf(ranges, expected_ranges, max_range, parameters, min_range=min_range, threads=threads)
+    pit = beam_cdf(ranges, expected_ranges, max_range, parameters, min_range=min_range)
     no_return = np.broadcast_to(np.asarray(ranges, dtype=np.float64) >= max_range, pit.shape) & ~np.isnan(pit)
     # np.asarray: a single beam comes as a 0-d array, which a mask indexes as well.
     pit[no_return] = 1.0 - parameters.z_max * rng.random(int(no_return.sum()))
@@ -268,17 +260,13 @@ def _fill(
     max_range: float,
     parameters: BeamParameters,
     min_range: float,
-    threads: int | None,
     per_beam: tuple[int, ...],
 ) -> FloatArray:
     """Run a kernel over all beams; `per_beam` is the shape of its result for one."""
-    check_threads(threads)
     view = as_view(parameters, max_range, min_range)
     measured, expected = broadcast_beams(ranges, expected_ranges)
     flat_measured = read_only(counted_from(min_range, np.ascontiguousarray(measured).reshape(-1), max_range))
     flat_expected = read_only(expected_from(min_range, np.ascontiguousarray(expected).reshape(-1)))
     out: FloatArray = np.empty((flat_measured.size, *per_beam))
-    run_in_slices(
-        lambda a, b: fill(flat_measured[a:b], flat_expected[a:b], view, out[a:b]), flat_measured.size, threads=threads
-    )
+    run_in_blocks(lambda a, b: fill(flat_measured[a:b], flat_expected[a:b], view, out[a:b]), flat_measured.size)
     return out.reshape((*measured.shape, *per_beam))

@@ -14,7 +14,6 @@ from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, overlap_sums, value_table
-from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +30,7 @@ class CellDifferenceModel:
     sigma
         Standard deviation of the difference of a cell. Cells of one wall are not independent, so that values of several
         units are usual: at 1, a hundred wrong cells cost 50 nats.
-    min_overlap, inverse_model, threads
+    min_overlap, inverse_model
         As for `MapMatchingModel`.
 
     Raises
@@ -62,11 +61,9 @@ class CellDifferenceModel:
     sigma: float = 1.0
     min_overlap: float = field(default=0.2, kw_only=True)
     inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _table: NDArray[np.float32] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         if not 0.0 < self.sigma < np.inf:
             raise InvalidInputError(f"sigma: expected a positive, finite number, got {self.sigma}")
@@ -97,7 +94,7 @@ class CellDifferenceModel:
         robots = as_poses(poses)
         cells = local_cells(z, self.grid.resolution, self.inverse_model)
         total = len(cells.x)
-        sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3), self.threads)
+        sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3))
         # Rounding may leave less than 0.
         difference = np.maximum(sums.local_square - 2.0 * sums.product + sums.map_square, 0.0)
         scaled = difference * total / np.maximum(sums.n, 1.0)

@@ -16,9 +16,8 @@ from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert
 from beamfield.kernels.correspondence import fill_sums
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.assignment import assign_exclusively
-from beamfield.thread_count import check_threads
 
 Correspondence = Literal["known", "nearest", "sum", "assignment"]
 # Values per pose, feature and thing in memory at a time: 8 MB.
@@ -112,8 +111,6 @@ class CorrespondenceModel(ABC, Generic[Z]):
           Not a density over features. A wall that is seen in pieces needs another.
     mount
         (3,) pose of the sensor on the robot, metres and radians; zero for features in the robot's frame.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Raises
     ------
@@ -131,7 +128,6 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     correspondence: Correspondence = field(kw_only=True)
     mount: FloatArray = field(default_factory=lambda: np.zeros(3), kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
 
     feature_name: ClassVar[str]
     """What a feature is called in errors."""
@@ -139,7 +135,6 @@ class CorrespondenceModel(ABC, Generic[Z]):
     """Has fill_known and fill_candidates, with the parameters of those in `kernels.landmark`."""
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         if self.correspondence not in ("known", "nearest", "sum", "assignment"):
             raise InvalidInputError(
@@ -282,10 +277,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
         base = tables.base[given.known, given.which] if tables.base.ndim == 2 else tables.base[given.known]
         out = np.empty((len(flat), len(features) if each else 1))
         first, mount = 0 if each else -1, self._mount_in_sensor_axes()
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: self._kernels.fill_known(flat[a:b], mount, features, things, base, first, out[a:b]),
             len(flat),
-            threads=self.threads,
             work_per_row=1 + len(features) // 2,
         )
         return out
@@ -311,7 +305,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
                 # Its memory is free again before the next one asks for it.
                 chunk(a, min(a + rows, stop))
 
-        run_in_slices(work, len(flat), threads=self.threads, work_per_row=k * n_things)
+        run_in_blocks(work, len(flat), work_per_row=k * n_things)
         return values, chosen
 
     def _choose(

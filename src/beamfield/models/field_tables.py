@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from beamfield.geometry import FloatArray
 from beamfield.kernels import field as kernels
 from beamfield.kernels import smooth_field
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 
@@ -44,8 +44,6 @@ class FieldTables:
         Of the model.
     unknown_is_uniform
         Whether unknown cells and all that lies off the map are worth 1 / z_max (6.4.2).
-    threads
-        Number of threads that make a table; None uses what pays.
     """
 
     def __init__(
@@ -54,9 +52,8 @@ class FieldTables:
         parameters: LikelihoodFieldParameters,
         *,
         unknown_is_uniform: bool,
-        threads: int | None,
     ) -> None:
-        self._distances, self._parameters, self._threads = distances, parameters, threads
+        self._distances, self._parameters = distances, parameters
         self.uniform: NDArray[np.bool_] = np.empty((0, 0), np.bool_)
         """Cells whose value is 1 / z_max; without any element if there is none."""
         if unknown_is_uniform:
@@ -165,10 +162,9 @@ class FieldTables:
         off = log_uniform if uniform.size else kernels.log_value(self._distances.max_distance, view)
         codes = np.full((rows + 2, cols + 2), kernels.encode(off, low, step), np.int32)
         inner = codes[1:-1, 1:-1]
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: kernels.fill_codes(distance[a:b], resolution, view, low, step, inner[a:b]),
             rows,
-            threads=self._threads,
             work_per_row=cols,
         )
         if uniform.size:

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import check_fields, checked
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.correlation import fill_histogram_overlap
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, poses_in_cells
-from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +29,7 @@ class HistogramMatchingModel:
     ----------
     grid
         The global map.
-    min_overlap, inverse_model, threads
+    min_overlap, inverse_model
         As for `MapMatchingModel`.
 
     Raises
@@ -64,11 +63,9 @@ class HistogramMatchingModel:
     grid: OccupancyGrid
     min_overlap: float = field(default=0.2, kw_only=True)
     inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _table: NDArray[np.uint8] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         check_min_overlap(self.min_overlap)
         table = np.full((self.grid.shape[0] + 2, self.grid.shape[1] + 2), 2, np.uint8)
@@ -108,12 +105,11 @@ class HistogramMatchingModel:
         starts = poses_in_cells(self.grid, robots.reshape(-1, 3))
         reach = int(np.ceil(np.hypot(x, y).max()))
         counts = np.empty((len(starts), 2))
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: fill_histogram_overlap(
                 starts[a:b], x, y, occupied, self._table, *self.grid.shape, reach, counts[a:b]
             ),
             len(starts),
-            threads=self.threads,
             work_per_row=total,
         )
         n, common = counts.T

@@ -51,7 +51,7 @@ class LandmarkModel(CorrespondenceModel[Detections]):
     correspondence
         What to do with features whose id is unknown: "known", "nearest", "sum" or "assignment", as
         `CorrespondenceModel` says.
-    mount, threads
+    mount
         As for `CorrespondenceModel`.
 
     Raises

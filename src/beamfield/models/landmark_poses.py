@@ -305,7 +305,6 @@ def _log_likelihoods(model: LandmarkModel, detections: Detections, poses: FloatA
         replace(p, spurious_rate=0.0),
         correspondence="sum",
         mount=model.mount,
-        threads=model.threads,
     )
     each = without_spurious.detection_log_likelihood(detections, poses)
     no_range = np.isnan(detections.ranges)

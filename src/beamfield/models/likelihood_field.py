@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -11,26 +13,25 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses
-from beamfield.kernels import crew, smooth_field
 from beamfield.kernels import field as kernels
-from beamfield.kernels.threads import run_in_slices, threads_that_pay
+from beamfield.kernels import smooth_field
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.field_tables import FieldTables, Table
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.thread_count import check_threads
 
 # A hit further than this many sigma from its obstacle is lost in any z_rand; without z_rand, only beyond the second
 # number does its density underflow to 0.
 HIT_SIGMAS, HIT_SIGMAS_WITHOUT_RAND = 8.0, 38.6
 MAX_TABLE_CELLS = 2**32 - 1
-# A look-up costs a part of what `run_in_slices` takes as a unit of work.
-BEAMS_PER_WORK_UNIT = {"nearest": 16, "bilinear": 2}
+# How many look-ups take as long as what `run_in_blocks` calls a unit of work.
+LOOK_UPS_PER_WORK_UNIT = {"nearest": 30, "bilinear": 3}
 # Poses whose beams' values are kept at a time where they are summed one by one.
 POSES_TOGETHER = 512
-# Below this many look-ups of the quickest kind, even a thread that is awake comes too late.
-BEAMS_PER_THREAD = 80_000
+# Takes poses (n, 3) and fills in what is asked for of each.
+Fill = Callable[[FloatArray, FloatArray], object]
 
 
 class BeamProfile(NamedTuple):
@@ -81,8 +82,6 @@ class LikelihoodFieldModel:
     n_beams
         Use only so many beams of each scan: about equally spaced among those that have an end point, so that NaN, too
         close and max-range readings do not use up the number. None uses all.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Raises
     ------
@@ -132,11 +131,9 @@ class LikelihoodFieldModel:
     interpolation: Literal["nearest", "bilinear"] = field(default="nearest", kw_only=True)
     exponent: float = field(default=1.0, kw_only=True)
     n_beams: int | None = field(default=None, kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _tables: FieldTables = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
@@ -177,7 +174,7 @@ class LikelihoodFieldModel:
             "continued": past the map's edges the distance is measured on, as far as a hit reaches, so that a wall on
             the edge has two sides. "far": everything off the map has the distance max_distance (as in AMCL).
         **options
-            unknown, interpolation, exponent, n_beams and threads of the class.
+            unknown, interpolation, exponent and n_beams of the class.
 
         Raises
         ------
@@ -234,14 +231,11 @@ class LikelihoodFieldModel:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
-        if self.interpolation == "nearest":
-            table = self._tables.table(z.finder.max_range)
-            if not table.has_impossible:
-                total = self._table_sums(z, table, poses)
-                return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
-        robot = as_poses(poses)
-        total = np.empty(robot.shape[:-1])
-        self._run(self._sums(z), robot.reshape(-1, 3), total.reshape(-1), z.finder.n_beams)
+        table = self._tables.table(z.finder.max_range) if self.interpolation == "nearest" else None
+        if table is None or table.has_impossible:
+            total = self._sums(z, as_poses(poses))
+        else:
+            total = self._code_sums(z, table, poses)
         return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
 
     @checked
@@ -376,47 +370,30 @@ class LikelihoodFieldModel:
             kernels.fill_distances(poses, self._tables.frame, ends, self.distances.distance, far, values)
         return values
 
-    def _table_sums(self, scan: Scan, table: Table, poses: ArrayLike) -> FloatArray:
+    def _code_sums(self, scan: Scan, table: Table, poses: ArrayLike) -> FloatArray:
         """Return the sums over beams by a table without impossible cells: few steps, as short calls take 50 us."""
-        robot = as_unchecked_poses(poses)
-        # Kernels on other threads get addresses, which know nothing of gaps between rows.
+        robot, finder = as_unchecked_poses(poses), scan.finder
         flat = np.ascontiguousarray(robot.reshape(-1, 3))
-        n, finder = len(flat), scan.finder
-        out = np.empty(n)
+        out, all_finite = np.empty(len(flat)), []
         ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
-        threads = threads_that_pay(
-            n, threads=self.threads, work_per_row=finder.n_beams, work_per_thread=BEAMS_PER_THREAD
-        )
-        if threads == 1 or not crew.is_possible():
-            all_finite = kernels.fill_range_sums(
-                flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out
+
+        def work(a: int, b: int) -> None:
+            finite = kernels.fill_range_sums(
+                flat[a:b],
+                table.packed,
+                ranges,
+                finder.mounts,
+                finder.min_range,
+                finder.max_range,
+                table.codes,
+                out[a:b],
             )
-        else:
-            job = np.empty(kernels.JOB_WORDS + finder.n_beams, np.int64)
-            kernels.write_range_sums_job(
-                flat, table.packed, ranges, finder.mounts, finder.min_range, finder.max_range, table.codes, out, job
-            )
-            rows = min(kernels.BLOCK, -(-n // threads))
-            crew.run_together(kernels.range_sums_job().address, job, n, rows, threads=threads)
-            all_finite = job[kernels.ALL_FINITE]
-        if not all_finite:
+            all_finite.append(finite)
+
+        run_in_blocks(work, len(flat), work_per_row=finder.n_beams / LOOK_UPS_PER_WORK_UNIT["nearest"])
+        if not all(all_finite):
             as_poses(robot)  # says which
         return out.reshape(robot.shape[:-1])
-
-    def _sums(self, scan: Scan) -> Any:
-        """Return the function (poses (n, 3), out (n,)) that adds up the beams, but where `_table_sums` does."""
-        finder = scan.finder
-        _, ends = self._end_points(scan)
-        if self.interpolation == "nearest":
-            table, border, singles = self._tables.table(finder.max_range), self._tables.framed, ends.astype(np.float32)
-            return lambda flat, out: kernels.fill_careful_sums(
-                flat, border, singles, table.codes, table.low, table.step, out
-            )
-        frame, smooth, view = self._tables.centred, self._tables.smooth, self._tables.smooth_view(finder.max_range)
-        n_factors = smooth_field.n_factors(view)
-        if n_factors:
-            return lambda flat, out: smooth_field.fill_sums(flat, frame, ends, smooth, view, n_factors, out)
-        return lambda flat, out: _fill_sums_of(self._values(finder.max_range, ends), flat, out, ends.shape[1])
 
     def _chosen_ranges(self, scan: Scan) -> FloatArray:
         """Return the ranges with NaN for beams that n_beams leaves out."""
@@ -425,7 +402,21 @@ class LikelihoodFieldModel:
         ranges[beams] = scan.ranges[beams]
         return ranges
 
-    def _values(self, max_range: float, ends: FloatArray) -> Any:
+    def _sums(self, scan: Scan, robot: FloatArray) -> FloatArray:
+        """Return the sums over beams where `_code_sums` does not."""
+        finder = scan.finder
+        _, ends = self._end_points(scan)
+        total = np.empty(robot.shape[:-1])
+        work: Fill = partial(_add_up, self._values(finder.max_range, ends), ends.shape[1])
+        if self.interpolation == "bilinear":
+            frame, smooth, view = self._tables.centred, self._tables.smooth, self._tables.smooth_view(finder.max_range)
+            n_factors = smooth_field.n_factors(view)
+            if n_factors:
+                work = lambda flat, out: smooth_field.fill_sums(flat, frame, ends, smooth, view, n_factors, out)  # noqa: E731
+        self._run(work, robot, total.reshape(-1), ends.shape[1])
+        return total
+
+    def _values(self, max_range: float, ends: FloatArray) -> Fill:
         """Return the function (poses (n, 3), out (n, k)) that fills in each beam."""
         if self.interpolation == "bilinear":
             centred, smooth, view = self._tables.centred, self._tables.smooth, self._tables.smooth_view(max_range)
@@ -438,23 +429,17 @@ class LikelihoodFieldModel:
         table, frame, singles = self._tables.table(max_range), self._tables.framed, ends.astype(np.float32)
         return lambda flat, out: kernels.fill_beam_values(flat, frame, singles, table.codes, table.low, table.step, out)
 
-    def _run(self, work: Any, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
+    def _run(self, work: Fill, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
         # One layout of memory, for which alone the kernels are compiled.
         flat = np.ascontiguousarray(robot.reshape(-1, 3))
-        if self.threads == 1:
-            work(flat, out)
-            return
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: work(flat[a:b], out[a:b]),
             len(flat),
-            threads=self.threads,
-            work_per_row=1 + n_ends // BEAMS_PER_WORK_UNIT[self.interpolation],
+            work_per_row=n_ends / LOOK_UPS_PER_WORK_UNIT[self.interpolation],
         )
 
     def _make_tables(self) -> None:
-        tables = FieldTables(
-            self.distances, self.parameters, unknown_is_uniform=self.unknown == "uniform", threads=self.threads
-        )
+        tables = FieldTables(self.distances, self.parameters, unknown_is_uniform=self.unknown == "uniform")
         object.__setattr__(self, "_tables", tables)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -467,10 +452,10 @@ class LikelihoodFieldModel:
         self._make_tables()
 
 
-def _fill_sums_of(values: Any, flat: FloatArray, out: FloatArray, n_ends: int) -> None:
+def _add_up(fill: Fill, n_ends: int, flat: FloatArray, out: FloatArray) -> None:
     """Fill out (n,) with the sums over beams of what a kernel fills in beam by beam, a part of the poses at a time."""
     each = np.empty((min(len(flat), POSES_TOGETHER), n_ends))
     for start in range(0, len(flat), POSES_TOGETHER):
         part = flat[start : start + POSES_TOGETHER]
-        values(part, each[: len(part)])
+        fill(part, each[: len(part)])
         each[: len(part)].sum(axis=1, out=out[start : start + len(part)])

@@ -97,7 +97,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         Share, in [0, 1], of a measured segment's length that must lie beside a mapped segment; others are no
         candidates for it. It needs end points of map and detections, concerns only unknown correspondences, and makes
         the model no density. None does not look at end points: lines are endless.
-    mount, threads
+    mount
         As for `CorrespondenceModel`.
 
     Raises

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import correlation as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.mapping import InverseSensorModel, scan_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
@@ -105,9 +105,7 @@ def poses_in_cells(grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
     return np.column_stack([grid.to_cells(poses[:, :2]), np.cos(heading), np.sin(heading)])
 
 
-def overlap_sums(
-    grid: OccupancyGrid, table: NDArray[np.float32], cells: LocalCells, poses: FloatArray, threads: int | None
-) -> OverlapSums:
+def overlap_sums(grid: OccupancyGrid, table: NDArray[np.float32], cells: LocalCells, poses: FloatArray) -> OverlapSums:
     """Return the sums over the cells that both maps define.
 
     Parameters
@@ -120,8 +118,6 @@ def overlap_sums(
         The L cells of the local map.
     poses
         (n, 3) robot poses, metres and radians.
-    threads
-        Number of threads; None uses what pays.
 
     Returns
     -------
@@ -130,10 +126,9 @@ def overlap_sums(
     starts = poses_in_cells(grid, poses)
     values = cells.probability - np.float32(0.5)
     sums = np.empty((len(poses), 6))
-    run_in_slices(
+    run_in_blocks(
         lambda a, b: kernels.fill_sums(starts[a:b], cells.x, cells.y, values, table, *grid.shape, sums[a:b]),
         len(poses),
-        threads=threads,
         work_per_row=len(cells.x),
     )
     return OverlapSums(*sums.T)

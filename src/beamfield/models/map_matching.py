@@ -22,7 +22,6 @@ from beamfield.models.local_map_cells import (
     overlap_sums,
     value_table,
 )
-from beamfield.thread_count import check_threads
 
 # Variances below this are 0: values are in [0, 1], and rounding leaves 1e-16 of them.
 NO_VARIANCE = 1e-12
@@ -65,8 +64,6 @@ class MapMatchingModel:
         correlation is not determined.
     inverse_model
         How a scan becomes a local map; by default confident (0.97 and 0.03).
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Raises
     ------
@@ -108,11 +105,9 @@ class MapMatchingModel:
     smoothing: float | None = field(default=None, kw_only=True)
     min_overlap: float = field(default=0.2, kw_only=True)
     inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _table: NDArray[np.float32] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         check_min_overlap(self.min_overlap)
         grid = self.grid if self.smoothing is None else smooth_map(self.grid, self.smoothing)
@@ -183,7 +178,7 @@ class MapMatchingModel:
         return local_cells(z, self.grid.resolution, self.inverse_model)
 
     def _match(self, cells: LocalCells, robots: FloatArray) -> MapMatch:
-        sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3), self.threads)
+        sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3))
         overlap = sums.n / max(len(cells.x), 1)
         rho, varies = _correlation_of_sums(sums)
         determined = varies & (overlap >= self.min_overlap)

@@ -13,11 +13,10 @@ from beamfield.arguments import SMALLEST, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.markers import MarkerId, MarkerMap, as_ids
 from beamfield.models.ceiling_camera import CeilingCamera
 from beamfield.models.heading_density import HeadingDensity
-from beamfield.thread_count import check_threads
 
 __all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel", "image_of_corners"]
 
@@ -147,8 +146,6 @@ class MarkerModel:
     sigma_angle
         Standard deviation of the angle in the image, radians, at most pi. An angle that says nothing is better left out
         of the detections, as NaN.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Raises
     ------
@@ -181,10 +178,8 @@ class MarkerModel:
     camera: CeilingCamera
     sigma_pixel: float = field(kw_only=True)
     sigma_angle: float = field(kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         check_magnitude("sigma_pixel", self.sigma_pixel)
         if not SMALLEST <= self.sigma_angle <= np.pi:
@@ -214,10 +209,9 @@ class MarkerModel:
         rows = np.ascontiguousarray(robot.reshape(-1, 3))
         image, seen, view = self._relative_image(z), self._seen(z), self._view()
         total: FloatArray = np.zeros(len(rows))
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: fill_scan_log_density(rows[a:b], image, seen, view, total[a:b]),
             len(rows),
-            threads=self.threads,
             work_per_row=1 + len(z),
         )
         return total.reshape(robot.shape[:-1])
@@ -243,10 +237,9 @@ class MarkerModel:
         rows = np.ascontiguousarray(robot.reshape(-1, 3))
         image, seen, view = self._relative_image(z), self._seen(z), self._view()
         result: FloatArray = np.zeros((len(rows), len(z)))
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: fill_detection_log_density(rows[a:b], image, seen, view, result[a:b]),
             len(rows),
-            threads=self.threads,
             work_per_row=1 + len(z),
         )
         return result.reshape(*robot.shape[:-1], len(z))

@@ -12,13 +12,12 @@ from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities, read_only
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.blind_zone import counted_from, expected_from
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
-from beamfield.thread_count import check_threads
 
 # Rays in memory at a time: 8 MB of expected ranges, whatever the number of poses.
 RAYS_PER_CHUNK = 1_000_000
@@ -27,7 +26,7 @@ RAYS_PER_CHUNK = 1_000_000
 class RangeSource(Protocol):
     """Where expected ranges come from: rays or cones in a grid, the nearest landmark in a cone."""
 
-    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder, *, threads: int | None = None) -> FloatArray:
+    def expected_ranges(self, poses: ArrayLike, finder: RangeFinder) -> FloatArray:
         """Return the expected ranges z* of a sensor.
 
         Parameters
@@ -36,8 +35,6 @@ class RangeSource(Protocol):
             (..., 3) robot poses, metres and radians.
         finder
             The sensor, of k beams.
-        threads
-            Number of threads; None uses what pays.
 
         Returns
         -------
@@ -57,7 +54,6 @@ class RangeMixtureModel(ABC):
     exponent: float
     n_beams: int | None
     finder: RangeFinder | None
-    threads: int | None
     _source: RangeSource
 
     @abstractmethod
@@ -65,7 +61,6 @@ class RangeMixtureModel(ABC):
         """Return where expected ranges come from, built from the fields."""
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_fields(self)
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
@@ -155,7 +150,6 @@ class RangeMixtureModel(ABC):
             z.finder.max_range,
             self.parameters,
             min_range=z.finder.min_range,
-            threads=self.threads,
         )
         return result
 
@@ -201,7 +195,6 @@ class RangeMixtureModel(ABC):
             z.finder.max_range,
             self.parameters,
             min_range=z.finder.min_range,
-            threads=self.threads,
         )
 
     @checked
@@ -224,7 +217,7 @@ class RangeMixtureModel(ABC):
         InvalidInputError
             If the poses are not finite (..., 3), or neither the call nor the model has a finder.
         """
-        return self._source.expected_ranges(as_poses(poses), self._finder(finder), threads=self.threads)
+        return self._source.expected_ranges(as_poses(poses), self._finder(finder))
 
     @checked
     def sample(self, poses: ArrayLike, rng: np.random.Generator, finder: RangeFinder | None = None) -> list[Scan]:
@@ -273,10 +266,9 @@ class RangeMixtureModel(ABC):
         view = as_view(self.parameters, finder.max_range, finder.min_range)
         ranges = read_only(counted_from(finder.min_range, usable_ranges(scan.ranges, finder), finder.max_range))
         expected = read_only(expected_from(finder.min_range, expected))
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]),
             len(out),
-            threads=self.threads,
             work_per_row=len(ranges),
         )
 

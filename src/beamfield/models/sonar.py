@@ -36,7 +36,7 @@ class SonarModel(RangeMixtureModel):
         A grid, or landmarks.
     parameters
         Weights and shapes of the four densities.
-    exponent, n_beams, finder, threads
+    exponent, n_beams, finder
         As for `BeamModel`.
     unknown
         Whether cones see through unknown cells of a grid ("free") or end at them ("occupied").
@@ -81,7 +81,6 @@ class SonarModel(RangeMixtureModel):
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     landmark_radius: ArrayLike = field(default=0.0, kw_only=True)
     finder: RangeFinder | None = field(default=None, kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _source: RangeSource = field(init=False, repr=False)
 
     def _make_source(self) -> RangeSource:

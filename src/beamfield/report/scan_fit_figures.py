@@ -127,7 +127,7 @@ def calibration_fit(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps
     kind = SonarModel if log.finder.opening_angle > 0.0 else BeamModel
 
     def model_on(grid: OccupancyGrid) -> RangeMixtureModel:
-        return kind(grid, calibration.parameters, threads=calibration.options.threads)
+        return kind(grid, calibration.parameters)
 
     if isinstance(grid, CrossFitMaps):
         # Wrong poses are scored in the map of all scans: what a scan drew itself is not where they are.

@@ -170,7 +170,6 @@ class _Judge:
             self.finder.max_range,
             self.model.parameters,
             min_range=self.finder.min_range,
-            threads=self.model.threads,
         )
         return self._summarise(surprise, sided=True)
 
@@ -256,7 +255,7 @@ def known_expected_ranges(
     """
     expected = model.expected(poses, finder)
     if stopping is not None:
-        stopped = stopping.expected_ranges(poses, finder, threads=model.threads)
+        stopped = stopping.expected_ranges(poses, finder)
         expected = np.where(stopped < expected - 1e-9, np.nan, expected)
     return expected
 

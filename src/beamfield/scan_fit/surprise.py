@@ -12,7 +12,6 @@ from beamfield.geometry import FloatArray
 from beamfield.kernels.beam import SHORTEST_SUPPORT
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.thread_count import check_threads
 
 # A beam counts for at most this much, nats: one impossible reading says as much as a merely wrong one.
 MOST_SURPRISE = 2.0
@@ -54,7 +53,6 @@ def beam_surprise(
     parameters: BeamParameters,
     *,
     min_range: float = 0.0,
-    threads: int | None = None,
 ) -> BeamSurprise:
     """Compare readings with what the beam model expects of them.
 
@@ -71,17 +69,10 @@ def beam_surprise(
         The model.
     min_range
         Nearer readings are dropped, metres: expectations are those of the others.
-    threads
-        None uses what pays.
 
     Returns
     -------
     Arrays (..., k); 0 where a beam is left out.
-
-    Raises
-    ------
-    InvalidInputError
-        If threads < 1.
 
     Notes
     -----
@@ -92,12 +83,11 @@ def beam_surprise(
     ----------
     Probabilistic Robotics, section 6.3.1, (6.12).
     """
-    check_threads(threads)
     used = np.isfinite(ranges) & np.isfinite(expected_ranges)
     z, z_star = np.where(used, ranges, 0.0), np.clip(np.where(used, expected_ranges, 0.0), min_range, max_range)
     table = _expectations(parameters, float(max_range), float(min_range))
     # With -inf (an impossible reading) the cut takes over.
-    surprise = -_log_density(z, z_star, max_range, parameters, min_range, threads)
+    surprise = -_log_density(z, z_star, max_range, parameters, min_range)
     excess = np.clip(surprise - table.at("surprise", z_star), -MOST_SURPRISE, MOST_SURPRISE)
     through, short = _sides(z, z_star, max_range, parameters)
     return BeamSurprise(
@@ -135,16 +125,13 @@ def _log_density(
     max_range: float,
     parameters: BeamParameters,
     min_range: float,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return log p(z | z*), with the mass of hits at "no return" where there is nothing to hit."""
-    result = beam_log_density(z, z_star, max_range, parameters, min_range=min_range, threads=threads)
+    result = beam_log_density(z, z_star, max_range, parameters, min_range=min_range)
     nothing = z_star >= max_range
     if nothing.any():
         without_hits = replace(parameters, z_hit=0.0, z_max=parameters.z_max + parameters.z_hit)
-        result[nothing] = beam_log_density(
-            z[nothing], z_star[nothing], max_range, without_hits, min_range=min_range, threads=threads
-        )
+        result[nothing] = beam_log_density(z[nothing], z_star[nothing], max_range, without_hits, min_range=min_range)
     return result
 
 

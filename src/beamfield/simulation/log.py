@@ -20,7 +20,6 @@ from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, T
 from beamfield.simulation.dependence import Dependence, dependent_uniforms
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from beamfield.simulation.trajectory import DriveOptions, drive_through
-from beamfield.thread_count import check_threads
 
 Progress = Callable[[int, int], None]
 
@@ -43,7 +42,6 @@ def simulate_log(
     odometry_noise: OdometryNoise | None = None,
     dependence: Dependence | None = None,
     unknown: Literal["free", "occupied"] = "free",
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> ScanLog:
     """Drive a robot through a map and record what its range finder would measure.
@@ -72,8 +70,6 @@ def simulate_log(
         distribution either way.
     unknown
         Whether rays pass unknown cells ("free") or stop there ("occupied").
-    threads
-        For the ray caster; None uses what pays.
     progress
         Called with (done, total) scans.
 
@@ -109,7 +105,6 @@ def simulate_log(
     >>> len(log), log.finder.n_beams
     (50, 16)
     """
-    check_threads(threads)
     as_count(seed, "seed", least=0)
     stamps = scan_stamps(duration, scan_rate, start)
     drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
@@ -117,7 +112,7 @@ def simulate_log(
         raise InvalidInputError("the map has no occupied cell: there is nothing to measure")
     truth = drive_through(grid, stamps, seed=int(drive_seed), options=drive)
     odometry = noisy_odometry(truth.poses, np.random.default_rng(odometry_seed), odometry_noise)
-    expected = _expected_ranges(make_caster(grid, finder, unknown=unknown), truth.poses, finder, threads, progress)
+    expected = _expected_ranges(make_caster(grid, finder, unknown=unknown), truth.poses, finder, progress)
     ranges = _draw(expected, finder, parameters, stamps, dependence, np.random.default_rng(reading_seed))
     policy = NoReturnPolicy((), float(np.isinf(ranges).mean()), "declared", "simulated: no return is +inf")
     name = finder.name or "scan"
@@ -164,13 +159,12 @@ def _expected_ranges(
     caster: RayCaster | ConeCaster,
     poses: FloatArray,
     finder: RangeFinder,
-    threads: int | None,
     progress: Progress | None,
 ) -> FloatArray:
     expected: FloatArray = np.empty((len(poses), finder.n_beams))
     for first in range(0, len(poses), SCANS_PER_CHUNK):
         part = slice(first, min(first + SCANS_PER_CHUNK, len(poses)))
-        expected[part] = caster.expected_ranges(poses[part], finder, threads=threads)
+        expected[part] = caster.expected_ranges(poses[part], finder)
         if progress is not None:
             progress(part.stop, len(poses))
     return expected

@@ -13,11 +13,10 @@ from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.kernels import acoustics as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
 from beamfield.simulation.surfaces import Surfaces, surfaces_of_grid
-from beamfield.thread_count import check_threads
 
 Progress = Callable[[int, int], None]
 
@@ -232,7 +231,6 @@ def simulate_sonar(
     physics: SonarPhysics | None = None,
     rng: np.random.Generator | None = None,
     *,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> SonarReadings:
     """Return what a ring of sonars measures.
@@ -255,8 +253,6 @@ def simulate_sonar(
         How sound is reflected; None: smooth walls with some roughness.
     rng
         Source of randomness; None: a generator with seed 0.
-    threads
-        For the ways of sound; None uses what pays. It changes no bit of the result.
     progress
         Called with (done, total) scans.
 
@@ -293,7 +289,6 @@ def simulate_sonar(
     >>> readings.ranges.tolist()
     [[4.0, 2.5, 2.0, 1.5]]
     """
-    check_threads(threads)
     robots = as_poses(poses)
     if robots.ndim != 2:
         raise InvalidInputError(f"poses: expected shape (t, 3), got {robots.shape}")
@@ -304,7 +299,7 @@ def simulate_sonar(
     ranges, causes, nearest = np.empty(shape), np.empty(shape, np.int8), np.empty(shape)
     for first in range(0, len(robots), SCANS_PER_CHUNK):
         part = slice(first, min(first + SCANS_PER_CHUNK, len(robots)))
-        ways = _ways(compose(robots[part, None], ring.mounts), ring, walls, physics, threads)
+        ways = _ways(compose(robots[part, None], ring.mounts), ring, walls, physics)
         nearest[part] = np.minimum(0.5 * _own(ways)[..., kernels.DIFFUSE], ring.max_range)
         ranges[part], causes[part] = _readings(ways, nearest[part], ring, physics, rng)
         if progress is not None:
@@ -312,9 +307,7 @@ def simulate_sonar(
     return SonarReadings(ranges, causes, nearest)
 
 
-def _ways(
-    sensors: FloatArray, ring: RangeFinder, walls: kernels.Walls, physics: SonarPhysics, threads: int | None
-) -> FloatArray:
+def _ways(sensors: FloatArray, ring: RangeFinder, walls: kernels.Walls, physics: SonarPhysics) -> FloatArray:
     """Return (t, from k, to k, kind) lengths of the shortest ways of sound, inf where there is none."""
     n_rays = 1 + int(np.ceil(ring.opening_angle / RAY_STEP))
     pulse = kernels.Pulse(
@@ -322,9 +315,9 @@ def _ways(
     )
     k = ring.n_beams
     ways: FloatArray = np.full((len(sensors), k, k, kernels.N_WAYS), np.inf)
-    run_in_slices(
+    run_in_blocks(
         lambda start, stop: kernels.find_ways(sensors[start:stop], walls, pulse, ways[start:stop]),
-        len(sensors), threads=threads, work_per_row=50 * k * n_rays,
+        len(sensors), work_per_row=50 * k * n_rays,
     )  # fmt: skip
     return ways
 

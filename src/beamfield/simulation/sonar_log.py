@@ -11,7 +11,6 @@ from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from beamfield.simulation.sonar import Progress, SonarPhysics, SonarReadings, simulate_sonar
 from beamfield.simulation.surfaces import surfaces_of_grid
 from beamfield.simulation.trajectory import DriveOptions, drive_through
-from beamfield.thread_count import check_threads
 
 
 def simulate_sonar_log(
@@ -26,7 +25,6 @@ def simulate_sonar_log(
     drive: DriveOptions | None = None,
     odometry_noise: OdometryNoise | None = None,
     smoothing: float = 1.25,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[ScanLog, SonarReadings]:
     """Drive a robot through a map and record what its ring of sonars would measure.
@@ -52,8 +50,6 @@ def simulate_sonar_log(
         How the robot drives, and how wrong its odometry is.
     smoothing
         How walls are found in the map; see `surfaces_of_grid`.
-    threads
-        For the ways of sound; None uses what pays.
     progress
         Called with (done, total) scans.
 
@@ -75,14 +71,13 @@ def simulate_sonar_log(
     >>> log.only_sensor().ranges.shape
     (20, 8)
     """
-    check_threads(threads)
     stamps = scan_stamps(duration, scan_rate, start)
     drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
     surfaces = surfaces_of_grid(grid, smoothing=smoothing)
     truth = drive_through(grid, stamps, seed=int(drive_seed), options=drive)
     odometry = noisy_odometry(truth.poses, np.random.default_rng(odometry_seed), odometry_noise)
     rng = np.random.default_rng(reading_seed)
-    readings = simulate_sonar(surfaces, truth.poses, ring, physics, rng, threads=threads, progress=progress)
+    readings = simulate_sonar(surfaces, truth.poses, ring, physics, rng, progress=progress)
     policy = NoReturnPolicy((), float(np.isposinf(readings.ranges).mean()), "declared", "simulated: no return is +inf")
     name = ring.name or "sonar"
     log = ScanLog(

@@ -88,7 +88,7 @@ def build_model(stack: str, model: str, grid: OccupancyGrid, parameters: Any, **
     parameters
         Of the class `parameter_class` gives.
     **options
-        Of the emulator: distance, rays, map_mode, threads.
+        Of the emulator: distance, rays, map_mode.
     """
     kind: Any = emulator(stack, model)
     made: StackModel[Any, Any] = kind(grid, parameters, **options)

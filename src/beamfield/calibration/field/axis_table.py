@@ -12,11 +12,10 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose, invert
 from beamfield.indices import as_indices
 from beamfield.kernels.axis import count_along_axes
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog, usable_ranges
-from beamfield.thread_count import check_threads
 
 # Pieces of an axis are this long: a quarter of a cell, so that the cells it crosses count by their length.
 PIECE_CELLS = 0.25
@@ -90,7 +89,6 @@ def build_axis_table(
     *,
     most_beams: int = MOST_BEAMS,
     seed: int = 0,
-    threads: int | None = None,
 ) -> AxisTable:
     """Follow the axes of the beams of the given scans, from their reference poses to max_range.
 
@@ -104,8 +102,6 @@ def build_axis_table(
         More beams are thinned to this many, drawn with the seed.
     seed
         Of the drawing.
-    threads
-        Number of threads; None uses what pays. It changes no bit of the result.
 
     Returns
     -------
@@ -114,14 +110,13 @@ def build_axis_table(
     Raises
     ------
     InvalidInputError
-        If the map has no obstacle, or threads < 1.
+        If the map has no obstacle,.
 
     Notes
     -----
     All measured readings count, also those whose beam crosses unknown space: a likelihood field scores them all. The
     distances are those of `LikelihoodFieldModel` with the nearest look-up and its defaults.
     """
-    check_threads(threads)
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell: there is no distance to obstacles")
     finder = log.finder
@@ -141,10 +136,9 @@ def build_axis_table(
     counts = np.empty((len(ranges), len(classes.squares)))
     first, step = finder.min_range / grid.resolution, spacing / grid.resolution
     off = len(classes.squares) - 1
-    run_in_slices(
+    run_in_blocks(
         lambda a, b: count_along_axes(starts[a:b], classes.of_cell, off, first, step, n_pieces, counts[a:b]),
         len(starts),
-        threads=threads,
         work_per_row=n_pieces,
     )
     meets = counts[:, 0] > 0.0

@@ -35,7 +35,6 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import SensorLog
-from beamfield.thread_count import check_threads
 
 __all__ = ["FieldLearning", "FieldScore", "learn_field_parameters"]
 
@@ -121,7 +120,6 @@ def learn_field_parameters(
     selection: SelectionOptions | None = None,
     block_s: float | None = None,
     seed: int = 0,
-    threads: int | None = None,
 ) -> FieldLearning:
     """Return the parameters of the likelihood field that suit a log and its map, and how much its beams may count.
 
@@ -149,8 +147,6 @@ def learn_field_parameters(
         Length of the blocks of time that are fitted or held out whole, seconds; None: 20, or more if windows need it.
     seed
         Of what is drawn.
-    threads
-        Number of threads; None uses what pays. It changes no bit of the result.
 
     Raises
     ------
@@ -163,7 +159,6 @@ def learn_field_parameters(
     ----------
     Probabilistic Robotics, 6.4.1: (6.33), (6.34), Table 6.3; 6.3.4 for the exponent.
     """
-    check_threads(threads)
     if n_beams < 1:
         raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
     n_beams = min(n_beams, log.finder.n_beams)
@@ -175,7 +170,7 @@ def learn_field_parameters(
     held_out = blocks % 3 == 1
 
     # 1. z_hit, z_rand and sigma_hit by the density along each beam's axis.
-    table = build_axis_table(log, grid, select_scans(log, grid, selection).used, seed=seed, threads=threads)
+    table = build_axis_table(log, grid, select_scans(log, grid, selection).used, seed=seed)
     fitted, judged = table.of_scans(~held_out), table.of_scans(held_out)
     _require_readings(fitted, judged)
     fit = fit_axis_density(fitted)
@@ -193,7 +188,7 @@ def learn_field_parameters(
         windows = cut_windows(log, grid, rivals, options, selection, length)
     except TooLittleDataError as error:
         reason = str(error)
-    judge = _Judge(log, grid, windows, rivals, options, n_beams, threads)
+    judge = _Judge(log, grid, windows, rivals, options, n_beams)
     if windows:
         exponent, intervals["exponent"] = judge.learn_exponent(widened, blocks)
 
@@ -257,7 +252,6 @@ class _Judge:
     rivals: Rivals
     options: WindowOptions
     n_beams: int
-    threads: int | None
 
     def learn_exponent(
         self, parameters: LikelihoodFieldParameters, blocks: NDArray[np.int64]
@@ -283,7 +277,7 @@ class _Judge:
         return score_exponents(values, np.array([exponent]), self.rivals, self.options)[0]
 
     def _model(self, parameters: LikelihoodFieldParameters) -> LikelihoodFieldModel:
-        return LikelihoodFieldModel.from_grid(self.grid, parameters, n_beams=self.n_beams, threads=self.threads)
+        return LikelihoodFieldModel.from_grid(self.grid, parameters, n_beams=self.n_beams)
 
 
 def _score(

@@ -32,7 +32,6 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.thread_count import check_threads
 
 # From this much time on, 95 % intervals hold the truth in 92 to 97 % of simulated logs, also where people walk by in
 # bursts every 30 s; in less time such bursts take that down to 83 % (docs/reliability.md). With fewer blocks
@@ -90,7 +89,6 @@ def block_intervals(
     priors: IntrinsicPriors | None = None,
     block_s: float | None = None,
     level: float = 0.95,
-    threads: int | None = None,
 ) -> IntervalResult:
     """Leave out one block of consecutive time after the other; how far the parameters move tells their intervals.
 
@@ -111,8 +109,6 @@ def block_intervals(
         Length of a block, seconds; None: 20 s, or a twelfth of a shorter log.
     level
         Share of intervals that are to hold the truth, 0.01 to 0.999999.
-    threads
-        Number of threads; None uses what pays. It changes no bit of the result.
 
     Returns
     -------
@@ -169,7 +165,6 @@ def block_intervals(
     >>> low < 0.05 < high, high - low < 0.01
     (True, True)
     """
-    check_threads(threads)
     if not LEVELS[0] <= level <= LEVELS[1]:
         raise InvalidInputError(f"level: expected a share between {LEVELS[0]:g} and {LEVELS[1]:g}, got {level}")
     z, expected, times = _checked(ranges, expected_ranges, stamps, max_range, min_range)
@@ -189,7 +184,7 @@ def block_intervals(
     if n_blocks == 1:
         return IntervalResult({}, {}, level, 1, _findings(1, length))
     theta = problem.apply(theta_of(parameters))
-    gradients, hessian = _derivatives_of_blocks(z, expected, blocks, theta, problem, threads)
+    gradients, hessian = _derivatives_of_blocks(z, expected, blocks, theta, problem)
     jackknife = _Jackknife(problem, theta, gradients, hessian, np.bincount(blocks), level)
     learned = [name for name in _NAMES if problem.free[problem.position(name)]]
     return IntervalResult(
@@ -246,16 +241,13 @@ def _derivatives_of_blocks(
     blocks: NDArray[np.int64],
     theta: FloatArray,
     problem: LearningProblem,
-    threads: int | None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gradient of each block's log-likelihood, (b, 8), and the Hessian of all, (8, 8)."""
     order = np.argsort(blocks, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(blocks))[:-1])
     gradients, hessian = np.empty((len(parts), N_PARAMETERS)), np.zeros((N_PARAMETERS, N_PARAMETERS))
     for b, part in enumerate(parts):
-        likelihood = IntrinsicLikelihood(
-            z[part], expected[part], problem.max_range, min_range=problem.min_range, threads=threads
-        )
+        likelihood = IntrinsicLikelihood(z[part], expected[part], problem.max_range, min_range=problem.min_range)
         _, gradients[b], of_block = likelihood.derivatives(theta)
         hessian += of_block
     return gradients, hessian

@@ -24,7 +24,6 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits
-from beamfield.thread_count import check_threads
 
 Progress = Callable[[str, int], None]
 
@@ -100,7 +99,6 @@ def learn_intrinsic_parameters(
     max_iterations: int = 500,
     accelerate: bool = True,
     weights: ArrayLike | None = None,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> LearningResult:
     """Return the parameters that make the ranges most likely, given what the map lets expect.
@@ -139,8 +137,6 @@ def learn_intrinsic_parameters(
         False for plain EM, which crawls where components trade places.
     weights
         How often each beam counts, shape (n,), >= 0; None for once.
-    threads
-        Number of threads; None uses what pays. It changes no bit of the result.
     progress
         Called with the stage (``"screening"``, ``"climbing"``) and a count.
 
@@ -183,7 +179,6 @@ def learn_intrinsic_parameters(
     >>> round(result.parameters.z_max, 3), round(result.parameters.sigma_hit, 2), result.converged
     (0.1, 0.05, True)
     """
-    check_threads(threads)
     z, expected, counts = _checked_beams(ranges, expected_ranges, max_range, min_range, weights)
     measured, hits = ~np.isnan(z), expected < max_range
     n_no_measurement = int(z.size - np.count_nonzero(measured))
@@ -203,9 +198,7 @@ def learn_intrinsic_parameters(
     problem = learning_problem(
         max_range, min_range=min_range, hold=hold, priors=priors, fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
     )
-    likelihood = IntrinsicLikelihood(
-        z, expected, float(max_range), min_range=min_range, weights=counts, threads=threads
-    )
+    likelihood = IntrinsicLikelihood(z, expected, float(max_range), min_range=min_range, weights=counts)
     if likelihood.n_max > 0.0 and not problem.free[2] and problem.held[2] == 0.0:
         raise InvalidInputError(
             f"hold z_max: expected more than 0 because {likelihood.n_max:g} readings are at max_range, got 0"

@@ -9,10 +9,9 @@ import numpy as np
 
 from beamfield.geometry import FloatArray
 from beamfield.kernels import intrinsics as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import counted_from, expected_from
-from beamfield.thread_count import check_threads
 
 # Order of the working vector theta: the four weights, the variance sigma_hit^2, its slope sigma_slope^2, offset, rate.
 W_HIT, W_SHORT, W_MAX, W_RAND, VARIANCE, SLOPE, OFFSET, RATE = range(8)
@@ -68,8 +67,6 @@ class IntrinsicLikelihood:
         Ranges below were not measured, metres. The beams are kept with their ranges counted from here, `max_range` too.
     weights
         How often each beam counts, shape (n,); None for once.
-    threads
-        Number of threads; None uses what pays.
 
     Notes
     -----
@@ -85,9 +82,7 @@ class IntrinsicLikelihood:
         *,
         min_range: float = 0.0,
         weights: FloatArray | None = None,
-        threads: int | None = None,
     ) -> None:
-        check_threads(threads)
         returned = ranges < max_range
         n_returned = int(np.count_nonzero(returned))
         order = np.flatnonzero(returned) if n_returned < ranges.size else None
@@ -99,7 +94,6 @@ class IntrinsicLikelihood:
         self.ranges = counted_from(min_range, np.ascontiguousarray(ranges[self.order]), max_range)
         self.max_range = float(max_range) - float(min_range)
         self.min_range = float(min_range)
-        self.threads = threads
         self._set_weights(weights, n_max=float(ranges.size - n_returned))
 
     def _set_weights(self, weights: FloatArray | None, n_max: float) -> None:
@@ -280,7 +274,7 @@ class IntrinsicLikelihood:
         def task(first: int, last: int) -> None:
             work(int(limits[first]), int(limits[last]))
 
-        run_in_slices(task, n_tasks, threads=self.threads, work_per_row=_BEAMS_PER_TASK)
+        run_in_blocks(task, n_tasks, work_per_row=_BEAMS_PER_TASK)
 
     @staticmethod
     def _node_ranges(bins: kernels.Bins) -> FloatArray:

@@ -19,7 +19,6 @@ from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.stacks.emulation.stack_rays import AMCL_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges, walled
 from beamfield.stacks.nav2.parameters import AmclParameters
-from beamfield.thread_count import check_threads
 
 P = TypeVar("P", bound=AmclParameters)
 
@@ -54,8 +53,6 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         "range_max", which brings in z_max unless laser_max_range is less. Readers of logs turn both into +inf.
     map_mode
         How the map server turns the map into a message; see `read_as_stack`.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
     """
 
     model: ClassVar[str] = "beam"
@@ -67,12 +64,10 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
     rays: RayChoice = field(default="bresenham", kw_only=True)
     no_return: str = field(default="inf", kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _seen: OccupancyGrid = field(init=False, repr=False)
     _caster: RayCaster | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_choice(self, "rays", RAYS)
         check_choice(self, "no_return", NO_RETURNS)
         seen = amcl_grid(self.grid, self.map_mode)
@@ -101,8 +96,8 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
     def expected_ranges(self, poses: FloatArray, mounts: FloatArray, range_max: float) -> FloatArray:
         """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
         if self._caster is None:
-            return bresenham_ranges(self._seen, poses, mounts, range_max, AMCL_LINE, self.threads)
-        return exact_ranges(self._caster, self._seen, poses, mounts, range_max, off_map=0.0, threads=self.threads)
+            return bresenham_ranges(self._seen, poses, mounts, range_max, AMCL_LINE)
+        return exact_ranges(self._caster, self._seen, poses, mounts, range_max, off_map=0.0)
 
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k); NaN where the reading is."""

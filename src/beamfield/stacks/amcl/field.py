@@ -25,7 +25,6 @@ from beamfield.stacks.emulation.field_table import (
 )
 from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.stacks.nav2.parameters import AmclParameters, Nav2Parameters
-from beamfield.thread_count import check_threads
 
 P = TypeVar("P", bound=AmclParameters)
 
@@ -48,8 +47,6 @@ class AmclField(FieldModel[P], Generic[P]):
         "exact" distances, or those of the program's "brushfire", which are too long in places.
     map_mode
         How the map server turns the map into a message; see `read_as_stack`.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
     """
 
     model: ClassVar[str] = "likelihood_field"
@@ -58,11 +55,9 @@ class AmclField(FieldModel[P], Generic[P]):
     parameters: P
     distance: DistanceChoice = field(default="exact", kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _table: FieldTable = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         seen = amcl_grid(self.grid, self.map_mode)
         max_distance = self.parameters.as_nav2().laser_likelihood_max_dist
         object.__setattr__(self, "_table", field_table(seen, seen.occupied, self.distance, AMCL_FIRE, max_distance))
@@ -86,7 +81,7 @@ class AmclField(FieldModel[P], Generic[P]):
         ranges = amcl_ranges(z, parameters)
         beams = self.selected_beams(len(ranges))
         beams = beams[ranges[beams] < range_max]
-        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges[beams]), self.threads)
+        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges[beams]))
         return FieldEvidence(beams, range_max, distances, places, settings=self._settings())
 
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:

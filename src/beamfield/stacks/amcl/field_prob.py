@@ -30,7 +30,7 @@ class AmclFieldProb(AmclField[P]):
 
     Parameters
     ----------
-    grid, parameters, distance, map_mode, threads
+    grid, parameters, distance, map_mode
         As for `AmclField`.
     converged
         Whether the particle filter has converged, without which it skips no beam: all particles are within 0.5 m of

@@ -20,7 +20,6 @@ from beamfield.stacks.emulation.field_table import end_points
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.stacks.emulation.stack_rays import BELUGA_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges
-from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
         The stack's own.
     rays
         "bresenham" as the program casts them, between centres of cells; "exact" to the border of the first cell.
-    no_return, map_mode, threads
+    no_return, map_mode
         As for `BelugaField`.
     """
 
@@ -60,12 +59,10 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
     rays: RayChoice = field(default="bresenham", kw_only=True)
     no_return: str = field(default="inf", kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _seen: OccupancyGrid = field(init=False, repr=False)
     _caster: RayCaster | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_choice(self, "rays", RAYS)
         check_choice(self, "no_return", NO_RETURNS)
         seen = beluga_grid(self.grid, self.map_mode)
@@ -85,9 +82,9 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
     def expected_ranges(self, poses: FloatArray, mounts: FloatArray, max_range: float) -> FloatArray:
         """Return expected ranges (n, k) in metres of beams with mounts (k, 3) at poses (n, 3)."""
         if self._caster is None:
-            ranges = bresenham_ranges(self._seen, poses, mounts, max_range, BELUGA_LINE, self.threads)
+            ranges = bresenham_ranges(self._seen, poses, mounts, max_range, BELUGA_LINE)
             return np.minimum(ranges, max_range, out=ranges)
-        return exact_ranges(self._caster, self._seen, poses, mounts, max_range, off_map=max_range, threads=self.threads)
+        return exact_ranges(self._caster, self._seen, poses, mounts, max_range, off_map=max_range)
 
     def beam_values(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""

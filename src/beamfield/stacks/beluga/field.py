@@ -18,7 +18,6 @@ from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence,
 from beamfield.stacks.emulation.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
-from beamfield.thread_count import check_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +43,6 @@ class BelugaField(FieldModel[BelugaParameters]):
         +inf.
     map_mode
         How the map server turns the map into a message; see `read_as_stack`.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Notes
     -----
@@ -67,11 +64,9 @@ class BelugaField(FieldModel[BelugaParameters]):
     distance: DistanceChoice = field(default="exact", kw_only=True)
     no_return: str = field(default="inf", kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _table: FieldTable = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_choice(self, "no_return", NO_RETURNS)
         seen = beluga_grid(self.grid, self.map_mode)
         only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
@@ -93,7 +88,7 @@ class BelugaField(FieldModel[BelugaParameters]):
         """Return distances of end points; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
         beams, ranges = beluga_beams(z, self.parameters, self.no_return)
-        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges), self.threads)
+        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges))
         return FieldEvidence(beams, self.parameters.laser_max_range, distances, places, settings=self._settings())
 
     def beam_values(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:

@@ -24,7 +24,7 @@ class BelugaFieldProb(BelugaField):
 
     Parameters
     ----------
-    grid, parameters, distance, no_return, map_mode, threads
+    grid, parameters, distance, no_return, map_mode
         As for `BelugaField`.
 
     Notes

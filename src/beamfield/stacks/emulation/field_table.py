@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import stacks as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 
@@ -50,15 +50,13 @@ class FieldTable(NamedTuple):
     unknown: BoolArray
     """(rows, cols) cells of which the map message says nothing (-1)."""
 
-    def look_up(
-        self, poses: FloatArray, ends: FloatArray, threads: int | None = None
-    ) -> tuple[Metres, NDArray[np.int8]]:
+    def look_up(self, poses: FloatArray, ends: FloatArray) -> tuple[Metres, NDArray[np.int8]]:
         """Return distances and places, (n, k) each, of end points (2, k) in the robot frame at poses (n, 3)."""
         n, k = len(poses), ends.shape[1]
         distances, places = np.empty((n, k), self.distance.dtype), np.empty((n, k), np.int8)
         rows = np.require(poses, requirements=["C", "W"])
         x, y, yaw = self.grid.origin.tolist()
-        run_in_slices(
+        run_in_blocks(
             lambda a, b: kernels.look_up_ends(
                 rows[a:b],
                 (x, y, yaw),
@@ -70,7 +68,6 @@ class FieldTable(NamedTuple):
                 places[a:b],
             ),
             n,
-            threads=threads,
             work_per_row=k,
         )
         return distances, places

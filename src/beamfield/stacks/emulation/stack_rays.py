@@ -8,7 +8,7 @@ import numpy as np
 
 from beamfield.geometry import FloatArray, compose, transform_points
 from beamfield.kernels import stacks as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
@@ -40,7 +40,6 @@ def bresenham_ranges(
     mounts: FloatArray,
     max_range: float,
     line: Line,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return the ranges that Bresenham's line gives, between the centres of cells, to the first cell that is not free.
 
@@ -54,8 +53,6 @@ def bresenham_ranges(
         How far away the line's last cell is, metres. Ranges of that cell may be a little more.
     line
         How the program follows the line.
-    threads
-        Number of threads; None uses what pays.
 
     Returns
     -------
@@ -81,7 +78,7 @@ def bresenham_ranges(
             ranges[a:b],
         )
 
-    run_in_slices(work, len(rows), threads=threads, work_per_row=WORK_PER_RAY * len(mounts))
+    run_in_blocks(work, len(rows), work_per_row=WORK_PER_RAY * len(mounts))
     return ranges
 
 
@@ -93,7 +90,6 @@ def exact_ranges(
     max_range: float,
     *,
     off_map: float,
-    threads: int | None = None,
 ) -> FloatArray:
     """Return exact expected ranges (n, k) in metres.
 
@@ -103,12 +99,12 @@ def exact_ranges(
         Casts the rays; its map may have a frame around `seen`.
     seen
         The map as the stack reads it.
-    poses, mounts, max_range, threads
+    poses, mounts, max_range
         As for `bresenham_ranges`.
     off_map
         The range of rays that start off the map, as the program has it.
     """
-    ranges = caster.expected_ranges(poses, RangeFinder(mounts, max_range), threads=threads)
+    ranges = caster.expected_ranges(poses, RangeFinder(mounts, max_range))
     starts = transform_points(poses[:, None], mounts[:, :2])
     ranges[~seen.look_up(np.ones(seen.shape, np.bool_), starts)] = off_map
     return ranges

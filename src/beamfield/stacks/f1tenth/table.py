@@ -19,7 +19,6 @@ from beamfield.stacks.emulation.parameter_checks import check_choice
 from beamfield.stacks.emulation.stack_map import message_resolution
 from beamfield.stacks.emulation.stack_rays import exact_ranges
 from beamfield.stacks.f1tenth.parameters import F1tenthParameters
-from beamfield.thread_count import check_threads
 
 # Cells of which the message says more than 10 (percent) stop rays; unknown ones do not.
 OCCUPIED_FROM = 0.105
@@ -49,8 +48,6 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
     map_mode
         "trinary" if the map is read by its own thresholds (occupied cells stop rays), "raw" if the message has its
         probabilities in percent.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Notes
     -----
@@ -69,11 +66,9 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
     grid: OccupancyGrid
     parameters: F1tenthParameters
     map_mode: str = field(default="trinary", kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _caster: RayCaster = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_choice(self, "map_mode", ("trinary", "raw"))
         stops = self.grid.occupied
         if self.map_mode == "raw":
@@ -95,9 +90,7 @@ class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
         beams = np.arange(0, len(z.ranges), self.parameters.angle_step)
         beams = beams[~np.isnan(z.ranges[beams])]
         ranges = np.clip(z.ranges[beams], 0.0, limit)
-        expected = exact_ranges(
-            self._caster, self._caster.grid, robot, z.finder.mounts[beams], limit, off_map=limit, threads=self.threads
-        )
+        expected = exact_ranges(self._caster, self._caster.grid, robot, z.finder.mounts[beams], limit, off_map=limit)
         return RayEvidence(beams, limit, ranges, expected, settings=self._settings())
 
     def beam_log_values(self, evidence: RayEvidence, parameters: F1tenthParameters | None = None) -> FloatArray:

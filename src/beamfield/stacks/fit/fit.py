@@ -140,7 +140,7 @@ def fit_stack(
     progress
         Called with what is done, steps done and steps in all.
     **model_options
-        Of the emulator: map_mode, no_return, threads.
+        Of the emulator: map_mode, no_return.
 
     Raises
     ------

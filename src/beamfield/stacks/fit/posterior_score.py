@@ -9,12 +9,11 @@ from beamfield.calibration.field.posterior_judge import PosteriorScores, judge_w
 from beamfield.calibration.pose_windows import Rivals, WindowOptions
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.fit.window_evidence import LANES, WindowEvidence
-from beamfield.thread_count import check_threads
 
 
 def score_windows(
     model: StackModel[Any, Any], evidence: WindowEvidence, candidates: Sequence[Any], rivals: Rivals,
-    options: WindowOptions, *, threads: int | None = None,
+    options: WindowOptions,
 ) -> list[PosteriorScores]:  # fmt: skip
     """Return how well parameters do on windows.
 
@@ -32,14 +31,11 @@ def score_windows(
         The stack's parameters, one set after the other.
     rivals, options
         As the windows were cut with.
-    threads
-        Number of threads; None uses what pays.
     """
-    check_threads(threads)
     scores = []
     for first in range(0, len(candidates), LANES):
         chunk = candidates[first : first + LANES]
-        log_weights = evidence.log_weights(model, chunk, threads)
+        log_weights = evidence.log_weights(model, chunk)
         log_score, covered = judge_weights(log_weights, evidence.n_near, rivals, options)
         scores += [PosteriorScores(*pair) for pair in zip(log_score.T, covered.T, strict=True)]
     return scores

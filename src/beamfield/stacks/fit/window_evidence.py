@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from beamfield.calibration.pose_windows import Window
 from beamfield.geometry import FloatArray
 from beamfield.kernels import posterior as kernels
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import Evidence, FieldEvidence, FieldModel, StackModel
 
@@ -42,7 +42,7 @@ class FieldCodes:
     starts: NDArray[np.int64]
     n_beams: NDArray[np.int64]
 
-    def log_weights(self, model: FieldModel[Any], candidates: Sequence[Any], threads: int | None = None) -> FloatArray:
+    def log_weights(self, model: FieldModel[Any], candidates: Sequence[Any]) -> FloatArray:
         """Return log-weights (r, c) of all poses, one after the other, for c parameters."""
         weights = np.empty((len(self.n_beams), len(candidates)))
         beams = max(1, len(self.codes) // max(1, len(self.n_beams)))
@@ -56,7 +56,7 @@ class FieldCodes:
             def work(a: int, b: int, table: FloatArray = table) -> None:
                 kernels.sum_values(self.codes, self.starts[a : b + 1], table, sums[a:b])
 
-            run_in_slices(work, len(self.n_beams), threads=threads, work_per_row=beams)
+            run_in_blocks(work, len(self.n_beams), work_per_row=beams)
             for lane, parameters in enumerate(chunk):
                 weights[:, first + lane] = model.log_of_sums(sums[:, lane], self.n_beams, parameters)
         return weights
@@ -86,13 +86,11 @@ class WindowEvidence:
     codes: FieldCodes | None
     n_scans: int
 
-    def log_weights(
-        self, model: StackModel[Any, Any], candidates: Sequence[Any], threads: int | None = None
-    ) -> FloatArray:
+    def log_weights(self, model: StackModel[Any, Any], candidates: Sequence[Any]) -> FloatArray:
         """Return log-weights (w, c, n) of trajectories: sums over a window's scans, for c parameters."""
         n_windows = len(self.folds)
         if self.codes is not None and isinstance(model, FieldModel):
-            each = self.codes.log_weights(model, candidates, threads)
+            each = self.codes.log_weights(model, candidates)
             total = each.reshape(n_windows, self.n_scans, -1, len(candidates)).sum(axis=1)
             return np.ascontiguousarray(total.swapaxes(1, 2))
         return np.array(

@@ -19,7 +19,6 @@ from beamfield.stacks.emulation.parameter_checks import check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.stacks.mrpt.parameters import MrptFieldParameters
 from beamfield.stacks.mrpt.scan import mrpt_grid, scan_points, thinned_out
-from beamfield.thread_count import check_threads
 
 Precision = Literal["double", "single"]
 
@@ -47,8 +46,6 @@ class MrptField(FieldModel[MrptFieldParameters]):
         Points nearer to the last one than this are left out, metres; None as in the program, half a cell. 0 keeps all.
     map_mode
         How the map server turns the map into a message; see `read_as_stack`.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
 
     Examples
     --------
@@ -71,11 +68,9 @@ class MrptField(FieldModel[MrptFieldParameters]):
     precision: Precision = field(default="double", kw_only=True)
     least_spacing: float | None = field(default=None, kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _table: FieldTable = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_choice(self, "precision", ("double", "single"))
         if self.least_spacing is not None and not 0.0 <= self.least_spacing < np.inf:
             raise InvalidInputError(f"least_spacing: expected a number >= 0 or None, got {self.least_spacing!r}")
@@ -86,9 +81,7 @@ class MrptField(FieldModel[MrptFieldParameters]):
         robot = as_poses(poses).reshape(-1, 3)
         spacing = self._table.grid.resolution / 2.0 if self.least_spacing is None else self.least_spacing
         beams = thinned_out(scan_points(z, spacing), self.parameters.LF_decimation)
-        distances, places = self._table.look_up(
-            robot, end_points(z.finder.mounts[beams], z.ranges[beams]), self.threads
-        )
+        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], z.ranges[beams]))
         # The table calls "unknown" what is on the map and does not count.
         places[places == UNKNOWN] = OFF_MAP
         distances[places == OFF_MAP] = np.inf

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.kernels.marching import march
-from beamfield.kernels.threads import run_in_slices
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, Scan
@@ -20,7 +20,6 @@ from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.stacks.emulation.stack_rays import WORK_PER_RAY
 from beamfield.stacks.mrpt.parameters import MrptRayParameters
 from beamfield.stacks.mrpt.scan import mrpt_grid, valid_readings
-from beamfield.thread_count import check_threads
 
 MrptRayChoice = Literal["marching", "exact"]
 # Rays take steps of so many cells, in numbers of so many parts of a cell; there are max_range / resolution of them, so
@@ -50,8 +49,6 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
         corners; "exact" to the border of the first cell.
     map_mode
         How the map server turns the map into a message; see `read_as_stack`.
-    threads
-        Number of threads; None uses what pays. It changes no bit of any result.
     """
 
     stack: ClassVar[str] = "mrpt"
@@ -63,12 +60,10 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
     parameters: MrptRayParameters
     rays: MrptRayChoice = field(default="marching", kw_only=True)
     map_mode: MapMode = field(default="trinary", kw_only=True)
-    threads: int | None = field(default=None, kw_only=True)
     _seen: OccupancyGrid = field(init=False, repr=False)
     _casters: tuple[RayCaster, RayCaster] | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
         check_choice(self, "rays", ("marching", "exact"))
         seen = mrpt_grid(self.grid, self.map_mode)
         casters = None
@@ -92,7 +87,7 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
         if self._casters is None:
             return self._march(poses, mounts, max_range)
         finder = RangeFinder(mounts, max_range)
-        stopped, hit = (caster.expected_ranges(poses, finder, threads=self.threads) for caster in self._casters)
+        stopped, hit = (caster.expected_ranges(poses, finder) for caster in self._casters)
         end = STEP * max_range
         within = np.ones(self._seen.shape, np.bool_)
         sensors = compose(poses[:, None], mounts)
@@ -126,7 +121,7 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
             frame = x, y, yaw
             march(rows[a:b], frame, resolution, starts, bearings, STEP, PARTS, n_steps, occupied, free, ranges[a:b])
 
-        run_in_slices(work, len(rows), threads=self.threads, work_per_row=WORK_PER_RAY * len(mounts))
+        run_in_blocks(work, len(rows), work_per_row=WORK_PER_RAY * len(mounts))
         # In single precision, as in the program.
         metres = (ranges * float(np.float32(resolution))).astype(np.float32)
         return np.where(ranges < 0.0, max_range, metres.astype(np.float64))

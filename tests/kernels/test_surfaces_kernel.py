@@ -77,5 +77,5 @@ def test_elements_know_to_how_many_end_points_their_lines_were_fitted(rng: np.ra
 
 def test_both_files_mean_the_same_columns() -> None:
     columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COUNT", "FITTED", "COLUMNS")
-    for name in (*columns, "LINE", "POINT", "NONE", "ELEMENT", "SHORTEST_ELEMENT"):
+    for name in (*columns, "POINT", "NONE", "ELEMENT", "SHORTEST_ELEMENT"):
         assert getattr(scan_field, name) == getattr(surfaces, name)

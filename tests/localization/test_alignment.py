@@ -91,7 +91,7 @@ SPARSE, DENSE = (finder(np.radians(np.arange(0.0, 360.0, step))) for step in (2.
     [
         (120, Conditions()),
         (60, Conditions(sigma=0.005)),
-        (120, Conditions(sigma=0.05)),
+        (240, Conditions(sigma=0.05)),
         (60, Conditions(onto=SPARSE, scan=DENSE)),
         (60, Conditions(onto=DENSE, scan=SPARSE)),
     ],

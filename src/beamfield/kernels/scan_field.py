@@ -25,7 +25,7 @@ INV_SQRT_2PI = 0.3989422804014327
 
 # As in `kernels.surfaces`, whose elements these are: constants of other files would not renew a cached kernel.
 X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-LINE, POINT, NONE = 1.0, 0.0, -1.0
+POINT, NONE = 0.0, -1.0
 ELEMENT, SHORTEST_ELEMENT = 0.25, 0.05
 # An element that stands for several end points reaches this far from its middle.
 LONGEST_HALF = 0.5 * ELEMENT + SHORTEST_ELEMENT
@@ -356,10 +356,8 @@ def sum_patches(points: Floats, pose: Floats, sigma: float, reach: float, patch:
         _, share = _point_density(square, free_share(x, y, 2.0 * sigma, view), sigma, view)
         nx, ny = view.elements[i, NX], view.elements[i, NY]
         dx, dy = x - view.elements[i, X], y - view.elements[i, Y]
-        # A residual has the line's noise too, an end point's over the number fitted; patches count that below.
-        # Distances to the nearest of many end points are too small already.
-        fitted = view.elements[i, FITTED]
-        own = fitted / (1.0 + fitted) if view.elements[i, PULL] == LINE else 1.0
+        # A residual has the element's noise too, an end point's over the number fitted; patches count that below.
+        own = view.elements[i, FITTED] / (1.0 + view.elements[i, FITTED])
         _add_pull(i, nx, ny, dx * nx + dy * ny, share, own, rx, ry, sums, noise)
         if view.elements[i, PULL] == POINT:
             _add_pull(i, -ny, nx, dy * nx - dx * ny, share, own, rx, ry, sums, noise)

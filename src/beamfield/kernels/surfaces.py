@@ -16,8 +16,8 @@ from beamfield.kernels.jit import kernel
 Floats = NDArray[np.float64]
 
 # Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, how it pulls, how
-# many end points it stands for, and to how many its line was fitted (0 if it has none). `kernels.scan_field` has the
-# same numbers.
+# many end points it stands for, and to how many it was fitted (1 for a point). `kernels.scan_field` has the same
+# numbers.
 X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 # A line pulls across, a point from all sides. A lone end point does not pull at all: where surfaces are seen sparsely
 # (the far end of a corridor), the next scan meets them elsewhere; and random and short readings are lone end points.
@@ -153,7 +153,7 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
         dense = (joined[i] or joined[h]) and max(gap_ahead, gap_behind) <= FIT_RADIUS
         out[n, PULL] = LINE if flat else POINT if dense else NONE
         out[n, COUNT] = 1.0
-        out[n, FITTED] = fitted
+        out[n, FITTED] = fitted if flat else 1.0
         n += 1
         kept = i if flat else -1
         if gap_ahead > ELEMENT:

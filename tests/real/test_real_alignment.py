@@ -70,7 +70,7 @@ def test_killian_aligns_though_nothing_was_chosen_on_it(data: Path, benchmark: M
     assert benchmark.sure_and_wrong(pairs.truth, results).mean() < 0.01
 
 
-@pytest.mark.parametrize("log", ["intel", "fr079", "killian"])
+@pytest.mark.parametrize("log", ["intel", "fr079"])
 def test_two_halves_of_a_scan_agree_as_their_covariances_say(data: Path, log: str) -> None:
     """The halves see other surfaces. NEES would be 3; it was 0.3 with 1.5 cm and 5 mrad for what cannot be told."""
     covariance = load("alignment_covariance")
@@ -86,7 +86,7 @@ def test_two_halves_of_a_scan_agree_as_their_covariances_say(data: Path, log: st
     # Both means and tails: wrong optima, which no covariance covers, do not count.
     near = covariance.are_near(difference)
     assert near.mean() > 0.85
-    # Of a hundred pairs, the mean has a standard error of 0.2: 2.3 on Intel, 2.7 on the others.
+    # Of a hundred pairs, the mean has a standard error of 0.2: 2.3 on Intel, 2.9 on FR079.
     assert 1.5 < squares[near].mean() < 4.0
     assert np.mean(squares[near] < 7.815) > 0.88
 

@@ -302,9 +302,8 @@ def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: f
 def _is_outside(found: FloatArray, start: FloatArray, search: tuple[float, float]) -> bool:
     """Return whether a pose lies further from the initial one than any start of the search can be off."""
     dx, dy, turn = (found - start).tolist()
-    return (
-        max(abs(dx), abs(dy)) > search[0] + FURTHEST_CAUGHT[0] or abs(wrap_angle(turn)) > search[1] + FURTHEST_CAUGHT[1]
-    )
+    too_far = max(abs(dx), abs(dy)) > search[0] + FURTHEST_CAUGHT[0]
+    return too_far or bool(abs(wrap_angle(turn)) > search[1] + FURTHEST_CAUGHT[1])
 
 
 def _as_field(onto: ScanField | Scan | Sequence[Scan], poses: ArrayLike | None) -> ScanField:

@@ -9,7 +9,9 @@ again if the next scan has a feature of its kind within fixed gates, whatever th
 
 "In 95 %" is the share of those found whose difference lies in the ellipse of both covariances, first as if the
 relative pose were exact, then with its covariance. The second table needs no alignment: the relative pose is the one
-that fits all the pair's walls best, so that chi-square per degree of freedom is 1 where covariances are honest.
+that fits all the pair's walls best, so that chi-square per degree of freedom is 1 where covariances are honest. Its
+last two columns tell whose covariances are too small: each wall is predicted by the pose that fits the *other* walls
+best (three or more), with that pose's covariance, and by the alignment, with its own.
 
 With --out, the features of some scans are drawn over them, one SVG per log, for looking at.
 """
@@ -146,7 +148,7 @@ def length(match: Match) -> float:
 def run(name: str, data: Path = DATA, n_pairs: int | None = None) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Return the rows of a log by kind of feature, and the row of its walls with the pose that fits them best."""
     tallies = {kind: Tally() for kind in KINDS}
-    fits = []
+    fits, predicted = [], []
     pairs = list(islice(aligned_pairs(load(name, data), LOGS[name].spacing, LOGS[name].turn_rate), n_pairs))
     for pair in pairs:
         first, second = extract(pair.first), extract(pair.second)
@@ -159,16 +161,20 @@ def run(name: str, data: Path = DATA, n_pairs: int | None = None) -> tuple[list[
             matches = [match for feature in looked_at if (match := find_again(feature, second[kind], kind, pair))]
             tally.matches += [(match, pair) for match in matches]
             if name_of_kind == "line" and len(matches) >= 3:
-                fits.append(chi_square_of_best_pose(matches, pair))
+                fits.append(fit_pose(matches, pair)[2] / (2 * len(matches) - 3))
+            if name_of_kind == "line" and len(matches) >= 4:
+                predicted += predict(matches, pair)
     rows = [{"log": name, "pairs": len(pairs), "feature": kind} | t.row(len(pairs)) for kind, t in tallies.items()]
-    ratios = [chi_square / degrees for chi_square, degrees in fits]
-    low, middle, high = np.percentile(ratios, [25, 50, 75])
+    low, middle, high = np.percentile(fits, [25, 50, 75])
+    by_others, by_align = np.mean(np.array(predicted) < CHI_SQUARE_95, axis=0)
     honest = {
         "log": name,
         "pairs with three walls": len(fits),
         "chi-square per degree": f"{middle:.2f}",
         "half of the pairs": f"{low:.2f} to {high:.2f}",
         "deviations are too small by": f"{np.sqrt(middle):.2f}",
+        "in 95 %, by the other walls": f"{by_others:.3f}",
+        "in 95 %, by align": f"{by_align:.3f}",
     }
     return rows, honest
 
@@ -295,18 +301,25 @@ def same_place(one: Line, two: Line, pair: Pair) -> bool:
     return bool(abs(along) < two.length / 2.0 + PAST_END)
 
 
-def chi_square_of_best_pose(matches: list[Match], pair: Pair) -> tuple[float, int]:
-    """Return chi-square and degrees of freedom of the pose that fits the matches best.
+def fit_pose(matches: list[Match], pair: Pair) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the shift (3,) of the pose that fits the matches best, its covariance (3, 3) and chi-square.
 
     Parallel walls leave it open: a hundred times the alignment's covariance keeps it in place.
     """
     roots = [np.linalg.cholesky(np.linalg.inv(match.covariance)).T for match in matches]
     differences = np.concatenate([root @ m.difference for root, m in zip(roots, matches, strict=True)])
     design = np.vstack([root @ m.by_pose for root, m in zip(roots, matches, strict=True)])
-    weak = np.linalg.cholesky(np.linalg.inv(100.0 * pair.covariance)).T
-    shift = np.linalg.lstsq(np.vstack([design, weak]), np.concatenate([differences, np.zeros(3)]), rcond=None)[0]
-    rest = differences - design @ shift
-    return float(rest @ rest), len(differences) - 3
+    information = design.T @ design + np.linalg.inv(100.0 * pair.covariance)
+    shift = np.linalg.solve(information, design.T @ differences)
+    return shift, np.linalg.inv(information), float(np.sum((differences - design @ shift) ** 2))
+
+
+def predict(matches: list[Match], pair: Pair) -> Iterator[tuple[float, float]]:
+    """Yield each match's squared Mahalanobis distance by the pose that fits the others best, and by the alignment."""
+    for i, match in enumerate(matches):
+        shift, covariance, _ = fit_pose(matches[:i] + matches[i + 1 :], pair)
+        moved = Match(match.difference - match.by_pose @ shift, match.covariance, match.by_pose)
+        yield moved.square(covariance), match.square(pair.covariance)
 
 
 if __name__ == "__main__":

@@ -64,7 +64,18 @@ def test_elements_stand_for_each_end_point_once(spacing_deg: float, rng: np.rand
     assert elements_of(mounts, ranges)[:, surfaces.COUNT].sum() == len(ranges)
 
 
+def test_elements_know_to_how_many_end_points_their_lines_were_fitted(rng: np.random.Generator) -> None:
+    """Their middles scatter across the wall by the ranges' noise over the root of that number."""
+    sigma, scatter = 0.01, []
+    for _ in range(60):
+        elements = elements_of(*wall(1.0, sigma, rng))
+        middle = elements[np.argmin(np.abs(elements[:, surfaces.X]))]
+        assert middle[surfaces.FITTED] >= 5.0
+        scatter.append((middle[surfaces.Y] - 1.0) ** 2 * middle[surfaces.FITTED])
+    assert 0.6 < np.sqrt(np.mean(scatter)) / sigma < 1.4
+
+
 def test_both_files_mean_the_same_columns() -> None:
-    columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COUNT", "COLUMNS")
+    columns = ("X", "Y", "NX", "NY", "BACK", "AHEAD", "PULL", "COUNT", "FITTED", "COLUMNS")
     for name in (*columns, "POINT", "NONE", "ELEMENT", "SHORTEST_ELEMENT"):
         assert getattr(scan_field, name) == getattr(surfaces, name)

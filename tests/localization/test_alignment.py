@@ -91,7 +91,7 @@ SPARSE, DENSE = (finder(np.radians(np.arange(0.0, 360.0, step))) for step in (2.
     [
         (120, Conditions()),
         (60, Conditions(sigma=0.005)),
-        (60, Conditions(sigma=0.05)),
+        (240, Conditions(sigma=0.05)),
         (60, Conditions(onto=SPARSE, scan=DENSE)),
         (60, Conditions(onto=DENSE, scan=SPARSE)),
     ],
@@ -324,7 +324,17 @@ def test_looking_the_other_way_is_not_called_certain() -> None:
     turned = np.array([0.0, 0.0, np.pi])
     result = align(see(ROOM, compose(FIRST, turned), sensor), see(ROOM, FIRST, sensor), turned)
     assert result.overlap < 0.5
-    assert result.problem in ("undetermined", "no overlap")
+    assert result.problem in ("undetermined", "no overlap", "outside the search")
+
+
+def test_another_place_that_looks_alike_is_outside_the_search() -> None:
+    sensor = finder(HALF_CIRCLE)
+    pair = room_pairs(95, 501, Conditions(onto=sensor, scan=sensor, turn=0.6))[94]
+    result = align(pair.scan, pair.onto, pair.start)
+    assert errors(result, pair.truth)[1] > np.radians(80.0)
+    assert result.problem == "outside the search"
+    # Whoever searches that far may find it.
+    assert align(pair.scan, pair.onto, pair.start, search=(0.0, np.radians(90.0))).problem != "outside the search"
 
 
 @pytest.mark.parametrize(

@@ -83,10 +83,11 @@ def test_two_halves_of_a_scan_agree_as_their_covariances_say(data: Path, log: st
     difference = np.array([even.pose - odd.pose for even, odd in halves])
     sums = np.array([even.covariance + odd.covariance for even, odd in halves])
     squares = np.einsum("ni,ni->n", difference, np.linalg.solve(sums, difference[..., None])[..., 0])
-    # Both medians and tails: wrong optima, which no covariance covers, do not count.
-    near = np.hypot(difference[:, 0], difference[:, 1]) < 0.1
+    # Both means and tails: wrong optima, which no covariance covers, do not count.
+    near = covariance.are_near(difference)
     assert near.mean() > 0.85
-    assert 1.0 < np.median(squares[near]) < 3.5
+    # Of a hundred pairs, the mean has a standard error of 0.2: 2.3 on Intel, 2.9 on FR079.
+    assert 1.5 < squares[near].mean() < 4.0
     assert np.mean(squares[near] < 7.815) > 0.88
 
 

@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 INV_SQRT_2PI = 0.3989422804014327
 
 # As in `kernels.surfaces`, whose elements these are: constants of other files would not renew a cached kernel.
-X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8
+X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 POINT, NONE = 0.0, -1.0
 ELEMENT, SHORTEST_ELEMENT = 0.25, 0.05
 # An element that stands for several end points reaches this far from its middle.
@@ -65,7 +65,7 @@ class FieldView(NamedTuple):
 def fill_buckets(
     elements: Floats, left: float, bottom: float, bucket: float, cols: int, start: Integers, items: Integers
 ) -> None:
-    """Sort the elements (m, 8) into buckets: bucket b is items[start[b] : start[b + 1]]; start is all 0 before."""
+    """Sort the elements (m, 9) into buckets: bucket b is items[start[b] : start[b + 1]]; start is all 0 before."""
     for i in range(elements.shape[0]):
         start[_bucket_of(elements, i, left, bottom, bucket, cols) + 1] += 1
     for b in range(1, start.size):
@@ -356,9 +356,11 @@ def sum_patches(points: Floats, pose: Floats, sigma: float, reach: float, patch:
         _, share = _point_density(square, free_share(x, y, 2.0 * sigma, view), sigma, view)
         nx, ny = view.elements[i, NX], view.elements[i, NY]
         dx, dy = x - view.elements[i, X], y - view.elements[i, Y]
-        _add_pull(i, nx, ny, dx * nx + dy * ny, share, rx, ry, sums, noise)
+        # A residual has the element's noise too, an end point's over the number fitted; patches count that below.
+        own = view.elements[i, FITTED] / (1.0 + view.elements[i, FITTED])
+        _add_pull(i, nx, ny, dx * nx + dy * ny, share, own, rx, ry, sums, noise)
         if view.elements[i, PULL] == POINT:
-            _add_pull(i, -ny, nx, dy * nx - dx * ny, share, rx, ry, sums, noise)
+            _add_pull(i, -ny, nx, dy * nx - dx * ny, share, own, rx, ry, sums, noise)
     total = np.zeros(SUMS)
     first, last, count = 0, 0, 0.0
     for i in range(sums.shape[0]):
@@ -377,16 +379,16 @@ def sum_patches(points: Floats, pose: Floats, sigma: float, reach: float, patch:
 
 
 @kernel
-def _add_pull(i: int, nx: float, ny: float, residual: float, weight: float, rx: float, ry: float,
+def _add_pull(i: int, nx: float, ny: float, residual: float, weight: float, own: float, rx: float, ry: float,
               sums: Floats, noise: Floats) -> None:  # fmt: skip
-    """Add one residual along (nx, ny) to the sums of its element, and its squared pull to the noise."""
+    """Add one residual along (nx, ny) to the sums of its element, and `own` of its squared pull to the noise."""
     pull = (weight * nx, weight * ny, weight * (rx * ny - ry * nx))
     for a in range(3):
         sums[i, a] += residual * pull[a]
         sums[i, 3 + a] += pull[a]
         for b in range(3):
-            noise[a, b] += residual * residual * pull[a] * pull[b]
-    sums[i, 6] += weight * residual * residual
+            noise[a, b] += own * residual * residual * pull[a] * pull[b]
+    sums[i, 6] += weight * own * residual * residual
     sums[i, 7] += weight
 
 

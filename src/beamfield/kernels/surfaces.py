@@ -15,9 +15,10 @@ from beamfield.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
 
-# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, how it pulls, and
-# how many end points it stands for. `kernels.scan_field` has the same numbers.
-X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# Columns of an element: a point on it, its normal, how far it reaches against and along its tangent, how it pulls, how
+# many end points it stands for, and to how many it was fitted (1 for a point). `kernels.scan_field` has the same
+# numbers.
+X, Y, NX, NY, BACK, AHEAD, PULL, COUNT, FITTED, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 # A line pulls across, a point from all sides. A lone end point does not pull at all: where surfaces are seen sparsely
 # (the far end of a corridor), the next scan meets them elsewhere; and random and short readings are lone end points.
 LINE, POINT, NONE = 1.0, 0.0, -1.0
@@ -101,7 +102,7 @@ def range_noise(bearings: Floats, ranges: Floats, joined: NDArray[np.bool_]) -> 
 
 @kernel
 def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], noise: float, out: Floats) -> int:
-    """Fill out (>= 4 k, 8) with the elements of the end points (k, 2) of one origin; return how many there are.
+    """Fill out (>= 4 k, 9) with the elements of the end points (k, 2) of one origin; return how many there are.
 
     `noise` is that of `range_noise`. Where beams are dense, it makes a wall's nearest end points look like a cloud that
     has no direction, or any; a line through more of them has the wall's.
@@ -130,12 +131,13 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
             continue
         gap_behind = _gap(points, h, i) if k > 1 and joined[h] else 0.0
         radius = max(FIT_RADIUS, 1.01 * max(gap_ahead, gap_behind))
-        cx, cy, nx, ny, flat, off = _fit_line(points, joined, i, radius)
+        cx, cy, nx, ny, fitted, off = _fit_line(points, joined, i, radius)
         while off <= allowed and 2.0 * radius <= WIDEST_FIT:
             radius *= 2.0
-            wide_x, wide_y, wide_nx, wide_ny, wide_flat, off = _fit_line(points, joined, i, radius)
+            wide_x, wide_y, wide_nx, wide_ny, wide_fitted, off = _fit_line(points, joined, i, radius)
             if off <= allowed:
-                cx, cy, nx, ny, flat = wide_x, wide_y, wide_nx, wide_ny, wide_flat
+                cx, cy, nx, ny, fitted = wide_x, wide_y, wide_nx, wide_ny, wide_fitted
+        flat = fitted > 0.0
         # The tangent points along the beams' order, so that AHEAD is towards the next end point.
         a, b = (i, j) if joined[i] else (h, i)
         if (points[b, 0] - points[a, 0]) * -ny + (points[b, 1] - points[a, 1]) * nx < 0.0:
@@ -151,6 +153,7 @@ def fit_elements(points: Floats, ranges: Floats, joined: NDArray[np.bool_], nois
         dense = (joined[i] or joined[h]) and max(gap_ahead, gap_behind) <= FIT_RADIUS
         out[n, PULL] = LINE if flat else POINT if dense else NONE
         out[n, COUNT] = 1.0
+        out[n, FITTED] = fitted if flat else 1.0
         n += 1
         kept = i if flat else -1
         if gap_ahead > ELEMENT:
@@ -168,8 +171,8 @@ def _gap(points: Floats, i: int, j: int) -> float:
 @kernel
 def _fit_line(
     points: Floats, joined: NDArray[np.bool_], i: int, radius: float
-) -> tuple[float, float, float, float, bool, float]:
-    """Return mean, normal, flatness and deviation of the end points of i's surface within a radius.
+) -> tuple[float, float, float, float, float, float]:
+    """Return mean, normal, number (0 if they are not flat) and deviation of i's surface's end points within a radius.
 
     The deviation, across the line, is inf for fewer than three.
     """
@@ -199,7 +202,7 @@ def _fit_line(
     angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
     flat = count >= 3.0 and small <= FLATNESS * FLATNESS * large
     off = math.sqrt(max(small, 0.0) * count / (count - 2.0)) if count > 2.0 else math.inf
-    return x0 + mx, y0 + my, -math.sin(angle), math.cos(angle), flat, off
+    return x0 + mx, y0 + my, -math.sin(angle), math.cos(angle), count if flat else 0.0, off
 
 
 @kernel
@@ -215,5 +218,7 @@ def _fill_gap(points: Floats, i: int, j: int, gap: float, n: int, out: Floats) -
         out[n, PULL] = LINE
         # It rests on the two end points beside the gap, which have elements of their own.
         out[n, COUNT] = 0.0
+        # (1 - t)^2 + t^2 on average.
+        out[n, FITTED] = 1.5
         n += 1
     return n

@@ -21,7 +21,7 @@ from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_field import ScanField
 from beamfield.sensors import Scan
 
-Problem = Literal["", "no end points", "no overlap", "undetermined", "ambiguous", "not converged"]
+Problem = Literal["", "no end points", "no overlap", "outside the search", "undetermined", "ambiguous", "not converged"]
 
 # Coarse to fine, in units of the field's sigma: the widest catches errors of 0.3 m and 15 degrees with sigma 0.03 m.
 COARSE_SIGMAS = (12.0, 4.0)
@@ -40,14 +40,18 @@ DEFAULT_SEARCH = (0.0, START_TURN)
 MAX_STARTS = 20_000
 # Another start replaces the initial pose only if its score is better by this share: in a round room all are as good.
 BETTER = 0.02
+# An optimum so much further (metres, radians) from the initial pose than was searched is another place that looks
+# alike: twice what the ascent catches.
+FURTHEST_CAUGHT = (0.6, math.radians(30.0))
 # Fewer end points on surfaces than this say nothing.
 FEWEST_MATCHES = 3.0
 # A slide along the surfaces is looked for if it meets less than this share of the end points' resistance, and reported
 # if it has this standard deviation in metres.
 WEAK, AMBIGUOUS_DEVIATION = 0.35, 0.1
 # The end points determine such a direction to this (metres aside per metre): after a slide, or where the initial pose
-# is off along it, the rest is wrong by as much. Chosen on simulated corridors.
-DIRECTION_DEVIATION = 0.01
+# is off along it, the rest is wrong by as much. The door frames that hold a slide in a wrong place turn it more than
+# the noise turns an undetermined direction. Chosen on simulated corridors.
+SLIDE_DIRECTION_DEVIATION, FREE_DIRECTION_DEVIATION = 0.05, 0.01
 # Standard deviation along an undetermined direction, metres of end points.
 UNDETERMINED_DEVIATION = 100.0
 
@@ -84,8 +88,9 @@ class AlignmentResult:
         Metres that end points move per radian.
     problem
         "" or what is wrong: "no end points" (in the scan), "no overlap" (with the field's surfaces), "undetermined",
-        "ambiguous" (places along a slide of more than 0.1 m fit about as well; the covariance holds them) or "not
-        converged".
+        "outside the search" (0.6 m or 30 degrees further from the initial pose than the window: likely another place
+        that looks alike, which the covariance does not hold), "ambiguous" (places along a slide of more than 0.1 m fit
+        about as well; the covariance holds them) or "not converged".
     """
 
     pose: FloatArray
@@ -157,7 +162,7 @@ def align(
     **Slides.** Along a corridor few end points tell one place from the next, and the score has many small peaks. Where
     a move in the weakest direction meets less than 35 % of the end points' resistance, the line along it is looked at
     every sigma, up to 0.5 m from the initial pose. The best peaks are climbed, and all places are weighed by their
-    scores (one independent beam per 11 degrees) and by their distance from the initial pose (deviation 0.2 m).
+    scores (one independent beam per 16 degrees) and by their distance from the initial pose (deviation 0.2 m).
 
     **Covariance.** Estimated from the two scans alone, without a floor: the sandwich A^-1 B A^-1 of
     `alignment_covariance.sandwich_covariance`. The curvature A is measured by differences. The scatter B of the end
@@ -168,8 +173,8 @@ def align(
     It does not know of errors that bend or shift a scan as a whole: a sweep taken in fast motion, a tilted scanner, a
     wrong calibration. Add their covariance where they matter.
 
-    An ascent that ended in a wrong optimum elsewhere has an error that no covariance covers: look at `overlap` and
-    `score`, and use `search`.
+    An ascent that ended in a wrong optimum elsewhere has an error that no covariance covers. It is flagged if it is far
+    from the initial pose; otherwise look at `overlap` and `score`, and use `search`.
 
     References
     ----------
@@ -212,11 +217,14 @@ def align(
     free = fit.eigenvalues < threshold
     covariance = _covariance(points, field, fit, free, lever)
     covariance += sliding * np.outer(fit.slide, fit.slide)
-    moved = sliding + (START_DEVIATION**2 if free.any() else 0.0)
-    covariance += moved * np.diag((DIRECTION_DEVIATION * np.array([1.0, 1.0, 1.0 / lever])) ** 2)
+    aside = SLIDE_DIRECTION_DEVIATION**2 * sliding
+    aside += (FREE_DIRECTION_DEVIATION * START_DEVIATION) ** 2 if free.any() else 0.0
+    covariance += aside * np.diag((1.0, 1.0, lever**-2))
     found = np.array([*fit.pose[:2], wrap_angle(fit.pose[2])])
     problem: Problem = "" if converged else "not converged"
-    if free.any():
+    if _is_outside(found, start, search):
+        problem = "outside the search"
+    elif free.any():
         problem = "undetermined"
     elif sliding > 0.0 and fit.slide[:2] @ covariance[:2, :2] @ fit.slide[:2] > AMBIGUOUS_DEVIATION**2:
         problem = "ambiguous"
@@ -289,6 +297,13 @@ def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: f
     if not 0.0 < threshold < 1.0:
         raise InvalidInputError(f"threshold: expected a share between 0 and 1, got {threshold}")
     return start
+
+
+def _is_outside(found: FloatArray, start: FloatArray, search: tuple[float, float]) -> bool:
+    """Return whether a pose lies further from the initial one than any start of the search can be off."""
+    dx, dy, turn = (found - start).tolist()
+    too_far = max(abs(dx), abs(dy)) > search[0] + FURTHEST_CAUGHT[0]
+    return too_far or bool(abs(wrap_angle(turn)) > search[1] + FURTHEST_CAUGHT[1])
 
 
 def _as_field(onto: ScanField | Scan | Sequence[Scan], poses: ArrayLike | None) -> ScanField:

@@ -22,7 +22,7 @@ REACH_SIGMAS, TOLERANCE, STEPS = 4.0, 0.01, 10
 START_DEVIATION = 0.2
 # Which of two places fits better is told by one independent beam per this angle, however dense the beams are: what
 # neighbouring beams share seldom makes another place fit. Chosen on simulated corridors.
-INDEPENDENT_ANGLE = math.radians(11.25)
+INDEPENDENT_ANGLE = math.radians(16.0)
 
 
 @dataclass(frozen=True, eq=False)

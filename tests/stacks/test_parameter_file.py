@@ -7,9 +7,10 @@ import difflib
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.stacks.files.parameter_file import MODELS, check_patch_target, read_stack_file, write_values
-from beamfield.stacks.files.parameter_text import plain_value
+from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file, write_values
 from beamfield.stacks.files.typed_values import checked_values
+from beamfield.stacks.registry import STACKS
+from beamfield.stacks.syntax.parameter_text import plain_value
 
 NAV2 = """\
 # localisation of the lobby robot
@@ -221,7 +222,7 @@ def test_whose_file_a_yaml_file_can_be(write, text, stack, certain):
     ids=["nav2", "beluga", "ros 1 into ROS 2", "nav2 into f1tenth", "nav2 into ROS 1", "ros 1"],
 )  # fmt: skip
 def test_values_go_into_files_of_their_own_stack_only(write, text, stack, is_good):
-    file = read_stack_file(write(text), stack=stack, model=MODELS[stack][0])
+    file = read_stack_file(write(text), stack=stack, model=STACKS[stack].default_model)
     if is_good:
         check_patch_target(file)
         return
@@ -371,7 +372,7 @@ BELUGA_1 = "laser_z_hit: 0.77   # mine\nlaser_max_beams: 100\nselective_resampli
 def test_belugas_names_for_ros_1_are_read_and_written_as_they_are(write):
     path = write(BELUGA_1)
     file = read_stack_file(path)
-    assert file.is_prefixed
+    assert file.is_of_other_node
     values = checked_values(file)
     assert (values.z_hit, values.max_beams) == (0.77, 100)
     # The node for ROS 1 has ROS 1's defaults.
@@ -400,7 +401,7 @@ def test_ros_2_ignores_the_names_of_ros_1(write):
     text = "amcl:\n  ros__parameters:\n    laser_z_hit: 0.77\n    execution_policy: seq\n"
     file = read_stack_file(write(text))
     assert file.stack == "beluga"
-    assert not file.is_prefixed
+    assert not file.is_of_other_node
     assert checked_values(file).z_hit == 0.5
 
 

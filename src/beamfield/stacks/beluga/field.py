@@ -14,8 +14,9 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries
+from beamfield.stacks.emulation.beam_selection import even_beams
 from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
-from beamfield.stacks.emulation.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.emulation.field_table import BELUGA_BRUSHFIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.thread_count import check_threads
@@ -58,6 +59,7 @@ class BelugaField(FieldModel[BelugaParameters]):
     stack: ClassVar[str] = "beluga"
     model: ClassVar[str] = "likelihood_field"
     evidence_settings: ClassVar[tuple[str, ...]] = (*SCAN_SETTINGS, "only_obstacle_boundaries")
+    beam_rule = staticmethod(even_beams)
     fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
     # Whether the node hands model_unknown_space and only_obstacle_boundaries to this model.
     has_map_options: ClassVar[bool] = True
@@ -76,7 +78,7 @@ class BelugaField(FieldModel[BelugaParameters]):
         seen = beluga_grid(self.grid, self.map_mode)
         only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
         obstacles = boundaries(seen) if only_boundaries else seen.occupied
-        table = field_table(seen, obstacles, self.distance, BELUGA_FIRE, self.parameters.laser_likelihood_max_dist)
+        table = field_table(seen, obstacles, self.distance, BELUGA_BRUSHFIRE, self.parameters.laser_likelihood_max_dist)
         if only_boundaries:
             # The inside of thick walls is as unknown space (Beluga's pull request 541).
             table = table._replace(unknown=table.unknown | (seen.occupied & ~obstacles))

@@ -110,7 +110,7 @@ def fit_for_stack(
         models = (file.model,)
     elif arguments.model is not None:
         models = (arguments.model,)
-    plain = next((form.result.parameters for form in result.candidates if form.name == "chapter"), None)
+    plain = next((form.result.parameters for form in result.candidates if form.is_chapter), None)
     fits = []
     for model in models:
         start = stack.start(model) if file is None else checked_values(file)

@@ -14,14 +14,8 @@ from beamfield.stacks.nav2.stack import NAV2
 from beamfield.stacks.ros1.stack import ROS1
 from beamfield.stacks.stack import Model, Stack
 
-# By the name that commands take. Where a file can be of several, the first is the likeliest.
-STACKS: dict[str, Stack] = {
-    "nav2": NAV2,
-    "ros1": ROS1,
-    "beluga": BELUGA,
-    "mrpt": MRPT,
-    "f1tenth": F1TENTH,
-}
+# By the names that commands take. Where a file can be of several, the first is the likeliest.
+STACKS: dict[str, Stack] = {stack.name: stack for stack in (NAV2, ROS1, BELUGA, MRPT, F1TENTH)}
 
 
 def stack_named(name: str) -> Stack:

@@ -123,30 +123,26 @@ class FitInputs(NamedTuple):
         return sorted({max(1, round(self.finder.n_beams / n)) for n in counts} or {1}, reverse=True)
 
 
-def log_of(name: str, step: float, low: float, high: float, grid: tuple[float, ...]) -> Coordinate:
-    """Return a positive parameter by its logarithm."""
+def log_of(name: str, step: float, low: float, high: float, grid: tuple[float, ...], per: str = "") -> Coordinate:
+    """Return a positive parameter by its logarithm, or that of its ratio to another, which is put first."""
+
+    def unit(parameters: Any) -> float:
+        return getattr(parameters, per) if per else 1.0
+
     return Coordinate(
         name,
-        lambda parameters: math.log(getattr(parameters, name)),
-        lambda parameters, value: replace(parameters, **{name: math.exp(value)}),
+        lambda parameters: math.log(getattr(parameters, name) / unit(parameters)),
+        lambda parameters, value: replace(parameters, **{name: math.exp(value) * unit(parameters)}),
         step,
         math.log(low),
         math.log(high),
-        tuple(math.log(value) for value in grid),
+        tuple(map(math.log, grid)),
     )
 
 
 def reach(name: str, sigma: str) -> Coordinate:
-    """Return a maximum distance by the logarithm of its ratio to sigma, which is put first."""
-    return Coordinate(
-        name,
-        lambda parameters: math.log(getattr(parameters, name) / getattr(parameters, sigma)),
-        lambda parameters, value: replace(parameters, **{name: math.exp(value) * getattr(parameters, sigma)}),
-        -0.7,
-        math.log(SHORTEST_REACH),
-        math.log(20.0),
-        tuple(math.log(value) for value in REACHES),
-    )
+    """Return a maximum distance by the logarithm of its ratio to sigma."""
+    return log_of(name, -0.7, SHORTEST_REACH, 20.0, REACHES, per=sigma)
 
 
 def share(names: tuple[str, ...], name: str) -> Coordinate:

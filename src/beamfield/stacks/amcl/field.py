@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
@@ -103,15 +103,6 @@ class AmclField(FieldModel[P], Generic[P]):
         p *= values.z_hit
         p += values.z_rand / evidence.max_range
         return p
-
-    def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
-        """Return p^3 of each beam that counts, (n, k)."""
-        p = self.beam_values(evidence, parameters)
-        return np.asarray(p * p * p)
-
-    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
-        """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
-        return np.asarray(np.log1p(sums))
 
     def _cut_distances(self, evidence: FieldEvidence, values: AmclParameters) -> FloatArray:
         """Return the distances (n, k) that the program looks up, metres."""

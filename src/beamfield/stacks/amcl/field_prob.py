@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
 from beamfield.stacks.amcl.field import AmclField
@@ -45,19 +44,10 @@ class AmclFieldProb(AmclField[P]):
     """
 
     model: ClassVar[str] = "likelihood_field_prob"
+    is_product: ClassVar[bool] = True
     beam_rule = staticmethod(ceil_step_beams)
 
     converged: bool = field(default=True, kw_only=True)
-
-    def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
-        """Return log p of each beam that counts without beam skipping, (n, k)."""
-        p = self.beam_values(evidence, parameters)
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(p, out=p))
-
-    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
-        """Return the sums; see `FieldModel.log_of_sums`."""
-        return sums
 
     def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the sum of log p over the beams that count, (n,); see `StackModel.log_weights`."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from beamfield.finding import Finding
 from beamfield.stacks.amcl.chapter import amcl_chapter_notes, amcl_fit_space, amcl_from_chapter
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.stack import FIELD_CUBES, FIELD_PRODUCT, RAY_CUBES, Model, Stack, models
-from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 _FIELD = "p = z_hit exp(-d² / 2 sigma_hit²) + z_rand / range_max, d from a beam's end to the nearest obstacle"
 _BEAM_SKIPPING = {"do_beamskip": "beam skipping is left out: only nav2 and ROS 1 have it"}
@@ -27,29 +25,23 @@ def amcl_stack(
     title: str,
     emulators: tuple[type[StackModel[Any, Any]], type[StackModel[Any, Any]], type[StackModel[Any, Any]]],
     parameters: type[Any],
-    *,
-    likeness: Callable[[ParameterSection], float],
-    signs: frozenset[str],
-    package: str,
-    layout: tuple[str, ...],
-    unknown_model: str,
-    names: Mapping[str, str] | None = None,
-    in_launch_files: bool = False,
-    is_typed: bool = False,
-    checks: tuple[Callable[[Any], Iterator[Finding]], ...] = (),
+    names: Mapping[str, str],
+    **facts: Any,
 ) -> Stack:
-    """Return the description of a program that runs AMCL; the emulators are of its two fields and its beam model."""
+    """Return the description of a program that runs AMCL, with facts of its own.
+
+    The emulators are of its two fields and its beam model; `names` is as for `Model`.
+    """
     field, product, beam = emulators
 
     def described(emulator: type[StackModel[Any, Any]], **facts: Any) -> Model:
         return Model(
-            emulator=emulator, parameters=parameters, names=names or {}, in_file=(emulator.model,), adds_one=True,
+            emulator=emulator, parameters=parameters, names=names, in_file=(emulator.model,), adds_one=True,
             fit_space=amcl_fit_space, **facts,
         )  # fmt: skip
 
     return Stack(
-        name=name, title=title, likeness=likeness, signs=signs, nodes=("amcl",), packages=(package,), layout=layout,
-        in_launch_files=in_launch_files, is_typed=is_typed, checks=checks, unknown_model=unknown_model,
+        name=name, title=title, nodes=("amcl",), **facts,
         models=models(
             described(field, weight=FIELD_CUBES, left_out=_BEAM_SKIPPING, formula=f"1 + Σ p³ over beams; {_FIELD}"),
             described(product, weight=FIELD_PRODUCT, left_out=_BEAM_SKIPPING, formula=f"Π p over beams; {_FIELD}"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
@@ -108,20 +108,6 @@ class BelugaField(FieldModel[BelugaParameters]):
             # The nearer of two distances, so the greater of two values.
             p[evidence.places == UNKNOWN] = max(uniform, *_mixture(np.array([farthest]), values, evidence.max_range))
         return p.astype(np.float32).astype(np.float64) if self.distance == "brushfire" else p
-
-    def beam_terms(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
-        """Return p^3 of each beam that counts, (n, k)."""
-        p = self.beam_values(evidence, parameters)
-        return np.asarray(p * p * p)
-
-    def log_of_sums(
-        self,
-        sums: FloatArray,
-        n_beams: int | NDArray[np.int64],  # noqa: ARG002
-        parameters: BelugaParameters,  # noqa: ARG002
-    ) -> FloatArray:
-        """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
-        return np.asarray(np.log1p(sums))
 
     def _table_settings(self) -> tuple[str, ...]:
         """Return the names of the parameters that the distances depend on."""

@@ -199,19 +199,31 @@ class RayModel(StackModel[P, RayEvidence], Generic[P]):
 
 
 class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
-    """A likelihood field: each beam's value depends on its end point alone, the weight on the sum over beams."""
+    """A likelihood field: each beam's value depends on its end point alone, the weight on the sum over beams.
+
+    Attributes
+    ----------
+    is_product
+        Whether the weight is the product of p over beams; otherwise it is 1 + the sum of p^3.
+    """
+
+    is_product: ClassVar[bool] = False
 
     @abstractmethod
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the stack's value p of each beam that counts, (n, k)."""
 
-    @abstractmethod
     def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
-        """Return what is summed over beams, (n, k): cubes of p or logarithms."""
+        """Return what is summed over beams, (n, k): log p of a product, else p^3."""
+        p = self.beam_values(evidence, parameters)
+        if not self.is_product:
+            return np.asarray(p * p * p)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(p, out=p))
 
-    @abstractmethod
-    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:
-        """Return log-weights of sums over n_beams beams, of the same shape."""
+    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
+        """Return log-weights of sums over n_beams beams, of the same shape: of 1 + sum p^3 unless it is a product."""
+        return sums if self.is_product else np.asarray(np.log1p(sums))
 
     def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the logarithm of the stack's weight of each pose; see `StackModel.log_weights`."""

@@ -41,12 +41,13 @@ NAV2 = amcl_stack(
     "nav2",
     (Nav2Field, Nav2FieldProb, Nav2Beam),
     Nav2Parameters,
+    {},
     likeness=_likeness,
     signs=frozenset(
         ("laser_model_type", *ROS_1_NAMES, "laser_likelihood_max_dist", "laser_max_range", "laser_min_range",
          "do_beamskip", "beam_skip_distance")
     ),
-    package=PACKAGE,
+    packages=(PACKAGE,),
     layout=("amcl:", "  ros__parameters:"),
     unknown_model="nav2 runs likelihood_field instead, without a message",
     is_typed=True,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
 from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
@@ -24,21 +22,18 @@ def _likeness(section: ParameterSection) -> float:
     return section.count(SIGNS) or (0.6 if section.syntax == "launch" else 0.25)
 
 
-_ROS1 = amcl_stack(
+ROS1 = amcl_stack(
     "ros1",
     "ROS 1 amcl",
     (Ros1Field, Ros1FieldProb, Ros1Beam),
     Ros1Parameters,
-    names=ROS_1_NAMES,
+    ROS_1_NAMES,
     likeness=_likeness,
     signs=SIGNS,
-    package=PACKAGE,
+    packages=(PACKAGE,),
     layout=("amcl:",),
     in_launch_files=True,
     unknown_model="amcl runs likelihood_field instead; it only logs a warning",
-)
-ROS1 = replace(
-    _ROS1,
     wrong_type="amcl uses its default without a message",
     flatter="fewer beams or a wider laser_sigma_hit",
 )

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.files.yaml_file import shorten
 
 # ROS 2 puts a node's parameters under this key.
 ROS_2_KEY = "ros__parameters"
@@ -113,26 +112,6 @@ class ParameterSection:
         """Return the error that says what is wrong with one parameter."""
         entry = self.entries.get(name)
         return FormatError(self.path, message, line=self.line if entry is None else entry.line, field=name)
-
-    def number(self, name: str) -> float | None:
-        """Return a parameter as a number (maybe infinite or NaN); None if the file does not have it.
-
-        Raises
-        ------
-        FormatError
-            If it is no number.
-        """
-        entry = self.entries.get(name)
-        if entry is None:
-            return None
-        if entry.filled_in and entry.value is None:
-            raise self.error(name, f"expected a number, got {entry.filled_in!r}, which is filled in elsewhere")
-        if isinstance(entry.value, bool) or not isinstance(entry.value, (int, float)):
-            raise self.error(name, f"expected a number, got {shorten(entry.value)}")
-        try:
-            return float(entry.value)
-        except OverflowError:
-            raise self.error(name, "expected a number, got one too large for floating point") from None
 
     def with_values(self, values: Mapping[str, Value]) -> str:
         """Return the file's text with these values; parameters that it lacks are added, all else stays as it is.

@@ -88,8 +88,9 @@ def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[st
         file, arguments.to, model=arguments.to_model, max_range=arguments.max_range, n_beams=arguments.beams,
         resolution=arguments.resolution,
     )  # fmt: skip
-    others = " or ".join(name for name in file.possible if name != file.stack)
-    more = [] if file.stack_is_certain else [f"read as {file.stack}'s file; say --stack {others} if it is of that"]
+    others = " or ".join(file.possible[1:])
+    said = f"read as {file.stack}'s file; say --stack {others} if that is what the robot runs"
+    more = [] if file.stack_is_certain else [said]
     return result, f"{file.stack} {file.model}", more
 
 

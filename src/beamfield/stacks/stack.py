@@ -152,11 +152,10 @@ class Model:
         return getattr(parameters, self.own_name(name), None)
 
     def sigma(self, parameters: Any, cell: float | None) -> float | None:
-        """Return sigma_hit in metres; None if it is in cells of the map, and their side is not known."""
+        """Return sigma_hit in metres; None if there is none, or it is in cells of a map whose side is not known."""
         sigma = self.value(parameters, "sigma_hit")
-        if not self.counts_in_cells:
-            return float(sigma)
-        return None if cell is None else float(sigma) * cell
+        side = cell if self.counts_in_cells else 1.0
+        return None if sigma is None or side is None else float(sigma) * side
 
     @property
     def counts_in_cells(self) -> bool:

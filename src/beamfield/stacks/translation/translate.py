@@ -145,7 +145,7 @@ def _assumed_limit(source: Formula, stack: Stack | None, max_range: float | None
     """Say what was assumed of the sensor if nobody said its longest range."""
     lesser = [item.name for item in (source.stack, stack) if item is not None and item.takes_lesser_limit]
     limit = source.value("laser_max_range")
-    if max_range is not None or not lesser or limit <= 0.0:
+    if max_range is not None or not lesser or limit is None or limit <= 0.0:
         return ()
     said = (
         f"assumed that the sensor's longest range is {limit:g} m or more: {lesser[0]} divides z_rand by the lesser of "
@@ -214,8 +214,8 @@ def _field_comparison(
 
 def _ray_comparison(source: Formula, other: Formula, max_range: float | None, cell: float) -> Comparison:
     limit = source.longest_range(max_range) or 3.0 * SAMPLED_RANGE
-    sigma = source.model.sigma(source.parameters, cell) or 0.0
-    ranges, expected = sample_ranges(sigma, SAMPLED_RANGE, limit)
+    sigma = source.model.sigma(source.parameters, cell)
+    ranges, expected = sample_ranges(sigma or 0.0, SAMPLED_RANGE, limit)
     return compare(*(ray_weights(of, ranges, expected, limit, cell) for of in (source, other)))
 
 

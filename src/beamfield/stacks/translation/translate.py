@@ -89,15 +89,13 @@ def translate(
         values = _renamed(source, stack.model(name))
         return _translated(source, stack, name, values, max_range, resolution, (), notes)
     assumptions = _assumed_limit(source, stack, max_range)
-    if source.model.weight.of_field:
-        field = read_field(source, max_range, n_beams, notes)
-        if stack is None:
-            values = chapter_values(field, notes)
-        else:
-            target = stack.model(name)
-            keeps_scale = not target.factor_cancels
-            values = field_values(stack, target, field, max_range, n_beams, notes, keeps_scale=keeps_scale)
-    elif stack is not None:
+    if stack is None:
+        values = chapter_values(read_field(source, max_range, n_beams, notes), notes)
+    elif source.model.weight.of_field:
+        field, target = read_field(source, max_range, n_beams, notes), stack.model(name)
+        keeps_scale = not target.factor_cancels
+        values = field_values(stack, target, field, max_range, n_beams, notes, keeps_scale=keeps_scale)
+    else:
         values = _beam_values(source, stack, stack.model(name), max_range, notes)
     notes += source.model.notes
     notes += () if stack is None else stack.model(name).notes
@@ -111,7 +109,8 @@ def _target(file: StackFile, stack: Stack | None, to: str, model: str | None) ->
     if stack is not None and model is not None:
         stack.model(model)
     how, own = file.described_model.weight, f"{file.stack}'s {file.model}"
-    same = [name for name, weight in weights.items() if weight == how]
+    # beam_model.yaml is not written from a stack's parameters.
+    same = [name for name, weight in weights.items() if weight == how and (stack is not None or how.of_field)]
     if not same:
         raise InvalidInputError(
             f"{to} has no model that can weigh as {own} does: that takes {how.text}, and no values of other parameters "
@@ -193,7 +192,6 @@ def _translated(
         if isinstance(other, ChapterField) or not source.stack.has_same_formulas(other.stack):
             notes = notes + _cut_note(source, other, max_range, dict(zip(cells, found, strict=True)))
     else:
-        assert isinstance(other, Formula)
         found = [_ray_comparison(source, other, max_range, cell) for cell in cells]
     worst = max(found, key=lambda made: made.difference)
     return Translation(CHAPTER if stack is None else stack.name, name, values, worst, assumptions, tuple(notes))
@@ -212,7 +210,7 @@ def _field_comparison(
     return compare_fields(source, other, distances, (limits[0], limits[1]), cell)
 
 
-def _ray_comparison(source: Formula, other: Formula, max_range: float | None, cell: float) -> Comparison:
+def _ray_comparison(source: Formula, other: Any, max_range: float | None, cell: float) -> Comparison:
     limit = source.longest_range(max_range) or 3.0 * SAMPLED_RANGE
     sigma = source.model.sigma(source.parameters, cell)
     ranges, expected = sample_ranges(sigma or 0.0, SAMPLED_RANGE, limit)

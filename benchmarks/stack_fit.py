@@ -29,12 +29,11 @@ from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
-from beamfield.stacks.files.parameter_file import MODELS
 from beamfield.stacks.fit.fit import fit_stack
 from beamfield.stacks.fit.particle_update import update_particles
 from beamfield.stacks.fit.posterior_score import score_windows
 from beamfield.stacks.fit.window_evidence import gather_evidence
-from beamfield.stacks.registry import build_model, parameter_class
+from beamfield.stacks.registry import STACKS, build_model, parameter_class
 
 WEAN = "wean_hall/derived_wean.yaml"
 # Fitted to the first; where there are no others, every third block of time is held out.
@@ -63,7 +62,7 @@ def rows(folder: Path, name: str, stacks: Iterable[str]) -> list[dict[str, Any]]
     chapter = next(form.result.parameters for form in learned.candidates if form.name == "chapter")
     table = []
     for stack in stacks:
-        for model in MODELS[stack]:
+        for model in STACKS[stack].models:
             kind = parameter_class(stack, model)
             start = kind(**({"laser_model_type": model} if hasattr(kind, "laser_model_type") else {}))
             began = time.perf_counter()
@@ -160,7 +159,7 @@ def main() -> None:
     here = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?", default=here)
-    parser.add_argument("--stacks", default=",".join(MODELS))
+    parser.add_argument("--stacks", default=",".join(STACKS))
     parser.add_argument("--logs", default=",".join(SETS))
     given = parser.parse_args()
     table = [row for name in given.logs.split(",") for row in rows(given.folder, name, given.stacks.split(","))]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from beamfield.calibration import hit_forms
 from beamfield.calibration.beam_table import build_beam_table
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps
@@ -81,11 +82,14 @@ def test_the_same_seed_gives_the_same_result_on_any_number_of_threads(result, dr
     np.testing.assert_array_equal(again.pit, result.pit)
 
 
-def test_a_range_offset_is_found_and_kept(drive, office, truth):
+def test_a_range_offset_is_found_and_kept_whatever_its_form_is_called(drive, office, truth, monkeypatch):
+    monkeypatch.setattr(hit_forms, "_form_name", lambda *_: "a form")
     shifted = np.where(np.isfinite(drive.ranges), drive.ranges + 0.08, drive.ranges)
     log = replace(drive, ranges=shifted)
     found = calibrate(log, office, replace(OPTIONS, refine=False))
     assert found.parameters.range_offset == pytest.approx(0.08, abs=0.01)
+    low, high = found.intervals.intervals["range_offset"]
+    assert 0.0 < low < 0.08 < high
     assert found.parameters.sigma_hit == pytest.approx(truth.sigma_hit, rel=0.1)
     off = calibrate(log, office, replace(OPTIONS, refine=False, range_offset="off", sigma_slope="off"))
     assert len(off.candidates) == 1

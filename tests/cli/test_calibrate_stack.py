@@ -11,7 +11,7 @@ from beamfield.cli.main import main
 from beamfield.report import html
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.fit.fit import fit_space
+from beamfield.stacks.fit import fit_space
 
 MINE = """\
 amcl:

@@ -21,7 +21,8 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.camera_intrinsics import CameraIntrinsics
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.sensors import ScanLog, Track, usable_ranges
-from beamfield.stacks.files.parameter_file import MODELS, StackFile
+from beamfield.stacks.files.parameter_file import StackFile
+from beamfield.stacks.registry import STACKS
 
 
 def grid(result: Any) -> None:
@@ -123,7 +124,7 @@ def landmark_model(result: Any) -> None:
 def stack_file(result: Any) -> None:
     file, parameters = result
     assert isinstance(file, StackFile)
-    assert file.model in MODELS[file.stack]
+    assert file.model in STACKS[file.stack].models
     section = file.section
     for name, entry in section.entries.items():
         assert name == entry.name

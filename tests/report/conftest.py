@@ -100,7 +100,7 @@ def _make_case(
         learning=learning,
         candidates=(
             Candidate("chapter", learning, scores[0].log_likelihood, 0.0, 0.0, chosen=True),
-            Candidate("range offset", learning, scores[0].log_likelihood, 0.0007, 0.0005),
+            Candidate("range offset", learning, scores[0].log_likelihood, 0.0007, 0.0005, has_offset=True),
         ),
         scores=scores,
         selection=Selection(reason < 0, reason),

@@ -60,7 +60,7 @@ class OracleCase:
 @pytest.fixture
 def past_the_message(monkeypatch):
     """Resolutions as they are: whoever compiled the programs gave them the map past the message's single precision."""
-    for module in ("stack_map", "f1tenth_table"):
+    for module in ("emulation.stack_map", "f1tenth.table"):
         monkeypatch.setattr(f"beamfield.stacks.{module}.message_resolution", float)
 
 

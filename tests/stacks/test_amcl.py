@@ -45,7 +45,7 @@ def test_weights_are_those_of_the_program(name):
 def test_ros1_returns_the_same_under_its_own_names(new, old):
     scan, grid = small_scan(special=old is not Ros1Beam), small_room()
     expected = new(grid, PARAMETERS).log_likelihood(scan, POSES)
-    got = old(grid, Ros1Parameters.from_nav2(PARAMETERS)).log_likelihood(scan, POSES)
+    got = old(grid, Ros1Parameters.from_amcl(PARAMETERS)).log_likelihood(scan, POSES)
     assert (got == expected).all()
 
 
@@ -118,8 +118,8 @@ def test_beams_disagree_off_the_map_and_a_beam_that_most_poses_disagree_with_is_
     # With two of three beams left out, a threshold of 0.6 calls it an error: all count.
     strict = dataclasses.replace(skipping, beam_skip_error_threshold=0.6)
     assert model.with_parameters(strict).log_likelihood(scan, poses) == pytest.approx(np.log(p).sum(axis=1))
-    assert plain.weighs_alone()
-    assert not model.weighs_alone()
+    assert plain.takes_poses_alone()
+    assert not model.takes_poses_alone()
 
 
 def test_a_beam_is_skipped_by_the_share_of_poses_that_it_agrees_with():
@@ -139,7 +139,7 @@ ABOVE = Nav2Parameters(**{**COMMON, "max_beams": 17})
 
 
 @pytest.mark.parametrize(
-    ("kind", "parameters"), [(Nav2Beam, ABOVE), (Ros1Beam, Ros1Parameters.from_nav2(ABOVE))], ids=["nav2", "ros1"]
+    ("kind", "parameters"), [(Nav2Beam, ABOVE), (Ros1Beam, Ros1Parameters.from_amcl(ABOVE))], ids=["nav2", "ros1"]
 )
 def test_max_beams_above_the_scans_beams_is_refused_in_the_beam_models_which_never_return(kind, parameters):
     with pytest.raises(InvalidInputError, match=r"max_beams: expected at most .* 16, got 17: .* never returns"):
@@ -148,7 +148,7 @@ def test_max_beams_above_the_scans_beams_is_refused_in_the_beam_models_which_nev
 
 @pytest.mark.parametrize("kind", [Nav2Field, Nav2FieldProb, Ros1Field, Ros1FieldProb])
 def test_fields_then_take_all_beams(kind):
-    parameters = ABOVE if kind.stack == "nav2" else Ros1Parameters.from_nav2(ABOVE)
+    parameters = ABOVE if kind.stack == "nav2" else Ros1Parameters.from_amcl(ABOVE)
     evidence = kind(small_room(), parameters).evidence(small_scan(), POSES)
     assert evidence.beams.tolist() == list(range(16))
 
@@ -156,13 +156,13 @@ def test_fields_then_take_all_beams(kind):
 def test_nan_makes_all_weights_of_ros1s_beam_model_nothing_and_is_left_out_in_nav2():
     scan = small_scan(special=True)
     without = Scan(np.where(np.isnan(scan.ranges), np.inf, scan.ranges), scan.finder)
-    ros1 = Ros1Beam(small_room(), Ros1Parameters.from_nav2(PARAMETERS))
+    ros1 = Ros1Beam(small_room(), Ros1Parameters.from_amcl(PARAMETERS))
     assert ros1.log_likelihood(scan, POSES).tolist() == [-np.inf] * 4
     assert np.isfinite(ros1.log_likelihood(without, POSES)).all()
     nav2 = Nav2Beam(small_room(), PARAMETERS)
     assert (nav2.log_likelihood(scan, POSES) == nav2.log_likelihood(without, POSES)).all()
     # Of the beams that are looked at.
-    few = Ros1Beam(small_room(), Ros1Parameters.from_nav2(dataclasses.replace(PARAMETERS, max_beams=6)))
+    few = Ros1Beam(small_room(), Ros1Parameters.from_amcl(dataclasses.replace(PARAMETERS, max_beams=6)))
     assert 4 not in few.selected_beams(16)
     assert np.isfinite(few.log_likelihood(scan, POSES)).all()
 

@@ -13,7 +13,7 @@ import pytest
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
 from beamfield.stacks.beluga.scan import boundaries
-from beamfield.stacks.emulation.field_table import BELUGA_FIRE, field_table
+from beamfield.stacks.emulation.field_table import BELUGA_BRUSHFIRE, field_table
 from beamfield.stacks.emulation.stack_map import read_as_stack
 
 pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("past_the_message")]
@@ -106,7 +106,7 @@ def test_brushfire_is_that_of_the_program(case):
     expected = case.beluga["squared_distance_row_major"].reshape(case.grid.shape)
     limit = case.values["max_occ_dist"]
     seen = read_as_stack(case.grid)
-    burnt = field_table(seen, seen.occupied, "brushfire", BELUGA_FIRE, limit).distance
+    burnt = field_table(seen, seen.occupied, "brushfire", BELUGA_BRUSHFIRE, limit).distance
     assert (np.minimum(burnt**2, limit**2).astype(np.float32) == expected.astype(np.float32)).all()
 
 

@@ -22,15 +22,14 @@ from beamfield.stacks.mrpt.parameters import MrptFieldParameters, MrptRayParamet
 from beamfield.stacks.mrpt.rays import MrptRays
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.nav2.parameters import Nav2Parameters
-from beamfield.stacks.registry import emulator as emulator_class
-from beamfield.stacks.registry import parameter_class
+from beamfield.stacks.registry import model_named, parameter_class
 from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
 from beamfield.stacks.ros1.parameters import Ros1Parameters
 from tests.stacks.small_room import COMMON, small_room, small_scan
 from tests.threads import forced_threads
 
 NAV2 = Nav2Parameters(**COMMON)
-ROS1 = Ros1Parameters.from_nav2(NAV2)
+ROS1 = Ros1Parameters.from_amcl(NAV2)
 BELUGA = BelugaParameters(**COMMON, laser_max_range=2.0)
 MRPT_FIELD = MrptFieldParameters(LF_stdHit=0.08, LF_zHit=0.6, LF_zRandom=0.2, LF_maxRange=2.0, LF_decimation=1)
 MRPT_RAYS = MrptRayParameters(rayTracing_stdHit=0.3, rayTracing_decimation=1)
@@ -71,7 +70,7 @@ def poses(rng):
 def test_says_who_it_is(emulator):
     kind, parameters = emulator
     assert not kind.is_normalized
-    assert emulator_class(kind.stack, kind.model) is kind
+    assert model_named(kind.stack, kind.model).emulator is kind
     assert parameter_class(kind.stack, kind.model) is type(parameters)
     for name in (*kind.evidence_settings, *kind.fitted_parameters):
         assert hasattr(parameters, name)

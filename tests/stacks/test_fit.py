@@ -18,16 +18,15 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from beamfield.stacks.beluga.parameters import BelugaParameters
+from beamfield.stacks.coordinates import FitInputs
 from beamfield.stacks.emulation.emulator import Evidence, StackModel
-from beamfield.stacks.files.parameter_file import MODELS
 from beamfield.stacks.fit.fit import fit_stack, net_score
 from beamfield.stacks.fit.fit_space import fit_space
-from beamfield.stacks.fit.likelihood_values import from_likelihood
 from beamfield.stacks.fit.particle_update import update_particles
 from beamfield.stacks.fit.posterior_score import score_windows
 from beamfield.stacks.fit.window_evidence import gather_evidence
 from beamfield.stacks.nav2.parameters import Nav2Parameters
-from beamfield.stacks.registry import build_model, parameter_class
+from beamfield.stacks.registry import STACKS, build_model, model_named, parameter_class
 
 # The simulated reference is exact.
 EXACT = WindowOptions(windows=45, near=150, far=40, reference_error=0.01, reference_turn_error=0.003)
@@ -173,7 +172,7 @@ def test_rivals_make_sums_integrals(office):
     assert (np.linalg.norm(off, axis=1) > np.sqrt(7.815)).sum() == 1
 
 
-@pytest.mark.parametrize(("stack", "model"), [(stack, model) for stack in MODELS for model in MODELS[stack]])
+@pytest.mark.parametrize(("stack", "model"), [(stack, model) for stack in STACKS for model in STACKS[stack].models])
 def test_gathered_evidence_weighs_as_the_emulator_does(drive, office, stack, model):
     options = WindowOptions(scans=2, windows=15, near=50, far=20)
     windows = cut_windows(drive, office, draw_rivals(options, office), options)[:3]
@@ -262,7 +261,8 @@ def test_a_beam_model_takes_the_learned_densities(drive, office):
 
 def test_nav2s_beam_values_are_the_learned_density_up_to_a_factor(office):
     finder = RangeFinder.from_bearings([0.0], 10.0)
-    values, learned = from_likelihood("nav2", Nav2Parameters(laser_model_type="beam"), TRUTH, finder, office)
+    inputs = FitInputs(Nav2Parameters(laser_model_type="beam"), finder, office, [60], TRUTH)
+    values, learned = model_named("nav2", "beam").with_learned(inputs.start, inputs)
     assert learned
     model = build_model("nav2", "beam", office, values)
     z = np.array([3.98, 4.0, 4.1, 5.0])  # not short of z* = 4: the short term has no normaliser in nav2

@@ -100,7 +100,7 @@ def test_no_beam_is_skipped_before_the_filter_has_converged():
     plain = Nav2FieldProb(CORRIDOR, replace(SKIPPING, do_beamskip=False))
     spread_out = Nav2FieldProb(CORRIDOR, SKIPPING, converged=False)
     assert (spread_out.log_likelihood(scan, poses) == plain.log_likelihood(scan, poses)).all()
-    assert spread_out.weighs_alone()
+    assert spread_out.takes_poses_alone()
     assert (Nav2FieldProb(CORRIDOR, SKIPPING).log_likelihood(scan, poses) > plain.log_likelihood(scan, poses)).all()
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beamfield.stacks.emulation.field_table import AMCL_FIRE, field_table
+from beamfield.stacks.emulation.field_table import AMCL_BRUSHFIRE, field_table
 from beamfield.stacks.emulation.stack_map import read_as_stack
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
 from beamfield.stacks.ros1.models import Ros1Field
@@ -69,7 +69,7 @@ def test_brushfire_is_that_of_the_program(case):
     expected = case.nav2["occ_dist_row_major"].reshape(case.grid.shape)
     limit = case.values["max_occ_dist"]
     seen = read_as_stack(case.grid)
-    burnt = field_table(seen, seen.occupied, "brushfire", AMCL_FIRE, limit).distance
+    burnt = field_table(seen, seen.occupied, "brushfire", AMCL_BRUSHFIRE, limit).distance
     assert (np.minimum(burnt, np.float32(limit)) == expected.astype(np.float32)).all()
 
 
@@ -77,7 +77,7 @@ def test_brushfire_differs_little_from_exact_distances(case):
     expected = case.nav2["occ_dist_row_major"].reshape(case.grid.shape)
     limit = case.values["max_occ_dist"]
     seen = read_as_stack(case.grid)
-    exact = np.minimum(field_table(seen, seen.occupied, "exact", AMCL_FIRE, limit).distance, limit)
+    exact = np.minimum(field_table(seen, seen.occupied, "exact", AMCL_BRUSHFIRE, limit).distance, limit)
     too_long = expected - exact
     assert too_long.min() > -1e-6
     assert 0.0 < too_long.max() < case.grid.resolution
@@ -124,6 +124,6 @@ def test_after_too_much_skipping_the_program_multiplies_in_beams_of_an_earlier_s
 
 
 def test_ros1_has_the_same_formula(case):
-    parameters = Ros1Parameters.from_nav2(case.nav2_parameters)
+    parameters = Ros1Parameters.from_amcl(case.nav2_parameters)
     model = Ros1Field(case.grid, parameters, distance="brushfire")
     assert weights(model, case, "") == pytest.approx(case.nav2["likelihood_field"], rel=1e-12)

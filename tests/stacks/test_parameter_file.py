@@ -7,9 +7,10 @@ import difflib
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.stacks.files.parameter_file import MODELS, check_patch_target, read_stack_file, write_values
-from beamfield.stacks.files.parameter_text import plain_value
+from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file, write_values
 from beamfield.stacks.files.typed_values import checked_values
+from beamfield.stacks.registry import STACKS
+from beamfield.stacks.syntax.parameter_text import plain_value
 
 NAV2 = """\
 # localisation of the lobby robot
@@ -105,15 +106,17 @@ def test_values_come_with_their_lines(write):
     assert section.entries["z_hit"].value == 0.5
     assert section.entries["z_hit"].line == 8
     assert section.entries["max_beams"].value == 60
-    assert section.number("z_short") is None
+    assert "z_short" not in section.entries
     section = read_stack_file(write(LAUNCH, "a.launch")).section
     assert section.label == "loc"
     assert section.entries["laser_z_rand"].value == 0.5
     assert section.entries["laser_z_rand"].filled_in == "$(arg z)"
-    section = read_stack_file(write(LAUNCH.replace(' default="0.5"', ""), "a.launch")).section
-    assert section.entries["laser_z_rand"].value is None
-    with pytest.raises(FormatError, match=r"a\.launch:6: laser_z_rand: expected a number, got '\$\(arg z\)', which is"):
-        section.number("laser_z_rand")
+    file = read_stack_file(write(LAUNCH.replace(' default="0.5"', ""), "a.launch"))
+    assert file.section.entries["laser_z_rand"].value is None
+    with pytest.raises(
+        FormatError, match=r"a\.launch:6: laser_z_rand: is filled in when the robot starts: '\$\(arg z\)'"
+    ):
+        checked_values(file)
 
 
 def test_only_changed_values_change_in_yaml(write):
@@ -178,7 +181,7 @@ def test_only_changed_values_change_in_an_ini_file(write):
 def test_odd_yaml_is_changed_and_read_again(write, text, name, value, after):
     section = read_stack_file(write(text)).section
     assert section.with_values({name: value}) == after
-    assert read_stack_file(write(after)).section.number(name) == pytest.approx(value)
+    assert read_stack_file(write(after)).section.entries[name].value == pytest.approx(value)
 
 
 def test_what_does_not_change_stays_as_it_was_written(write):
@@ -221,7 +224,7 @@ def test_whose_file_a_yaml_file_can_be(write, text, stack, certain):
     ids=["nav2", "beluga", "ros 1 into ROS 2", "nav2 into f1tenth", "nav2 into ROS 1", "ros 1"],
 )  # fmt: skip
 def test_values_go_into_files_of_their_own_stack_only(write, text, stack, is_good):
-    file = read_stack_file(write(text), stack=stack, model=MODELS[stack][0])
+    file = read_stack_file(write(text), stack=stack, model=STACKS[stack].default_model)
     if is_good:
         check_patch_target(file)
         return
@@ -281,7 +284,7 @@ def test_a_line_of_a_million_blanks_takes_no_time(write):
 def test_a_node_without_parameters_gets_one(write):
     text = '<launch>\n  <node pkg="amcl" type="amcl" name="loc">\n  </node>\n</launch>\n'
     after = read_stack_file(write(text, "a.launch")).section.with_values({"laser_z_hit": 0.5})
-    assert read_stack_file(write(after, "b.launch")).section.number("laser_z_hit") == 0.5
+    assert read_stack_file(write(after, "b.launch")).section.entries["laser_z_hit"].value == 0.5
 
 
 def test_writing_keeps_backups_and_permissions(write):
@@ -371,7 +374,7 @@ BELUGA_1 = "laser_z_hit: 0.77   # mine\nlaser_max_beams: 100\nselective_resampli
 def test_belugas_names_for_ros_1_are_read_and_written_as_they_are(write):
     path = write(BELUGA_1)
     file = read_stack_file(path)
-    assert file.is_prefixed
+    assert file.is_of_other_node
     values = checked_values(file)
     assert (values.z_hit, values.max_beams) == (0.77, 100)
     # The node for ROS 1 has ROS 1's defaults.
@@ -400,7 +403,7 @@ def test_ros_2_ignores_the_names_of_ros_1(write):
     text = "amcl:\n  ros__parameters:\n    laser_z_hit: 0.77\n    execution_policy: seq\n"
     file = read_stack_file(write(text))
     assert file.stack == "beluga"
-    assert not file.is_prefixed
+    assert not file.is_of_other_node
     assert checked_values(file).z_hit == 0.5
 
 

@@ -11,7 +11,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.emulation.beam_selection import ceil_step_beams, even_beams, floor_step_beams
-from beamfield.stacks.emulation.field_table import AMCL_FIRE, BELUGA_FIRE, field_table
+from beamfield.stacks.emulation.field_table import AMCL_BRUSHFIRE, BELUGA_BRUSHFIRE, field_table
 from beamfield.stacks.emulation.stack_map import read_as_stack
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.ros1.parameters import Ros1Parameters
@@ -80,7 +80,7 @@ def test_the_origin_is_shifted_along_the_axes_of_the_grid():
     assert read_as_stack(grid, ignore_yaw=True, shift_cells=-0.5).origin == pytest.approx([0.0, 4.0, 0.0])
 
 
-@pytest.mark.parametrize("fire", [AMCL_FIRE, BELUGA_FIRE], ids=["amcl", "beluga"])
+@pytest.mark.parametrize("fire", [AMCL_BRUSHFIRE, BELUGA_BRUSHFIRE], ids=["amcl", "beluga"])
 def test_brushfire_is_never_nearer_than_the_nearest_obstacle_and_seldom_farther(fire, rng):
     cells = np.where(rng.random((120, 90)) < 0.01, 100, 0)
     grid = OccupancyGrid.from_ros(cells, 0.05)
@@ -91,7 +91,7 @@ def test_brushfire_is_never_nearer_than_the_nearest_obstacle_and_seldom_farther(
     assert too_long.max() < 2.0 * grid.resolution
 
 
-@pytest.mark.parametrize("fire", [AMCL_FIRE, BELUGA_FIRE], ids=["amcl", "beluga"])
+@pytest.mark.parametrize("fire", [AMCL_BRUSHFIRE, BELUGA_BRUSHFIRE], ids=["amcl", "beluga"])
 def test_brushfire_ends_at_its_limit(fire):
     cells = np.zeros((1, 30))
     cells[0, 0] = 100
@@ -143,6 +143,6 @@ def test_switches_are_true_or_false():
 
 def test_ros1_and_nav2_names_go_both_ways():
     nav2 = Nav2Parameters(z_hit=0.7, sigma_hit=0.1, max_beams=90, laser_max_range=12.0, do_beamskip=True)
-    ros1 = Ros1Parameters.from_nav2(nav2)
+    ros1 = Ros1Parameters.from_amcl(nav2)
     assert (ros1.laser_z_hit, ros1.laser_max_beams, ros1.laser_max_range) == (0.7, 90, 12.0)
-    assert ros1.as_nav2() == nav2
+    assert dataclasses.asdict(ros1.as_amcl()) == dataclasses.asdict(nav2)

@@ -88,7 +88,7 @@ def test_amcl(stack, model):
         values["laser_max_range"] = float(rng.choice([-1.0, values["laser_max_range"]]))
         given, poses = random_input(rng, values)
         nav2 = Nav2Parameters(**values)
-        parameters = nav2 if stack == "nav2" else Ros1Parameters.from_nav2(nav2)
+        parameters = nav2 if stack == "nav2" else Ros1Parameters.from_amcl(nav2)
         options = {"converged": bool(rng.random() < 0.7)} if model == "likelihood_field_prob" else {}
         expected = stack_loops.amcl_weights(given, poses, stack, **options)
         if expected == NEVER_RETURNS:

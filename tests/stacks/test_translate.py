@@ -12,10 +12,11 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.registry import emulator, parameter_class
+from beamfield.stacks.registry import model_named, parameter_class, stack_named
 from beamfield.stacks.translation.translate import translate
 from beamfield.stacks.translation.weight_comparison import (
     TOLERANCE,
+    Formula,
     between_cells,
     compare,
     compare_fields,
@@ -43,7 +44,7 @@ def params(tmp_path):
 
 def weights(stack, model, parameters, max_range):
     """Return the stack's log weights of 50 poses at given distances of 20 beams."""
-    made = emulator(stack, model)(GRID, parameters)
+    made = model_named(stack, model).emulator(GRID, parameters)
     rng = np.random.default_rng(3)
     distances = rng.exponential(0.3, (50, 20))
     settings = {name: getattr(parameters, name) for name in made.evidence_settings}
@@ -246,7 +247,8 @@ def test_wrong_parameters_are_seen_by_the_comparison():
     wrong = kind(laser_model_type="likelihood_field_prob", z_hit=0.49)
     distances = sample_distances(0.2, 2.0)
     for other, same in ((right, True), (wrong, False)):
-        pair = [("nav2", "likelihood_field_prob", parameters) for parameters in (right, other)]
+        model = model_named("nav2", "likelihood_field_prob")
+        pair = [Formula(stack_named("nav2"), model, parameters) for parameters in (right, other)]
         made = compare_fields(pair[0], pair[1], distances, (10.0, 10.0), 0.05)
         assert (made.difference <= TOLERANCE) is same
         assert made.is_same is same
@@ -269,7 +271,7 @@ def test_beam_models_say_how_far_their_weights_are_apart(params):
 
 def test_words_of_notes_decide_nothing(params, monkeypatch):
     """Once `exact` was whether a note has the word "assumed"."""
-    from beamfield.stacks.translation.translation import translate as module
+    from beamfield.stacks.translation import translate as module
 
     monkeypatch.setattr(module, "map_notes", lambda *_: ["assumed nothing"])
     file = params("nav2", laser_model_type="likelihood_field_prob", laser_max_range=10.0)
@@ -280,7 +282,7 @@ def test_belugas_names_for_ros_1_are_translated(tmp_path):
     path = tmp_path / "default.ros.yaml"
     path.write_text("laser_z_hit: 0.77\nlaser_sigma_hit: 0.11\nlaser_max_beams: 100\nexecution_policy: seq\n")
     file = read_stack_file(path)
-    assert (file.stack, file.stack_is_certain, file.is_prefixed) == ("beluga", True, True)
+    assert (file.stack, file.stack_is_certain, file.is_of_other_node) == ("beluga", True, True)
     values = translate(file, "nav2", max_range=12.0).values
     assert values["max_beams"] == 100
     assert values["sigma_hit"] == 0.11

@@ -15,7 +15,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder
 from beamfield.stacks.f1tenth.parameters import F1tenthParameters
 from beamfield.stacks.f1tenth.table import sensor_table
-from beamfield.stacks.fit.likelihood_values import beam_values
+from beamfield.stacks.registry import model_named
 from beamfield.stacks.translation.translate_beam_model import translate_beam_model
 
 PLAIN = BeamParameters(0.7, 0.1, 0.05, 0.15, 0.04, 0.5)
@@ -112,7 +112,7 @@ def test_f1tenths_table_keeps_the_shares(model):
 
 def test_f1tenths_short_readings_are_not_multiplied_by_the_range():
     """Its triangle sums to z_short (d + 1) in pixels: taken over as it was, a tenth became nine tenths."""
-    v = beam_values("f1tenth", PLAIN, Z_STAR, 0.05)
+    v = model_named("f1tenth").beam_values(PLAIN, Z_STAR, 0.05)
     column = sensor_table(F1tenthParameters(**v, max_range=MAX_RANGE), 0.05)[:, 80]
     assert column[75:86].sum() == pytest.approx(PLAIN.z_hit, abs=0.03)
 

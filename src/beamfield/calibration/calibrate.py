@@ -285,8 +285,8 @@ def _intervals(table: BeamTable, chosen: Candidate, options: CalibrationOptions)
         table.max_range,
         chosen.result.parameters,
         min_range=table.min_range,
-        fit_offset="range offset" in chosen.name,
-        fit_sigma_slope="sigma slope" in chosen.name,
+        fit_offset=chosen.has_offset,
+        fit_sigma_slope=chosen.has_slope,
         hold=options.hold,
         block_s=options.block_s,
     )

@@ -37,6 +37,8 @@ class Candidate:
         Gain over the simplest candidate per held-out beam, nats, and its standard error from blocks of time.
     chosen
         Whether it is the result.
+    has_offset, has_slope
+        Whether range_offset and sigma_slope were fitted; neither in the chapter's form.
     """
 
     name: str
@@ -45,6 +47,13 @@ class Candidate:
     gain: float
     gain_se: float
     chosen: bool = False
+    has_offset: bool = False
+    has_slope: bool = False
+
+    @property
+    def is_chapter(self) -> bool:
+        """Whether it is the chapter's form."""
+        return not (self.has_offset or self.has_slope)
 
 
 def fit_candidates(
@@ -97,6 +106,8 @@ def fit_candidates(
             float(gains[i].mean()),
             block_standard_error(gains[i], judged_blocks),
             chosen=i == best,
+            has_offset=forms[i][0],
+            has_slope=forms[i][1],
         )
         for i in range(len(forms))
     )

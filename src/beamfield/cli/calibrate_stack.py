@@ -67,8 +67,9 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     """Check the options before any long work, and return the file to patch, if any."""
     from beamfield.calibration.pose_windows import WindowOptions
-    from beamfield.stacks.files.parameter_file import check_model, check_patch_target, check_stack, read_stack_file
+    from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file
     from beamfield.stacks.files.typed_values import checked_values
+    from beamfield.stacks.registry import stack_named
 
     if not 0.0 < arguments.reference_error < WindowOptions().spread:
         raise InvalidInputError(
@@ -79,9 +80,9 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
             if getattr(arguments, name) is not None:
                 raise InvalidInputError(f"--{name}: is for another program's model, name it with --stack")
         return None
-    check_stack(arguments.stack)
+    stack = stack_named(arguments.stack)
     if arguments.model is not None:
-        check_model(arguments.stack, arguments.model)
+        stack.model(arguments.model)
     if arguments.map is None:
         raise InvalidInputError("--stack: needs --map: other programs' models see the map in their own way")
     if arguments.patch is None:
@@ -99,25 +100,23 @@ def fit_for_stack(
     """Fit one model of the stack, or all of them, and return what comes of it."""
     from beamfield.calibration.pose_windows import REFERENCE_LEVER, WindowOptions
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
-    from beamfield.stacks.files.parameter_file import MODELS
     from beamfield.stacks.files.typed_values import checked_values
     from beamfield.stacks.fit.fit import fit_stack, net_score
-    from beamfield.stacks.registry import parameter_class
+    from beamfield.stacks.registry import STACKS
 
-    stack = arguments.stack
-    models = MODELS[stack]
+    stack = STACKS[arguments.stack]
+    models = tuple(stack.models)
     if file is not None:  # read with the model asked for, if any
         models = (file.model,)
     elif arguments.model is not None:
         models = (arguments.model,)
-    plain = next((form.result.parameters for form in result.candidates if form.name == "chapter"), None)
+    plain = next((form.result.parameters for form in result.candidates if form.is_chapter), None)
     fits = []
     for model in models:
-        kind = parameter_class(stack, model)
-        start = kind(**_chosen_model(kind, model)) if file is None else checked_values(file)
+        start = stack.start(model) if file is None else checked_values(file)
         fits.append(
             fit_stack(
-                stack, model, sensor, grid, start=start, beam_parameters=plain,
+                stack.name, model, sensor, grid, start=start, beam_parameters=plain,
                 options=WindowOptions(
                     reference_error=arguments.reference_error,
                     reference_turn_error=arguments.reference_error / REFERENCE_LEVER, seed=arguments.seed,
@@ -132,7 +131,7 @@ def fit_for_stack(
     changed = {name: value for name, value in asdict(best.parameters).items() if value != start_values[name]}
     return StackResult(
         stack_tables(fits, best), stack_as_dict(fits, best), stack_section(fits, best, text),
-        f"{stack}.ini" if stack == "mrpt" else f"{stack}.yaml", text, changed, record,
+        f"{stack.name}.{stack.syntax}", text, changed, record,
     )  # fmt: skip
 
 
@@ -143,10 +142,6 @@ def write_patch(file: StackFile, fitted: StackResult) -> str:
     values = file.by_names_in_file(fitted.values)
     backup = write_values(file.section, values, record=fitted.record)
     return f"changed {', '.join(values) or 'nothing'} in {file.section.path}; the old file is {backup.name}"
-
-
-def _chosen_model(kind: type[Any], model: str) -> dict[str, Any]:
-    return {"laser_model_type": model} if "laser_model_type" in kind.__dataclass_fields__ else {}
 
 
 def _record(fit: StackFit) -> str:

@@ -88,7 +88,9 @@ def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[st
         file, arguments.to, model=arguments.to_model, max_range=arguments.max_range, n_beams=arguments.beams,
         resolution=arguments.resolution,
     )  # fmt: skip
-    more = [] if file.stack_is_certain else [f"read as {file.stack}'s file; say --stack beluga if it is Beluga's"]
+    others = " or ".join(file.possible[1:])
+    said = f"read as {file.stack}'s file; say --stack {others} if that is what the robot runs"
+    more = [] if file.stack_is_certain else [said]
     return result, f"{file.stack} {file.model}", more
 
 
@@ -148,7 +150,11 @@ def _print_or_write(path: Path | None, result: Translation, head: str, said: lis
 
 def _check_suffix(path: Path, stack: str) -> None:
     """Say if a file of this name would not be read as the stack's."""
+    from beamfield.stacks.registry import stack_named
+
+    described = stack_named(stack)
+    launch = path.suffix in (".launch", ".xml")
     ini = path.suffix in (".ini", ".cfg")
-    if ini is not (stack == "mrpt") or (path.suffix in (".launch", ".xml") and stack != "ros1"):
-        expected = {"mrpt": ".ini", "ros1": ".yaml or .launch"}.get(stack, ".yaml")
+    if ini is not (described.syntax == "ini") or (launch and not described.in_launch_files):
+        expected = ".ini" if described.syntax == "ini" else ".yaml or .launch" if described.in_launch_files else ".yaml"
         raise InvalidInputError(f"--out: files of {stack} end in {expected}, got {path.name!r}")

@@ -15,25 +15,12 @@ from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned
 from beamfield.stacks.fit.fit import StackFit, Trial, net_score
 from beamfield.stacks.fit.particle_update import ParticleUpdate
+from beamfield.stacks.registry import model_named
 
 HOW = {
     "maximum likelihood": "Factors, sigma and rates are those of the chapter's beam model by maximum likelihood, "
     "translated; the number of beams is chosen on windows of the log.",
     "posterior": "All values are chosen by the posterior they make on windows of the log.",
-}
-_AMCL_FIELD = "p = z_hit exp(-d² / 2 sigma_hit²) + z_rand / range_max, d from a beam's end to the nearest obstacle"
-_BELUGA_FIELD = "p = z_hit N(d; 0, sigma_hit²) + z_rand / laser_max_range, d from a beam's end to the nearest obstacle"
-# What a scan multiplies a particle's weight by.
-FORMULAS = {
-    "nav2 likelihood_field": f"1 + Σ p³ over beams; {_AMCL_FIELD}",
-    "nav2 likelihood_field_prob": f"Π p over beams; {_AMCL_FIELD}",
-    "nav2 beam": "1 + Σ p³ over beams; p has the four causes of the chapter without normalisers",
-    "beluga likelihood_field": f"1 + Σ p³ over beams; {_BELUGA_FIELD}",
-    "beluga likelihood_field_prob": f"Π p over beams; {_BELUGA_FIELD}",
-    "beluga beam": "Σ p³ over beams; p is the chapter's mixture with z_max for a density",
-    "mrpt LF_Thrun": "Π p over points; p = LF_zHit exp(-d² / 2 LF_stdHit²) + LF_zRandom / LF_maxRange",
-    "mrpt rayTracing": "exp(1 + Σ log p); p = 0.1 / max_range + 0.9 exp(-(z - z*)² / 2 rayTracing_stdHit²)",
-    "f1tenth table": "(Π T)^(1 / squash_factor) over beams; T is the table of ranges by pixels",
 }
 
 
@@ -77,7 +64,7 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
     options = chosen.options
     markup = (
         f"<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
-        f"{escaped(_formula(chosen))}.</p>{warning}"
+        f"{escaped(model_named(stack, model).formula)}.</p>{warning}"
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{scores}</tbody></table></div>'
         f"<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the mean "
         "logarithm of the posterior's density at the reference over the prior's, in "
@@ -173,12 +160,6 @@ def _coverage_text(fit: StackFit) -> str:
         f"only {fit.chosen.held_out.coverage:.0%} of the held-out windows have the truth in their 95 % region: the "
         "weights are still too sure here; map, reference poses or too few data may be the reason"
     )
-
-
-def _formula(fit: StackFit) -> str:
-    """Return the model's formula in one line; ROS 1's are nav2's."""
-    stack = {"ros1": "nav2"}.get(fit.model.stack, fit.model.stack)
-    return FORMULAS[f"{stack} {fit.model.model}"]
 
 
 def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:

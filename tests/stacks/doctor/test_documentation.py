@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-import beamfield.stacks.doctor
+import beamfield.stacks
 
-DOCTOR = Path(beamfield.stacks.doctor.__file__).parent
+STACKS = Path(beamfield.stacks.__file__).parent
 PAGE = Path(__file__).parents[3] / "docs" / "doctor.md"
 pytestmark = pytest.mark.skipif(not PAGE.is_file(), reason="the documentation is not here")
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not PAGE.is_file(), reason="the documentation is
 def findings() -> dict[str, set[str]]:
     """Return the severities that each finding can have, by name, as the source has them."""
     found: dict[str, set[str]] = {}
-    for path in sorted(DOCTOR.glob("*.py")):
+    for path in sorted(STACKS.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "finding":
                 name, severity = node.args[:2]

@@ -14,8 +14,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 from beamfield.stacks.files.new_file import new_file_text
-from beamfield.stacks.files.parameter_file import MODELS
-from beamfield.stacks.registry import parameter_class
+from beamfield.stacks.registry import STACKS, parameter_class
 
 # Parameters of the rest of the node, as in default files; the doctor has nothing to say about them.
 NAV2_REST = """\
@@ -37,7 +36,7 @@ NAV2_REST = """\
     update_min_a: 0.2
     scan_topic: scan
 """
-STOCK = [(stack, model) for stack, models in MODELS.items() for model in models]
+STOCK = [(stack, model) for stack, described in STACKS.items() for model in described.models]
 
 
 @pytest.fixture(scope="module")

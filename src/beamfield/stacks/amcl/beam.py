@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -12,19 +13,19 @@ from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan
+from beamfield.stacks.amcl.parameters import AsAmcl
 from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.emulation.beam_selection import Indices, floor_step_beams
-from beamfield.stacks.emulation.emulator import RayEvidence, StackModel
+from beamfield.stacks.emulation.emulator import RayEvidence, RayModel
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.stacks.emulation.stack_rays import AMCL_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges, walled
-from beamfield.stacks.nav2.parameters import AmclParameters
 
-P = TypeVar("P", bound=AmclParameters)
+P = TypeVar("P", bound=AsAmcl)
 
 
 @dataclass(frozen=True, eq=False)
-class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
+class AmclBeam(RayModel[P], Generic[P]):
     """``w = 1 + sum p^3`` over beams, where p has four terms, none of them normalised.
 
     For a beam with range z and expected range z*, p is the sum of
@@ -56,8 +57,9 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
     """
 
     model: ClassVar[str] = "beam"
-    # Whether the program leaves out readings that are NaN.
-    tests_nan: ClassVar[bool]
+    evidence_settings: ClassVar[tuple[str, ...]] = ("max_beams", "laser_max_range", "laser_min_range")
+    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
+    beam_rule = staticmethod(partial(floor_step_beams, least_step=0))
 
     grid: OccupancyGrid
     parameters: P
@@ -77,12 +79,12 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=0)
+        return self.beam_rule(n_beams, self.parameters.as_amcl().max_beams)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
-        parameters = self.parameters.as_nav2()
+        parameters = self.parameters.as_amcl()
         _, range_max = range_limits(z.finder, parameters)
         ranges = amcl_ranges(z, parameters)
         if self.no_return == "range_max":
@@ -101,7 +103,7 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
 
     def beam_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k); NaN where the reading is."""
-        values = self._parameters_for(evidence, parameters).as_nav2()
+        values = self._parameters_for(evidence, parameters).as_amcl()
         z, z_star = evidence.ranges, evidence.expected_ranges
         p = z_star - z
         with np.errstate(over="ignore"):
@@ -113,6 +115,11 @@ class AmclBeam(StackModel[P, RayEvidence], Generic[P]):
         p += np.where(z == evidence.max_range, values.z_max, 0.0)
         p += np.where(z < evidence.max_range, values.z_rand / evidence.max_range, 0.0)
         return np.asarray(p)
+
+    def beam_log_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
+        """Return log p of each beam that counts, (n, k)."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(self.beam_values(evidence, parameters)))
 
     def log_weights(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
         """Return log(1 + sum p^3), (n,), or -inf if a reading is NaN; see `StackModel.log_weights`."""

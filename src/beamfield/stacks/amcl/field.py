@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from beamfield.stacks.amcl.parameters import AmclParameters, AsAmcl
 from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.emulation.beam_selection import Indices, floor_step_beams
 from beamfield.stacks.emulation.emulator import OFF_MAP, FieldEvidence, FieldModel
 from beamfield.stacks.emulation.field_table import (
-    AMCL_FIRE,
+    AMCL_BRUSHFIRE,
     DistanceChoice,
     FieldTable,
     end_points,
@@ -24,9 +26,8 @@ from beamfield.stacks.emulation.field_table import (
     reach_in_cells,
 )
 from beamfield.stacks.emulation.stack_map import MapMode
-from beamfield.stacks.nav2.parameters import AmclParameters, Nav2Parameters
 
-P = TypeVar("P", bound=AmclParameters)
+P = TypeVar("P", bound=AsAmcl)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,9 @@ class AmclField(FieldModel[P], Generic[P]):
     """
 
     model: ClassVar[str] = "likelihood_field"
+    evidence_settings: ClassVar[tuple[str, ...]] = ("max_beams", "laser_max_range", "laser_min_range")
+    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
+    beam_rule = staticmethod(partial(floor_step_beams, least_step=1))
 
     grid: OccupancyGrid
     parameters: P
@@ -59,24 +63,24 @@ class AmclField(FieldModel[P], Generic[P]):
 
     def __post_init__(self) -> None:
         seen = amcl_grid(self.grid, self.map_mode)
-        max_distance = self.parameters.as_nav2().laser_likelihood_max_dist
-        object.__setattr__(self, "_table", field_table(seen, seen.occupied, self.distance, AMCL_FIRE, max_distance))
+        farthest = self.parameters.as_amcl().laser_likelihood_max_dist
+        object.__setattr__(self, "_table", field_table(seen, seen.occupied, self.distance, AMCL_BRUSHFIRE, farthest))
 
     def with_parameters(self, parameters: P) -> Self:
         """Return the model with other parameters; a brushfire burns anew if its end changes."""
-        end, end_before = (p.as_nav2().laser_likelihood_max_dist for p in (parameters, self.parameters))
+        end, end_before = (p.as_amcl().laser_likelihood_max_dist for p in (parameters, self.parameters))
         if self.distance == "brushfire" and end != end_before:
             return replace(self, parameters=parameters)
         return super().with_parameters(parameters)
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return floor_step_beams(n_beams, self.parameters.as_nav2().max_beams, least_step=1)
+        return self.beam_rule(n_beams, self.parameters.as_amcl().max_beams)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
         """Return distances of end points; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
-        parameters = self.parameters.as_nav2()
+        parameters = self.parameters.as_amcl()
         _, range_max = range_limits(z.finder, parameters)
         ranges = amcl_ranges(z, parameters)
         beams = self.selected_beams(len(ranges))
@@ -86,7 +90,7 @@ class AmclField(FieldModel[P], Generic[P]):
 
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""
-        values = self._parameters_for(evidence, parameters).as_nav2()
+        values = self._parameters_for(evidence, parameters).as_amcl()
         p = self._cut_distances(evidence, values)
         p *= p
         p *= -0.5 / values.sigma_hit**2
@@ -95,16 +99,7 @@ class AmclField(FieldModel[P], Generic[P]):
         p += values.z_rand / evidence.max_range
         return p
 
-    def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
-        """Return p^3 of each beam that counts, (n, k)."""
-        p = self.beam_values(evidence, parameters)
-        return np.asarray(p * p * p)
-
-    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
-        """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
-        return np.asarray(np.log1p(sums))
-
-    def _cut_distances(self, evidence: FieldEvidence, values: Nav2Parameters) -> FloatArray:
+    def _cut_distances(self, evidence: FieldEvidence, values: AmclParameters) -> FloatArray:
         """Return the distances (n, k) that the program looks up, metres."""
         limit, resolution = values.laser_likelihood_max_dist, self._table.grid.resolution
         # Distances are whole numbers of cells, squared: none is near this one.
@@ -118,5 +113,5 @@ class AmclField(FieldModel[P], Generic[P]):
     def _settings(self) -> dict[str, Any]:
         settings = super()._settings()
         if self.distance == "brushfire":
-            settings["laser_likelihood_max_dist"] = self.parameters.as_nav2().laser_likelihood_max_dist
+            settings["laser_likelihood_max_dist"] = self.parameters.as_amcl().laser_likelihood_max_dist
         return settings

@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 from typing import ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
 from beamfield.stacks.amcl.field import AmclField
+from beamfield.stacks.amcl.parameters import AmclParameters, AsAmcl
 from beamfield.stacks.emulation.beam_selection import Indices, ceil_step_beams
 from beamfield.stacks.emulation.emulator import OFF_MAP, FieldEvidence
-from beamfield.stacks.nav2.parameters import AmclParameters, Nav2Parameters
 
-P = TypeVar("P", bound=AmclParameters)
+P = TypeVar("P", bound=AsAmcl)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,27 +44,15 @@ class AmclFieldProb(AmclField[P]):
     """
 
     model: ClassVar[str] = "likelihood_field_prob"
+    is_product: ClassVar[bool] = True
+    beam_rule = staticmethod(ceil_step_beams)
 
     converged: bool = field(default=True, kw_only=True)
-
-    def selected_beams(self, n_beams: int) -> Indices:
-        """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return ceil_step_beams(n_beams, self.parameters.as_nav2().max_beams)
-
-    def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
-        """Return log p of each beam that counts without beam skipping, (n, k)."""
-        p = self.beam_values(evidence, parameters)
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(p, out=p))
-
-    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
-        """Return the sums; see `FieldModel.log_of_sums`."""
-        return sums
 
     def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the sum of log p over the beams that count, (n,); see `StackModel.log_weights`."""
         terms = self.beam_terms(evidence, parameters)
-        values = (self.parameters if parameters is None else parameters).as_nav2()
+        values = (self.parameters if parameters is None else parameters).as_amcl()
         if values.do_beamskip and self.converged:
             counted = self._agreed_beams(evidence, values)
             if values.max_beams - len(counted) < values.beam_skip_error_threshold * values.max_beams:
@@ -74,11 +61,11 @@ class AmclFieldProb(AmclField[P]):
                 return np.full(len(terms), -np.inf)
         return np.asarray(terms.sum(axis=1))
 
-    def weighs_alone(self) -> bool:
+    def takes_poses_alone(self) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for: not with beam skipping."""
-        return not (self.parameters.as_nav2().do_beamskip and self.converged)
+        return not (self.parameters.as_amcl().do_beamskip and self.converged)
 
-    def _agreed_beams(self, evidence: FieldEvidence, values: Nav2Parameters) -> Indices:
+    def _agreed_beams(self, evidence: FieldEvidence, values: AmclParameters) -> Indices:
         """Return the columns of the evidence that enough particles agree with."""
         agrees = self._cut_distances(evidence, values) < values.beam_skip_distance
         agrees &= evidence.places != OFF_MAP

@@ -7,11 +7,11 @@ import numpy as np
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
+from beamfield.stacks.amcl.parameters import AmclParameters
 from beamfield.stacks.emulation.stack_map import MapMode, read_as_stack
-from beamfield.stacks.nav2.parameters import Nav2Parameters
 
 
-def range_limits(finder: RangeFinder, parameters: Nav2Parameters) -> tuple[float, float]:
+def range_limits(finder: RangeFinder, parameters: AmclParameters) -> tuple[float, float]:
     """Return the shortest and the longest range that count, metres: the tighter of the sensor's and the parameters'."""
     low, high = parameters.laser_min_range, parameters.laser_max_range
     range_min = max(finder.min_range, low) if low > 0.0 else finder.min_range
@@ -19,7 +19,7 @@ def range_limits(finder: RangeFinder, parameters: Nav2Parameters) -> tuple[float
     return range_min, range_max
 
 
-def amcl_ranges(scan: Scan, parameters: Nav2Parameters) -> FloatArray:
+def amcl_ranges(scan: Scan, parameters: AmclParameters) -> FloatArray:
     """Return the ranges (k,) that the models get: what is too short becomes the longest range."""
     range_min, range_max = range_limits(scan.finder, parameters)
     ranges = np.array(scan.ranges)

@@ -15,7 +15,8 @@ from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid
-from beamfield.stacks.emulation.emulator import RayEvidence, StackModel
+from beamfield.stacks.emulation.beam_selection import even_beams
+from beamfield.stacks.emulation.emulator import RayEvidence, RayModel
 from beamfield.stacks.emulation.field_table import end_points
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
@@ -23,7 +24,7 @@ from beamfield.stacks.emulation.stack_rays import BELUGA_LINE, RAYS, RayChoice, 
 
 
 @dataclass(frozen=True, eq=False)
-class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
+class BelugaBeam(RayModel[BelugaParameters]):
     """``w = sum p^3`` over beams, where p is the chapter's mixture (Table 6.1) with z_max taken for a density.
 
     For a beam with range z and expected range z*, p is the sum of
@@ -52,6 +53,7 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
     stack: ClassVar[str] = "beluga"
     model: ClassVar[str] = "beam"
     evidence_settings: ClassVar[tuple[str, ...]] = SCAN_SETTINGS
+    beam_rule = staticmethod(even_beams)
     fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
 
     grid: OccupancyGrid
@@ -105,6 +107,11 @@ class BelugaBeam(StackModel[BelugaParameters, RayEvidence]):
             p += np.where(short, values.z_short * rate * np.exp(-rate * z) / normaliser, 0.0)
         p += np.where(z >= limit, values.z_max, values.z_rand / limit)
         return np.asarray(p)
+
+    def beam_log_values(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
+        """Return log p of each beam that counts, (n, k)."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(self.beam_values(evidence, parameters)))
 
     def log_weights(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
         """Return log(sum p^3), (n,); -inf without any beam. See `StackModel.log_weights`."""

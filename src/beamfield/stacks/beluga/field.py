@@ -7,15 +7,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries
+from beamfield.stacks.emulation.beam_selection import even_beams
 from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
-from beamfield.stacks.emulation.field_table import BELUGA_FIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.emulation.field_table import BELUGA_BRUSHFIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
 
@@ -55,6 +56,7 @@ class BelugaField(FieldModel[BelugaParameters]):
     stack: ClassVar[str] = "beluga"
     model: ClassVar[str] = "likelihood_field"
     evidence_settings: ClassVar[tuple[str, ...]] = (*SCAN_SETTINGS, "only_obstacle_boundaries")
+    beam_rule = staticmethod(even_beams)
     fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
     # Whether the node hands model_unknown_space and only_obstacle_boundaries to this model.
     has_map_options: ClassVar[bool] = True
@@ -71,7 +73,7 @@ class BelugaField(FieldModel[BelugaParameters]):
         seen = beluga_grid(self.grid, self.map_mode)
         only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
         obstacles = boundaries(seen) if only_boundaries else seen.occupied
-        table = field_table(seen, obstacles, self.distance, BELUGA_FIRE, self.parameters.laser_likelihood_max_dist)
+        table = field_table(seen, obstacles, self.distance, BELUGA_BRUSHFIRE, self.parameters.laser_likelihood_max_dist)
         if only_boundaries:
             # The inside of thick walls is as unknown space (Beluga's pull request 541).
             table = table._replace(unknown=table.unknown | (seen.occupied & ~obstacles))
@@ -101,20 +103,6 @@ class BelugaField(FieldModel[BelugaParameters]):
             # The nearer of two distances, so the greater of two values.
             p[evidence.places == UNKNOWN] = max(uniform, *_mixture(np.array([farthest]), values, evidence.max_range))
         return p.astype(np.float32).astype(np.float64) if self.distance == "brushfire" else p
-
-    def beam_terms(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
-        """Return p^3 of each beam that counts, (n, k)."""
-        p = self.beam_values(evidence, parameters)
-        return np.asarray(p * p * p)
-
-    def log_of_sums(
-        self,
-        sums: FloatArray,
-        n_beams: int | NDArray[np.int64],  # noqa: ARG002
-        parameters: BelugaParameters,  # noqa: ARG002
-    ) -> FloatArray:
-        """Return log(1 + sum p^3); see `FieldModel.log_of_sums`."""
-        return np.asarray(np.log1p(sums))
 
     def _table_settings(self) -> tuple[str, ...]:
         """Return the names of the parameters that the distances depend on."""

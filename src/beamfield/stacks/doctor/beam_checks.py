@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.emulation.beam_selection import ceil_step_beams, even_beams, floor_step_beams
 
 # With fewer readings that end at a wall, one scan hardly tells a pose.
 FEWEST_USABLE = 15
@@ -20,13 +19,11 @@ MANY_IN_PRODUCT = 30
 
 def beam_count(subject: Subject) -> Iterator[Finding]:
     """Find a number of beams that the program cannot handle, or that its rounding changes."""
-    if not subject.is_amcl or subject.log is None:
+    asked = subject.value("max_beams")
+    if asked is None or subject.log is None:
         return
-    n, asked = subject.log.finder.n_beams, subject.value("max_beams")
-    if asked is None:
-        return
-    name = subject.name_of("max_beams")
-    if _never_returns(subject, n, asked):
+    n, name, selected = subject.log.finder.n_beams, subject.name_of("max_beams"), _selected(subject)
+    if selected is None:
         yield subject.finding(
             "max-beams-above-scan", "error", f"{name} is {asked}, the scans have {n} beams",
             f"the beam model's step over beams becomes floor((n - 1) / ({name} - 1)) = 0, which it does not test: the "
@@ -34,7 +31,7 @@ def beam_count(subject: Subject) -> Iterator[Finding]:
             f"set {name} to at most {n}", parameter="max_beams", values={"beams": n, "max_beams": asked},
         )  # fmt: skip
         return
-    used = len(_selected(subject, n))
+    used = len(selected)
     # Stepping by whole beams takes nearly twice as many, or little more than half as many.
     if n >= asked and not 0.75 <= used / asked <= 1.34:
         yield subject.finding(
@@ -46,12 +43,9 @@ def beam_count(subject: Subject) -> Iterator[Finding]:
 
 def usable_beams(subject: Subject) -> Iterator[Finding]:
     """Find scans of which, after NaN and missing returns, few of the chosen beams are left."""
-    if not subject.is_amcl or subject.log is None or len(subject.log) == 0:
+    selected = _selected(subject)
+    if selected is None or subject.log is None or len(subject.log) == 0:
         return
-    n, asked = subject.log.finder.n_beams, subject.value("max_beams")
-    if asked is None or _never_returns(subject, n, asked):
-        return
-    selected = _selected(subject, n)
     ranges = subject.log.ranges[:, selected]
     limit = min(subject.log.finder.max_range, _limit(subject))
     with np.errstate(invalid="ignore"):
@@ -72,31 +66,25 @@ def usable_beams(subject: Subject) -> Iterator[Finding]:
 
 def many_beams_in_product(subject: Subject) -> Iterator[Finding]:
     """Find products over so many beams that they cannot be independent."""
-    asked = None
-    if subject.file.model == "likelihood_field_prob":
-        asked = subject.value("max_beams")
-    elif subject.file.stack == "mrpt" and subject.log is not None:
-        step = subject.value("beam_step")
-        averages = subject.is_field and subject.parameters.LF_alternateAverageMethod
-        asked = None if step is None or averages else -(-subject.log.finder.n_beams // step)
+    if subject.model.weight.has_exponent or not subject.model.multiplies(subject.parameters):
+        return
+    asked = subject.beams_used()
     if asked is not None and asked > MANY_IN_PRODUCT:
         yield subject.finding(
-            "many-beams-in-product", "info", f"{subject.file.model} multiplies up to {asked} beams",
+            "many-beams-in-product", "info", f"{subject.model.name} multiplies up to {asked} beams",
             "neighbouring beams err together (a person, a door, a map a little off), so the product is too sure; this "
             "stack has no exponent, fewer beams are the only cure",
             "calibrate: the number of beams is chosen with the other values",
-            parameter="beam_step" if subject.file.stack == "mrpt" else "max_beams", values={"beams": asked},
+            parameter="max_beams" if subject.model.has("max_beams") else "beam_step", values={"beams": asked},
         )  # fmt: skip
 
 
 def nan_readings(subject: Subject) -> Iterator[Finding]:
     """Find scans with a NaN among the beams that ROS 1's beam model looks at, which does not test for it."""
-    if (subject.file.stack, subject.file.model) != ("ros1", "beam") or subject.log is None or len(subject.log) == 0:
+    selected = _selected(subject)
+    if subject.model.emulator.tests_nan or selected is None or subject.log is None or len(subject.log) == 0:
         return
-    n, asked = subject.log.finder.n_beams, subject.value("max_beams")
-    if asked is None or _never_returns(subject, n, asked):
-        return
-    share = float(np.isnan(subject.log.ranges[:, _selected(subject, n)]).any(axis=1).mean())
+    share = float(np.isnan(subject.log.ranges[:, selected]).any(axis=1).mean())
     if share > 0.0:
         yield subject.finding(
             "nan-readings", "error", f"{share:.1%} of the scans have a NaN among the beams that are looked at",
@@ -107,18 +95,15 @@ def nan_readings(subject: Subject) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _never_returns(subject: Subject, n_beams: int, max_beams: int) -> bool:
-    """Whether the program's step over beams becomes 0: fields raise it to 1, the beam models do not."""
-    return subject.file.stack in ("nav2", "ros1") and subject.file.model == "beam" and n_beams < max_beams
-
-
-def _selected(subject: Subject, n: int) -> NDArray[np.int64]:
-    asked: Any = subject.value("max_beams")
-    if subject.file.stack == "beluga":
-        return even_beams(n, asked)
-    if subject.file.model == "likelihood_field_prob":
-        return ceil_step_beams(n, asked)
-    return floor_step_beams(n, asked, least_step=1)
+def _selected(subject: Subject) -> NDArray[np.int64] | None:
+    """Return the beams that the program looks at; None if nothing says which, or it never gets through them."""
+    asked = subject.value("max_beams")
+    if asked is None or subject.log is None:
+        return None
+    try:
+        return subject.model.emulator.beam_rule(subject.log.finder.n_beams, asked)
+    except InvalidInputError:
+        return None
 
 
 def _limit(subject: Subject) -> float:

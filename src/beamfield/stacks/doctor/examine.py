@@ -9,7 +9,6 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor import (
     beam_checks,
-    field_checks,
     map_checks,
     range_checks,
     sharpness,
@@ -44,7 +43,6 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.foreign_names,
     beam_checks.many_beams_in_product,
     weight_checks.unused_weights,
-    field_checks.uninitialised_queue,
     value_checks.loaded_elsewhere,
     value_checks.stack_guess,
     calibrated,
@@ -70,7 +68,7 @@ def examine(
         Scans of the robot; None leaves out what needs them.
     """
     subject = Subject(file, typed_values(file), grid, map_file, log)
-    found = [item for check in CHECKS for item in check(subject)]
+    found = [item for check in (*CHECKS, *subject.stack.checks) for item in check(subject)]
     if is_calibrated(subject):
         found = [item for item in found if item.name not in SETTLED]
     return worst_first(found)

@@ -20,22 +20,19 @@ OPEN_EDGE_SHARE = 0.002
 
 def ignored_yaw(subject: Subject) -> Iterator[Finding]:
     """Find a map origin with a yaw that the stack does not honour."""
-    if subject.map_file is None or abs(subject.map_file.yaw) <= YAW_TOLERANCE:
-        return
-    if subject.file.stack in ("beluga", "f1tenth"):
+    why = subject.stack.turned_map
+    if not why or subject.map_file is None or abs(subject.map_file.yaw) <= YAW_TOLERANCE:
         return
     yield subject.finding(
         "map-yaw-ignored", "error",
         f"the map's origin has a yaw of {math.degrees(subject.map_file.yaw):.3g} degrees",
-        "MRPT's bridge from ROS takes no map with a turned origin" if subject.file.stack == "mrpt" else
-        f"{subject.file.stack} takes only the origin's x and y: every pose is matched against a map that lies turned",
-        "save the map with a yaw of 0 (turn the picture)", values={"yaw": subject.map_file.yaw},
+        why, "save the map with a yaw of 0 (turn the picture)", values={"yaw": subject.map_file.yaw},
     )  # fmt: skip
 
 
 def half_cell(subject: Subject) -> Iterator[Finding]:
     """Say how far the stack places cells from where the map has them."""
-    if subject.grid is None or subject.file.stack not in ("nav2", "ros1"):
+    if subject.grid is None or not subject.stack.half_cell_low:
         return
     shift = subject.grid.resolution / 2.0
     sigma = subject.value("sigma_hit")
@@ -58,34 +55,34 @@ def unknown_space(subject: Subject) -> Iterator[Finding]:
     if share <= OPEN_EDGE_SHARE:
         return
     seen = f"{share:.1%} of the free cells have an unknown neighbour"
-    model, stack = subject.file.model, subject.file.stack
-    if model == "beam":
+    cells, attracts = subject.model.unknown_cells, subject.model.unknown_attracts
+    if cells == "stop":
         yield subject.finding(
             "unknown-stops-rays", "info", seen,
             "rays stop at unknown cells as at walls: readings through open doors into unmapped rooms count against the "
             "true pose, and poses inside unknown space see walls at arm's length",
             "paint unknown cells that beams pass as free, or use a field model", values={"share": share},
         )  # fmt: skip
-    elif stack == "beluga" and model == "likelihood_field" and subject.parameters.model_unknown_space:
+    elif attracts and getattr(subject.parameters, attracts):
         yield subject.finding(
             "unknown-attracts", "warning", seen,
-            "with model_unknown_space an end point in unknown space is worth 1 / laser_max_range, more than the "
+            f"with {attracts} an end point in unknown space is worth 1 / laser_max_range, more than the "
             "z_rand / laser_max_range of free space: poses gain by pointing beams there",
             "switch it off unless the robot really leaves the map",
-            parameter="model_unknown_space", values={"share": share},
+            parameter=attracts, values={"share": share},
         )  # fmt: skip
-    elif stack == "f1tenth":
+    elif cells == "pass":
         yield subject.finding(
             "unknown-is-free", "info", seen,
             "rays pass unknown cells as free ones: readings that end in unmapped rooms count as short ones",
             "nothing, if the map covers where the robot goes", values={"share": share},
         )  # fmt: skip
-    elif model == "rayTracing":
+    elif cells == "longest":
         yield subject.finding(
             "unknown-ends-rays", "info", seen,
             "a ray that meets an unknown cell expects the sensor's longest range: readings through open doors into "
             "unmapped rooms, and from walls behind unknown cells, count against the true pose",
-            "paint unknown cells that beams pass as free, or use LF_Thrun", values={"share": share},
+            "paint unknown cells that beams pass as free, or use a field model", values={"share": share},
         )  # fmt: skip
     else:
         yield subject.finding(
@@ -116,7 +113,7 @@ def lost_cells(subject: Subject) -> Iterator[Finding]:
             "bring the thresholds nearer to each other, so that what is probably a wall counts as one",
             values={"share": share},
         )  # fmt: skip
-    if not subject.is_amcl or subject.map_file.mode == "trinary":
+    if not subject.stack.wants_extremes or subject.map_file.mode == "trinary":
         return
     grid = subject.grid
     known = ~np.isnan(grid.probability)

@@ -18,28 +18,20 @@ SHORT_LIMIT = 3.0
 
 def unreachable_z_max(subject: Subject) -> Iterator[Finding]:
     """Find a z_max that no reading of a REP 117 driver brings in."""
-    if subject.file.model != "beam" or not subject.value("z_max"):
+    needs = subject.model.z_max_needs
+    if needs is None or not subject.value("z_max"):
         return
     limit, log = subject.value("laser_max_range"), subject.log
     share = None if log is None else float(np.isposinf(log.ranges).mean())
-    if limit is None or share == 0.0 or (log is not None and _reports_limit(log, limit, subject.file.stack)):
+    if limit is None or share == 0.0 or (log is not None and _reports_limit(subject, log, limit)):
         return
     seen = f"{subject.name_of('z_max')} is {subject.value('z_max'):g}"
     if share is not None:
         seen += f", and {share:.1%} of the log's readings are missing returns"
-    if subject.file.stack == "beluga":
-        why = "z_max counts only readings of laser_max_range that the sensor's own limit lets pass; +inf is dropped"
-        to = "have the driver report range_max where nothing comes back, and set laser_max_range to it"
-    else:
-        why = (
-            "z_max counts only readings that are exactly the sensor's limit or laser_max_range, whichever is less, and "
-            "too short ones, which amcl turns into it; +inf scores 0 and readings beyond laser_max_range nearly so"
-        )
-        to = "have the driver report range_max where nothing comes back, with laser_max_range at that limit or above"
     yield subject.finding(
         "z-max-unreachable", "info", seen,
-        f"{why}: with a driver that follows REP 117 and reports +inf, missing returns say nothing",
-        f"{to}; else z_max has no effect",
+        f"{needs[0]}: with a driver that follows REP 117 and reports +inf, missing returns say nothing",
+        f"{needs[1]}; else z_max has no effect",
         parameter="z_max", values={} if share is None else {"share_without_return": share},
     )  # fmt: skip
 
@@ -47,11 +39,11 @@ def unreachable_z_max(subject: Subject) -> Iterator[Finding]:
 def range_limits(subject: Subject) -> Iterator[Finding]:
     """Find a longest range that is not the sensor's, or without a log can hardly be."""
     limit = subject.value("laser_max_range")
-    if limit is None or subject.file.model in ("rayTracing",):
+    if limit is None:
         return
     name = subject.name_of("laser_max_range")
     if subject.log is None:
-        if 0.0 < limit < SHORT_LIMIT and subject.file.stack != "mrpt":  # MRPT only divides by it
+        if 0.0 < limit < SHORT_LIMIT and subject.stack.drops_beyond:
             yield subject.finding(
                 "range-limit-short", "warning", f"{name} is {limit:g} m",
                 "nearly all lasers see farther: readings beyond it count for nothing, or are cut down to it, and they "
@@ -61,8 +53,7 @@ def range_limits(subject: Subject) -> Iterator[Finding]:
             )  # fmt: skip
         return
     sensor = subject.log.finder.max_range
-    # nav2 and ROS 1 take the lesser of the two.
-    if limit > sensor * 1.01 and not _amcl(subject):
+    if limit > sensor * 1.01 and not subject.stack.takes_lesser_limit:
         rand = subject.name_of("z_rand")
         yield subject.finding(
             "range-limit-above-sensor", "info", f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
@@ -70,7 +61,7 @@ def range_limits(subject: Subject) -> Iterator[Finding]:
             f"{sensor:g}: they are worth {limit / sensor:.1f} times too little",
             f"set it to {sensor:g}", parameter="laser_max_range", values={"limit": limit, "sensor": sensor},
         )  # fmt: skip
-    elif 0.0 < limit < sensor and subject.file.stack != "mrpt":  # MRPT only divides by it
+    elif 0.0 < limit < sensor and subject.stack.drops_beyond:
         finite = subject.log.ranges[np.isfinite(subject.log.ranges)]
         hidden = float((finite >= limit).mean()) if finite.size else 0.0
         if hidden > HIDDEN_SHARE:
@@ -86,7 +77,7 @@ def range_limits(subject: Subject) -> Iterator[Finding]:
 def short_limit(subject: Subject) -> Iterator[Finding]:
     """Find a shortest range that AMCL turns real readings into missing returns with."""
     low = subject.value("laser_min_range")
-    if not _amcl(subject) or subject.log is None or low is None:
+    if not subject.stack.short_is_longest or subject.log is None or low is None:
         return
     finite = subject.log.ranges[np.isfinite(subject.log.ranges)]
     hidden = float((finite <= low).mean()) if finite.size else 0.0
@@ -100,12 +91,10 @@ def short_limit(subject: Subject) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _amcl(subject: Subject) -> bool:
-    return subject.file.stack in ("nav2", "ros1")
-
-
-def _reports_limit(log: SensorLog, limit: float, stack: str) -> bool:
+def _reports_limit(subject: Subject, log: SensorLog, limit: float) -> bool:
     """Whether the driver reports missing returns as the very value that z_max counts for."""
     sensor = log.finder.max_range
-    counts = limit if stack == "beluga" else min(sensor, limit) if limit > 0.0 else sensor
+    counts = limit
+    if subject.stack.takes_lesser_limit:
+        counts = min(sensor, limit) if limit > 0.0 else sensor
     return any(abs(value - counts) <= 1e-3 and value <= sensor + 1e-3 for value in log.no_return.values)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +15,7 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.subject import Subject
 from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence, RayEvidence
 from beamfield.stacks.registry import build_model
+from beamfield.stacks.stack import FIELD_CUBES, FIELD_PRODUCT
 
 # The test: so many particles around the true pose, metres and radians.
 N_PARTICLES = 2000
@@ -31,10 +31,6 @@ PLAIN_LIMIT = 10.0
 N_SCANS = 9
 # No scan has more.
 MOST_BEAMS = 2000
-
-_FEWER = "fewer beams or a wider sigma_hit"
-_FLATTER = {"ros1": "fewer beams or a wider laser_sigma_hit", "mrpt": "a larger decimation or a wider stdHit",
-            "f1tenth": "a larger squash_factor"}  # fmt: skip
 
 
 def sharpness(subject: Subject) -> Iterator[Finding]:
@@ -62,17 +58,22 @@ def sharpness(subject: Subject) -> Iterator[Finding]:
         yield subject.finding(
             "nearly-flat", "warning" if share > FLATTEST else "info", seen,
             "weights hardly differ: the filter follows odometry and corrects only over many scans",
-            "calibrate (beamfield calibrate --stack), or use likelihood_field_prob with few beams"
-            if subject.file.model == "likelihood_field" else "calibrate (beamfield calibrate --stack)",
+            f"calibrate (beamfield calibrate --stack){_product(subject)}",
             values=numbers,
         )  # fmt: skip
     elif share < SHARP:
         yield subject.finding(
             "absurdly-sharp", "warning", seen,
             "beams err together, but count as if they were independent: one bad scan can throw away the true pose",
-            f"calibrate (beamfield calibrate --stack), or take {_FLATTER.get(subject.file.stack, _FEWER)}",
+            f"calibrate (beamfield calibrate --stack), or take {subject.stack.flatter}",
             values=numbers,
         )  # fmt: skip
+
+
+def _product(subject: Subject) -> str:
+    """Return what else to try where a field adds up cubes."""
+    products = [name for name, model in subject.stack.models.items() if model.weight == FIELD_PRODUCT]
+    return f", or use {products[0]} with few beams" if products and subject.model.weight == FIELD_CUBES else ""
 
 
 def effective_sample_size(log_weights: FloatArray) -> float:
@@ -114,7 +115,7 @@ def _room_weights(subject: Subject) -> FloatArray:
     n_beams = _n_beams(subject)
     readings, expected = _room(np.random.default_rng(0), n_beams)
     beams, limit = np.arange(n_beams), _range_limit(subject)
-    if subject.is_field:
+    if subject.model.weight.of_field:
         distances = np.abs(readings - expected)
         places = np.full(distances.shape, KNOWN, np.int8)
         return np.asarray(model.log_weights(FieldEvidence(beams, limit, distances, places, settings=settings)))
@@ -125,18 +126,16 @@ def _range_limit(subject: Subject) -> float:
     """Return the range that random readings are spread over, metres; at least what the room needs."""
     asked = subject.value("laser_max_range")
     limit = float(asked) if asked is not None and asked > 0.0 else PLAIN_LIMIT
-    if subject.log is not None and subject.file.stack in ("nav2", "ros1"):
+    if subject.log is not None and subject.stack.takes_lesser_limit:
         limit = min(limit, subject.log.finder.max_range)
     return max(limit, 1.5 * ROOM[1])
 
 
 def _n_beams(subject: Subject) -> int:
-    asked = subject.value("max_beams")
-    if asked is not None:
-        return min(int(asked), MOST_BEAMS if subject.log is None else subject.log.finder.n_beams)
-    if subject.log is None:
+    asked = subject.beams_used()
+    if asked is None:
         return DEFAULT_BEAMS
-    return math.ceil(subject.log.finder.n_beams / int(subject.value("beam_step")))
+    return min(asked, MOST_BEAMS if subject.log is None else subject.log.finder.n_beams)
 
 
 def _room(rng: np.random.Generator, n_beams: int) -> tuple[FloatArray, FloatArray]:

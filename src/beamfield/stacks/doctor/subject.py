@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,15 +12,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import TypedValues
-from beamfield.stacks.ros1.parameters import ros1_name
-
-# What checks call a parameter, and what MRPT and F1TENTH call it where they differ from nav2.
-_MRPT = {
-    "z_hit": "LF_zHit", "z_rand": "LF_zRandom", "sigma_hit": "LF_stdHit", "laser_max_range": "LF_maxRange",
-    "laser_likelihood_max_dist": "LF_maxCorrsDistance", "beam_step": "LF_decimation",
-}  # fmt: skip
-_MRPT_RAYS = {"sigma_hit": "rayTracing_stdHit", "beam_step": "rayTracing_decimation"}
-_F1TENTH = {"laser_max_range": "max_range", "beam_step": "angle_step"}
+from beamfield.stacks.stack import Model, Stack
 
 
 @dataclass(frozen=True)
@@ -70,14 +63,14 @@ class Subject:
     log: SensorLog | None = None
 
     @property
-    def is_amcl(self) -> bool:
-        """Whether the stack descends from amcl, and shares its models."""
-        return self.file.stack in ("nav2", "ros1", "beluga")
+    def stack(self) -> Stack:
+        """The program whose file it is."""
+        return self.file.program
 
     @property
-    def is_field(self) -> bool:
-        """Whether the model looks up distances to obstacles."""
-        return self.file.model in ("likelihood_field", "likelihood_field_prob", "LF_Thrun")
+    def model(self) -> Model:
+        """The measurement model that the file chooses."""
+        return self.file.described_model
 
     @property
     def parameters(self) -> Any:
@@ -86,7 +79,7 @@ class Subject:
 
     def name_of(self, parameter: str) -> str:
         """Return what the file calls a parameter, given nav2's name."""
-        return self.file.name_in_file(self._stack_name(parameter))
+        return self.file.name_in_file(self.model.own_name(parameter))
 
     def value(self, parameter: str) -> Any:
         """Return a parameter's value by nav2's name, a default if the file says nothing.
@@ -95,16 +88,14 @@ class Subject:
         """
         if any(item.name == self.name_of(parameter) and not item.is_clear for item in self.typed.unusable):
             return None
-        return getattr(self.parameters, self._stack_name(parameter), None)
+        return self.model.value(self.parameters, parameter)
 
-    def _stack_name(self, parameter: str) -> str:
-        if self.file.stack == "ros1":
-            return ros1_name(parameter)
-        if self.file.stack == "mrpt":
-            return (_MRPT if self.is_field else _MRPT_RAYS).get(parameter, parameter)
-        if self.file.stack == "f1tenth":
-            return _F1TENTH.get(parameter, parameter)
-        return parameter
+    def beams_used(self) -> int | None:
+        """Return how many beams of a scan the file asks for; None if it does not say, or without a log not for sure."""
+        asked, step = self.value("max_beams"), self.value("beam_step")
+        if asked is not None or step is None or self.log is None:
+            return None if asked is None else int(asked)
+        return math.ceil(self.log.finder.n_beams / int(step))
 
     def finding(
         self,

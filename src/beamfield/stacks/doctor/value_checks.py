@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Set
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 from beamfield.finding import Finding
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.files.parameter_file import MODELS, STACKS
-from beamfield.stacks.files.parameter_text import Entry
-from beamfield.stacks.files.typed_values import MOST, is_strict
-from beamfield.stacks.files.yaml_sections import ROS_2_KEY
-from beamfield.stacks.registry import parameter_names
+from beamfield.stacks.files.typed_values import MOST
+from beamfield.stacks.registry import STACKS
+from beamfield.stacks.stack import Stack, counterpart
+from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry
 
 # Names that differ by so little are a slip of the pen (difflib's ratio).
 SIMILAR = 0.88
@@ -64,9 +63,8 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
         else:
             yield subject.finding(
                 "wrong-type", "error", f"{name}: {message}",
-                "ROS 2 refuses the value: the node does not start" if is_strict(subject.file)
-                else "amcl uses its default without a message" if subject.file.stack == "ros1"
-                else "the program stops, or uses another value without a message",
+                "ROS 2 refuses the value: the node does not start" if subject.file.is_typed
+                else subject.stack.wrong_type,
                 "write a value of the right type", own=name,
             )  # fmt: skip
 
@@ -84,9 +82,9 @@ def loaded_elsewhere(subject: Subject) -> Iterator[Finding]:
 def missing_ros_key(subject: Subject) -> Iterator[Finding]:
     """Find parameters of a ROS 2 node that do not stand where ROS 2 reads them."""
     section = subject.file.section
-    if not is_strict(subject.file) or section.syntax != "yaml":
+    if not subject.file.is_typed or section.syntax != "yaml":
         return
-    if section.label.rsplit(".", 1)[-1] == ROS_2_KEY or "ros1" in subject.file.possible:
+    if section.is_ros_2 or not any(STACKS[name].is_typed for name in subject.file.possible):
         return
     yield subject.finding(
         "no-ros-parameters-key", "error", f"the parameters do not stand below the key {ROS_2_KEY}",
@@ -97,16 +95,16 @@ def missing_ros_key(subject: Subject) -> Iterator[Finding]:
 
 def foreign_names(subject: Subject) -> Iterator[Finding]:
     """Find parameters of another stack, and names one letter off."""
-    own = {subject.file.name_in_file(name) for name in parameter_names(subject.file.stack)}
+    own = {subject.file.name_in_file(name) for name in subject.stack.parameter_names}
     entries = subject.file.section.entries
     strange = [
         name for name, entry in entries.items() if name not in own and (entry.value is not None or entry.filled_in)
     ]
     foreign = {name: stack for name in strange if (stack := _stack_with(name)) is not None}
     for name in foreign:
-        if other := _counterpart(name, own):
+        if other := counterpart(name, own):
             yield _foreign(subject, [name], foreign[name], other, other in entries)
-    rest = [name for name in foreign if not _counterpart(name, own)]
+    rest = [name for name in foreign if not counterpart(name, own)]
     for stack in dict.fromkeys(foreign[name] for name in rest):
         yield _foreign(subject, [name for name in rest if foreign[name] == stack], stack, "", False)
     for name in strange:
@@ -123,29 +121,29 @@ def stack_guess(subject: Subject) -> Iterator[Finding]:
     """Say that a file could be another stack's."""
     if subject.file.stack_is_certain:
         return
+    first, *others = (STACKS[name] for name in subject.file.possible)
+    alike = " and ".join(f"{stack.title}'s" for stack in (first, *others))
+    dense = [stack.title for stack in others if stack.model(stack.default_model).hit_is_density]
+    density = f": {dense[0]}'s hit has the constant of a normal density" if dense else ""
     yield subject.finding(
-        "stack-uncertain", "info", "read as nav2's, though nav2's and Beluga's files have the same names",
-        "the same values mean different things there: Beluga's hit has the constant of a normal density",
-        "say --stack beluga if that is what the robot runs",
+        "stack-uncertain", "info", f"read as {first.title}'s, though {alike} files have the same names",
+        f"the same values mean different things there{density}",
+        f"say --stack {' or '.join(stack.name for stack in others)} if that is what the robot runs",
     )  # fmt: skip
 
 
 def _unknown_model(subject: Subject, value: str) -> Finding:
-    models = MODELS[subject.file.stack]
+    models, key = tuple(subject.stack.models), subject.stack.model_key
     near = difflib.get_close_matches(value, models, n=1)
     return subject.finding(
-        "unknown-model", "error", f"laser_model_type is {shorten(value)}, which is no model of {subject.file.stack}",
-        {
-            "nav2": f"nav2 runs {models[0]} instead, without a message",
-            "ros1": f"amcl runs {models[0]} instead; it only logs a warning",
-            "beluga": "Beluga stops with an error: the robot does not localise",
-        }[subject.file.stack] + f". The file is examined as one for {subject.file.model}",
-        f"write {near[0]}" if near else f"write one of {', '.join(models)}", own="laser_model_type",
+        "unknown-model", "error", f"{key} is {shorten(value)}, which is no model of {subject.stack.name}",
+        f"{subject.stack.unknown_model}. The file is examined as one for {subject.model.name}",
+        f"write {near[0]}" if near else f"write one of {', '.join(models)}", own=key,
     )  # fmt: skip
 
 
 def _not_finite(subject: Subject, name: str, value: float) -> Finding:
-    if name == "laser_max_range" and value > 0.0 and subject.file.stack in ("nav2", "ros1"):
+    if name == "laser_max_range" and value > 0.0 and subject.stack.takes_lesser_limit:
         return subject.finding(
             "not-finite", "info", f"{name} is {value}", "the sensor's own limit holds then, as with -1.0",
             "write -1.0", own=name,
@@ -159,14 +157,12 @@ def _not_finite(subject: Subject, name: str, value: float) -> Finding:
 
 def _out_of_range(subject: Subject, name: str) -> str:
     if subject.name_of("max_beams") == name:
-        if subject.file.stack == "beluga":
-            return "without a beam there is nothing to weigh poses by"
-        return "with fewer than two beams amcl does not look at scans at all"
+        return subject.stack.too_few_beams
     return "the model's formula means nothing with it"
 
 
 def _stack_with(name: str) -> str | None:
-    return next((stack for stack in STACKS if name in parameter_names(stack)), None)
+    return next((stack.name for stack in STACKS.values() if name in stack.parameter_names), None)
 
 
 def _foreign(subject: Subject, names: list[str], stack: str, other: str, has_other: bool) -> Finding:
@@ -178,19 +174,13 @@ def _foreign(subject: Subject, names: list[str], stack: str, other: str, has_oth
         "foreign-name", "info" if is_off else "warning",
         f"{', '.join(names)} {are} of {stack}, not of {subject.file.stack}",
         f"{subject.file.stack} silently ignores {'it' if len(names) == 1 else 'them'}{instead}",
-        _rename(subject.file.stack, stack, other), own=names[0],
+        _rename(subject.stack, STACKS[stack], other), own=names[0],
     )  # fmt: skip
 
 
-def _counterpart(name: str, own: Set[str]) -> str:
-    """Return the stack's own name for the same thing; "" if there is none."""
-    other = name.removeprefix("laser_") if name.startswith("laser_") else f"laser_{name}"
-    return other if other in own else ""
-
-
-def _rename(stack: str, other_stack: str, name: str) -> str:
-    if name and {stack, other_stack} <= {"nav2", "ros1"}:
-        return f"call it {name} (values keep their meaning between ROS 1 and nav2)"
+def _rename(stack: Stack, other: Stack, name: str) -> str:
+    if name and stack.has_same_formulas(other):
+        return f"call it {name} (values keep their meaning between {other.name} and {stack.name})"
     if name:
-        return f"call it {name} if the value is meant for {stack}; if it is {other_stack}'s: beamfield translate"
+        return f"call it {name} if the value is meant for {stack.name}; if it is {other.name}'s: beamfield translate"
     return "leave it out; if the values are from there, beamfield translate gives those for this stack"

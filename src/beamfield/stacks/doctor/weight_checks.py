@@ -7,7 +7,7 @@ from dataclasses import fields
 
 from beamfield.finding import Finding
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.registry import parameter_names
+from beamfield.stacks.stack import FIELD_PRODUCT, WEIGHTS
 
 SUM_TOLERANCE = 1e-3
 # A hit that is cut off nearer than this many sigma still weighs something there.
@@ -16,16 +16,14 @@ CUT_SIGMAS = 2.5
 
 def weights_sum(subject: Subject) -> Iterator[Finding]:
     """Find weights that the model uses and that do not sum to 1."""
-    if subject.file.stack == "mrpt" and not subject.is_field:
-        return
-    names = ("z_hit", "z_rand") if subject.is_field else ("z_hit", "z_short", "z_max", "z_rand")
+    names = ("z_hit", "z_rand") if subject.model.weight.of_field else WEIGHTS
     values = [subject.value(name) for name in names]
     if None in values or abs(sum(values) - 1.0) <= SUM_TOLERANCE:
         return
     total = float(sum(values))
     terms = " + ".join(f"{subject.name_of(name)} {value:g}" for name, value in zip(names, values, strict=True))
     why = "the stack's documents ask for a sum of 1, but nothing checks it. "
-    if _factor_cancels(subject):
+    if subject.model.factor_cancels:
         why += "A common factor changes all poses' weights alike, so that nothing is lost but their meaning as shares"
     else:
         # Of a sum of 0 there are no shares.
@@ -36,7 +34,7 @@ def weights_sum(subject: Subject) -> Iterator[Finding]:
     yield subject.finding(
         "weights-sum", "info",
         f"the weights that {subject.file.model} uses sum to {total:.4g}: {terms}", why,
-        "divide each by their sum, and look at nearly-flat afterwards" if total < 1.0 or _factor_cancels(subject)
+        "divide each by their sum, and look at nearly-flat afterwards" if total < 1.0 or subject.model.factor_cancels
         else "divide each by their sum; the scan then counts less, so calibrate or look at nearly-flat",
         parameter="z_hit", values={"total": total},
     )  # fmt: skip
@@ -44,13 +42,13 @@ def weights_sum(subject: Subject) -> Iterator[Finding]:
 
 def value_above_one(subject: Subject) -> Iterator[Finding]:
     """Find factors with which one beam is worth more than 1, which amcl's code takes for impossible."""
-    if subject.file.stack not in ("nav2", "ros1"):
+    if not subject.stack.asserts_p:
         return
     hit, short, most, rand, rate = (subject.value(n) for n in ("z_hit", "z_short", "z_max", "z_rand", "lambda_short"))
     if None in (hit, short, most, rand, rate):
         return
     # Random readings add z_rand / range_max, a few percent of it at most.
-    largest = hit if subject.is_field else max(hit + short * rate, hit + most)
+    largest = hit if subject.model.weight.of_field else max(hit + short * rate, hit + most)
     if largest > 1.0 + 1e-9:
         yield subject.finding(
             "value-above-one", "warning", f"one beam can be worth {largest:.4g}, which is more than 1",
@@ -76,8 +74,7 @@ def unused_weights(subject: Subject) -> Iterator[Finding]:
 def no_random(subject: Subject) -> Iterator[Finding]:
     """Find a product of beams in which one unexplained reading forbids a pose."""
     # Where values are added up, a beam without value only adds nothing.
-    averages = subject.file.model == "LF_Thrun" and subject.parameters.LF_alternateAverageMethod
-    if subject.value("z_rand") == 0.0 and _multiplies(subject) and not averages:
+    if subject.value("z_rand") == 0.0 and subject.model.multiplies(subject.parameters):
         yield subject.finding(
             "no-random-readings", "warning", f"{subject.name_of('z_rand')} is 0",
             "one reading that nothing in the map explains, such as a person, makes the true pose (nearly) impossible",
@@ -108,7 +105,7 @@ def sigma_against_resolution(subject: Subject) -> Iterator[Finding]:
 
 def distance_limit(subject: Subject) -> Iterator[Finding]:
     """Find a maximum distance that cuts into the hits."""
-    if not subject.is_field:
+    if not subject.model.weight.of_field:
         return
     sigma, limit = _sigma_metres(subject), subject.value("laser_likelihood_max_dist")
     width = subject.name_of("sigma_hit")
@@ -123,35 +120,20 @@ def distance_limit(subject: Subject) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _factor_cancels(subject: Subject) -> bool:
-    # Products; a table with columns divided by their sums; and a bare sum of cubes.
-    return _multiplies(subject) or (subject.file.stack == "beluga" and subject.file.model == "beam")
-
-
-def _multiplies(subject: Subject) -> bool:
-    return subject.file.model in ("likelihood_field_prob", "LF_Thrun", "table")
-
-
 def _unused(subject: Subject) -> Iterator[tuple[list[str], str]]:
     """Yield names that the model never reads, and why."""
-    stack, model = subject.file.stack, subject.file.model
-    if subject.is_amcl and subject.is_field:
-        names = [subject.name_of(name) for name in ("z_short", "z_max", "lambda_short")]
+    model, weight = subject.model, subject.model.weight
+    if weight.of_field:
+        names = [subject.name_of(name) for name in ("z_short", "z_max", "lambda_short") if model.has(name)]
         yield names, "only the beam model has short and max readings"
-    if subject.is_amcl and model != "likelihood_field_prob" and subject.value("do_beamskip"):
+    if weight != FIELD_PRODUCT and subject.value("do_beamskip"):
         # Switched off, as in the programs' example files, nobody expects anything of it.
         yield ["do_beamskip"], "only likelihood_field_prob leaves out beams"
-    if stack == "mrpt":
-        read = {item.name for item in fields(subject.parameters)}
-        yield sorted(parameter_names("mrpt") - read), "likelihoodMethod chooses another model"
-    if stack == "f1tenth" and subject.parameters.range_method in ("bl", "rm", "rmgpu"):
-        yield ["theta_discretization"], f"range_method {subject.parameters.range_method} has no table of directions"
+    read = {item.name for item in fields(subject.parameters)}
+    yield sorted(subject.stack.parameter_names - read), f"{subject.stack.model_key} chooses another model"
 
 
 def _sigma_metres(subject: Subject) -> float | None:
-    sigma = subject.value("sigma_hit")
-    if sigma is None:
+    if subject.value("sigma_hit") is None:
         return None
-    if subject.file.stack == "f1tenth":  # in pixels of the map
-        return None if subject.grid is None else float(sigma) * subject.grid.resolution
-    return float(sigma)
+    return subject.model.sigma(subject.parameters, None if subject.grid is None else subject.grid.resolution)

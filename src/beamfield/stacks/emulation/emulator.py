@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.sensors import Scan
+from beamfield.stacks.emulation.beam_selection import Indices
 
 # What an end point lies in: values of `FieldEvidence.places`.
 KNOWN, UNKNOWN, OFF_MAP = 0, 1, 2
@@ -97,6 +98,8 @@ class StackModel(ABC, Generic[P, E]):
         Names of the parameters that the evidence depends on. With all others free, one evidence serves.
     fitted_parameters
         Names of the numbers that a fit varies: factors, widths and rates that this model uses.
+    tests_nan
+        Whether the program leaves out readings that are NaN.
     """
 
     is_normalized: ClassVar[bool] = False
@@ -104,8 +107,14 @@ class StackModel(ABC, Generic[P, E]):
     model: ClassVar[str]
     evidence_settings: ClassVar[tuple[str, ...]]
     fitted_parameters: ClassVar[tuple[str, ...]]
+    tests_nan: ClassVar[bool] = True
 
     parameters: P
+
+    @staticmethod
+    def beam_rule(n_beams: int, max_beams: int) -> Indices | None:  # noqa: ARG004
+        """Return which of n_beams a program with a parameter max_beams looks at; None if it steps by another."""
+        return None
 
     def with_parameters(self, parameters: P) -> Self:
         """Return the model with other parameters and the same map, options and tables."""
@@ -149,7 +158,7 @@ class StackModel(ABC, Generic[P, E]):
             If the parameters differ in one that the evidence depends on.
         """
 
-    def weighs_alone(self) -> bool:
+    def takes_poses_alone(self) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for (not so with beam skipping)."""
         return True
 
@@ -181,20 +190,40 @@ class StackModel(ABC, Generic[P, E]):
         return chosen
 
 
+class RayModel(StackModel[P, RayEvidence], Generic[P]):
+    """A model of ranges along rays."""
+
+    @abstractmethod
+    def beam_log_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
+        """Return the logarithm of the stack's value p of each beam that counts, (n, k)."""
+
+
 class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
-    """A likelihood field: each beam's value depends on its end point alone, the weight on the sum over beams."""
+    """A likelihood field: each beam's value depends on its end point alone, the weight on the sum over beams.
+
+    Attributes
+    ----------
+    is_product
+        Whether the weight is the product of p over beams; otherwise it is 1 + the sum of p^3.
+    """
+
+    is_product: ClassVar[bool] = False
 
     @abstractmethod
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the stack's value p of each beam that counts, (n, k)."""
 
-    @abstractmethod
     def beam_terms(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
-        """Return what is summed over beams, (n, k): cubes of p or logarithms."""
+        """Return what is summed over beams, (n, k): log p of a product, else p^3."""
+        p = self.beam_values(evidence, parameters)
+        if not self.is_product:
+            return np.asarray(p * p * p)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(p, out=p))
 
-    @abstractmethod
-    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:
-        """Return log-weights of sums over n_beams beams, of the same shape."""
+    def log_of_sums(self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: P) -> FloatArray:  # noqa: ARG002
+        """Return log-weights of sums over n_beams beams, of the same shape: of 1 + sum p^3 unless it is a product."""
+        return sums if self.is_product else np.asarray(np.log1p(sums))
 
     def log_weights(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return the logarithm of the stack's weight of each pose; see `StackModel.log_weights`."""

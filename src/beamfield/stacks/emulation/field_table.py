@@ -21,7 +21,7 @@ Metres = NDArray[np.floating[Any]]
 _RIGHT, _UP, _LEFT, _DOWN = (0, 1), (1, 0), (0, -1), (-1, 0)
 
 
-class Brushfire(NamedTuple):
+class BrushfireOrder(NamedTuple):
     """In which order a program's brushfire runs; see `beamfield.kernels.stacks.brushfire`."""
 
     neighbours: tuple[tuple[int, int], ...]
@@ -33,10 +33,10 @@ class Brushfire(NamedTuple):
     square; otherwise it counts whole cells (`reach_in_cells`)."""
 
 
-AMCL_FIRE = Brushfire(
+AMCL_BRUSHFIRE = BrushfireOrder(
     (_LEFT, _DOWN, _RIGHT, _UP), columns_first=True, remove_last=True, settle_beyond=False, keeps_squares=False
 )
-BELUGA_FIRE = Brushfire(
+BELUGA_BRUSHFIRE = BrushfireOrder(
     (_RIGHT, _UP, _LEFT, _DOWN), columns_first=False, remove_last=False, settle_beyond=True, keeps_squares=True
 )
 
@@ -74,7 +74,7 @@ class FieldTable(NamedTuple):
 
 
 def field_table(
-    grid: OccupancyGrid, obstacles: BoolArray, distance: DistanceChoice, fire: Brushfire, max_distance: float
+    grid: OccupancyGrid, obstacles: BoolArray, distance: DistanceChoice, order: BrushfireOrder, max_distance: float
 ) -> FieldTable:
     """Work out a stack's distance map.
 
@@ -86,7 +86,7 @@ def field_table(
         (rows, cols) the cells to which distances are measured.
     distance
         "exact" measures to the nearest obstacle; "brushfire" does what the program does, with its errors.
-    fire
+    order
         The program's brushfire.
     max_distance
         Where the brushfire ends, metres. Exact distances are not cut off.
@@ -101,7 +101,7 @@ def field_table(
     if distance == "exact":
         metres: Metres = distance_to_obstacles(OccupancyGrid(obstacles.astype(np.float32), grid.resolution))
     else:
-        metres = _burn(obstacles, grid.resolution, fire, max_distance)
+        metres = _brushfire(obstacles, grid.resolution, order, max_distance)
     return FieldTable(grid, metres, np.isnan(grid.probability))
 
 
@@ -113,15 +113,15 @@ def reach_in_cells(max_distance: float, resolution: float) -> int:
     return int(max_distance / resolution)
 
 
-def _burn(obstacles: BoolArray, resolution: float, fire: Brushfire, max_distance: float) -> Metres:
+def _brushfire(obstacles: BoolArray, resolution: float, order: BrushfireOrder, max_distance: float) -> Metres:
     """Return the distances in metres that a brushfire finds; +inf where it does not come."""
     squared = np.empty(obstacles.shape, np.int32)
-    reach = max_distance / resolution if fire.keeps_squares else reach_in_cells(max_distance, resolution)
+    reach = max_distance / resolution if order.keeps_squares else reach_in_cells(max_distance, resolution)
     limit = float(reach) ** 2
-    order = fire.columns_first, fire.remove_last, fire.settle_beyond
-    kernels.brushfire(obstacles, limit, np.array(fire.neighbours), *order, squared)
+    flags = order.columns_first, order.remove_last, order.settle_beyond
+    kernels.brushfire(obstacles, limit, np.array(order.neighbours), *flags, squared)
     cells = np.where(squared < 0, np.inf, squared)
-    if fire.keeps_squares:
+    if order.keeps_squares:
         return np.sqrt((cells * resolution**2).astype(np.float32).astype(np.float64))
     return np.asarray((np.sqrt(cells) * resolution).astype(np.float32))
 

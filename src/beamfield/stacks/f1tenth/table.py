@@ -14,7 +14,7 @@ from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan
-from beamfield.stacks.emulation.emulator import RayEvidence, StackModel
+from beamfield.stacks.emulation.emulator import RayEvidence, RayModel
 from beamfield.stacks.emulation.parameter_checks import check_choice
 from beamfield.stacks.emulation.stack_map import message_resolution
 from beamfield.stacks.emulation.stack_rays import exact_ranges
@@ -27,7 +27,7 @@ MOST_PIXELS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
-class F1tenthTable(StackModel[F1tenthParameters, RayEvidence]):
+class F1tenthTable(RayModel[F1tenthParameters]):
     """``w = (prod T[r, d])^(1 / squash_factor)``: T is looked up with the reading r and the expected range d in pixels.
 
     The table's side is N + 1 pixels, N = int(max_range / resolution), which with the resolution of the map's message

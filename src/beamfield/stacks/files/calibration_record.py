@@ -7,8 +7,8 @@ import re
 from dataclasses import asdict
 from typing import Any
 
-from beamfield.stacks.files.line_ends import line_break
-from beamfield.stacks.files.parameter_text import Syntax
+from beamfield.stacks.syntax.line_ends import line_break
+from beamfield.stacks.syntax.parameter_text import Syntax
 
 _MARK = "calibrated by beamfield"
 _RECORD = re.compile(rf"{_MARK} [^\n]*?checksum ([0-9a-f]{{16}})")

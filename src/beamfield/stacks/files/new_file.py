@@ -6,18 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from beamfield.errors import InvalidInputError
 from beamfield.printable import printable
-from beamfield.stacks.files.parameter_file import check_stack
-from beamfield.stacks.files.parameter_text import Value, value_text
-
-# MRPT's name for the first occupancy grid of a map.
-MRPT_SECTION = "MetricMap_occupancyGrid_00_likelihoodOpts"
-# The lines above the parameters, each one level deeper.
-YAML_SECTIONS: Mapping[str, tuple[str, ...]] = {
-    "nav2": ("amcl:", "  ros__parameters:"),
-    "beluga": ("amcl:", "  ros__parameters:"),
-    "ros1": ("amcl:",),
-    "f1tenth": (),
-}
+from beamfield.stacks.registry import STACKS, stack_named
+from beamfield.stacks.syntax.parameter_text import Value, pair
 
 
 def new_file_text(
@@ -32,32 +22,28 @@ def new_file_text(
     Parameters
     ----------
     stack
-        nav2 and beluga get ``amcl: ros__parameters:``, ros1 ``amcl:``, mrpt an ini section, f1tenth a flat file for
-        ROS 1 (its names are the same below ``particle_filter: ros__parameters:``).
+        What stands above the parameters is its `Stack.layout`. f1tenth gets a flat file for ROS 1 (its names are the
+        same below ``particle_filter: ros__parameters:``).
     values
         By the stack's own names.
     comments
         Lines at the top.
     launch
-        For ros1: lines for the node of a launch file instead of YAML.
+        Lines for the node of a launch file instead of YAML.
 
     Raises
     ------
     InvalidInputError
         If the stack is unknown, or has no launch files.
     """
-    check_stack(stack)
+    described = stack_named(stack)
     comments = [printable(line) for line in comments]  # a name must not begin a line of its own
-    if launch and stack != "ros1":
-        raise InvalidInputError(f"launch: only ros1 has parameters in launch files, got {stack!r}")
+    if launch and not described.in_launch_files:
+        able = " and ".join(stack.name for stack in STACKS.values() if stack.in_launch_files)
+        raise InvalidInputError(f"launch: only {able} has parameters in launch files, got {stack!r}")
     if launch:
         head = [f"<!-- {line.replace('--', '- -')} -->" for line in comments]
-        lines = [f'<param name="{name}" value="{value_text(value, "launch")}"/>' for name, value in values.items()]
-        return "\n".join([*head, *lines]) + "\n"
-    if stack == "mrpt":
-        head = [*(f"// {line}" for line in comments), f"[{MRPT_SECTION}]"]
-        body = [f"{name} = {value_text(value, 'ini')}" for name, value in values.items()]
-    else:
-        head, indent = [*(f"# {line}" for line in comments), *YAML_SECTIONS[stack]], "  " * len(YAML_SECTIONS[stack])
-        body = [f"{indent}{name}: {value_text(value, 'yaml')}" for name, value in values.items()]
-    return "\n".join([*head, *body]) + "\n"
+        return "\n".join([*head, *(pair(name, value, "launch") for name, value in values.items())]) + "\n"
+    mark, indent = ("//", "") if described.syntax == "ini" else ("#", "  " * len(described.layout))
+    body = [indent + pair(name, value, described.syntax) for name, value in values.items()]
+    return "\n".join([*(f"{mark} {line}" for line in comments), *described.layout, *body]) + "\n"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from beamfield.errors import FormatError
 from beamfield.io.files.yaml_file import YamlFile, read_yaml
+from beamfield.stacks.registry import STACKS
 
-EXPECTED = "expected a parameter file of nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH"
 _YAML = (".yaml", ".yml")
 # Keys that only such files have at their top level, and what they are.
 _KINDS: Mapping[frozenset[str], str] = {
@@ -29,6 +29,12 @@ _KINDS: Mapping[frozenset[str], str] = {
 _TUM = re.compile(rb"(\s*#[^\n]*\n)*\s*([-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t]*\r?(\n|$)")
 _HEADINGS = {b"theta", b"yaw", b"qw", b"map_theta"}
 _SNIFFED = 2000
+
+
+def expected_files() -> str:
+    """Return what was expected instead, for the end of a message."""
+    *most, last = (stack.title for stack in STACKS.values())
+    return f"expected a parameter file of {', '.join(most)} or {last}"
 
 
 def is_beam_model(path: str | Path) -> bool:
@@ -53,17 +59,17 @@ def read_parameter_yaml(path: Path) -> YamlFile:
         If it is of a kind that holds none, with what it is; or if it is no YAML that `read_yaml` takes.
     """
     if path.suffix.lower() == ".json":
-        raise FormatError(path, f"this is JSON, in which beamfield writes results, not parameters; {EXPECTED}")
+        raise FormatError(path, f"this is JSON, in which beamfield writes results, not parameters; {expected_files()}")
     try:
         file = read_yaml(path, number_keys=True)
     except FormatError:
         kind = _kind_of_text(path)
         if kind:
-            raise FormatError(path, f"{kind}; {EXPECTED}") from None
+            raise FormatError(path, f"{kind}; {expected_files()}") from None
         raise
     kind = next((kind for keys, kind in _KINDS.items() if keys <= file.values.keys()), "")
     if kind:
-        raise FormatError(path, f"{kind}; {EXPECTED}")
+        raise FormatError(path, f"{kind}; {expected_files()}")
     return file
 
 

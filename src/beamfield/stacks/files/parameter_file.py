@@ -14,49 +14,13 @@ from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.files.atomic import atomic_files
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.files.calibration_record import with_record
-from beamfield.stacks.files.ini_sections import ini_sections
-from beamfield.stacks.files.launch_sections import launch_sections
-from beamfield.stacks.files.other_files import EXPECTED, read_parameter_yaml
-from beamfield.stacks.files.parameter_text import ParameterSection, Value
-from beamfield.stacks.files.yaml_sections import ROS_2_KEY, yaml_sections
-from beamfield.stacks.ros1.parameters import PREFIXED, ros1_name
-
-Stack = Literal["nav2", "ros1", "beluga", "mrpt", "f1tenth"]
-STACKS: tuple[Stack, ...] = ("nav2", "ros1", "beluga", "mrpt", "f1tenth")
-
-_AMCL_MODELS = ("likelihood_field", "likelihood_field_prob", "beam")
-MODELS: Mapping[Stack, tuple[str, ...]] = {
-    "nav2": _AMCL_MODELS,
-    "ros1": _AMCL_MODELS,
-    "beluga": _AMCL_MODELS,
-    "mrpt": ("LF_Thrun", "rayTracing"),
-    "f1tenth": ("table",),
-}
-
-# Names that only this stack has.
-_SIGNS: Mapping[Stack, frozenset[str]] = {
-    "beluga": frozenset(
-        ("model_unknown_space", "only_obstacle_boundaries", "execution_policy", "spatial_resolution_x",
-         "spatial_resolution_y", "spatial_resolution_theta", "selective_resampling", "point_cloud_topic")
-    ),
-    "f1tenth": frozenset(("squash_factor", "range_method", "theta_discretization", "angle_step")),
-    "ros1": frozenset(map(ros1_name, PREFIXED)),
-    "mrpt": frozenset(
-        ("likelihoodMethod", "LF_stdHit", "LF_zHit", "LF_zRandom", "LF_maxRange", "LF_decimation",
-         "LF_maxCorrsDistance", "LF_useSquareDist", "LF_alternateAverageMethod", "rayTracing_stdHit",
-         "rayTracing_decimation", "rayTracing_useDistanceFilter", "enableLikelihoodCache")
-    ),
-}  # fmt: skip
-_SHARED = frozenset(
-    ("laser_model_type", *PREFIXED, "laser_likelihood_max_dist", "laser_max_range", "laser_min_range", "do_beamskip",
-     "beam_skip_distance")
-)  # fmt: skip
-_NAV2_ONLY = frozenset(PREFIXED)
-_KNOWN = _SHARED.union(*_SIGNS.values())
-# MRPT numbers its models, or spells them with "lm" in front.
-_MRPT_MODELS = {
-    "1": "rayTracing", "lmRayTracing": "rayTracing", "4": "LF_Thrun", "lmLikelihoodField_Thrun": "LF_Thrun",
-}  # fmt: skip
+from beamfield.stacks.files.other_files import expected_files, read_parameter_yaml
+from beamfield.stacks.registry import STACKS, stack_named
+from beamfield.stacks.stack import Model, OtherNode, Stack
+from beamfield.stacks.syntax.ini_sections import ini_sections
+from beamfield.stacks.syntax.launch_sections import launch_sections
+from beamfield.stacks.syntax.parameter_text import ParameterSection, Signs, Value
+from beamfield.stacks.syntax.yaml_sections import yaml_sections
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,26 +37,41 @@ class StackFile:
         Whose file it can be by what stands in it, the likeliest first: nav2's and Beluga's look alike.
     stack_is_said
         Whether `stack` was said, not found out.
-    is_prefixed
-        Whether the file has ROS 1's names (laser_z_hit) for parameters that the stack's dataclass calls as nav2 does
-        (z_hit): files of Beluga's node for ROS 1.
+    is_of_other_node
+        Whether the file has the names of the program's other node: Beluga's for ROS 1 has laser_z_hit for z_hit.
     """
 
-    stack: Stack
+    stack: str
     model: str
     section: ParameterSection
-    possible: tuple[Stack, ...] = ()
+    possible: tuple[str, ...] = ()
     stack_is_said: bool = False
-    is_prefixed: bool = False
+    is_of_other_node: bool = False
 
     @property
     def stack_is_certain(self) -> bool:
         """False if the file can be another stack's, and nobody said whose it is."""
         return self.stack_is_said or len(self.possible) < 2
 
+    @property
+    def program(self) -> Stack:
+        """Whose file it is."""
+        return stack_named(self.stack)
+
+    @property
+    def described_model(self) -> Model:
+        """The measurement model that it chooses."""
+        return self.program.model(self.model)
+
+    @property
+    def is_typed(self) -> bool:
+        """Whether the program declares each parameter's type and stops if the file has another."""
+        return self.program.is_typed and not self.is_of_other_node
+
     def name_in_file(self, name: str) -> str:
         """Return what this file calls a parameter of the stack's dataclass."""
-        return ros1_name(name) if self.is_prefixed else name
+        other = self.program.other_node if self.is_of_other_node else None
+        return name if other is None else other.names.get(name, name)
 
     def by_names_in_file(self, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return values of the stack's parameters under the names that this file has for them."""
@@ -131,31 +110,14 @@ def read_stack_file(
     OSError
         As the file system says.
     """
-    if stack is not None:
-        check_stack(stack)
+    said = None if stack is None else stack_named(stack)
     source = Path(path)
     chosen = _only(source, _sections(source), section)
     possible = _possible_stacks(chosen)
-    found = possible[0] if stack is None else check_stack(stack)
+    found = said or stack_named(possible[0])
     name = model or _model_of(found, chosen, unknown_model)
-    is_prefixed = found == "beluga" and _has_prefixed_names(chosen)
-    return StackFile(found, check_model(found, name), chosen, possible, stack is not None, is_prefixed)
-
-
-def check_stack(name: str) -> Stack:
-    """Return the stack of this name, or say which there are."""
-    for stack in STACKS:
-        if stack == name:
-            return stack
-    raise InvalidInputError(f"stack: expected one of {', '.join(STACKS)}, got {name!r}")
-
-
-def check_model(stack: str, model: str) -> str:
-    """Return the model if the stack has it, or say which it has."""
-    models = MODELS[check_stack(stack)]
-    if model not in models:
-        raise InvalidInputError(f"model: {stack} has {', '.join(models)}, got {model!r}")
-    return model
+    is_other = found.other_node is not None and _has_other_names(found, found.other_node, chosen)
+    return StackFile(found.name, found.model(name).name, chosen, possible, said is not None, is_other)
 
 
 def write_values(section: ParameterSection, values: Mapping[str, Value], *, record: str = "") -> Path:
@@ -217,7 +179,7 @@ def check_patch_target(file: StackFile) -> None:
     PermissionError
         If it is read-only.
     """
-    if file.possible and file.stack not in file.possible and not file.is_prefixed:
+    if file.possible and file.stack not in file.possible and not file.is_of_other_node:
         raise InvalidInputError(
             f"{file.section.path}: expected a file of {file.stack}, this is one of {' or '.join(file.possible)}"
         )
@@ -234,14 +196,24 @@ def _refuse_read_only(path: Path) -> None:
 
 
 def _sections(path: Path) -> list[ParameterSection]:
-    suffix = path.suffix.lower()
+    suffix, signs = path.suffix.lower(), _signs()
     if suffix == ".py":
         raise FormatError(path, "launch files in Python are not read; give the YAML file that it loads")
     if suffix in (".launch", ".xml"):
-        return launch_sections(path, _KNOWN)
+        return launch_sections(path, signs)
     if suffix in (".ini", ".cfg"):
-        return ini_sections(path, _KNOWN)
-    return yaml_sections(read_parameter_yaml(path), _KNOWN)
+        return ini_sections(path, signs.names)
+    return yaml_sections(read_parameter_yaml(path), signs)
+
+
+def _signs() -> Signs:
+    """Return by what the files of all stacks are recognised."""
+    stacks = STACKS.values()
+    return Signs(
+        frozenset().union(*(stack.signs for stack in stacks)),
+        tuple({node: None for stack in stacks for node in stack.nodes}),
+        tuple({package: None for stack in stacks for package in stack.packages}),
+    )
 
 
 def _only(path: Path, sections: list[ParameterSection], label: str | None) -> ParameterSection:
@@ -259,7 +231,7 @@ def _only(path: Path, sections: list[ParameterSection], label: str | None) -> Pa
         raise FormatError(
             path,
             "no parameters of a measurement model found (z_hit, laser_z_hit, LF_stdHit, ... or an amcl node); "
-            + EXPECTED,
+            + expected_files(),
         )
     if len(sections) > 1:
         labels = ", ".join(f"{section.label!r} (line {section.line})" for section in sections)
@@ -267,34 +239,10 @@ def _only(path: Path, sections: list[ParameterSection], label: str | None) -> Pa
     return sections[0]
 
 
-def _possible_stacks(section: ParameterSection) -> tuple[Stack, ...]:
-    if section.syntax == "ini":
-        return ("mrpt",)
-    names = set(section.entries)
-    counts = {stack: len(names & signs) for stack, signs in _SIGNS.items()}
-    if counts["f1tenth"] > counts["ros1"] + counts["beluga"] or "particle_filter" in (section.label, section.package):
-        return ("f1tenth",)
-    # Only ROS 2 has this key. Stray names of another stack do not change whose file it is.
-    if section.package == "nav2_amcl":
-        return ("nav2",)
-    if section.label.rsplit(".", 1)[-1] == ROS_2_KEY:
-        return ("beluga",) if counts["beluga"] else _by_label(section.label)
-    if section.package == "beluga_amcl" and not counts["ros1"]:
-        return ("beluga",)
-    if section.syntax == "launch" or counts["ros1"]:
-        # Beluga's node for ROS 1 has amcl's names, and some of its own.
-        is_amcl = section.package == "amcl" or not (counts["beluga"] or section.package == "beluga_amcl")
-        return ("ros1",) if is_amcl else ("beluga",)
-    if counts["mrpt"]:
-        return ("mrpt",)
-    if counts["beluga"]:
-        return ("beluga",)
-    # What is left are names that both ROS versions have, unless nav2's own weights are among them.
-    return ("nav2", "beluga") if names & _NAV2_ONLY else ("ros1",)
-
-
-def _by_label(label: str) -> tuple[Stack, ...]:
-    return ("f1tenth",) if "particle_filter" in label else ("nav2", "beluga")
+def _possible_stacks(section: ParameterSection) -> tuple[str, ...]:
+    """Return whose section it can be, the likeliest first."""
+    likeness = {name: stack.likeness(section) for name, stack in STACKS.items()}
+    return tuple(name for name, value in likeness.items() if value == max(likeness.values()))
 
 
 def _reads_as(path: Path, section: ParameterSection, values: Mapping[str, Value]) -> bool:
@@ -319,38 +267,36 @@ def _same(found: Value | None, expected: Value | None) -> bool:
     return found == expected and (numbers or type(found) is type(expected))
 
 
-def _has_prefixed_names(section: ParameterSection) -> bool:
-    """Whether a file of Beluga has the names of its node for ROS 1, or say that it mixes them with the other node's."""
-    prefixed = [name for name in map(ros1_name, PREFIXED) if name in section.entries]
+def _has_other_names(stack: Stack, node: OtherNode, section: ParameterSection) -> bool:
+    """Whether a file has the names of the program's node for ROS 1, or say that it mixes them with the other node's."""
+    others = [name for name in node.names.values() if name in section.entries]
     # Where ROS 2 looks, ROS 1's names are only ignored.
-    if not prefixed or section.label.rsplit(".", 1)[-1] == ROS_2_KEY:
+    if not others or section.is_ros_2:
         return False
-    for name in PREFIXED:
+    for name in node.names:
         if name in section.entries:
             raise section.error(
-                name, f"is a name of Beluga's node for ROS 2, {prefixed[0]} one of its node for ROS 1: keep one kind"
+                name,
+                f"is a name of {stack.title}'s node for ROS 2, {others[0]} one of its node for ROS 1: keep one kind",
             )
     return True
 
 
-def _model_of(stack: str, section: ParameterSection, unknown_model: str) -> str:
-    if stack == "f1tenth":
-        return "table"
-    name = "likelihoodMethod" if stack == "mrpt" else "laser_model_type"
-    entry = section.entries.get(name)
+def _model_of(stack: Stack, section: ParameterSection, unknown_model: str) -> str:
+    entry = section.entries.get(stack.model_key)
     if entry is None or entry.value is None:
         if entry is not None and entry.filled_in:
             message = f"expected the name of a model, got {entry.filled_in!r}, which is filled in elsewhere: say which"
-            raise section.error(name, message)
-        return "LF_Thrun" if stack == "mrpt" else "likelihood_field"
-    model = str(entry.value)
-    model = _MRPT_MODELS.get(model, model) if stack == "mrpt" else model
-    if model not in MODELS[check_stack(stack)]:
-        if stack != "mrpt" and unknown_model == "default":
-            return MODELS[check_stack(stack)][0]
-        known = ", ".join(MODELS[check_stack(stack)])
-        raise section.error(name, f"no model of {stack} that beamfield knows ({known}), got {shorten(entry.value)}")
-    return model
+            raise section.error(stack.model_key, message)
+        return stack.default_model
+    for name, model in stack.models.items():
+        if str(entry.value) in map(str, model.in_file):
+            return name
+    if stack.unknown_model and unknown_model == "default":
+        return stack.default_model
+    known = ", ".join(stack.models)
+    message = f"no model of {stack.name} that beamfield knows ({known}), got {shorten(entry.value)}"
+    raise section.error(stack.model_key, message)
 
 
 def _free_name(path: Path) -> Path:

@@ -11,18 +11,12 @@ from typing import Any, Literal, NamedTuple
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.files.parameter_file import StackFile
-from beamfield.stacks.files.parameter_text import Entry, Value
-from beamfield.stacks.files.yaml_sections import ROS_2_KEY
-from beamfield.stacks.registry import parameter_class
-from beamfield.stacks.ros1.parameters import PREFIXED, Ros1Parameters, ros1_name
+from beamfield.stacks.syntax.parameter_text import Entry, Value
 
 # Truth values of YAML 1.1, which ROS reads.
 _TRUE, _FALSE = ("yes", "on", "y", "true"), ("no", "off", "n", "false")
 # What YAML 1.1 reads as a number with an exponent.
 _EXPONENT_1_1 = re.compile(r"[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)[eE][-+]\d+")
-# A number or a name in the file; `file.model` says what it stands for.
-MRPT_MODEL = "likelihoodMethod"
-MODEL = "laser_model_type"
 # What is wrong with a value: known only when the robot starts; an integer where ROS 2 wants a double; of another type;
 # NaN or infinite; outside its range; no model of the stack.
 Fault = Literal["filled-in", "integer", "type", "not-finite", "range", "model"]
@@ -55,30 +49,27 @@ class TypedValues(NamedTuple):
 
 def typed_values(file: StackFile) -> TypedValues:
     """Return the stack's parameters that a file asks for, and the values that cannot be used."""
-    kind = parameter_class(file.stack, file.model)
-    usable: dict[str, Value] = _prefixed_defaults() if file.is_prefixed else {}
+    model, key = file.described_model, file.program.model_key
+    kind, other = model.parameters, file.program.other_node
+    usable: dict[str, Value] = dict(other.defaults) if file.is_of_other_node and other is not None else {}
     unusable: list[Unusable] = []
     for item in fields(kind):
         name = file.name_in_file(item.name)
         entry = file.section.entries.get(name)
-        if entry is None or item.name == MRPT_MODEL:
+        # Files of a program that refuses unknown models were refused before; `file.model` says what theirs is.
+        if entry is None or (item.name == key and not file.program.unknown_model):
             continue
         value, wrong = _read(file, entry, item)
         if wrong is None or wrong[0] == "integer":
-            wrong = _refusal(kind, usable, item.name, value) or wrong
+            wrong = _refusal(kind, usable, item.name, value, is_model=item.name == key) or wrong
         if wrong is not None:
             unusable.append(Unusable(name, *wrong))
         if wrong is None or wrong[0] == "integer":
             usable[item.name] = value
-    if MODEL in {item.name for item in fields(kind)}:
+    if key:
         # The program runs its default where the file names no model of it.
-        usable[MODEL] = file.model
+        usable[key] = model.in_file[0]
     return TypedValues(kind(**usable), tuple(unusable))
-
-
-def is_strict(file: StackFile) -> bool:
-    """Whether the program declares each parameter's type and stops if the file has another: nodes of ROS 2 do."""
-    return file.stack in ("nav2", "beluga") and not file.is_prefixed
 
 
 def checked_values(file: StackFile) -> Any:
@@ -95,22 +86,16 @@ def checked_values(file: StackFile) -> Any:
     return typed.parameters
 
 
-def _prefixed_defaults() -> dict[str, Value]:
-    """Return the defaults of Beluga's node for ROS 1: those of ROS 1's amcl."""
-    defaults = Ros1Parameters()
-    return {name: getattr(defaults, ros1_name(name)) for name in PREFIXED}
-
-
 def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[Fault, str] | None]:
     """Return the value in the type of the parameter, and what is wrong with it, if anything."""
     if entry.filled_in and entry.value is None:
         return None, ("filled-in", f"is filled in when the robot starts: {entry.filled_in!r}")
     text = _plain_text(file, entry)
-    by_ros_1 = file.section.syntax == "yaml" and file.section.label.rsplit(".", 1)[-1] != ROS_2_KEY
+    by_ros_1 = file.section.syntax == "yaml" and not file.section.is_ros_2
     if by_ros_1 and isinstance(entry.value, float) and "e" in text.lower() and not _EXPONENT_1_1.fullmatch(text):
         message = "expected a number as ROS 1 reads it (1.0e-3: with a point and a signed exponent), got the text"
         return entry.value, ("type", f"{message} {text!r}")
-    return _convert(entry, text, item, strict=is_strict(file))
+    return _convert(entry, text, item, strict=file.is_typed)
 
 
 def _plain_text(file: StackFile, entry: Entry) -> str:
@@ -151,11 +136,13 @@ def _convert(entry: Entry, text: str, item: Field[Any], *, strict: bool) -> tupl
     return float(value), None
 
 
-def _refusal(kind: type[Any], usable: Mapping[str, Any], name: str, value: Any) -> tuple[Fault, str] | None:
+def _refusal(
+    kind: type[Any], usable: Mapping[str, Any], name: str, value: Any, *, is_model: bool
+) -> tuple[Fault, str] | None:
     """Return why the stack's parameters cannot have a value; None if they can."""
     try:
         kind(**{**usable, name: value})
     except (InvalidInputError, FormatError) as error:
-        fault: Fault = "model" if name == MODEL else "type" if isinstance(value, str) else "range"
+        fault: Fault = "model" if is_model else "type" if isinstance(value, str) else "range"
         return fault, str(error).removeprefix(f"{name}: ")
     return None

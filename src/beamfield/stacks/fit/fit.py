@@ -17,8 +17,9 @@ from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import SensorLog
+from beamfield.stacks.coordinates import FitSpace
 from beamfield.stacks.emulation.emulator import StackModel
-from beamfield.stacks.fit.fit_space import FitSpace, fit_space
+from beamfield.stacks.fit.fit_space import fit_space
 from beamfield.stacks.fit.particle_update import ParticleUpdate, update_particles
 from beamfield.stacks.fit.posterior_score import score_windows
 from beamfield.stacks.fit.window_evidence import WindowEvidence, gather_evidence

@@ -105,7 +105,7 @@ def gather_evidence(model: StackModel[Any, Any], log: SensorLog, windows: Sequen
     """Return the evidence of all windows, for many evaluations with other parameters."""
     folds = np.array([window.fold for window in windows], np.int64)
     n_near, n_scans = windows[0].near.shape[1], len(windows[0].scans)
-    coder = _Coder() if isinstance(model, FieldModel) and model.weighs_alone() else None
+    coder = _Coder() if isinstance(model, FieldModel) and model.takes_poses_alone() else None
     gathered = []
     for window in windows:
         scans = []

@@ -59,6 +59,7 @@ class MrptField(FieldModel[MrptFieldParameters]):
     """
 
     stack: ClassVar[str] = "mrpt"
+    is_product: ClassVar[bool] = True
     model: ClassVar[str] = "LF_Thrun"
     evidence_settings: ClassVar[tuple[str, ...]] = ("LF_decimation",)
     fitted_parameters: ClassVar[tuple[str, ...]] = ("LF_zHit", "LF_zRandom", "LF_stdHit")
@@ -105,11 +106,8 @@ class MrptField(FieldModel[MrptFieldParameters]):
     def beam_terms(self, evidence: FieldEvidence, parameters: MrptFieldParameters | None = None) -> FloatArray:
         """Return log p of each point that counts, (n, k), or p if the weight is their mean."""
         values = self._parameters_for(evidence, parameters)
-        p = self.beam_values(evidence, values)
-        if values.LF_alternateAverageMethod:
-            return p
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(p))
+        averages = values.LF_alternateAverageMethod
+        return self.beam_values(evidence, values) if averages else super().beam_terms(evidence, values)
 
     def log_of_sums(
         self, sums: FloatArray, n_beams: int | NDArray[np.int64], parameters: MrptFieldParameters

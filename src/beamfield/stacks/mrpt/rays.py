@@ -14,7 +14,7 @@ from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, Scan
-from beamfield.stacks.emulation.emulator import RayEvidence, StackModel
+from beamfield.stacks.emulation.emulator import RayEvidence, RayModel
 from beamfield.stacks.emulation.parameter_checks import check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
 from beamfield.stacks.emulation.stack_rays import WORK_PER_RAY
@@ -31,7 +31,7 @@ RANDOM, HIT = 0.1, 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
+class MrptRays(RayModel[MrptRayParameters]):
     """``log w = 1 + sum log p`` with ``p = 0.1 / max_range + 0.9 exp(-min(|z - z*|, 2)^2 / 2 rayTracing_stdHit^2)``.
 
     max_range is the sensor's. A ray that comes to its end, 0.8 max_range, expects that range; one that meets an unknown
@@ -99,14 +99,18 @@ class MrptRays(StackModel[MrptRayParameters, RayEvidence]):
         ranges = np.where(stopped < end, np.where(stopped < hit, max_range, stopped), ranges)
         return np.asarray(np.where(starts_inside, ranges, max_range))
 
-    def log_weights(self, evidence: RayEvidence, parameters: MrptRayParameters | None = None) -> FloatArray:
-        """Return 1 + sum log p, (n,); see `StackModel.log_weights`."""
+    def beam_log_values(self, evidence: RayEvidence, parameters: MrptRayParameters | None = None) -> FloatArray:
+        """Return log p of each beam that counts, (n, k)."""
         values = self._parameters_for(evidence, parameters)
         error = np.abs(evidence.ranges - evidence.expected_ranges)
         if values.rayTracing_useDistanceFilter:
             error = np.minimum(error, MOST)
         p = np.exp(-0.5 * (error / values.rayTracing_stdHit) ** 2)
-        return np.asarray(1.0 + np.log(RANDOM / evidence.max_range + HIT * p).sum(axis=1))
+        return np.asarray(np.log(RANDOM / evidence.max_range + HIT * p))
+
+    def log_weights(self, evidence: RayEvidence, parameters: MrptRayParameters | None = None) -> FloatArray:
+        """Return 1 + sum log p, (n,); see `StackModel.log_weights`."""
+        return np.asarray(1.0 + self.beam_log_values(evidence, parameters).sum(axis=1))
 
     def _march(self, poses: FloatArray, mounts: FloatArray, max_range: float) -> FloatArray:
         ranges: FloatArray = np.empty((len(poses), len(mounts)))

@@ -11,10 +11,6 @@ from beamfield.stacks.nav2.parameters import Nav2Parameters
 
 __all__ = ["Nav2Beam", "Nav2Field", "Nav2FieldProb"]
 
-SETTINGS = ("max_beams", "laser_max_range", "laser_min_range")
-FIELD = ("z_hit", "z_rand", "sigma_hit")
-BEAM = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
-
 
 class Nav2Field(AmclField[Nav2Parameters]):
     """nav2's likelihood_field; see `AmclField`.
@@ -32,22 +28,15 @@ class Nav2Field(AmclField[Nav2Parameters]):
     """
 
     stack: ClassVar[str] = "nav2"
-    evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
-    fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
 
 
 class Nav2FieldProb(AmclFieldProb[Nav2Parameters]):
     """nav2's likelihood_field_prob; see `AmclFieldProb`."""
 
     stack: ClassVar[str] = "nav2"
-    evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
-    fitted_parameters: ClassVar[tuple[str, ...]] = FIELD
 
 
 class Nav2Beam(AmclBeam[Nav2Parameters]):
     """nav2's beam model; see `AmclBeam`."""
 
     stack: ClassVar[str] = "nav2"
-    evidence_settings: ClassVar[tuple[str, ...]] = SETTINGS
-    fitted_parameters: ClassVar[tuple[str, ...]] = BEAM
-    tests_nan: ClassVar[bool] = True

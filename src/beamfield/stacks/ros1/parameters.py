@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 
-from beamfield.stacks.emulation.parameter_checks import check_choice, check_counts, check_numbers, check_switches
-from beamfield.stacks.nav2.parameters import MODEL_TYPES, Nav2Parameters
-
-# Names of nav2's that have the prefix laser_ in ROS 1.
-PREFIXED = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "max_beams")
+from beamfield.stacks.amcl.parameters import ROS_1_NAMES, AmclParameters, check_amcl
 
 
 @dataclass(frozen=True)
 class Ros1Parameters:
-    """The node's private parameters about the laser; what they mean is as for `Nav2Parameters`.
+    """The node's private parameters about the laser; what they mean is as for `AmclParameters`.
 
     Parameters
     ----------
@@ -27,7 +23,7 @@ class Ros1Parameters:
     Raises
     ------
     InvalidInputError
-        As for `Nav2Parameters`.
+        As for `AmclParameters`.
     """
 
     laser_model_type: str = "likelihood_field"
@@ -47,41 +43,14 @@ class Ros1Parameters:
     beam_skip_error_threshold: float = 0.9
 
     def __post_init__(self) -> None:
-        check_choice(self, "laser_model_type", MODEL_TYPES)
-        check_numbers(
-            self,
-            at_least_zero=(
-                "laser_z_hit",
-                "laser_z_short",
-                "laser_z_max",
-                "laser_z_rand",
-                "laser_lambda_short",
-                "beam_skip_distance",
-                "beam_skip_threshold",
-                "beam_skip_error_threshold",
-            ),
-            positive=("laser_sigma_hit", "laser_likelihood_max_dist"),
-            finite=("laser_max_range", "laser_min_range"),
-        )
-        check_counts(self, laser_max_beams=2)
-        check_switches(self, "do_beamskip")
-
-    def as_nav2(self) -> Nav2Parameters:
-        """Return the same values under nav2's names."""
-        return Nav2Parameters(**{nav2_name(item.name): getattr(self, item.name) for item in fields(self)})
+        check_amcl(self, ROS_1_NAMES)
 
     @classmethod
-    def from_nav2(cls, parameters: Nav2Parameters) -> Ros1Parameters:
+    def from_amcl(cls, parameters: AmclParameters) -> Ros1Parameters:
         """Return the same values under ROS 1's names."""
-        return cls(**{item.name: getattr(parameters, nav2_name(item.name)) for item in fields(cls)})
+        return cls(**{ROS_1_NAMES.get(name, name): value for name, value in asdict(parameters).items()})
 
-
-def nav2_name(name: str) -> str:
-    """Return what nav2 calls a parameter of ROS 1's amcl."""
-    short = name.removeprefix("laser_")
-    return short if short in PREFIXED else name
-
-
-def ros1_name(name: str) -> str:
-    """Return what ROS 1's amcl calls a parameter of nav2's."""
-    return f"laser_{name}" if name in PREFIXED else name
+    def as_amcl(self) -> AmclParameters:
+        """Return the same values under nav2's names."""
+        names = (item.name for item in fields(AmclParameters))
+        return AmclParameters(**{name: getattr(self, ROS_1_NAMES.get(name, name)) for name in names})

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from beamfield.errors import InvalidInputError
-from beamfield.stacks.files.parameter_text import Value
-from beamfield.stacks.mrpt.parameters import LF_THRUN, MrptFieldParameters
-from beamfield.stacks.ros1.parameters import ros1_name
-from beamfield.stacks.translation.translation import AMCL, CHAPTER, above_one
-
-SQRT_2PI = math.sqrt(2.0 * math.pi)
-_MRPT_SWITCHES = {
-    "LF_useSquareDist": "the exponent takes the fourth power of the distance",
-    "LF_alternateAverageMethod": "the weight is the mean over beams",
-}
+from beamfield.stacks.stack import SQRT_2PI, Model, Stack
+from beamfield.stacks.syntax.parameter_text import Value
+from beamfield.stacks.translation.translation import above_one
+from beamfield.stacks.translation.weight_comparison import Formula
 
 
 @dataclass(frozen=True)
@@ -43,56 +36,52 @@ class NeutralField:
     max_beams: int | None = None
 
 
-def read_field(
-    stack: str, model: str, parameters: Any, max_range: float | None, n_beams: int | None, notes: list[str]
-) -> NeutralField:
+def read_field(source: Formula, max_range: float | None, n_beams: int | None, notes: list[str]) -> NeutralField:
     """Return a stack's field, and add to the notes what is left out."""
-    if stack == "mrpt":
-        return _mrpt_field(parameters, n_beams, notes)
-
-    def value(name: str) -> Any:
-        return getattr(parameters, ros1_name(name) if stack == "ros1" else name)
-
-    limit = value("laser_max_range") if stack == "beluga" else sensor_limit(value("laser_max_range"), max_range)
-    peak = value("z_hit") / (SQRT_2PI * value("sigma_hit")) if stack == "beluga" else value("z_hit")
-    if getattr(parameters, "do_beamskip", False):
-        notes.append("beam skipping is left out: only nav2 and ROS 1 have it")
-    if stack == "beluga" and model == "likelihood_field" and parameters.model_unknown_space:
-        notes.append("model_unknown_space is left out: only Beluga has it")
-    if stack == "beluga" and model == "likelihood_field" and parameters.only_obstacle_boundaries:
-        notes.append("only_obstacle_boundaries is left out: elsewhere the inner cells of thick walls are obstacles too")
+    model = source.model
+    for name, what in model.refused.items():
+        if getattr(source.parameters, name):
+            raise InvalidInputError(f"{name}: {what}, which no other stack does")
+    notes += [said for name, said in model.left_out.items() if getattr(source.parameters, name)]
+    limit, sigma, hit = needed_limit(source, max_range), source.value("sigma_hit"), source.value("z_hit")
+    beams, step = source.value("max_beams"), source.value("beam_step")
+    if beams is None and step is not None and n_beams is not None:
+        beams = math.ceil(n_beams / step)
+    elif beams is None and step is not None:
+        own = model.own_name("beam_step")
+        notes.append(f"max_beams is left out: converting {own} needs the number of beams in a scan (--beams)")
     return NeutralField(
-        peak, value("z_rand") / limit, value("sigma_hit"), value("laser_likelihood_max_dist"), limit, value("max_beams")
-    )
+        hit / (SQRT_2PI * sigma) if model.hit_is_density else hit,
+        source.value("z_rand") / limit, sigma, source.value("laser_likelihood_max_dist"), limit, beams,
+    )  # fmt: skip
 
 
-def sensor_limit(laser_max_range: float, max_range: float | None) -> float:
-    """Return what amcl divides z_rand by, metres: the lesser of its parameter, if positive, and the sensor's limit.
+def needed_limit(source: Formula, max_range: float | None) -> float:
+    """Return what a model divides z_rand by, metres.
 
     Raises
     ------
     InvalidInputError
-        If neither is known.
+        If that is not known.
     """
-    if max_range is None and laser_max_range <= 0.0:
+    limit = source.longest_range(max_range)
+    if limit is None:
         raise InvalidInputError(
             "max_range: the sensor's longest range is needed, as the file leaves laser_max_range to the sensor"
         )
-    if max_range is None:
-        return laser_max_range
-    return min(laser_max_range, max_range) if laser_max_range > 0.0 else max_range
+    return limit
 
 
 def field_values(
-    target: tuple[str, str], source: NeutralField, max_range: float | None, n_beams: int | None, notes: list[str],
+    stack: Stack, model: Model, source: NeutralField, max_range: float | None, n_beams: int | None, notes: list[str],
     *, keeps_scale: bool,
 ) -> dict[str, Value]:  # fmt: skip
     """Return a stack's parameters of a field, and add to the notes what is left out.
 
     Parameters
     ----------
-    target
-        Stack and model.
+    stack, model
+        Whose.
     source
         The field.
     max_range, n_beams
@@ -102,59 +91,34 @@ def field_values(
     keeps_scale
         Whether heights stay as they are; otherwise z_hit and z_rand are scaled to a sum of 1.
     """
-    stack, model = target
+    # Some divide by the lesser of the two, whatever the file says.
     limit = source.max_range
-    scale = SQRT_2PI * source.sigma if stack in ("beluga", CHAPTER) else 1.0
-    # nav2 and ROS 1 divide by the lesser of the two, whatever the file says.
-    by_sensor = stack in AMCL and max_range is not None and max_range < limit
-    hit, rand = source.peak * scale, source.floor * (max_range if by_sensor and max_range is not None else limit)
+    by_sensor = stack.takes_lesser_limit and max_range is not None and max_range < limit
+    divisor = max_range if by_sensor and max_range is not None else limit
+    hit, rand = source.peak * (SQRT_2PI * source.sigma if model.hit_is_density else 1.0), source.floor * divisor
     if not keeps_scale:
         hit, rand = hit / (hit + rand), rand / (hit + rand)
-    if stack == CHAPTER:
-        notes.append(f"p_rand is z_rand / max_range: use scans whose max_range is {limit:g} m")
-        notes.append("the exponent stays 1, and beams are chosen with n_beams")
-        return {"z_hit": hit, "z_rand": rand, "sigma_hit": source.sigma, "max_distance": source.max_distance}
-    if stack == "mrpt":
-        return _mrpt_values(source, hit, rand, n_beams, notes)
-    own: dict[str, Value] = {"z_hit": hit, "z_rand": rand, "sigma_hit": source.sigma}
-    if source.max_beams is not None:
-        own["max_beams"] = source.max_beams
-    values: dict[str, Value] = {"laser_model_type": model}
-    values |= {ros1_name(name) if stack == "ros1" else name: value for name, value in own.items()}
+    else:
+        notes.append("z_hit and z_rand are not rescaled to sum to 1, because this model adds 1 to every weight")
+    values: dict[str, Value] = {"z_hit": hit, "z_rand": rand, "sigma_hit": source.sigma}
+    if source.max_beams is not None and model.has("max_beams"):
+        values["max_beams"] = source.max_beams
+    elif source.max_beams is not None and n_beams is not None:
+        values["beam_step"] = max(1, round(n_beams / source.max_beams))
+    elif source.max_beams is not None:
+        own = model.own_name("beam_step")
+        notes.append(f"{own} is left out: converting max_beams needs the number of beams in a scan (--beams)")
     values |= {"laser_likelihood_max_dist": source.max_distance, "laser_max_range": limit}
-    if stack == "beluga" and model == "likelihood_field":
-        values |= {"model_unknown_space": False, "only_obstacle_boundaries": False}
-    elif by_sensor:
+    if by_sensor:
         notes.append(f"z_rand is for a sensor whose longest range is {max_range:g} m")
     notes += above_one(stack, hit)
-    return values
+    return {**stack.choice(model.name), **model.own_names(values), **model.off_values}
 
 
-def _mrpt_field(parameters: MrptFieldParameters, n_beams: int | None, notes: list[str]) -> NeutralField:
-    for name, what in _MRPT_SWITCHES.items():
-        if getattr(parameters, name):
-            raise InvalidInputError(f"{name}: {what}, which no other stack does")
-    beams = None if n_beams is None else math.ceil(n_beams / parameters.LF_decimation)
-    if beams is None:
-        notes.append("max_beams is left out: converting LF_decimation needs the number of beams in a scan (--beams)")
-    return NeutralField(
-        parameters.LF_zHit, parameters.LF_zRandom / parameters.LF_maxRange, parameters.LF_stdHit,
-        parameters.LF_maxCorrsDistance, parameters.LF_maxRange, beams,
-    )  # fmt: skip
-
-
-def _mrpt_values(
-    source: NeutralField, hit: float, rand: float, n_beams: int | None, notes: list[str]
-) -> dict[str, Value]:
-    values: dict[str, Value] = {
-        "likelihoodMethod": LF_THRUN, "LF_zHit": hit, "LF_zRandom": rand, "LF_stdHit": source.sigma,
-        "LF_maxRange": source.max_range, "LF_maxCorrsDistance": source.max_distance,
-    }  # fmt: skip
-    if n_beams is not None and source.max_beams is not None:
-        values["LF_decimation"] = max(1, round(n_beams / source.max_beams))
-    elif source.max_beams is not None:
-        notes.append("LF_decimation is left out: converting max_beams needs the number of beams in a scan (--beams)")
-    notes.append(
-        "MRPT leaves out the first reading after one that is not valid, and points within half a cell of the last"
-    )
-    return values
+def chapter_values(source: NeutralField, notes: list[str]) -> dict[str, Value]:
+    """Return the parameters of the chapter's field, and add to the notes how to use them."""
+    hit, rand = source.peak * SQRT_2PI * source.sigma, source.floor * source.max_range
+    notes.append(f"p_rand is z_rand / max_range: use scans whose max_range is {source.max_range:g} m")
+    notes.append("the exponent stays 1, and beams are chosen with n_beams")
+    weights: dict[str, Value] = {"z_hit": hit / (hit + rand), "z_rand": rand / (hit + rand)}
+    return {**weights, "sigma_hit": source.sigma, "max_distance": source.max_distance}

@@ -7,27 +7,27 @@ from dataclasses import asdict
 from typing import Any
 
 from beamfield.errors import InvalidInputError
-from beamfield.stacks.files.parameter_file import StackFile, check_model, check_stack
-from beamfield.stacks.files.parameter_text import Value
+from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.registry import parameter_class, parameter_names
-from beamfield.stacks.ros1.parameters import Ros1Parameters, ros1_name
-from beamfield.stacks.translation.neutral_field import SQRT_2PI, NeutralField, field_values, read_field, sensor_limit
+from beamfield.stacks.registry import stack_named
+from beamfield.stacks.stack import SQRT_2PI, WEIGHTS, Model, Stack, counterpart
+from beamfield.stacks.syntax.parameter_text import Value
+from beamfield.stacks.translation.neutral_field import chapter_values, field_values, needed_limit, read_field
 from beamfield.stacks.translation.translation import (
-    AMCL,
     CHAPTER,
-    FAMILIES,
+    CHAPTER_WEIGHTS,
     Translation,
     above_one,
     as_written,
-    family,
     map_notes,
 )
 from beamfield.stacks.translation.weight_comparison import (
     ChapterField,
     Comparison,
+    Formula,
+    compare,
     compare_fields,
-    compare_rays,
+    ray_weights,
     sample_distances,
     sample_ranges,
 )
@@ -81,180 +81,155 @@ def translate(
             raise InvalidInputError(f"{name}: expected a positive number of metres, got {value}")
     if n_beams is not None and n_beams < 1:
         raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
-    target = _target(file, to, model)
-    parameters = checked_values(file)
-    source = file.stack, file.model, parameters
-    cells = CELLS if resolution is None else (resolution,)
+    stack = None if to == CHAPTER else stack_named(to)
+    name = _target(file, stack, to, model)
+    source = Formula(file.program, file.described_model, checked_values(file))
     notes = _ignored(file)
-    if {file.stack, to} <= AMCL or file.stack == to:
-        values = _renamed(file.stack, to, parameters)
-        comparison = _comparison(source, (*target, parameter_class(*target)(**as_written(values))), max_range, cells)
-        return Translation(*target, values, comparison, (), tuple(notes))
-    assumptions = _assumed_limit(file.stack, to, parameters, max_range)
-    if file.model == "beam":
-        values = _beam_values(file.stack, to, parameters, max_range, notes)
-        other: Any = parameter_class(*target)(**as_written(values))
+    if stack is not None and source.stack.has_same_formulas(stack):
+        values = _renamed(source, stack.model(name))
+        return _translated(source, stack, name, values, max_range, resolution, (), notes)
+    assumptions = _assumed_limit(source, stack, max_range)
+    if stack is None:
+        values = chapter_values(read_field(source, max_range, n_beams, notes), notes)
+    elif source.model.weight.of_field:
+        field, target = read_field(source, max_range, n_beams, notes), stack.model(name)
+        keeps_scale = not target.factor_cancels
+        values = field_values(stack, target, field, max_range, n_beams, notes, keeps_scale=keeps_scale)
     else:
-        field = read_field(*source, max_range, n_beams, notes)
-        keeps_scale = file.model == "likelihood_field"
-        values = field_values(target, field, max_range, n_beams, notes, keeps_scale=keeps_scale)
-        if keeps_scale:
-            notes.append("z_hit and z_rand are not rescaled to sum to 1, because this model adds 1 to every weight")
-        other = _field_parameters(target, as_written(values), field)
-        notes += _cut_note(source, (*target, other), max_range, cells)
-    comparison = _comparison(source, (*target, other), max_range, cells)
-    return Translation(*target, values, comparison, assumptions, tuple(notes + map_notes(file.stack, to)))
+        values = _beam_values(source, stack, stack.model(name), max_range, notes)
+    notes += source.model.notes
+    notes += () if stack is None else stack.model(name).notes
+    notes += map_notes(source.stack, stack)
+    return _translated(source, stack, name, values, max_range, resolution, assumptions, notes)
 
 
-def _target(file: StackFile, to: str, model: str | None) -> tuple[str, str]:
-    """Return stack and model to translate into, or say why there is none."""
-    if to != CHAPTER:
-        check_stack(to)
-        if model is not None:
-            check_model(to, model)
-    how = family(file.stack, file.model)
-    same = [member for member in FAMILIES[how] if member[0] == to]
+def _target(file: StackFile, stack: Stack | None, to: str, model: str | None) -> str:
+    """Return the model to translate into, or say why there is none."""
+    weights = CHAPTER_WEIGHTS if stack is None else {name: item.weight for name, item in stack.models.items()}
+    if stack is not None and model is not None:
+        stack.model(model)
+    how, own = file.described_model.weight, f"{file.stack}'s {file.model}"
+    # beam_model.yaml is not written from a stack's parameters.
+    same = [name for name, weight in weights.items() if weight == how and (stack is not None or how.of_field)]
     if not same:
         raise InvalidInputError(
-            f"{to} has no model that can weigh as {file.stack}'s {file.model} does: that takes {how}, and no values of "
-            "other parameters imitate it"
+            f"{to} has no model that can weigh as {own} does: that takes {how.text}, and no values of other parameters "
+            "imitate it"
         )
-    if model is not None and same[0][1] != model:
-        other = next((name for name, members in FAMILIES.items() if (to, model) in members), "something else")
+    if model is not None and same[0] != model:
+        other = weights[model].text if model in weights else "something else"
         raise InvalidInputError(
-            f"{file.stack}'s {file.model} takes {how}, {to}'s {model} takes {other}: no parameters make these the same"
+            f"{own} takes {how.text}, {to}'s {model} takes {other}: no parameters make these the same"
         )
     return same[0]
 
 
 def _ignored(file: StackFile) -> list[str]:
     """Say which names of other stacks in the file were not read."""
-    own = {file.name_in_file(name) for name in parameter_names(file.stack)}
-    others = {ros1_name(name) for name in own} | {name.removeprefix("laser_") for name in own}
+    own = {file.name_in_file(name) for name in file.program.parameter_names}
     return [
         f"{name} was not read: {file.stack} has no such parameter and uses its own value for what is meant"
-        for name in file.section.entries if name in others - own
+        for name in file.section.entries if name not in own and counterpart(name, own)
     ]  # fmt: skip
 
 
-def _renamed(stack: str, to: str, parameters: Any) -> dict[str, Value]:
-    if stack == to:
-        return asdict(parameters)
-    return asdict(parameters.as_nav2() if to == "nav2" else Ros1Parameters.from_nav2(parameters))
+def _renamed(source: Formula, target: Model) -> dict[str, Value]:
+    """Return the same values under the names of a program with the same formulas."""
+    common = {own: name for name, own in source.model.names.items()}
+    values = {common.get(name, name): value for name, value in asdict(source.parameters).items()}
+    return target.own_names(values)
 
 
-def _assumed_limit(stack: str, to: str, parameters: Any, max_range: float | None) -> tuple[str, ...]:
+def _assumed_limit(source: Formula, stack: Stack | None, max_range: float | None) -> tuple[str, ...]:
     """Say what was assumed of the sensor if nobody said its longest range."""
-    if max_range is not None or not {stack, to} & AMCL:
+    lesser = [item.name for item in (source.stack, stack) if item is not None and item.takes_lesser_limit]
+    limit = source.value("laser_max_range")
+    if max_range is not None or not lesser or limit is None or limit <= 0.0:
         return ()
-    limit = parameters.LF_maxRange if stack == "mrpt" else parameters.laser_max_range
-    if limit <= 0.0:
-        return ()
-    amcl = stack if stack in AMCL else to
     said = (
-        f"assumed that the sensor's longest range is {limit:g} m or more: {amcl} divides z_rand by the lesser of it "
-        "and laser_max_range (give it with --max-range)"
+        f"assumed that the sensor's longest range is {limit:g} m or more: {lesser[0]} divides z_rand by the lesser of "
+        "it and laser_max_range (give it with --max-range)"
     )
     return (said,)
+
+
+def _beam_values(
+    source: Formula, stack: Stack, target: Model, max_range: float | None, notes: list[str]
+) -> dict[str, Value]:
+    """Translate between beam models whose hits have the constant of a normal density (Beluga) and not (AMCL)."""
+    limit = needed_limit(source, max_range)
+    own: dict[str, Any] = {name: source.value(name) for name in WEIGHTS}
+    if source.model.hit_is_density != target.hit_is_density:
+        constant = SQRT_2PI * source.value("sigma_hit")
+        own["z_hit"] *= constant if target.hit_is_density else 1.0 / constant
+    if target.factor_cancels:
+        total = sum(own.values())
+        own = {name: weight / total for name, weight in own.items()}
+        notes.append("the weights are rescaled to sum to 1, because a common factor cancels in a bare sum of cubes")
+    notes += above_one(stack, own["z_hit"])
+    own |= {name: source.value(name) for name in ("sigma_hit", "lambda_short", "max_beams")}
+    own["laser_max_range"] = limit
+    return {**stack.choice(target.name), **target.own_names(own)}
 
 
 # --- comparing --------------------------------------------------------------------------------------------------------
 
 
-def _comparison(
-    source: tuple[str, str, Any], other: tuple[str, str, Any], max_range: float | None, cells: tuple[float, ...]
-) -> Comparison:
-    """Return the worst comparison over the sides of cells."""
-    if source[1] in ("likelihood_field", "likelihood_field_prob", "LF_Thrun"):
+def _translated(
+    source: Formula, stack: Stack | None, name: str, values: dict[str, Value], max_range: float | None,
+    resolution: float | None, assumptions: tuple[str, ...], notes: list[str],
+) -> Translation:  # fmt: skip
+    """Return the values with the worst comparison over the sides of cells."""
+    cells = CELLS if resolution is None else (resolution,)
+    written = as_written(values)
+    if stack is None:
+        limit = needed_limit(source, max_range)
+        other: Formula | ChapterField = ChapterField(**written, max_range=limit)
+    else:
+        other = Formula(stack, stack.model(name), stack.model(name).parameters(**written))
+    if source.model.weight.of_field:
         found = [_field_comparison(source, other, max_range, cell) for cell in cells]
+        if isinstance(other, ChapterField) or not source.stack.has_same_formulas(other.stack):
+            notes = notes + _cut_note(source, other, max_range, dict(zip(cells, found, strict=True)))
     else:
         found = [_ray_comparison(source, other, max_range, cell) for cell in cells]
-    return max(found, key=lambda made: made.difference)
+    worst = max(found, key=lambda made: made.difference)
+    return Translation(CHAPTER if stack is None else stack.name, name, values, worst, assumptions, tuple(notes))
 
 
 def _field_comparison(
-    source: tuple[str, str, Any], other: tuple[str, str, Any], max_range: float | None, cell: float | None
+    source: Formula, other: Formula | ChapterField, max_range: float | None, cell: float | None
 ) -> Comparison:
     # What has no limit anywhere is compared as if the sensor had one.
-    limits = [_limit(*named, max_range, at_least=SAMPLED_RANGE) for named in (source, other)]
-    sample = read_field(*source, max_range or SAMPLED_RANGE, None, [])
+    limits = [
+        of.max_range if isinstance(of, ChapterField) else of.longest_range(max_range) or SAMPLED_RANGE
+        for of in (source, other)
+    ]
+    sample = read_field(source, max_range or SAMPLED_RANGE, None, [])
     distances = sample_distances(sample.sigma, sample.max_distance)
     return compare_fields(source, other, distances, (limits[0], limits[1]), cell)
 
 
-def _ray_comparison(
-    source: tuple[str, str, Any], other: tuple[str, str, Any], max_range: float | None, cell: float
-) -> Comparison:
-    limit = _limit(*source, max_range, at_least=3.0 * SAMPLED_RANGE)
-    stack, model, parameters = source
-    if model == "rayTracing":
-        sigma = parameters.rayTracing_stdHit
-    else:
-        sigma = parameters.laser_sigma_hit if stack == "ros1" else parameters.sigma_hit
-    ranges, expected = sample_ranges(sigma * cell if stack == "f1tenth" else sigma, SAMPLED_RANGE, limit)
-    return compare_rays(source, other, ranges, expected, limit, cell)
-
-
-def _limit(stack: str, model: str, parameters: Any, max_range: float | None, *, at_least: float) -> float:
-    """Return the longest range that a model counts with, metres."""
-    if isinstance(parameters, ChapterField) or stack == "f1tenth":
-        return float(parameters.max_range)
-    if stack == "mrpt":
-        return float(parameters.LF_maxRange) if model == "LF_Thrun" else max_range or at_least
-    if stack == "beluga":
-        return float(parameters.laser_max_range)
-    unknown = parameters.laser_max_range <= 0.0 and max_range is None
-    return at_least if unknown else sensor_limit(parameters.laser_max_range, max_range)
-
-
-def _field_parameters(target: tuple[str, str], values: dict[str, Any], field: NeutralField) -> Any:
-    if target[0] == CHAPTER:
-        return ChapterField(**values, max_range=field.max_range)
-    return parameter_class(*target)(**values)
+def _ray_comparison(source: Formula, other: Any, max_range: float | None, cell: float) -> Comparison:
+    limit = source.longest_range(max_range) or 3.0 * SAMPLED_RANGE
+    sigma = source.model.sigma(source.parameters, cell)
+    ranges, expected = sample_ranges(sigma or 0.0, SAMPLED_RANGE, limit)
+    return compare(*(ray_weights(of, ranges, expected, limit, cell) for of in (source, other)))
 
 
 def _cut_note(
-    source: tuple[str, str, Any], other: tuple[str, str, Any], max_range: float | None, cells: tuple[float, ...]
+    source: Formula, other: Formula | ChapterField, max_range: float | None, found: dict[float, Comparison]
 ) -> list[str]:
     """Say what cutting distances off at whole cells changes, where only one of the stacks does."""
     if not _field_comparison(source, other, max_range, None).is_same:
         return []
-    worst = max(cells, key=lambda cell: _field_comparison(source, other, max_range, cell).difference)
-    made = _field_comparison(source, other, max_range, worst)
-    if made.is_same:
+    cell, made = max(found.items(), key=lambda item: item[1].difference)
+    cutting = [of.stack.name for of in (source, other) if isinstance(of, Formula) and of.stack.cuts_at_cells]
+    if made.is_same or not cutting:
         return []
-    amcl = source[0] if source[0] in AMCL else other[0]
     said = (
-        f"{amcl} cuts distances off at a whole number of cells, below laser_likelihood_max_dist: with cells of "
-        f"{worst:g} m that alone is worth up to {made.difference:.2g} nats a scan (the larger that distance is next to "
+        f"{cutting[0]} cuts distances off at a whole number of cells, below laser_likelihood_max_dist: with cells of "
+        f"{cell:g} m that alone is worth up to {made.difference:.2g} nats a scan (the larger that distance is next to "
         "sigma_hit, the less)"
     )
     return [said]
-
-
-# --- beam models ------------------------------------------------------------------------------------------------------
-
-
-def _beam_values(stack: str, to: str, parameters: Any, max_range: float | None, notes: list[str]) -> dict[str, Value]:
-    """Translate between AMCL's beam model (no constants, 1 + sum) and Beluga's (constants, sum alone)."""
-
-    def value(name: str) -> Any:
-        return getattr(parameters, ros1_name(name) if stack == "ros1" else name)
-
-    limit = value("laser_max_range") if stack == "beluga" else sensor_limit(value("laser_max_range"), max_range)
-    constant = SQRT_2PI * value("sigma_hit")
-    own: dict[str, Any] = {name: value(name) for name in ("z_hit", "z_short", "z_max", "z_rand")}
-    own["z_hit"] *= constant if to == "beluga" else 1.0 / constant
-    notes += [
-        "nav2 and ROS 1 add 1 to the sum of cubes, Beluga does not: its weights differ more between poses",
-        "Beluga normalises z_short by 1 - exp(-lambda_short z*), nav2 and ROS 1 do not: the same only far from walls",
-        "Beluga casts rays from the robot's centre, the others from the sensor",
-    ]
-    if to == "beluga":
-        total = sum(own.values())
-        own = {name: weight / total for name, weight in own.items()}
-        notes.append("the weights are rescaled to sum to 1, because a common factor cancels in a bare sum of cubes")
-    notes += above_one(to, own["z_hit"])
-    own |= {name: value(name) for name in ("sigma_hit", "lambda_short", "max_beams")}
-    named = {ros1_name(name) if to == "ros1" else name: weight for name, weight in own.items()}
-    return {"laser_model_type": "beam", **named, "laser_max_range": limit}

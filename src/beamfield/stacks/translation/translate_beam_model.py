@@ -17,16 +17,21 @@ from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
-from beamfield.stacks.files.parameter_file import MODELS, check_model, check_stack
-from beamfield.stacks.files.parameter_text import Value
-from beamfield.stacks.fit.likelihood_values import LEAST_RATE, SQRT_2PI, beam_values
-from beamfield.stacks.mrpt.parameters import RAY_TRACING
-from beamfield.stacks.registry import parameter_class
-from beamfield.stacks.translation.neutral_field import NeutralField, field_values
-from beamfield.stacks.translation.translation import AMCL, CHAPTER, Translation, above_one, as_written, family
+from beamfield.stacks.registry import stack_named
+from beamfield.stacks.stack import SQRT_2PI, WEIGHTS, Model, Stack
+from beamfield.stacks.syntax.parameter_text import Value
+from beamfield.stacks.translation.neutral_field import NeutralField, chapter_values, field_values
+from beamfield.stacks.translation.translation import (
+    CHAPTER,
+    CHAPTER_WEIGHTS,
+    Translation,
+    above_one,
+    as_written,
+)
 from beamfield.stacks.translation.weight_comparison import (
     ChapterField,
     Comparison,
+    Formula,
     beam_log_values,
     compare,
     field_weights,
@@ -39,7 +44,6 @@ TYPICAL_RANGE, TYPICAL_SHARE = 4.0, 0.4
 # A field's distances are cut off at nav2's default, or beyond the hits.
 MAX_DISTANCE, MAX_SIGMAS = 2.0, 5.0
 N_SAMPLES = 20_000
-_FIELDS = ("likelihood_field", "likelihood_field_prob", "LF_Thrun")
 
 
 @dataclass(frozen=True)
@@ -97,41 +101,52 @@ def translate_beam_model(
     for name, value in (("typical_range", typical_range), ("resolution", resolution)):
         if value is not None and not 0.0 < value < math.inf:
             raise InvalidInputError(f"{name}: expected a positive number of metres, got {value}")
-    chosen, notes = _choose(to, model)
     own = _read(Path(path), typical_range)
-    target = to, chosen
-    if to == "f1tenth" and resolution is None:
-        raise InvalidInputError(
-            "resolution: F1TENTH measures sigma_hit in cells of the map; give their side in metres, or calibrate in "
-            "its own formula (beamfield calibrate LOG --map MAP --stack f1tenth)"
-        )
     cell = resolution or 0.05
-    notes += _folded(own)
-    values = _as_field(target, own, notes) if chosen in _FIELDS else _as_beams(target, own, cell, notes)
-    comparison = _compared(target, as_written(values), own, cell)
-    if to != CHAPTER:
-        notes.append(
-            f"for the values that are best in {to}'s own formula: beamfield calibrate LOG --map MAP --stack {to}"
-        )
-    return Translation(*target, values, comparison, (), tuple(notes))
-
-
-def _choose(to: str, model: str | None) -> tuple[str, list[str]]:
-    """Return the model to write, and why, if it was not asked for."""
     if to == CHAPTER:
-        if model not in (None, "beam", "likelihood_field"):
-            raise InvalidInputError(f"model: {CHAPTER} has beam, likelihood_field, got {model!r}")
-        return model or "beam", []
-    models = MODELS[check_stack(to)]
+        name = model or "beam"
+        if name not in CHAPTER_WEIGHTS:
+            raise InvalidInputError(f"model: {CHAPTER} has {', '.join(CHAPTER_WEIGHTS)}, got {name!r}")
+        notes = _folded(own)
+        values = _chapter_beam(own) if name == "beam" else chapter_values(_field(own, notes), notes)
+        return Translation(CHAPTER, name, values, _compared_chapter(name, as_written(values), own), (), tuple(notes))
+    stack = stack_named(to)
+    chosen, notes = _choose(stack, model)
+    if chosen.counts_in_cells and resolution is None:
+        raise InvalidInputError(
+            f"resolution: {stack.title} measures sigma_hit in cells of the map; give their side in metres, or "
+            f"calibrate in its own formula (beamfield calibrate LOG --map MAP --stack {to})"
+        )
+    notes += _folded(own)
+    if chosen.weight.of_field:
+        field = _field(own, notes)
+        notes += _cubes(stack, chosen)
+        values = field_values(stack, chosen, field, own.max_range, None, notes, keeps_scale=False)
+        notes += chosen.notes
+    else:
+        values = _beam_values(stack, chosen, own, cell, notes)
+    formula = Formula(stack, chosen, chosen.parameters(**as_written(values)))
+    if not chosen.weight.of_field:
+        notes.append(_formula_note(formula, own, cell))
+    notes.append(f"for the values that are best in {to}'s own formula: beamfield calibrate LOG --map MAP --stack {to}")
+    return Translation(to, chosen.name, values, _compared(formula, own, cell), (), tuple(notes))
+
+
+def _choose(stack: Stack, model: str | None) -> tuple[Model, list[str]]:
+    """Return the model to write, and why, if it was not asked for."""
     if model is not None:
-        return check_model(to, model), []
-    if to == "mrpt":
-        return "LF_Thrun", ["LF_Thrun was chosen, because rayTracing has one width and fixed weights"]
-    chosen = "beam" if "beam" in models else models[0]
-    others = [name for name in models if name != chosen]
+        return stack.model(model), []
+    rays = [item for item in stack.models.values() if not item.weight.of_field]
+    settable = [item for item in rays if item.has("z_hit")]
+    if rays and not settable:
+        chosen = stack.model(stack.default_model)
+        return chosen, [f"{chosen.name} was chosen, because {rays[0].name} has one width and fixed weights"]
+    chosen = settable[0] if settable else stack.model(stack.default_model)
+    others = [name for name in stack.models if name != chosen.name]
     instead = f" (--to-model: {', '.join(others)})" if others else ""
-    why = f"{chosen} was chosen, because it is {to}'s model of ranges along rays, as yours is{instead}"
-    return chosen, [why]
+    like = ", as yours is" if settable else ""
+    what = "ranges along rays" if settable else "distances to obstacles"
+    return chosen, [f"{chosen.name} was chosen, because it is {stack.name}'s model of {what}{like}{instead}"]
 
 
 def _read(path: Path, typical_range: float | None) -> _Own:
@@ -181,25 +196,30 @@ def _folded(own: _Own) -> list[str]:
     return notes
 
 
-def _compared(target: tuple[str, str], values: Mapping[str, Any], own: _Own, cell: float) -> Comparison:
+def _compared_chapter(name: str, values: Mapping[str, Any], own: _Own) -> Comparison:
+    """Compare weights before with those of the chapter's own models; see `_compared`."""
+    ranges, expected, before = _sample(own)
+    if name == "beam":
+        return compare(before, _densities(BeamParameters(**_normalised(values)), 0.0, own.max_range, ranges, expected))
+    field = ChapterField(**values, max_range=own.max_range)
+    return compare(before, field_weights(field, np.abs(ranges - expected), own.max_range))
+
+
+def _compared(formula: Formula, own: _Own, cell: float) -> Comparison:
     """Compare weights: beamfield's product of densities, and the stack's of the same readings.
 
     A field gets the differences between reading and expected range for distances: beams meet walls at right angles.
     """
+    ranges, expected, before = _sample(own)
+    if formula.model.weight.of_field:
+        return compare(before, field_weights(formula, np.abs(ranges - expected), own.max_range))
+    return compare(before, ray_weights(formula, ranges, expected, own.max_range, cell))
+
+
+def _sample(own: _Own) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return readings, expected ranges and beamfield's log-weights."""
     ranges, expected = sample_ranges(own.plain.sigma_hit, own.typical_range, own.max_range)
-    before = _densities(own.full, own.min_range, own.max_range, ranges, expected)
-    if target == (CHAPTER, "beam"):
-        after = _densities(BeamParameters(**_normalised(values)), 0.0, own.max_range, ranges, expected)
-    elif target[1] in _FIELDS:
-        parameters = (
-            ChapterField(**values, max_range=own.max_range)
-            if target[0] == CHAPTER
-            else parameter_class(*target)(**values)
-        )
-        after = field_weights(*target, parameters, np.abs(ranges - expected), own.max_range)
-    else:
-        after = ray_weights(*target, parameter_class(*target)(**values), ranges, expected, own.max_range, cell)
-    return compare(before, after)
+    return ranges, expected, _densities(own.full, own.min_range, own.max_range, ranges, expected)
 
 
 def _densities(
@@ -210,79 +230,52 @@ def _densities(
 
 def _normalised(values: Mapping[str, float]) -> dict[str, float]:
     """Return values whose weights sum to 1 again after rounding."""
-    names = ("z_hit", "z_short", "z_max", "z_rand")
-    total = sum(values[name] for name in names)
-    return {name: value / total if name in names else value for name, value in values.items()}
+    total = sum(values[name] for name in WEIGHTS)
+    return {name: value / total if name in WEIGHTS else value for name, value in values.items()}
 
 
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-def _as_field(target: tuple[str, str], own: _Own, notes: list[str]) -> dict[str, Value]:
+def _chapter_beam(own: _Own) -> dict[str, Value]:
+    return {name: value for name, value in asdict(own.plain).items() if name not in ("range_offset", "sigma_slope")}
+
+
+def _field(own: _Own, notes: list[str]) -> NeutralField:
     plain = own.plain
     if plain.z_hit + plain.z_rand <= 0.0:
         raise InvalidInputError("z_hit, z_rand: both are 0, which leaves nothing for a field")
-    reach = max(MAX_DISTANCE, MAX_SIGMAS * plain.sigma_hit)
-    field = NeutralField(
-        plain.z_hit / (SQRT_2PI * plain.sigma_hit), plain.z_rand / own.max_range, plain.sigma_hit, reach, own.max_range
-    )
     left = plain.z_short + plain.z_max
     notes.append(
         "a field takes the distance from the end point to the nearest obstacle, not the error along the ray: the "
         "comparison above is of beams that meet walls at right angles"
     )
     notes.append(f"z_short and z_max are lost, {left:.1%} of the readings: a field has neither")
-    notes += _cubes(target)
-    return field_values(target, field, own.max_range, None, notes, keeps_scale=False)
+    reach = max(MAX_DISTANCE, MAX_SIGMAS * plain.sigma_hit)
+    return NeutralField(
+        plain.z_hit / (SQRT_2PI * plain.sigma_hit), plain.z_rand / own.max_range, plain.sigma_hit, reach, own.max_range
+    )
 
 
-def _as_beams(target: tuple[str, str], own: _Own, cell: float, notes: list[str]) -> dict[str, Value]:
-    to, model = target
-    plain = own.plain
-    if to == CHAPTER:
-        return {name: value for name, value in asdict(plain).items() if name not in ("range_offset", "sigma_slope")}
-    if to == "mrpt":
-        values: dict[str, Value] = {"likelihoodMethod": RAY_TRACING, "rayTracing_stdHit": plain.sigma_hit}
-        notes.append("z_hit, z_short, z_max and z_rand are lost: MRPT's weights are fixed, 0.9 of them for hits")
-    elif to == "f1tenth":
-        values = {**beam_values(to, plain, own.typical_range, cell), "max_range": own.max_range}
-        notes.append(
-            f"lambda_short {plain.lambda_short:.3g} is lost: F1TENTH's short readings fall off linearly; z_short keeps "
-            f"its share where {own.typical_range:.3g} m are expected"
-        )
-        notes.append(f"sigma_hit is in cells of {cell:g} m; squash_factor stays as it is")
-    else:
-        named = beam_values(to, plain, own.typical_range, cell)
-        values = {"laser_model_type": model, **named, "laser_max_range": own.max_range}
-        notes += _amcl_notes(to, plain, own, named["laser_z_hit" if to == "ros1" else "z_hit"])
-    notes.append(_formula_note(target, as_written(values), own, cell))
+def _beam_values(stack: Stack, model: Model, own: _Own, cell: float, notes: list[str]) -> dict[str, Value]:
+    values: dict[str, Value] = {**stack.choice(model.name), **model.beam_values(own.plain, own.typical_range, cell)}
+    if model.has("laser_max_range"):
+        values[model.own_name("laser_max_range")] = own.max_range
+    if model.chapter_notes is not None:
+        notes += model.chapter_notes(model, own.plain, own.typical_range, cell)
+    if model.has("z_hit"):
+        notes += above_one(stack, float(values[model.own_name("z_hit")]))
+    notes += _cubes(stack, model)
     return values
 
 
-def _amcl_notes(to: str, plain: BeamParameters, own: _Own, hit: float) -> list[str]:
-    notes = []
-    if to in AMCL:
-        notes.append(
-            f"{to} normalises neither hits nor short readings: z_hit is the height of the peak, and z_short keeps its "
-            f"share where {own.typical_range:.3g} m are expected"
-        )
-    if plain.lambda_short < LEAST_RATE and plain.z_short > 0.0:
-        notes.append(f"lambda_short {plain.lambda_short:.2g} becomes {LEAST_RATE}: at 0 {to} has no short readings")
-    if plain.z_max > 0.0:
-        notes.append(
-            f"z_max ({plain.z_max:.1%} of the readings) counts only if the driver reports missing returns as "
-            "range_max, not +inf"
-        )
-    return [*notes, *above_one(to, hit), *_cubes((to, "beam"))]
-
-
-def _formula_note(target: tuple[str, str], values: Mapping[str, Any], own: _Own, cell: float) -> str:
+def _formula_note(formula: Formula, own: _Own, cell: float) -> str:
     """Say how far one beam's value is from the density that it stands for, with what was folded in left out."""
     rng = np.random.default_rng(1)
     expected = np.minimum(rng.rayleigh(own.typical_range / math.sqrt(2.0), N_SAMPLES // 10), own.max_range)
     ranges = sample_beams(expected, own.max_range, own.plain, rng)
     expected, ranges = expected[ranges < own.max_range], ranges[ranges < own.max_range]
-    log_p = beam_log_values(*target, parameter_class(*target)(**values), ranges, expected, own.max_range, cell)
+    log_p = beam_log_values(formula, ranges, expected, own.max_range, cell)
     off = log_p - beam_log_density(ranges, expected, own.max_range, own.plain)
     off = off[np.isfinite(off)]
     return (
@@ -291,9 +284,8 @@ def _formula_note(target: tuple[str, str], values: Mapping[str, Any], own: _Own,
     )
 
 
-def _cubes(target: tuple[str, str]) -> list[str]:
+def _cubes(stack: Stack, model: Model) -> list[str]:
     """Say that a stack adds cubes where beamfield multiplies."""
-    if target[0] not in ("nav2", "ros1", "beluga") or target[1] == "likelihood_field_prob":
+    if model.weight.is_product:
         return []
-    how = family(*target)
-    return [f"{target[0]} takes {how}, beamfield the product of p: no values make these the same"]
+    return [f"{stack.name} takes {model.weight.text}, beamfield the product of p: no values make these the same"]

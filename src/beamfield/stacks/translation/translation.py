@@ -4,29 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from beamfield.stacks.files.parameter_text import Value
+from beamfield.stacks.stack import FIELD_PRODUCT, RAY_PRODUCT, Stack, Weight
+from beamfield.stacks.syntax.parameter_text import Value
 from beamfield.stacks.translation.weight_comparison import N_BEAMS, N_POSES, Comparison
 
 # beamfield's own models, whose parameters mean what the chapter says.
 CHAPTER = "chapter"
-# amcl sees walls half a cell off, and so does its port to ROS 2.
-AMCL = frozenset(("nav2", "ros1"))
-
-# How a scan's weight comes from the values p of its beams. Stacks' parameters translate within a row, not across.
-FAMILIES: Mapping[str, frozenset[tuple[str, str]]] = {
-    "1 + the sum of p^3 over fields": frozenset(
-        (("nav2", "likelihood_field"), ("ros1", "likelihood_field"), ("beluga", "likelihood_field"))
-    ),
-    "the product of p over fields": frozenset(
-        (("nav2", "likelihood_field_prob"), ("ros1", "likelihood_field_prob"), ("beluga", "likelihood_field_prob"),
-         ("mrpt", "LF_Thrun"), (CHAPTER, "likelihood_field"))
-    ),
-    "a sum of p^3 over ray casts": frozenset((("nav2", "beam"), ("ros1", "beam"), ("beluga", "beam"))),
-    "1 + the sum of log p over ray casts": frozenset((("mrpt", "rayTracing"),)),
-    "the product of p^(1 / squash_factor) over ray casts": frozenset((("f1tenth", "table"),)),
-    "the product of p over ray casts": frozenset(((CHAPTER, "beam"),)),
-}  # fmt: skip
+CHAPTER_WEIGHTS: Mapping[str, Weight] = {"beam": RAY_PRODUCT, "likelihood_field": FIELD_PRODUCT}
 
 
 @dataclass(frozen=True)
@@ -77,30 +63,31 @@ class Translation:
         )
 
 
-def family(stack: str, model: str) -> str:
-    """Return how a model makes the weight of a scan from those of its beams."""
-    return next(name for name, members in FAMILIES.items() if (stack, model) in members)
-
-
-def as_written(values: Mapping[str, Value]) -> dict[str, Value]:
+def as_written(values: Mapping[str, Value]) -> dict[str, Any]:
     """Return values with the digits that a file holds."""
     return {name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in values.items()}
 
 
-def map_notes(source: str, target: str) -> list[str]:
-    """Return what two stacks make of the same map and scan, as far as no parameter changes it."""
+def map_notes(source: Stack, target: Stack | None) -> list[str]:
+    """Return what two stacks make of the same map and scan, as far as no parameter changes it; None is the chapter."""
     notes = []
-    if (source in AMCL) != (target in AMCL):
-        notes.append("nav2 and ROS 1 see walls half a cell off, the others where the map has them")
-    if "beluga" in (source, target) and AMCL & {source, target}:
-        notes.append("nav2 and ROS 1 take every n-th beam, Beluga max_beams evenly: not the same beams")
-    if "beluga" in (source, target):
-        notes.append("off the map Beluga gives 1 / laser_max_range, the others what the maximum distance is worth")
+    low = [stack.title for stack in (source, target) if stack is not None and stack.half_cell_low]
+    if len(low) == 1:
+        notes.append(f"{low[0]} sees walls half a cell off, the other where the map has them")
+    if target is not None and source.beams_taken and target.beams_taken and source.beams_taken != target.beams_taken:
+        notes.append(
+            f"{source.title} takes {source.beams_taken}, {target.title} {target.beams_taken}: not the same beams"
+        )
+    notes += [
+        f"off the map {stack.title} gives {stack.off_map}, the other what the maximum distance is worth"
+        for stack in (source, target)
+        if stack is not None and stack.off_map
+    ]
     return notes
 
 
-def above_one(stack: str, hit: float) -> list[str]:
-    """Say if amcl would assert against a peak."""
-    if stack not in AMCL or hit <= 1.0:
+def above_one(stack: Stack, hit: float) -> list[str]:
+    """Say if a program would assert against a peak."""
+    if not stack.asserts_p or hit <= 1.0:
         return []
-    return [f"z_hit is above 1: builds of {stack} with assertions (debug builds) stop"]
+    return [f"z_hit is above 1: builds of {stack.name} with assertions (debug builds) stop"]

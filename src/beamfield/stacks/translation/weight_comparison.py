@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence, RayEvidence
-from beamfield.stacks.registry import build_model
+from beamfield.stacks.stack import Model, Stack
 
 # The sample: one scan at so many poses.
 N_POSES, N_BEAMS = 500, 30
@@ -22,8 +22,28 @@ ELSEWHERE, FARTHEST = 0.2, 4.0
 # Cells so small that cutting distances off at whole ones changes nothing, metres.
 FINE = 1e-5
 
-# Stack, model, parameters.
-StackModelOf = tuple[str, str, Any]
+
+class Formula(NamedTuple):
+    """A stack's model with its parameters."""
+
+    stack: Stack
+    model: Model
+    parameters: Any
+
+    def value(self, name: str) -> Any:
+        """Return a parameter by nav2's name; None if there is none such."""
+        return self.model.value(self.parameters, name)
+
+    def longest_range(self, max_range: float | None) -> float | None:
+        """Return what random readings are divided by with a sensor of max_range, metres; None if that is not known."""
+        own = self.value("laser_max_range")
+        if own is None:
+            return max_range
+        if not self.stack.takes_lesser_limit:
+            return float(own)
+        if own <= 0.0:
+            return max_range
+        return float(own) if max_range is None else min(float(own), max_range)
 
 
 @dataclass(frozen=True)
@@ -98,85 +118,61 @@ def sample_ranges(sigma: float, typical_range: float, max_range: float) -> tuple
 
 
 def compare_fields(
-    model: StackModelOf, other: StackModelOf, distances: FloatArray, limits: tuple[float, float], cell: float | None
+    one: Formula, other: Formula | ChapterField, distances: FloatArray, limits: tuple[float, float], cell: float | None
 ) -> Comparison:
     """Compare the weights of two fields by the distances (n, k) from end points to obstacles, metres.
 
     Parameters
     ----------
-    model, other
-        Stack, model and parameters of each.
+    one, other
+        The fields.
     distances
         From `sample_distances`.
     limits
-        The ranges that nav2 and ROS 1 divide by, metres; Beluga and MRPT have it in their parameters.
+        The ranges that they divide by, metres.
     cell
-        Side of the map's cells, metres: nav2 and ROS 1 cut distances off at a whole number of them. None leaves
+        Side of the map's cells, metres: some programs cut distances off at a whole number of them. None leaves
         distances as they are.
     """
     seen = distances if cell is None else between_cells(distances, cell)
-    weights = [
-        field_weights(stack, name, parameters, seen, limit, cell)
-        for (stack, name, parameters), limit in zip((model, other), limits, strict=True)
-    ]
-    return compare(*weights)
+    return compare(*(field_weights(of, seen, limit, cell) for of, limit in zip((one, other), limits, strict=True)))
 
 
-def compare_rays(
-    model: StackModelOf, other: StackModelOf, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float
-) -> Comparison:
-    """Compare the weights of two beam models by readings (k,) and expected ranges (n, k), metres.
+def ray_weights(of: Formula, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float) -> FloatArray:
+    """Return the log-weights (n,) of a beam model.
 
     Parameters
     ----------
-    model, other
-        Stack, model and parameters of each.
+    of
+        The model.
     ranges, expected
         From `sample_ranges`.
     max_range
         The sensor's longest range, metres.
     cell
-        Side of the map's cells, metres, in which F1TENTH counts.
+        Side of the map's cells, metres, in which some programs count.
     """
-    return compare(*(ray_weights(*named, ranges, expected, max_range, cell) for named in (model, other)))
-
-
-def ray_weights(
-    stack: str, model: str, parameters: Any, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float
-) -> FloatArray:
-    """Return the log-weights (n,) of a stack's beam model; see `compare_rays`."""
-    made, settings = _emulator(stack, model, parameters, cell)
+    made, settings = _emulator(of, cell)
     evidence = RayEvidence(np.arange(len(ranges)), max_range, ranges, expected, settings=settings)
     return np.asarray(made.log_weights(evidence))
 
 
-def beam_log_values(
-    stack: str, model: str, parameters: Any, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float
-) -> FloatArray:
-    """Return log p (k,) of single beams by a stack's beam model, up to a constant; see `compare_rays`."""
-    made, settings = _emulator(stack, model, parameters, cell)
-    beams = np.arange(len(ranges))
-    if stack == "mrpt":
-        # Scans of one beam each: their weight is p but for a factor.
-        alone = RayEvidence(beams[:1], max_range, ranges[:, None], expected[:, None], settings=settings)
-        return np.asarray(made.log_weights(alone))
-    evidence = RayEvidence(beams, max_range, ranges, expected[None, :], settings=settings)
-    if stack == "f1tenth":
-        return np.asarray(made.beam_log_values(evidence)[0])
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(made.beam_values(evidence)[0]))
+def beam_log_values(of: Formula, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float) -> FloatArray:
+    """Return log p (k,) of single beams by a beam model; see `ray_weights`."""
+    made, settings = _emulator(of, cell)
+    evidence = RayEvidence(np.arange(len(ranges)), max_range, ranges, expected[None, :], settings=settings)
+    return np.asarray(made.beam_log_values(evidence)[0])
 
 
 def field_weights(
-    stack: str, model: str, parameters: Any, distances: FloatArray, limit: float, cell: float | None = None
+    of: Formula | ChapterField, distances: FloatArray, limit: float, cell: float | None = None
 ) -> FloatArray:
-    """Return the log-weights (n,) of a stack's field; see `compare_fields`."""
-    if isinstance(parameters, ChapterField):
-        return chapter_field_weights(parameters, distances)
-    made, settings = _emulator(stack, model, parameters, FINE if cell is None else cell)
-    divisor = parameters.laser_max_range if stack == "beluga" else limit
+    """Return the log-weights (n,) of a field; see `compare_fields`."""
+    if isinstance(of, ChapterField):
+        return chapter_field_weights(of, distances)
+    made, settings = _emulator(of, FINE if cell is None else cell)
     places = np.full(distances.shape, KNOWN, np.int8)
-    evidence = FieldEvidence(np.arange(distances.shape[1]), divisor, distances, places, settings=settings)
+    evidence = FieldEvidence(np.arange(distances.shape[1]), limit, distances, places, settings=settings)
     return np.asarray(made.log_weights(evidence))
 
 
@@ -198,7 +194,7 @@ def chapter_field_weights(parameters: ChapterField, distances: FloatArray) -> Fl
     return np.asarray(p.sum(axis=1))
 
 
-def _emulator(stack: str, model: str, parameters: Any, cell: float) -> tuple[Any, dict[str, Any]]:
+def _emulator(of: Formula, cell: float) -> tuple[Any, dict[str, Any]]:
     grid = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=float(np.float32(cell)))
-    made = build_model(stack, model, grid, parameters)
-    return made, {name: getattr(parameters, name) for name in made.evidence_settings}
+    made = of.model.emulator(grid, of.parameters)  # type: ignore[call-arg]
+    return made, {name: getattr(of.parameters, name) for name in made.evidence_settings}

@@ -12,19 +12,18 @@ from xml.parsers import expat
 from beamfield.errors import FormatError
 from beamfield.io.files.text_lines import read_at_most
 from beamfield.io.files.yaml_file import shorten
-from beamfield.stacks.files.launch_arguments import LaunchArguments
-from beamfield.stacks.files.line_ends import line_break, start_of_line
-from beamfield.stacks.files.parameter_text import Entry, ParameterSection, plain_value
+from beamfield.stacks.syntax.launch_arguments import LaunchArguments
+from beamfield.stacks.syntax.line_ends import line_break, start_of_line
+from beamfield.stacks.syntax.parameter_text import Entry, ParameterSection, Signs, plain_value
 
 MAX_BYTES = 2_000_000
-# Nodes that localise: what ROS 1 calls type, ROS 2 exec, and the packages they are in.
-_PROGRAMS = ("amcl", "amcl_node", "particle_filter", "particle_filter.py")
-_PACKAGES = ("amcl", "nav2_amcl", "beluga_amcl", "particle_filter")
+# How a node's program may be called: what ROS 1 calls type, ROS 2 exec.
+_ENDINGS = ("", "_node", ".py")
 _TAG = re.compile(r"<[^\s/>]+")
 _ATTRIBUTE = re.compile(r"""\s+([^\s=<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
-def launch_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
+def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     """Return one section per ``<node>`` with amcl's parameters.
 
     Parameters
@@ -32,9 +31,8 @@ def launch_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
     path
         The file. ``$(arg z_hit)`` is filled in with its default if the file has one; a value that nobody knows before
         the start is None. Nodes and parameters whose ``if`` or ``unless`` takes them out by default are left out.
-    known
-        Names of parameters; a node with one of them counts whatever its type is called. If there is none, nodes
-        count whose type or package is one that localises.
+    signs
+        By what a node is recognised. One with such a parameter counts whatever its type is called.
 
     Raises
     ------
@@ -47,13 +45,13 @@ def launch_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise FormatError(path, f"no XML in UTF-8: byte {content[error.start : error.start + 1]!r}") from error
-    nodes = _Parser(path).nodes(content)
-    chosen = [node for node in nodes if not known.isdisjoint(node.params)]
+    nodes = _Parser(path, signs).nodes(content)
+    chosen = [node for node in nodes if not signs.names.isdisjoint(node.params)]
     chosen = chosen or [node for node in nodes if node.localises]
     places = _characters(
         content, [at for node in chosen for at in (node.end, *(p.offset for p in node.params.values()))]
     )
-    return [_section(path, text, node, known, places) for node in chosen]
+    return [_section(path, text, node, signs.names, places) for node in chosen]
 
 
 class _Param(NamedTuple):
@@ -79,8 +77,8 @@ class _Node:
 class _Parser:
     """Collects nodes while expat walks through the file."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, signs: Signs) -> None:
+        self.path, self.signs = path, signs
         self.arguments = LaunchArguments()
         self.found: list[_Node] = []
         # Of each open tag: whether it is there, its namespace, and its node.
@@ -126,7 +124,8 @@ class _Parser:
         names = (self.arguments.fill_in(attributes.get(key, "")) for key in ("pkg", "type", "exec"))
         package, *programs = (name or "" for name in names)
         label = "/".join(part for part in (namespace, attributes.get("name", "")) if part)
-        localises = package in _PACKAGES or any(program in _PROGRAMS for program in programs)
+        known = {node + ending for node in self.signs.nodes for ending in _ENDINGS}
+        localises = package in self.signs.packages or not known.isdisjoint(programs)
         node = _Node(label, package, localises, self.expat.CurrentLineNumber)
         self.found.append(node)
         return node

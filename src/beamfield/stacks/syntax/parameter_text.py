@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.files.yaml_file import shorten
+
+# ROS 2 puts a node's parameters under this key.
+ROS_2_KEY = "ros__parameters"
 
 Value = float | int | bool | str
 Syntax = Literal["yaml", "launch", "ini"]
@@ -18,6 +20,17 @@ Syntax = Literal["yaml", "launch", "ini"]
 _WHOLE = re.compile(r"[-+]?\d{1,30}", re.ASCII)
 # One way to match each digit: with two, a long row of digits takes a time that grows with its square.
 _NUMBER = re.compile(r"[-+]?((\d+(\.\d*)?|\.\d+)(e[-+]?\d+)?|inf|infinity|nan)", re.ASCII | re.IGNORECASE)
+
+
+class Signs(NamedTuple):
+    """By what the parameters of a program that localises are known in a file."""
+
+    names: frozenset[str]
+    """Names of parameters; a section with one of them counts."""
+    nodes: tuple[str, ...]
+    """Nodes that localise; where no section has such a name, theirs count."""
+    packages: tuple[str, ...]
+    """Packages of nodes that localise."""
 
 
 @dataclass(frozen=True)
@@ -86,30 +99,19 @@ class ParameterSection:
     package: str = ""
     elsewhere: tuple[tuple[int, str], ...] = ()
 
+    @property
+    def is_ros_2(self) -> bool:
+        """Whether the parameters stand where only ROS 2 looks for them."""
+        return self.label.rsplit(".", 1)[-1] == ROS_2_KEY
+
+    def count(self, names: Iterable[str]) -> int:
+        """Return how many of these parameters the section has."""
+        return sum(name in self.entries for name in names)
+
     def error(self, name: str, message: str) -> FormatError:
         """Return the error that says what is wrong with one parameter."""
         entry = self.entries.get(name)
         return FormatError(self.path, message, line=self.line if entry is None else entry.line, field=name)
-
-    def number(self, name: str) -> float | None:
-        """Return a parameter as a number (maybe infinite or NaN); None if the file does not have it.
-
-        Raises
-        ------
-        FormatError
-            If it is no number.
-        """
-        entry = self.entries.get(name)
-        if entry is None:
-            return None
-        if entry.filled_in and entry.value is None:
-            raise self.error(name, f"expected a number, got {entry.filled_in!r}, which is filled in elsewhere")
-        if isinstance(entry.value, bool) or not isinstance(entry.value, (int, float)):
-            raise self.error(name, f"expected a number, got {shorten(entry.value)}")
-        try:
-            return float(entry.value)
-        except OverflowError:
-            raise self.error(name, "expected a number, got one too large for floating point") from None
 
     def with_values(self, values: Mapping[str, Value]) -> str:
         """Return the file's text with these values; parameters that it lacks are added, all else stays as it is.
@@ -132,7 +134,7 @@ class ParameterSection:
             written = value_text(value, self.syntax)
             entry = self.entries.get(name)
             if entry is None:
-                added += self.insert_before + _pair(name, written, self.syntax) + self.insert_after
+                added += self.insert_before + pair(name, value, self.syntax) + self.insert_after
                 continue
             if entry.value == value and type(entry.value) is type(value) and not entry.filled_in:
                 continue  # the user's own way of writing it stays
@@ -193,6 +195,14 @@ def value_text(value: Value, syntax: Syntax) -> str:
     return f'"{value}"' if syntax == "yaml" else value
 
 
+def pair(name: str, value: Value, syntax: Syntax) -> str:
+    """Return a parameter and its value as one line of a file."""
+    written = value_text(value, syntax)
+    if syntax == "launch":
+        return f'<param name="{name}" value="{written}"/>'
+    return f"{name} = {written}" if syntax == "ini" else f"{name}: {written}"
+
+
 def _float_text(value: float, syntax: Syntax) -> str:
     if value != value or value in (float("inf"), float("-inf")):
         raise InvalidInputError(f"value: expected a finite number, got {value!r}")
@@ -203,9 +213,3 @@ def _float_text(value: float, syntax: Syntax) -> str:
         # YAML 1.1 readers take 1e-05 for text: the mantissa needs a point.
         return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}"
     return short if "." in short or syntax == "ini" else short + ".0"
-
-
-def _pair(name: str, written: str, syntax: Syntax) -> str:
-    if syntax == "launch":
-        return f'<param name="{name}" value="{written}"/>'
-    return f"{name} = {written}" if syntax == "ini" else f"{name}: {written}"

@@ -10,8 +10,8 @@ from pathlib import Path
 from beamfield.errors import FormatError
 from beamfield.io.files.text_lines import read_at_most
 from beamfield.io.files.yaml_file import shorten
-from beamfield.stacks.files.line_ends import end_of_line, line_break, lines_with_places
-from beamfield.stacks.files.parameter_text import Entry, ParameterSection, plain_value
+from beamfield.stacks.syntax.line_ends import end_of_line, line_break, lines_with_places
+from beamfield.stacks.syntax.parameter_text import Entry, ParameterSection, plain_value
 
 MAX_BYTES = 2_000_000
 _NAME = re.compile(r"[A-Za-z_][\w.]*")

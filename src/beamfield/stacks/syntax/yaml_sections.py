@@ -8,25 +8,19 @@ from typing import Any
 
 from beamfield.errors import FormatError
 from beamfield.io.files.yaml_file import Place, YamlFile, shorten
-from beamfield.stacks.files.line_ends import end_of_line, line_break, start_of_line, start_of_yaml_line
-from beamfield.stacks.files.parameter_text import Entry, ParameterSection
-
-# ROS 2 puts a node's parameters under this key.
-ROS_2_KEY = "ros__parameters"
-# Nodes that localise, whatever they are called before and behind.
-_NODES = ("amcl", "particle_filter")
+from beamfield.stacks.syntax.line_ends import end_of_line, line_break, start_of_line, start_of_yaml_line
+from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry, ParameterSection, Signs
 
 
-def yaml_sections(file: YamlFile, known: Set[str]) -> list[ParameterSection]:
+def yaml_sections(file: YamlFile, signs: Signs) -> list[ParameterSection]:
     """Return the sections that hold parameters of a measurement model, in the order of the file.
 
     Parameters
     ----------
     file
         Read with `number_keys`.
-    known
-        Names by which a section is recognised; one is enough. If no section has one, those of nodes count that have
-        "amcl" or "particle_filter" in their names.
+    signs
+        By what a section is recognised. Nodes count whatever they are called before and behind.
 
     Raises
     ------
@@ -34,10 +28,10 @@ def yaml_sections(file: YamlFile, known: Set[str]) -> list[ParameterSection]:
         If a key without value is written in a way that is not found.
     """
     maps = [(place, values) for place, values in _maps(file.values, ()) if place or values]
-    chosen = [item for item in maps if not known.isdisjoint(_scalars(item[1]))]
+    chosen = [item for item in maps if not signs.names.isdisjoint(_scalars(item[1]))]
     # nav2's files have further nodes with amcl in their names; they only count where no node says anything.
-    chosen = chosen or [item for item in maps if _is_node(item[0])]
-    return [_section(file, place, values, known) for place, values in chosen]
+    chosen = chosen or [item for item in maps if _is_node(item[0], signs.nodes)]
+    return [_section(file, place, values, signs.names) for place, values in chosen]
 
 
 def _maps(values: Any, place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:
@@ -51,9 +45,9 @@ def _scalars(values: dict[str, Any]) -> Iterator[str]:
     return (name for name, value in values.items() if not isinstance(value, (dict, list)))
 
 
-def _is_node(place: Place) -> bool:
+def _is_node(place: Place, nodes: tuple[str, ...]) -> bool:
     owner = str(place[-2]) if len(place) > 1 and place[-1] == ROS_2_KEY else ""
-    return any(node in owner for node in _NODES)
+    return any(node in owner for node in nodes)
 
 
 def _section(file: YamlFile, place: Place, values: dict[str, Any], known: Set[str]) -> ParameterSection:

@@ -1,0 +1,39 @@
+"""ROS 1's amcl."""
+
+from __future__ import annotations
+
+from beamfield.stacks.amcl.parameters import ROS_1_NAMES
+from beamfield.stacks.amcl.stack import amcl_stack
+from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
+from beamfield.stacks.ros1.parameters import Ros1Parameters
+from beamfield.stacks.stack import SURE
+from beamfield.stacks.syntax.parameter_text import ParameterSection
+
+PACKAGE = "amcl"
+SIGNS = frozenset(ROS_1_NAMES.values())
+
+
+def _likeness(section: ParameterSection) -> float:
+    if section.package == PACKAGE:
+        return SURE
+    if section.is_ros_2:
+        return 0.0
+    # Names that both ROS versions have are ROS 1's, unless nav2's own weights are among them.
+    return section.count(SIGNS) or (0.6 if section.syntax == "launch" else 0.25)
+
+
+ROS1 = amcl_stack(
+    "ros1",
+    "ROS 1 amcl",
+    (Ros1Field, Ros1FieldProb, Ros1Beam),
+    Ros1Parameters,
+    ROS_1_NAMES,
+    likeness=_likeness,
+    signs=SIGNS,
+    packages=(PACKAGE,),
+    layout=("amcl:",),
+    in_launch_files=True,
+    unknown_model="amcl runs likelihood_field instead; it only logs a warning",
+    wrong_type="amcl uses its default without a message",
+    flatter="fewer beams or a wider laser_sigma_hit",
+)

@@ -34,7 +34,7 @@ def run() -> list[dict[str, Any]]:
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
     model = BeamModel(grid, PARAMETERS)
-    scan = model.sample(truth, rng, finder)[0]
+    scan = model.sample(truth, finder, rng)[0]
     rows: list[dict[str, Any]] = []
     for name, poses in {"track": near(truth, rng), "global": anywhere(grid, rng)}.items():
         rows += given_ranges(name, scan, model.expected(poses, finder))
@@ -86,7 +86,7 @@ def large_scan(grid: OccupancyGrid, truth: np.ndarray, rng: np.random.Generator)
     """Time one call with 180 beams at 20,000 poses."""
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 180, endpoint=False), MAX_RANGE)
     model = BeamModel(grid, PARAMETERS)
-    scan = model.sample(truth, rng, finder)[0]
+    scan = model.sample(truth, finder, rng)[0]
     poses = near(truth, rng, 20_000)
     ns = least_ns(lambda: model.log_likelihood(scan, poses), len(poses) * 180)
     return [row("ray casting and mixture, 180 beams", "track", len(poses), "all", ns, None)]

@@ -60,7 +60,7 @@ def room_rows(name: str) -> Iterator[dict[str, Any]]:
     results: dict[str, list[tuple[int, FeatureInformation]]] = {"lines": [], "corners": []}
     for _ in range(POSES_PER_ROOM):
         pose = np.array([*rng.uniform(low, high), rng.uniform(-np.pi, np.pi)])
-        [scan] = model.sample(pose[None], rng, FINDER)
+        [scan] = model.sample(pose[None], FINDER, rng)
         lattice = PoseLattice.around(pose, **BOX)
         lines = find_lines(scan, RangeNoise(SIGMA))
         measured, _ = stack_features(find_corners(lines))

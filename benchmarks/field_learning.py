@@ -53,7 +53,7 @@ class World:
 
     def values(self, parameters: LikelihoodFieldParameters, *, held_out: bool) -> FloatArray:
         """Return log q of the windows, (w, n)."""
-        model = LikelihoodFieldModel.from_grid(self.grid, parameters, n_beams=N_BEAMS)
+        model = LikelihoodFieldModel(self.grid, parameters, n_beams=N_BEAMS)
         return window_log_likelihoods(model, self.log, [w for w in self.windows if (w.fold == HELD_OUT) == held_out])
 
     def scores(self, values: FloatArray, exponents: FloatArray) -> list[PosteriorScores]:

@@ -84,7 +84,7 @@ def run(step: str, path: Path) -> tuple[int, int]:
     elif grid is not None and step == "RayCaster":
         made = RayCaster(grid)
     elif grid is not None:
-        made = LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(z_hit=0.9, z_rand=0.1, sigma_hit=0.1))
+        made = LikelihoodFieldModel(grid, LikelihoodFieldParameters(z_hit=0.9, z_rand=0.1, sigma_hit=0.1))
         made.log_likelihood(Scan([1.0], RangeFinder.from_bearings([0.0], max_range=10.0)), np.ones((100_000, 3)))
     gc.collect()
     result = memory("VmHWM") - before, memory("VmRSS") - before

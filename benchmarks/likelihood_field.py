@@ -31,7 +31,7 @@ def run() -> list[dict[str, Any]]:
     grid = office(rng)
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
-    scan = BeamModel(grid, BEAM_PARAMETERS).sample(truth, rng, finder)[0]
+    scan = BeamModel(grid, BEAM_PARAMETERS).sample(truth, finder, rng)[0]
     rows: list[dict[str, Any]] = []
     for n in (2_000, 20_000, 200_000):
         for name, poses in {"track": near(truth, rng, n), "global": anywhere(grid, rng, n)}.items():
@@ -51,7 +51,7 @@ def whole_calls(name: str, grid: OccupancyGrid, scan: Scan, poses: np.ndarray) -
     reference = numpy_model(grid)
     baseline = least_ns(lambda: reference(scan, poses), pairs)
     rows = [row("NumPy float32, nearest", name, n, 1, baseline, baseline)]
-    model = LikelihoodFieldModel.from_grid(grid, PARAMETERS)
+    model = LikelihoodFieldModel(grid, PARAMETERS)
     # A few end points in a million read another cell.
     apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
     assert np.median(apart) < 1e-3
@@ -67,7 +67,7 @@ def interpolated_calls(name: str, grid: OccupancyGrid, scan: Scan, poses: np.nda
     reference = numpy_interpolated(grid)
     baseline = least_ns(lambda: reference(scan, poses), pairs)
     rows = [row("NumPy float32, bilinear", name, n, 1, baseline, baseline)]
-    model = LikelihoodFieldModel.from_grid(grid, PARAMETERS, interpolation="bilinear")
+    model = LikelihoodFieldModel(grid, PARAMETERS, interpolation="bilinear")
     apart = np.abs(model.log_likelihood(scan, poses) - reference(scan, poses))
     assert np.median(apart) < 1e-2
     repeats = max(15, 200_000 // n)
@@ -85,7 +85,7 @@ def numpy_model(grid: OccupancyGrid) -> Callable[[Scan, np.ndarray], np.ndarray]
     masks, one flat index, arrays changed in place.
     """
     p = PARAMETERS
-    distance = LikelihoodFieldModel.from_grid(grid, p).distances
+    distance = LikelihoodFieldModel(grid, p).distances
     hit = p.z_hit / (p.sigma_hit * np.sqrt(2.0 * np.pi)) * np.exp(-0.5 * (distance.distance / p.sigma_hit) ** 2)
     far = np.log(p.z_rand / MAX_RANGE)
     table = np.pad(np.log(hit + p.z_rand / MAX_RANGE), 1, constant_values=far).astype(np.float32)
@@ -107,7 +107,7 @@ def numpy_model(grid: OccupancyGrid) -> Callable[[Scan, np.ndarray], np.ndarray]
 def numpy_interpolated(grid: OccupancyGrid) -> Callable[[Scan, np.ndarray], np.ndarray]:
     """Return the look-up by interpolated distance with whole arrays in single precision, in place where it can be."""
     p = PARAMETERS
-    field = LikelihoodFieldModel.from_grid(grid, p).distances
+    field = LikelihoodFieldModel(grid, p).distances
     distance = np.pad(field.distance, 1, mode="edge")
     rows, cols = distance.shape
     # From the centre of the frame's first cell. What lies off the field is far from everything either way.

@@ -36,7 +36,7 @@ def run() -> list[dict[str, Any]]:
     """Return one row per map, model and number of beams."""
     grid = draw_floor_plan(seed=1, resolution=0.1)
     finder = RangeFinder.from_bearings(np.radians(np.arange(-90.0, 90.0)), 20.0, mount=(0.25, 0.0, 0.0))
-    scan = BeamModel(grid, PARAMETERS).sample(np.array([8.0, 5.0, 0.1]), np.random.default_rng(1), finder)[0]
+    scan = BeamModel(grid, PARAMETERS).sample(np.array([8.0, 5.0, 0.1]), finder, np.random.default_rng(1))[0]
     rows = time_map("simulated office", grid, scan)
     folder = os.environ.get("WEAN")
     if folder:
@@ -56,7 +56,7 @@ def time_map(name: str, grid: OccupancyGrid, scan: Scan) -> list[dict[str, Any]]
     of_field = widened_field_for_lattice(LikelihoodFieldParameters.from_beam_parameters(PARAMETERS), scan, **lattice)
     rows = []
     for n_beams in (30, None):
-        fields = LikelihoodFieldModel.from_grid(grid, of_field, n_beams=n_beams)
+        fields = LikelihoodFieldModel(grid, of_field, n_beams=n_beams)
         rows.append(one_row(name, "beam, shared rays", n_beams, BeamModel(grid, beam, n_beams=n_beams), scan, grid))
         rows.append(one_row(name, "field", n_beams, fields, scan, grid))
     every_ray = BeamModel(grid, beam, n_beams=30)

@@ -225,7 +225,7 @@ def _scene() -> tuple[OccupancyGrid, Scan, dict[str, np.ndarray]]:
     grid = office(rng)
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
-    scan = BeamModel(grid, PARAMETERS).sample(truth, rng, finder)[0]
+    scan = BeamModel(grid, PARAMETERS).sample(truth, finder, rng)[0]
     return grid, scan, {"track": near(truth, rng, N_POSES), "global": anywhere(grid, rng, N_POSES)}
 
 

@@ -64,7 +64,7 @@ class World:
     def log(self) -> SensorLog:
         angle = np.linspace(0.0, 4.0 * np.pi, 200)
         poses = np.column_stack([3.0 + 1.9 * np.cos(angle), 2.0 + 1.3 * np.sin(angle), angle + 0.5 * np.pi])
-        ranges = np.array([scan.ranges for scan in self.model.sample(poses, self.rng)])
+        ranges = np.array([scan.ranges for scan in self.model.sample(poses, rng=self.rng)])
         return SensorLog(self.finder, 0.2 * np.arange(len(poses)), ranges, poses, poses)
 
     @property

@@ -152,6 +152,24 @@ def as_count(value: Any, name: str, *, least: int, most: int | None = None) -> i
     return count
 
 
+def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
+    """Return a source of randomness.
+
+    Parameters
+    ----------
+    rng
+        One; a seed, at least 0; or None for other numbers each time.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is none of these.
+    """
+    if rng is None or isinstance(rng, np.random.Generator):
+        return np.random.default_rng(rng)
+    return np.random.default_rng(as_count(rng, "rng", least=0))
+
+
 def check_magnitude(name: str, sigma: float) -> None:
     """Refuse a standard deviation whose density cannot be computed.
 

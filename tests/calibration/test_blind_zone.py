@@ -42,7 +42,7 @@ def drawn_log(finder: RangeFinder, truth: BeamParameters, n_scans: int, seed: in
     rng = np.random.default_rng(seed)
     poses = rng.uniform([0.1, 0.15, -3.0], [6.0, 1.15, 3.0], (n_scans, 3))
     kind = SonarModel if finder.opening_angle > 0.0 else BeamModel
-    scans = kind(corridor(), truth, finder=finder).sample(poses, rng)
+    scans = kind(corridor(), truth, finder=finder).sample(poses, rng=rng)
     ranges = np.array([scan.ranges for scan in scans])
     return SensorLog(finder, 5.0 * np.arange(n_scans), ranges, poses, np.full((n_scans, 3), np.nan))
 

@@ -67,9 +67,7 @@ def test_the_exponent_makes_posteriors_that_hold_the_reference(learned):
 
 
 def test_the_model_takes_what_was_learned(learned, drive, office):
-    model = LikelihoodFieldModel.from_grid(
-        office, learned.parameters, exponent=learned.exponent, n_beams=learned.n_beams
-    )
+    model = LikelihoodFieldModel(office, learned.parameters, exponent=learned.exponent, n_beams=learned.n_beams)
     pose = drive.poses[200]
     away = compose(pose, np.vstack([np.zeros(3), 0.5 * np.eye(3), -0.5 * np.eye(3)]))
     assert model.log_likelihood(drive.scan(200), away).argmax() == 0

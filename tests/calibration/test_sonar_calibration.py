@@ -44,7 +44,7 @@ def drawn_log(grid: OccupancyGrid, finder: RangeFinder, n_scans: int, seed: int)
     poses = np.column_stack([rng.uniform([0.4, 0.4], [7.6, 5.6], (4 * n_scans, 2)), rng.uniform(-3, 3, 4 * n_scans)])
     clear = ConeCaster(grid).expected_ranges(poses, ring(16)).min(axis=1) > 0.1
     poses = poses[clear][:n_scans]
-    scans = SonarModel(grid, TRUTH, finder=finder).sample(poses, rng)
+    scans = SonarModel(grid, TRUTH, finder=finder).sample(poses, rng=rng)
     ranges = np.array([scan.ranges for scan in scans])
     return SensorLog(finder, 5.0 * np.arange(n_scans), ranges, poses, np.full((n_scans, 3), np.nan))
 

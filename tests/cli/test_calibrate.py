@@ -17,7 +17,7 @@ import pytest
 from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.main import main
 from beamfield.finding import Finding
-from beamfield.io.parameters.beam_model_file import read_beam_model
+from beamfield.io.parameters.beam_model_file import read_beam_model, read_saved_beam_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.models.beam_parameters import BeamParameters
@@ -75,7 +75,7 @@ class TestResult:
         assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
 
     def test_the_yaml_holds_the_same_parameters_as_the_json(self, out: Path):
-        parameters, max_range, _ = read_beam_model(out / "beam_model.yaml")
+        parameters, max_range, _ = read_saved_beam_model(out / "beam_model.yaml")
         document = json.loads((out / "calibration.json").read_text())
         for name, entry in document["parameters"].items():
             assert getattr(parameters, name) == pytest.approx(entry["value"], rel=5e-6, abs=1e-9)
@@ -165,7 +165,7 @@ def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, tmp_pat
         "calibrate", str(world / "bag"), "--map", str(world / "map.yaml"), "--out", str(tmp_path / "bag"), "--quiet",
     ])  # fmt: skip
     assert code == 0
-    text, bag = (read_beam_model(tmp_path / name / "beam_model.yaml")[0] for name in ("text", "bag"))
+    text, bag = (read_beam_model(tmp_path / name / "beam_model.yaml") for name in ("text", "bag"))
     for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
         # The bag's ranges are float32, the text's have a few digits.
         assert getattr(text, name) == pytest.approx(getattr(bag, name), rel=5e-3, abs=1e-4), name
@@ -183,7 +183,7 @@ def test_a_held_parameter_and_a_fixed_form_are_respected(world: Path, tmp_path: 
         world, tmp_path / "out", "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off", "--no-refine"
     )
     assert code == 0
-    parameters = read_beam_model(tmp_path / "out" / "beam_model.yaml").parameters
+    parameters = read_beam_model(tmp_path / "out" / "beam_model.yaml")
     assert parameters.z_max == pytest.approx(0.1, abs=1e-12)
     assert parameters.range_offset != 0.0
     assert parameters.sigma_slope == 0.0
@@ -367,7 +367,7 @@ def test_a_beam_model_file_has_six_digits_and_weights_that_sum_to_one(tmp_path, 
     path = tmp_path / "beam_model.yaml"
     text = beam_model_text(parameters, finder, intervals={"z_hit": (0.1 / 3, 0.2), "lambda_short": (0.0, np.inf)})
     path.write_text(text)
-    read, max_range, low = read_beam_model(path)
+    read, max_range, low = read_saved_beam_model(path)
     for name, value in asdict(parameters).items():
         assert getattr(read, name) == pytest.approx(value, abs=1e-6), name
     assert sum(read.weights) == pytest.approx(1.0, abs=1e-11)

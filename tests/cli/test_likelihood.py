@@ -37,7 +37,7 @@ def make_grid() -> OccupancyGrid:
 def make_log(grid: OccupancyGrid) -> SensorLog:
     finder = RangeFinder.from_bearings(np.radians(np.arange(-90.0, 91.0, 2.0)), 10.0, name="FLASER")
     poses = np.column_stack([0.5 + 0.1 * np.arange(6), np.full(6, 4.5), 0.1 * np.arange(6)])
-    scans = BeamModel(grid, TRUTH).sample(poses, np.random.default_rng(2), finder)
+    scans = BeamModel(grid, TRUTH).sample(poses, finder, np.random.default_rng(2))
     ranges = np.array([scan.ranges for scan in scans])
     ranges[ranges >= 10.0] = np.inf
     ranges[SILENT] = np.inf
@@ -195,7 +195,7 @@ def test_a_learned_field_brings_its_exponent_and_number_of_beams(folder, tmp_pat
     for beams, exponent, n_beams in ((None, 0.25, 40), ("20", 0.5, 20), ("5", 1.0, 5), ("0", 0.25 * 40 / 91, None)):
         more = () if beams is None else ("--beams", beams)
         text = summary(folder, capsys, "--params", str(path), *more)
-        model = LikelihoodFieldModel.from_grid(grid, parameters, exponent=exponent, n_beams=n_beams)
+        model = LikelihoodFieldModel(grid, parameters, exponent=exponent, n_beams=n_beams)
         expected = float(model.log_likelihood(log.scan(2), log.poses[2]))
         if "below the maximum" in text:
             assert at_the_reference(text) == pytest.approx(expected, abs=0.05)

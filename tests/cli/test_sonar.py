@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "measurement.txt").write_text("".join(f"{200 * i}" + " 5110" * 4 + " 900" * 4 + "\n" for i in range(500)))
     finder = read_log(folder, max_range=5.11).only_sensor().finder
     model = SonarModel(OccupancyGrid(occupied.astype(np.float32), 0.05), TRUTH, finder=finder)
-    rows = [np.round(1000 * scan.ranges).astype(int) for scan in model.sample(poses, rng)]
+    rows = [np.round(1000 * scan.ranges).astype(int) for scan in model.sample(poses, rng=rng)]
     (folder / "measurement.txt").write_text(
         "".join(f"{200 * i} " + " ".join(map(str, row)) + "\n" for i, row in enumerate(rows))
     )

@@ -169,7 +169,7 @@ def build_likelihood_field(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **option
     values = {"z_hit": 0.7, "z_rand": 0.2, "sigma_hit": 0.2}
     changed = {name: options.pop(name) for name in list(options) if name in values}
     grid = draw_floor(compose(map_from_moved, np.zeros(3)))
-    return LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(**{**values, **changed}), **options)
+    return LikelihoodFieldModel(grid, LikelihoodFieldParameters(**{**values, **changed}), **options)
 
 
 def build_landmark_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> LandmarkModel:

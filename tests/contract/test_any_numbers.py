@@ -70,7 +70,7 @@ def test_models_of_range_finders_know_every_pose_and_reading(parameters, ranges,
     scan = Scan(ranges, finder)
     expected = RayCaster(GRID).expected_ranges(pose, finder)
     assert ((expected >= 0.0) & (expected <= max_range)).all()
-    field = LikelihoodFieldModel.from_grid(GRID, LikelihoodFieldParameters(0.8, 0.1, 0.1))
+    field = LikelihoodFieldModel(GRID, LikelihoodFieldParameters(0.8, 0.1, 0.1))
     for model in (BeamModel(GRID, parameters), field):
         value = float(model.log_likelihood(scan, pose))
         assert not math.isnan(value)

@@ -137,7 +137,7 @@ def test_samples_follow_the_distribution_function(generative, rng):
     for options in generative.options:
         model = generative.build(**options)
         for pose in generative.poses:
-            samples = model.sample(np.tile(pose, (400, 1)), rng)
+            samples = model.sample(np.tile(pose, (400, 1)), rng=rng)
             assert len(samples) == 400
             uniform = generative.transform(model, samples, pose, rng)
             assert stats.kstest(uniform, "uniform").pvalue > 1e-4
@@ -147,7 +147,7 @@ def test_samples_follow_the_density(generative, rng):
     """For z drawn from p and another density q, the mean of q(z) / p(z) is 1."""
     model, other = generative.build(), generative.build(**generative.options_close_by)
     pose = generative.poses[0]
-    samples = model.sample(np.tile(pose, (3000, 1)), rng)
+    samples = model.sample(np.tile(pose, (3000, 1)), rng=rng)
     log_ratio = [float(other.log_likelihood(z, pose) - model.log_likelihood(z, pose)) for z in samples]
     ratio = np.exp(log_ratio)
     assert ratio.mean() == pytest.approx(1.0, abs=4.0 * ratio.std() / np.sqrt(len(ratio)))
@@ -156,7 +156,7 @@ def test_samples_follow_the_density(generative, rng):
 
 def test_samples_repeat_with_the_seed(generative):
     model = generative.build()
-    first, second = (model.sample(generative.poses, np.random.default_rng(11)) for _ in range(2))
+    first, second = (model.sample(generative.poses, rng=np.random.default_rng(11)) for _ in range(2))
     for a, b in zip(first, second, strict=True):
         assert pickle.dumps(a) == pickle.dumps(b)
 
@@ -164,6 +164,6 @@ def test_samples_repeat_with_the_seed(generative):
 def test_the_true_pose_is_more_likely_than_others_on_average(generative, rng):
     model, truth = generative.build(), generative.poses[0]
     others = truth + np.diag([0.3, -0.3, 0.3])
-    samples = model.sample(np.tile(truth, (200, 1)), rng)
+    samples = model.sample(np.tile(truth, (200, 1)), rng=rng)
     scores = np.array([model.log_likelihood(z, [truth, *others]) for z in samples]).mean(axis=0)
     assert scores.argmax() == 0

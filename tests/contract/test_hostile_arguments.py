@@ -169,7 +169,7 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (BeamModel, {"grid": GRID, "parameters": BEAM, "n_beams": 5, "exponent": 0.5, "unknown": "free"}),
     (BeamModel(GRID, BEAM).log_likelihood, {"z": SCAN, "poses": POSES}),
     (BeamModel(GRID, BEAM).beam_log_likelihood, {"z": SCAN, "poses": POSES}),
-    (BeamModel(GRID, BEAM).sample, {"poses": POSES, "rng": rng(), "finder": FINDER}),
+    (BeamModel(GRID, BEAM).sample, {"poses": POSES, "finder": FINDER, "rng": rng()}),
     (SonarModel, {"map": GRID, "parameters": BEAM, "n_beams": 5, "exponent": 0.5}),
     (
         beam_density.beam_log_density,
@@ -183,14 +183,14 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (sample_beams, {"expected_ranges": [1.0, 2.0], "max_range": 5.0, "parameters": BEAM, "rng": rng()}),
     (LikelihoodFieldParameters, {"z_hit": 0.7, "z_rand": 0.2, "sigma_hit": 0.2}),
     (
-        LikelihoodFieldModel.from_grid,
+        LikelihoodFieldModel,
         {
             "grid": GRID,
             "parameters": FIELD,
             "max_distance": 1.0,
         },
     ),
-    (LikelihoodFieldModel.from_grid(GRID, FIELD).log_likelihood, {"z": SCAN, "poses": POSES}),
+    (LikelihoodFieldModel(GRID, FIELD).log_likelihood, {"z": SCAN, "poses": POSES}),
     (DistanceField.from_grid, {"grid": GRID, "max_distance": 1.0}),
     (
         LandmarkParameters,

@@ -11,7 +11,6 @@ from beamfield.detection_log import DetectionLog
 from beamfield.io.bags.fiducial_detections import FiducialDetections
 from beamfield.io.landmarks.landmark_files import CourseLog
 from beamfield.io.parameters.beam_model_file import SavedBeamModel
-from beamfield.io.parameters.likelihood_field_file import SavedLikelihoodField
 from beamfield.io.relations import Relations
 from beamfield.io.trajectory import IndexedTrack
 from beamfield.maps.landmarks import LandmarkMap
@@ -19,6 +18,7 @@ from beamfield.maps.lines import LineMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.camera_intrinsics import CameraIntrinsics
+from beamfield.models.field_parameters import SavedLikelihoodField
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.sensors import ScanLog, Track, usable_ranges
 from beamfield.stacks.files.parameter_file import StackFile

@@ -13,7 +13,9 @@ from beamfield.io.parameters.likelihood_field_file import (
     likelihood_field_text,
     read_likelihood_field,
 )
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder
 
 FINDER = RangeFinder.from_bearings([0.0, 0.1], max_range=12.5, min_range=0.15, name="laser")
@@ -34,13 +36,9 @@ def written(folder: Path, text: str) -> Path:
 
 def test_reading_returns_what_was_written(tmp_path, text):
     path = written(tmp_path, text)
-    assert read_likelihood_field(path) == (
-        LikelihoodFieldParameters(0.3, 0.333333, 0.07),
-        0.142857,
-        60,
-        12.5,
-        0.15,
-    )
+    saved = read_likelihood_field(path)
+    assert saved.parameters == LikelihoodFieldParameters(0.3, 0.333333, 0.07)
+    assert (saved.exponent, saved.n_beams, saved.max_range, saved.min_range) == (0.142857, 60, 12.5, 0.15)
     assert is_likelihood_field(path)
     assert "  exponent: null\n" in text.split("intervals_95")[1]
     assert not is_likelihood_field(written(tmp_path, "beam_model:\n  z_hit: 1.0\n"))
@@ -77,3 +75,20 @@ def test_what_is_wrong_is_named(tmp_path, text, old, new, line, message):
         read_likelihood_field(written(tmp_path, text.replace(old, new, 1)))
     if line is not None:
         assert caught.value.line == line
+
+
+def test_a_model_takes_what_was_read_and_keeps_what_it_is_given(tmp_path, text):
+    grid = OccupancyGrid.from_ros([[0, 0, 100]], 0.5)
+    saved = read_likelihood_field(written(tmp_path, text))
+    model = LikelihoodFieldModel(grid, saved)
+    assert (model.parameters, model.exponent, model.n_beams) == (saved.parameters, 0.142857, 60)
+    assert type(model.parameters) is LikelihoodFieldParameters
+    given = LikelihoodFieldModel(grid, saved, exponent=1.0, n_beams=5)
+    assert (given.exponent, given.n_beams) == (1.0, 5)
+    assert (LikelihoodFieldModel(grid, PARAMETERS).exponent, LikelihoodFieldModel(grid, PARAMETERS).n_beams) == (
+        1.0,
+        None,
+    )
+    assert likelihood_field_text(
+        saved, FINDER, exponent=saved.exponent, n_beams=saved.n_beams
+    ) == likelihood_field_text(PARAMETERS, FINDER, exponent=1.0 / 7.0, n_beams=60)

@@ -25,7 +25,7 @@ def drive():
     rng = np.random.default_rng(6)
     poses = np.column_stack([rng.uniform(0.8, 5.2, 12), rng.uniform(0.8, 3.2, 12), rng.uniform(-3.1, 3.1, 12)])
     finder = RangeFinder.from_bearings(np.radians(np.arange(-180.0, 180.0, 2.0)), 8.0)
-    scans = BeamModel(grid, PARAMETERS).sample(poses, rng, finder)
+    scans = BeamModel(grid, PARAMETERS).sample(poses, finder, rng)
     log = SensorLog(finder, np.arange(12.0), np.array([scan.ranges for scan in scans]), poses, poses)
     lattice = PoseLattice.over_map(grid, resolution=0.25, headings=36)
     return grid, MapFeatures(walls, corners), log, lattice

@@ -112,7 +112,7 @@ def rooms():
     result = []
     for _ in range(12):
         pose = rng.uniform([0.8, 0.8, -np.pi], [5.2, 3.2, np.pi])
-        [scan] = model.sample(pose[None], rng, FINDER)
+        [scan] = model.sample(pose[None], FINDER, rng)
         lattice = PoseLattice.around(pose, **BOX)
         lines = find_lines(scan, RangeNoise(SIGMA))
         measured, _ = stack_features(find_corners(lines))
@@ -138,7 +138,7 @@ def test_steps_were_fine_enough_for_the_scan():
     """Half the steps add log 8 to the entropy of the cells and change that of the density little."""
     rng = np.random.default_rng(2)
     model, pose = BeamModel(drawn_room(NICHES)[0], BEAMS), np.array([2.0, 1.5, 0.4])
-    [scan] = model.sample(pose[None], rng, FINDER)
+    [scan] = model.sample(pose[None], FINDER, rng)
     lattice = PoseLattice.around(pose, **{**BOX, "reach": 0.08, "heading_reach": 0.03})
     coarse, fine = (pose_posterior(model, scan, each) for each in (lattice, lattice.halved()))
     assert fine.entropy - coarse.entropy == pytest.approx(np.log(8.0), abs=0.05)
@@ -152,7 +152,7 @@ def test_the_empty_map_of_a_corridor_tells_nothing_along_it():
     finder = RangeFinder.from_bearings(np.radians(np.arange(-180.0, 180.0, 5.0)), 5.0)
     model = BeamModel(grid, BeamParameters(0.95, 0.0, 0.03, 0.02, SIGMA, 1.0))
     pose = np.array([15.0, 1.2, 0.1])
-    [scan] = model.sample(pose[None], rng, finder)
+    [scan] = model.sample(pose[None], finder, rng)
     lattice = PoseLattice.around(pose, **BOX)
     lines = LineDetections.from_lines(find_lines(scan, RangeNoise(SIGMA)))
     of_lines = LineModel(walls, LineParameters(0.0, 0.0, 0.01, 9.0), correspondence="sum")

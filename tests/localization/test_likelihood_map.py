@@ -44,7 +44,7 @@ def finder(mount=(0.0, 0.0, 0.0), bearings=BEARINGS) -> RangeFinder:
 
 
 def noisy_scan(grid, pose, sensor) -> Scan:
-    return BeamModel(grid, PARAMETERS).sample(pose, np.random.default_rng(5), sensor)[0]
+    return BeamModel(grid, PARAMETERS).sample(pose, sensor, np.random.default_rng(5))[0]
 
 
 def wide_model(grid, **options) -> BeamModel:
@@ -68,7 +68,7 @@ def test_the_maximum_of_the_likelihood_field_is_where_the_scan_was_taken(grid, t
     parameters = widened_field_for_lattice(
         LikelihoodFieldParameters.from_beam_parameters(PARAMETERS), scan, resolution=0.1, headings=72
     )
-    result = likelihood_map(LikelihoodFieldModel.from_grid(grid, parameters), scan, grid)
+    result = likelihood_map(LikelihoodFieldModel(grid, parameters), scan, grid)
     assert_near(result.best_pose, truth)
 
 
@@ -171,7 +171,7 @@ def test_nothing_is_nan_and_only_free_cells_are_evaluated(grid, truth):
 
 
 def test_a_scan_without_a_measurement_is_as_likely_everywhere(grid):
-    for model in (wide_model(grid), LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(0.8, 0.1, 0.1))):
+    for model in (wide_model(grid), LikelihoodFieldModel(grid, LikelihoodFieldParameters(0.8, 0.1, 0.1))):
         result = likelihood_map(model, Scan(np.full(180, np.nan), finder()), grid, headings=4)
         assert result.is_flat
         assert (result.log_likelihood[result.evaluated] == 0.0).all()

@@ -164,7 +164,7 @@ def test_scans_and_smoothed_maps_are_compared_as_the_model_does():
     finder = RangeFinder.from_bearings(np.radians(np.arange(-90.0, 90.0)), 4.0, mount=(0.2, 0.1, 0.3))
     parameters = BeamParameters(z_hit=1.0, z_short=0.0, z_max=0.0, z_rand=0.0, sigma_hit=0.02, lambda_short=0.5)
     pose = compose(grid.origin, np.array([4.0, 4.5, 0.5]))
-    scan = BeamModel(grid, parameters).sample(pose, np.random.default_rng(0), finder)[0]
+    scan = BeamModel(grid, parameters).sample(pose, finder, np.random.default_rng(0))[0]
     model = MapMatchingModel(grid, smoothing=0.1)
     places = every_place(grid, 0.1)
     found = find(model, scan, places, 0.1, np.float64)

@@ -50,7 +50,7 @@ def test_the_map_of_counts_is_that_of_log_odds_where_no_bound_is_reached():
     finder = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 40), 8.0)
     poses = np.column_stack([np.linspace(1.0, 5.0, 5), np.full(5, 2.0), np.linspace(0.0, 1.0, 5)])
     model = BeamModel(grid, BeamParameters(0.8, 0.1, 0.05, 0.05, 0.05, 0.5))
-    ranges = [scan.ranges for scan in model.sample(poses, np.random.default_rng(1), finder)]
+    ranges = [scan.ranges for scan in model.sample(poses, finder, np.random.default_rng(1))]
     log = log_of(ranges, poses, finder)
     drawn, summed = build_map(log, resolution=0.1), count_hits(log, np.ones(5, bool), 0.1).to_grid()
     inside = (drawn.probability > 0.031) & (drawn.probability < 0.969)

@@ -188,7 +188,7 @@ def test_unknown_cells_stop_rays_only_if_asked():
 def test_chunks_change_no_bit(grid, rng, monkeypatch):
     sensor = finder(*range(-90, 91, 10))
     model = BeamModel(grid, PARAMETERS)
-    scan = model.sample([5.0, 2.5, 0.1], rng, sensor)[0]
+    scan = model.sample([5.0, 2.5, 0.1], sensor, rng)[0]
     poses = rng.uniform([0, 1, -3], [10, 4, 3], (1000, 3))
     whole = model.log_likelihood(scan, poses)
     monkeypatch.setattr(range_mixture, "RAYS_PER_CHUNK", 300)
@@ -199,7 +199,7 @@ def test_many_poses_take_little_memory(grid, rng):
     """20,000 poses x 180 beams would be 29 MB of expected ranges alone."""
     sensor = finder(*np.linspace(-90, 90, 180))
     model = BeamModel(grid, PARAMETERS)
-    scan = model.sample([5.0, 2.5, 0.1], rng, sensor)[0]
+    scan = model.sample([5.0, 2.5, 0.1], sensor, rng)[0]
     poses = rng.uniform([0, 1, -3], [10, 4, 3], (20_000, 3))
     tracemalloc.start()
     values = model.log_likelihood(scan, poses)
@@ -213,7 +213,7 @@ def test_many_poses_take_little_memory(grid, rng):
 def test_samples_are_scans_of_the_sensor_around_the_expected_ranges(grid, rng):
     sensor = finder(90, -90)
     model = BeamModel(grid, BeamParameters(1.0, 0.0, 0.0, 0.0, 0.1, 0.5), finder=sensor)
-    scans = model.sample(np.tile([5.0, 2.5, 0.0], (2000, 1)), rng)
+    scans = model.sample(np.tile([5.0, 2.5, 0.0], (2000, 1)), rng=rng)
     assert all(scan.finder is sensor for scan in scans)
     ranges = np.array([scan.ranges for scan in scans]).ravel()
     assert stats.kstest(ranges, stats.norm(1.5, 0.1).cdf).pvalue > 1e-3
@@ -221,7 +221,7 @@ def test_samples_are_scans_of_the_sensor_around_the_expected_ranges(grid, rng):
 
 def test_sampling_without_a_sensor_is_an_error(grid, rng):
     with pytest.raises(InvalidInputError, match="finder: expected a RangeFinder"):
-        BeamModel(grid, PARAMETERS).sample([[5.0, 2.5, 0.0]], rng)
+        BeamModel(grid, PARAMETERS).sample([[5.0, 2.5, 0.0]], rng=rng)
 
 
 def test_other_parameters_on_the_same_tables(grid):

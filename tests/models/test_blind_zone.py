@@ -141,7 +141,7 @@ def test_scans_are_scored_and_drawn_by_their_sensors_min_range(rng):
     finder = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 24), MAX_RANGE, min_range=0.3)
     model = BeamModel(OccupancyGrid.from_ros(room, 0.1), EVERYTHING, finder=finder)
     poses = rng.uniform([0.1, 0.1, -3.0], [3.1, 2.1, 3.0], (200, 3))  # some in walls, many near them
-    scans = model.sample(poses, rng)
+    scans = model.sample(poses, rng=rng)
     assert min(scan.ranges.min() for scan in scans) >= 0.3
     scan = Scan(np.where(np.arange(24) == 5, 0.2, scans[0].ranges), finder)
     expected = model.expected(poses)

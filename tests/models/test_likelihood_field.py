@@ -32,7 +32,7 @@ def finder(*bearings_deg, **limits):
 
 
 def model_of(grid, parameters=PARAMETERS, **options):
-    return LikelihoodFieldModel.from_grid(grid, parameters, **options)
+    return LikelihoodFieldModel(grid, parameters, **options)
 
 
 def value(dist, parameters=PARAMETERS, max_range=MAX_RANGE):
@@ -204,7 +204,7 @@ def test_where_a_field_ends_makes_no_difference(room, rng):
     """Past 8 sigma a hit is lost in z_rand: the continued field may stop there."""
     scan = random_scan(rng)
     poses = np.column_stack([rng.uniform(-12, 12, (500, 2)), rng.uniform(-3, 3, 500)])
-    wide = LikelihoodFieldModel(DistanceField.from_grid(room, margin=15.0), PARAMETERS)
+    wide = LikelihoodFieldModel.from_distances(DistanceField.from_grid(room, margin=15.0), PARAMETERS)
     np.testing.assert_allclose(model_of(room).log_likelihood(scan, poses), wide.log_likelihood(scan, poses), rtol=1e-7)
 
 

@@ -103,7 +103,7 @@ def reference(model, scan, poses):
 @pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_values_and_sums_are_those_of_double_precision(room, poses, scan, name, options):
-    model = LikelihoodFieldModel.from_grid(room, PARAMETERS[name], interpolation="bilinear", **options)
+    model = LikelihoodFieldModel(room, PARAMETERS[name], interpolation="bilinear", **options)
     values, _ = reference(model, scan, poses)
     np.testing.assert_allclose(model.beam_log_likelihood(scan, poses), values, rtol=1e-11, atol=2e-7)
     np.testing.assert_allclose(model.log_likelihood(scan, poses), values.sum(axis=1), rtol=1e-11, atol=41 * 2e-7)
@@ -112,7 +112,7 @@ def test_values_and_sums_are_those_of_double_precision(room, poses, scan, name, 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_values_are_within_the_stated_error_where_distances_are_those_of_the_field(room, poses, scan, name):
     """Off the field the distance given is not rounded to single precision; here none of it matters."""
-    model = LikelihoodFieldModel.from_grid(room, PARAMETERS[name], interpolation="bilinear")
+    model = LikelihoodFieldModel(room, PARAMETERS[name], interpolation="bilinear")
     values, _ = reference(model, scan, poses)
     np.testing.assert_allclose(model.beam_log_likelihood(scan, poses), values, rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(model.log_likelihood(scan, poses), values.sum(axis=1), rtol=1e-12, atol=41e-9)
@@ -122,7 +122,7 @@ def test_values_are_within_the_stated_error_where_distances_are_those_of_the_fie
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_the_gradient_is_that_of_double_precision(room, poses, scan, name, options):
     """But for hits that are less than 1e-11 of a beam's value, which are left out."""
-    model = LikelihoodFieldModel.from_grid(room, PARAMETERS[name], interpolation="bilinear", exponent=0.5, **options)
+    model = LikelihoodFieldModel(room, PARAMETERS[name], interpolation="bilinear", exponent=0.5, **options)
     _, slopes = reference(model, scan, poses)
     expected, size = 0.5 * slopes.sum(axis=1), 0.5 * np.abs(slopes).sum(axis=1)
     got = model.log_likelihood_gradient(scan, poses)
@@ -135,7 +135,7 @@ def test_the_gradient_is_that_of_double_precision(room, poses, scan, name, optio
 @pytest.mark.parametrize("unknown", ["free", "uniform"])
 def test_any_number_of_threads_gives_the_same_bits(room, poses, scan, name, unknown):
     def results(threads):
-        model = LikelihoodFieldModel.from_grid(room, PARAMETERS[name], interpolation="bilinear", unknown=unknown)
+        model = LikelihoodFieldModel(room, PARAMETERS[name], interpolation="bilinear", unknown=unknown)
         with forced_threads(threads):
             for method in (model.log_likelihood, model.beam_log_likelihood, model.log_likelihood_gradient):
                 yield method(scan, poses)
@@ -146,7 +146,7 @@ def test_any_number_of_threads_gives_the_same_bits(room, poses, scan, name, unkn
 
 @pytest.mark.parametrize("unknown", ["free", "uniform"])
 def test_memory_of_the_table_is_as_stated(room, scan, unknown):
-    model = LikelihoodFieldModel.from_grid(room, PARAMETERS["usual"], interpolation="bilinear", unknown=unknown)
+    model = LikelihoodFieldModel(room, PARAMETERS["usual"], interpolation="bilinear", unknown=unknown)
     model.log_likelihood(scan, np.zeros(3))
     table = model._tables.smooth
     assert table.distance.nbytes + table.uniform.nbytes == model.table_bytes

@@ -21,7 +21,7 @@ def model():
     """Two single cells of 5 cm: one on the second beam's axis 2 m ahead, one 0.2 m beside it 4 m ahead."""
     data = np.zeros((60, 130))
     data[30, 44] = data[34, 84] = 100
-    return LikelihoodFieldModel.from_grid(OccupancyGrid.from_ros(data, 0.05), PARAMETERS, interpolation="bilinear")
+    return LikelihoodFieldModel(OccupancyGrid.from_ros(data, 0.05), PARAMETERS, interpolation="bilinear")
 
 
 POSE = [0.025, 1.425, 0.0]
@@ -45,7 +45,7 @@ def test_it_peaks_where_the_axis_passes_an_obstacle_the_nearer_the_higher(model)
 
 
 def test_without_any_obstacle_there_is_no_hit_density():
-    empty = LikelihoodFieldModel.from_grid(OccupancyGrid.from_ros(np.zeros((5, 5)), 0.05), PARAMETERS)
+    empty = LikelihoodFieldModel(OccupancyGrid.from_ros(np.zeros((5, 5)), 0.05), PARAMETERS)
     ranges, hit, density = empty.profile(POSE, FINDER, beam=0, n=100)
     assert ranges.shape == (100,)
     assert (hit == 0.0).all()

@@ -41,15 +41,15 @@ def best_offset(model):
 
 @pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
 def test_the_books_constant_moves_poses_off_a_wall_before_the_unknown(interpolation):
-    model = LikelihoodFieldModel.from_grid(corridor(-1), PARAMETERS, unknown="uniform", interpolation=interpolation)
+    model = LikelihoodFieldModel(corridor(-1), PARAMETERS, unknown="uniform", interpolation=interpolation)
     assert best_offset(model) < -0.5 * PARAMETERS.sigma_hit
 
 
 @pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
 def test_continued_distances_leave_poses_where_they_are(interpolation):
-    model = LikelihoodFieldModel.from_grid(corridor(-1), PARAMETERS, interpolation=interpolation)
+    model = LikelihoodFieldModel(corridor(-1), PARAMETERS, interpolation=interpolation)
     assert abs(best_offset(model)) <= 0.5 * RESOLUTION
-    known = LikelihoodFieldModel.from_grid(corridor(0), PARAMETERS, interpolation=interpolation)
+    known = LikelihoodFieldModel(corridor(0), PARAMETERS, interpolation=interpolation)
     assert best_offset(model) == best_offset(known)
 
 
@@ -57,12 +57,10 @@ def test_the_same_holds_for_a_wall_on_the_edge_of_the_map():
     data = np.zeros((200, 102))
     data[:, 101] = 100
     grid = OccupancyGrid.from_ros(data, RESOLUTION)
-    continued = LikelihoodFieldModel.from_grid(grid, PARAMETERS)
+    continued = LikelihoodFieldModel(grid, PARAMETERS)
     assert abs(best_offset(continued)) <= 0.5 * RESOLUTION
-    assert best_offset(LikelihoodFieldModel.from_grid(grid, PARAMETERS, off_map="far")) < -0.5 * PARAMETERS.sigma_hit
-    assert (
-        best_offset(LikelihoodFieldModel.from_grid(grid, PARAMETERS, unknown="uniform")) < -0.5 * PARAMETERS.sigma_hit
-    )
+    assert best_offset(LikelihoodFieldModel(grid, PARAMETERS, off_map="far")) < -0.5 * PARAMETERS.sigma_hit
+    assert best_offset(LikelihoodFieldModel(grid, PARAMETERS, unknown="uniform")) < -0.5 * PARAMETERS.sigma_hit
 
 
 def scores_without_information(model):
@@ -74,15 +72,13 @@ def scores_without_information(model):
 def test_the_books_constant_draws_poses_into_the_unknown():
     """In both places nothing of the map is near the readings; the unknown one wins by log(1 / z_rand) a beam."""
     wide = LikelihoodFieldParameters(z_hit=0.7, z_rand=0.2, sigma_hit=0.05)
-    in_free, in_unknown = scores_without_information(
-        LikelihoodFieldModel.from_grid(corridor(-1), wide, unknown="uniform")
-    )
+    in_free, in_unknown = scores_without_information(LikelihoodFieldModel(corridor(-1), wide, unknown="uniform"))
     assert in_unknown - in_free == pytest.approx(3 * math.log(1 / 0.2), abs=1e-6)
 
 
 def test_continued_distances_draw_poses_nowhere():
     in_free, in_unknown = scores_without_information(
-        LikelihoodFieldModel.from_grid(corridor(-1), LikelihoodFieldParameters(z_hit=0.7, z_rand=0.2, sigma_hit=0.05))
+        LikelihoodFieldModel(corridor(-1), LikelihoodFieldParameters(z_hit=0.7, z_rand=0.2, sigma_hit=0.05))
     )
     assert in_unknown == in_free
 
@@ -97,7 +93,7 @@ def test_a_scan_of_the_right_wall_fits_no_better_through_it():
     scan = Scan(2.0 + noise, RangeFinder.from_bearings(np.zeros(50), MAX_RANGE))
     wall = 101.5 * RESOLUTION
     poses = [[wall - 2.0, 5.0, 0.0], [wall + 1.0, 5.0, 0.0]]
-    book = LikelihoodFieldModel.from_grid(corridor(-1), timid, unknown="uniform").log_likelihood(scan, poses)
-    ours = LikelihoodFieldModel.from_grid(corridor(-1), timid).log_likelihood(scan, poses)
+    book = LikelihoodFieldModel(corridor(-1), timid, unknown="uniform").log_likelihood(scan, poses)
+    ours = LikelihoodFieldModel(corridor(-1), timid).log_likelihood(scan, poses)
     assert book[1] > book[0]
     assert ours[0] > ours[1]

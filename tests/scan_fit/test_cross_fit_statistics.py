@@ -32,7 +32,7 @@ def on(grid: OccupancyGrid) -> BeamModel:
 def log() -> SensorLog:
     finder = RangeFinder.from_bearings(np.radians(np.arange(-180.0, 180.0, 10.0)), 8.0)
     poses = np.column_stack([np.linspace(1.0, 2.0, 12), np.full(12, 2.0), np.linspace(0.0, 1.0, 12)])
-    scans = on(room(60)).sample(poses, np.random.default_rng(3), finder)
+    scans = on(room(60)).sample(poses, finder, np.random.default_rng(3))
     ranges = np.stack([scan.ranges for scan in scans])
     return SensorLog(finder, np.arange(12.0), ranges, poses=poses, odometry=np.full((12, 3), np.nan))
 

@@ -52,9 +52,7 @@ def test_an_end_point_of_a_field_loses_what_its_distance_costs():
     """One beam at an obstacle, one 0.3 m before it, one 1.5 m: log of the density at 0 over that there, less 0.5."""
     corridor = OccupancyGrid.from_ros([[0] * 20 + [100]], 0.1)
     for exponent in (1.0, 0.25):
-        field = LikelihoodFieldModel.from_grid(
-            corridor, LikelihoodFieldParameters(0.7, 0.3, 0.2), exponent=exponent, n_beams=2
-        )
+        field = LikelihoodFieldModel(corridor, LikelihoodFieldParameters(0.7, 0.3, 0.2), exponent=exponent, n_beams=2)
         finder = RangeFinder.from_bearings(np.zeros(5), 8.0)
         ranges = np.array([[1.9, 1.6, 0.4, 8.0, np.nan]])
         beams = _field_surprise(field, ranges, np.array([[0.15, 0.05, 0.0]]), finder)
@@ -146,7 +144,7 @@ class TestPValue:
 
 class TestOtherModels:
     def test_likelihood_fields_are_judged_too(self, office, drive, fresh):
-        field = LikelihoodFieldModel.from_grid(office, LikelihoodFieldParameters(0.8, 0.1, 0.1))
+        field = LikelihoodFieldModel(office, LikelihoodFieldParameters(0.8, 0.1, 0.1))
         reference = calibrate_scan_fit(field, drive)
         fits = judge_log(field, fresh, reference)
         assert kstest(fits.p_value, "uniform").statistic < 0.12

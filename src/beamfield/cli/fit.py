@@ -133,7 +133,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
-    from beamfield.io.parameters.beam_model_file import read_beam_model
+    from beamfield.io.parameters.beam_model_file import read_saved_beam_model
     from beamfield.io.read_map import read_map
 
     progress("reading the map", 0, 1)
@@ -146,7 +146,7 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     good, more = (log, ()) if is_own else _sensor(arguments.good, arguments.good_poses, arguments)
     parameters, limit = None, good.finder.max_range
     if arguments.params is not None:
-        parameters, limit, _ = read_beam_model(arguments.params)
+        parameters, limit, _ = read_saved_beam_model(arguments.params)
     reference = None if arguments.reference is None else _read_reference(arguments.reference)
     log, note = _with_limit(log, limit)
     good, _ = _with_limit(good, limit)

@@ -173,7 +173,7 @@ def _measurement_and_model(
     of_field, learned = _field(arguments, scan)
     if not arguments.no_widening:
         of_field = widened_field_for_lattice(of_field, scan, **lattice)
-    return scan, LikelihoodFieldModel.from_grid(grid, of_field, **options | learned)
+    return scan, LikelihoodFieldModel(grid, of_field, **options | learned)
 
 
 def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
@@ -182,7 +182,7 @@ def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
 
     if arguments.parameters is None:
         return BeamParameters(**(SONAR_DEFAULTS if scan.finder.opening_angle > 0.0 else DEFAULTS))
-    return read_beam_model(arguments.parameters).parameters
+    return read_beam_model(arguments.parameters)
 
 
 def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, dict[str, Any]]:

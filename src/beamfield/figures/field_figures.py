@@ -34,7 +34,7 @@ def obstacles_figure(world: FigureWorld) -> Figure:
     framed_map(scene.grid, left, colours=("#FFFFFF", "#EDEFF1", "#A3ABB3"))
     _draw_beam(scene, left)
     style(left, title="(a) the situation", x="x [m]", y="y [m]", grid="none")
-    model = LikelihoodFieldModel.from_grid(scene.grid, scene.parameters)
+    model = LikelihoodFieldModel(scene.grid, scene.parameters)
     density = field_density(model, scene.finder.max_range)
     image = draw_array(density, scene.grid.resolution, scene.grid.origin, right, cmap="gray", vmin=0.0)
     right.contour(
@@ -54,7 +54,7 @@ def obstacles_figure(world: FigureWorld) -> Figure:
 def beam_profile_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.9: (a) p_hit along the beam of Figure 6.8, (b) with the two uniform parts of (6.34)."""
     scene = world.scene
-    model = LikelihoodFieldModel.from_grid(scene.grid, scene.parameters, interpolation="bilinear")
+    model = LikelihoodFieldModel(scene.grid, scene.parameters, interpolation="bilinear")
     profile = model.profile(scene.pose, scene.finder, scene.beam, n=600)
     figure = new_figure(10.5, 3.6)
     left, right, mass = figure.subplots(1, 3, width_ratios=(8.0, 8.0, 0.9))
@@ -74,7 +74,7 @@ def map_field_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.10: (a) an occupancy grid map, (b) its likelihood field; constant where nothing is known."""
     grid = world.grid
     sigma = max(0.15, 2.0 * grid.resolution)
-    model = LikelihoodFieldModel.from_grid(
+    model = LikelihoodFieldModel(
         grid, LikelihoodFieldParameters(z_hit=0.8, z_rand=0.15, sigma_hit=sigma), unknown="uniform"
     )
     max_range = world.log.finder.max_range

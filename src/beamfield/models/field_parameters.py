@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class LikelihoodFieldParameters:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for item in fields(self):
+        for item in fields(LikelihoodFieldParameters):
             value = float(getattr(self, item.name))
             if not np.isfinite(value):
                 raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
@@ -99,3 +99,30 @@ class LikelihoodFieldParameters:
                     f"or say drop=[{name!r}]"
                 )
         return cls(parameters.z_hit, parameters.z_rand, parameters.sigma_hit)
+
+
+@dataclass(frozen=True)
+class SavedLikelihoodField(LikelihoodFieldParameters):
+    """What a likelihood_field.yaml says: parameters, how much each beam counts, and the sensor they were learned of.
+
+    `LikelihoodFieldModel` takes exponent and n_beams from it where they are not given.
+
+    Parameters
+    ----------
+    z_hit, z_rand, sigma_hit
+        As for `LikelihoodFieldParameters`.
+    exponent, n_beams
+        How much each beam counts, and how many of a scan are used.
+    max_range, min_range
+        The limits of the sensor, metres.
+    """
+
+    exponent: float = field(kw_only=True)
+    n_beams: int = field(kw_only=True)
+    max_range: float = field(kw_only=True)
+    min_range: float = field(kw_only=True)
+
+    @property
+    def parameters(self) -> LikelihoodFieldParameters:
+        """The parameters alone."""
+        return LikelihoodFieldParameters(self.z_hit, self.z_rand, self.sigma_hit)

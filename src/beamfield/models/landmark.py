@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import checked
+from beamfield.arguments import as_generator, checked
 from beamfield.detections import Detections
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
@@ -131,7 +131,9 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         )
 
     @checked
-    def sample(self, poses: ArrayLike, rng: np.random.Generator, *, ids: ArrayLike | None = None) -> list[Detections]:
+    def sample(
+        self, poses: ArrayLike, rng: np.random.Generator | int | None = None, *, ids: ArrayLike | None = None
+    ) -> list[Detections]:
         """Draw one observation per pose, given the correspondences; the features carry their ids.
 
         What the sensor never measures (its sigma is None) is NaN.
@@ -141,7 +143,7 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         poses
             (..., 3) robot poses.
         rng
-            Source of randomness; the same state gives the same features.
+            Source of randomness, a seed, or None for other numbers each time.
         ids
             (k,) ids of the landmarks that are seen, any number of times; None sees every landmark once, however far.
 
@@ -154,6 +156,7 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         InvalidInputError
             If the poses are not finite (..., 3), or the map has no such id.
         """
+        rng = as_generator(rng)
         robot = as_poses(poses).reshape(-1, 3)
         seen = self.landmarks.ids if ids is None else np.asarray(ids, dtype=np.int64)
         which = self.landmarks.indices_of(seen)

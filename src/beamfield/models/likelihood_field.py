@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -18,7 +18,7 @@ from beamfield.kernels import smooth_field
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
 from beamfield.models.field_tables import FieldTables, Table
 from beamfield.sensors import RangeFinder, Scan
 
@@ -59,17 +59,27 @@ class LikelihoodFieldModel:
 
     Parameters
     ----------
-    distances
-        Distances to obstacles; `from_grid` works them out.
+    grid
+        The map.
     parameters
-        z_hit, z_rand and sigma_hit.
+        z_hit, z_rand and sigma_hit; or what `read_likelihood_field` returns, which brings exponent and n_beams too.
+    max_distance
+        Distances are cut off here, metres, at least one cell; None leaves them. Nearly nothing changes from
+        8 sigma_hit on.
+    only_boundaries
+        Count only the boundary of thick walls as obstacles; see `distance_to_obstacles`.
+    off_map
+        "continued": past the map's edges the distance is measured on, as far as a hit reaches, so that a wall on the
+        edge has two sides. "far": everything off the map has the distance max_distance (as in AMCL).
+    distances
+        Distances to obstacles; worked out from the map unless `from_distances` brings them.
     unknown
         What an end point in an unknown cell, or off the map, is worth.
 
         - "free": what its distance to the nearest obstacle says, as in free space. Nothing happens at the edge of the
           known: a wall looks the same from both of its sides, and unknown space is worth as much as free space equally
           far from obstacles. Neither attracts a pose. Off the map the same holds as far as the field goes
-          (`from_grid` lets it go as far as a hit reaches); beyond, the distance is the field's max_distance.
+          (as `off_map` says); beyond, the distance is the field's max_distance.
         - "uniform": 1 / z_max in unknown cells and everywhere off the map (6.4.2). **This is biased.** 1 / z_max is
           more than the z_rand / z_max of free space, so poses gain log(1 / z_rand) for each beam they can point into
           the unknown instead of into free space; and next to a wall with the unknown behind it, it cuts off one side
@@ -78,15 +88,17 @@ class LikelihoodFieldModel:
         "nearest" takes the distance of the cell that holds the end point. "bilinear" interpolates it between the
         centres of cells: slower, continuous, with a gradient.
     exponent
-        Power of each beam's value (the alpha of 6.3.4), because neighbouring beams are dependent.
+        Power of each beam's value (the alpha of 6.3.4), because neighbouring beams are dependent; None: 1, or what
+        the parameters bring.
     n_beams
         Use only so many beams of each scan: about equally spaced among those that have an end point, so that NaN, too
-        close and max-range readings do not use up the number. None uses all.
+        close and max-range readings do not use up the number. None: all, or what the parameters bring.
 
     Raises
     ------
     InvalidInputError
-        If the exponent is not positive and finite, n_beams < 1, or an option has no such value.
+        If the exponent is not positive and finite, n_beams < 1, an option has no such value, or max_distance is not
+        finite or shorter than a cell, so that all places off the obstacles would be alike.
 
     Notes
     -----
@@ -116,7 +128,7 @@ class LikelihoodFieldModel:
     >>> room[[0, -1]] = 100
     >>> room[:, [0, -1]] = 100
     >>> grid = OccupancyGrid.from_ros(room, resolution=0.1)
-    >>> model = LikelihoodFieldModel.from_grid(grid, LikelihoodFieldParameters(z_hit=0.8, z_rand=0.1, sigma_hit=0.1))
+    >>> model = LikelihoodFieldModel(grid, LikelihoodFieldParameters(z_hit=0.8, z_rand=0.1, sigma_hit=0.1))
     >>> finder = RangeFinder.from_bearings([0.0, np.pi / 2], max_range=8.0)
     >>> scan = Scan([1.98, 0.98], finder)
     >>> model.log_likelihood(scan, [[1.95, 2.95, 0.0], [2.95, 1.95, 0.0]]).round(2).tolist()
@@ -125,16 +137,23 @@ class LikelihoodFieldModel:
 
     is_normalized: ClassVar[bool] = False
 
-    distances: DistanceField
+    grid: OccupancyGrid
     parameters: LikelihoodFieldParameters
+    max_distance: InitVar[float | None] = field(default=None, kw_only=True)
+    only_boundaries: InitVar[bool] = field(default=False, kw_only=True)
+    off_map: InitVar[Literal["continued", "far"]] = field(default="continued", kw_only=True)
+    distances: DistanceField = field(default=None, kw_only=True)  # type: ignore[assignment]  # always there once constructed
     unknown: Literal["free", "uniform"] = field(default="free", kw_only=True)
     interpolation: Literal["nearest", "bilinear"] = field(default="nearest", kw_only=True)
-    exponent: float = field(default=1.0, kw_only=True)
+    exponent: float = field(default=None, kw_only=True)  # type: ignore[assignment]  # the same
     n_beams: int | None = field(default=None, kw_only=True)
     _tables: FieldTables = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
+    def __post_init__(
+        self, max_distance: float | None, only_boundaries: bool, off_map: Literal["continued", "far"]
+    ) -> None:
         check_fields(self)
+        self._complete()
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
         if self.n_beams is not None and self.n_beams < 1:
@@ -142,62 +161,44 @@ class LikelihoodFieldModel:
         for name, known in (("unknown", ("free", "uniform")), ("interpolation", ("nearest", "bilinear"))):
             if getattr(self, name) not in known:
                 raise InvalidInputError(f"{name}: expected {known[0]!r} or {known[1]!r}, got {getattr(self, name)!r}")
+        if self.distances is None:
+            object.__setattr__(
+                self, "distances", _distances_for(self.grid, self.parameters, max_distance, only_boundaries, off_map)
+            )
+        elif self.distances.grid is not self.grid:
+            raise InvalidInputError("distances: expected those of the model's map, got those of another")
         rows, cols = self.distances.distance.shape
         if (rows + 2) * (cols + 2) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"distances: expected fewer than 2^32 cells, got {rows} x {cols}")
         self._make_tables()
 
+    def _complete(self) -> None:
+        """Take exponent and n_beams of what a file says, where they are not given."""
+        learned: dict[str, Any] = {"exponent": 1.0}
+        if isinstance(self.parameters, SavedLikelihoodField):
+            learned = {"exponent": self.parameters.exponent, "n_beams": self.parameters.n_beams}
+            object.__setattr__(self, "parameters", self.parameters.parameters)
+        for name, value in learned.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+
     @classmethod
     @checked
-    def from_grid(
-        cls,
-        grid: OccupancyGrid,
-        parameters: LikelihoodFieldParameters,
-        *,
-        max_distance: float | None = None,
-        only_boundaries: bool = False,
-        off_map: Literal["continued", "far"] = "continued",
-        **options: Any,
+    def from_distances(
+        cls, distances: DistanceField, parameters: LikelihoodFieldParameters, **options: Any
     ) -> LikelihoodFieldModel:
-        """Build the model of a map.
+        """Build the model from distances that are known already.
 
         Parameters
         ----------
-        grid, parameters
-            The map and the intrinsic parameters.
-        max_distance
-            Distances are cut off here, metres, at least one cell; None leaves them. Nearly nothing changes from
-            8 sigma_hit on.
-        only_boundaries
-            Count only the boundary of thick walls as obstacles; see `distance_to_obstacles`.
-        off_map
-            "continued": past the map's edges the distance is measured on, as far as a hit reaches, so that a wall on
-            the edge has two sides. "far": everything off the map has the distance max_distance (as in AMCL).
+        distances
+            Of the map, and perhaps past its edges.
+        parameters
+            As for the class.
         **options
             unknown, interpolation, exponent and n_beams of the class.
-
-        Raises
-        ------
-        InvalidInputError
-            If max_distance is not finite or shorter than a cell, so that all places off the obstacles would be alike,
-            or an option is none of those named here.
         """
-        if max_distance is not None and 0.0 < max_distance < grid.resolution:
-            raise InvalidInputError(
-                f"max_distance: expected at least one cell, {grid.resolution:g} m, or None, got {max_distance}"
-            )
-        if off_map not in ("continued", "far"):
-            raise InvalidInputError(f"off_map: expected 'continued' or 'far', got {off_map!r}")
-        margin = 0.0
-        if off_map == "continued":
-            margin = parameters.sigma_hit * (HIT_SIGMAS if parameters.z_rand > 0.0 else HIT_SIGMAS_WITHOUT_RAND)
-            if max_distance is not None and 0.0 < max_distance < margin:
-                margin = max_distance
-            margin += grid.resolution  # the interpolation's neighbour
-        distances = DistanceField.from_grid(
-            grid, max_distance=max_distance, only_boundaries=only_boundaries, margin=margin
-        )
-        return cls(distances, parameters, **options)
+        return cls(distances.grid, parameters, distances=distances, **options)
 
     @property
     def table_bytes(self) -> int:
@@ -459,3 +460,27 @@ def _add_up(fill: Fill, n_ends: int, flat: FloatArray, out: FloatArray) -> None:
         part = flat[start : start + POSES_TOGETHER]
         fill(part, each[: len(part)])
         each[: len(part)].sum(axis=1, out=out[start : start + len(part)])
+
+
+@checked
+def _distances_for(
+    grid: OccupancyGrid,
+    parameters: LikelihoodFieldParameters,
+    max_distance: float | None,
+    only_boundaries: bool,
+    off_map: str,
+) -> DistanceField:
+    """Return the distances over a map and, if continued, as far past its edges as a hit reaches."""
+    if max_distance is not None and 0.0 < max_distance < grid.resolution:
+        raise InvalidInputError(
+            f"max_distance: expected at least one cell, {grid.resolution:g} m, or None, got {max_distance}"
+        )
+    if off_map not in ("continued", "far"):
+        raise InvalidInputError(f"off_map: expected 'continued' or 'far', got {off_map!r}")
+    margin = 0.0
+    if off_map == "continued":
+        margin = parameters.sigma_hit * (HIT_SIGMAS if parameters.z_rand > 0.0 else HIT_SIGMAS_WITHOUT_RAND)
+        if max_distance is not None and 0.0 < max_distance < margin:
+            margin = max_distance
+        margin += grid.resolution  # the interpolation's neighbour
+    return DistanceField.from_grid(grid, max_distance=max_distance, only_boundaries=only_boundaries, margin=margin)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from beamfield.arguments import LARGEST, check_fields, checked
+from beamfield.arguments import LARGEST, as_generator, check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.kernels import line as kernels
@@ -172,7 +172,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
     def sample(
         self,
         poses: ArrayLike,
-        rng: np.random.Generator,
+        rng: np.random.Generator | int | None = None,
         *,
         ids: ArrayLike | None = None,
         covariances: ArrayLike | None = None,
@@ -184,7 +184,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         poses
             (..., 3) robot poses.
         rng
-            Source of randomness; the same state gives the same lines.
+            Source of randomness, a seed, or None for other numbers each time.
         ids
             (k,) ids of the mapped lines that are seen, any number of times; None sees every one once, however far.
         covariances
@@ -199,6 +199,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         InvalidInputError
             If the poses are not finite (..., 3), the map has no such id, or there is no noise.
         """
+        rng = as_generator(rng)
         robot = as_poses(poses).reshape(-1, 3)
         seen = self.lines.ids if ids is None else np.asarray(ids, dtype=np.int64)
         noise_free = self.expected(robot)[:, self.lines.indices_of(seen)]

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import SMALLEST, check_fields, check_magnitude, checked
+from beamfield.arguments import SMALLEST, as_generator, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
@@ -265,7 +265,7 @@ class MarkerModel:
         return self.camera.image_of(self.markers.poses, as_poses(poses)[..., None, :])
 
     @checked
-    def sample(self, poses: ArrayLike, rng: np.random.Generator) -> list[MarkerDetections]:
+    def sample(self, poses: ArrayLike, rng: np.random.Generator | int | None = None) -> list[MarkerDetections]:
         """Draw the detections of one image at each pose.
 
         Parameters
@@ -273,7 +273,7 @@ class MarkerModel:
         poses
             (n, 3) robot poses, metres and radians.
         rng
-            Source of randomness.
+            Source of randomness, a seed, or None for other numbers each time.
 
         Returns
         -------
@@ -286,7 +286,7 @@ class MarkerModel:
             If the poses are not finite (..., 3).
         """
         expected = self.expected(as_poses(poses).reshape(-1, 3))
-        noisy = self._add_noise(expected, rng)
+        noisy = self._add_noise(expected, as_generator(rng))
         in_view = self.camera.sees(expected)
         return [
             MarkerDetections(tuple(self.markers.ids[j] for j in np.flatnonzero(seen).tolist()), image[seen])

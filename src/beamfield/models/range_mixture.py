@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import as_generator, check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
@@ -220,17 +220,19 @@ class RangeMixtureModel(ABC):
         return self._source.expected_ranges(as_poses(poses), self._finder(finder))
 
     @checked
-    def sample(self, poses: ArrayLike, rng: np.random.Generator, finder: RangeFinder | None = None) -> list[Scan]:
+    def sample(
+        self, poses: ArrayLike, finder: RangeFinder | None = None, rng: np.random.Generator | int | None = None
+    ) -> list[Scan]:
         """Draw one scan at each pose.
 
         Parameters
         ----------
         poses
             (n, 3) robot poses, metres and radians.
-        rng
-            Source of randomness.
         finder
             The sensor; by default the model's own.
+        rng
+            Source of randomness, a seed, or None for other numbers each time.
 
         Returns
         -------
@@ -244,7 +246,9 @@ class RangeMixtureModel(ABC):
         """
         sensor = self._finder(finder)
         expected = self.expected(as_poses(poses).reshape(-1, 3), sensor)
-        ranges = sample_beams(expected, sensor.max_range, self.parameters, rng, min_range=sensor.min_range)
+        ranges = sample_beams(
+            expected, sensor.max_range, self.parameters, as_generator(rng), min_range=sensor.min_range
+        )
         return [Scan(row, sensor) for row in ranges]
 
     def _finder(self, finder: RangeFinder | None) -> RangeFinder:

@@ -169,7 +169,7 @@ def scan_fit(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitRef
     >>> room[[0, -1]] = room[:, [0, -1]] = 100
     >>> model = BeamModel(OccupancyGrid.from_ros(room, 0.1), BeamParameters(0.8, 0.1, 0.05, 0.05, 0.1, 0.5))
     >>> finder = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 60), max_range=8.0)
-    >>> scan = model.sample([[2.0, 1.0, 0.3]], np.random.default_rng(1), finder)[0]
+    >>> scan = model.sample([[2.0, 1.0, 0.3]], finder, np.random.default_rng(1))[0]
     >>> right, wrong = (scan_fit(model, scan, pose) for pose in ([2.0, 1.0, 0.3], [3.0, 2.5, 2.0]))
     >>> wrong.misfit > 2.0 * right.misfit
     True

@@ -277,7 +277,7 @@ class _Judge:
         return score_exponents(values, np.array([exponent]), self.rivals, self.options)[0]
 
     def _model(self, parameters: LikelihoodFieldParameters) -> LikelihoodFieldModel:
-        return LikelihoodFieldModel.from_grid(self.grid, parameters, n_beams=self.n_beams)
+        return LikelihoodFieldModel(self.grid, parameters, n_beams=self.n_beams)
 
 
 def _score(

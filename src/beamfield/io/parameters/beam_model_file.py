@@ -78,8 +78,24 @@ def _rounded(parameters: BeamParameters) -> dict[str, float]:
     return rounded
 
 
-def read_beam_model(path: str | Path) -> SavedBeamModel:
-    """Read a beam_model.yaml.
+def read_beam_model(path: str | Path) -> BeamParameters:
+    """Read the parameters of a beam_model.yaml, as `BeamModel` and `SonarModel` take them.
+
+    Parameters
+    ----------
+    path
+        The file; what else it says: `read_saved_beam_model`.
+
+    Raises
+    ------
+    FormatError
+        If a parameter is missing, no number, or outside its range, or a limit of the sensor is; names the line.
+    """
+    return read_saved_beam_model(path).parameters
+
+
+def read_saved_beam_model(path: str | Path) -> SavedBeamModel:
+    """Read a beam_model.yaml with the limits of its sensor.
 
     Parameters
     ----------

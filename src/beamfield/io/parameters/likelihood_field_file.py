@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
 from beamfield.io.parameters.document import document_text, named_numbers, sensor_section, six_digits
-from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -22,26 +21,6 @@ HEADER = """\
 """
 PARAMETERS = ("z_hit", "z_rand", "sigma_hit")
 NUMBERS = (*PARAMETERS, "exponent", "n_beams")
-
-
-class SavedLikelihoodField(NamedTuple):
-    """What a likelihood_field.yaml says; `LikelihoodFieldModel` takes the first three under these names.
-
-    Parameters
-    ----------
-    parameters
-        z_hit, z_rand and sigma_hit.
-    exponent, n_beams
-        How much each beam counts, and how many of a scan are used.
-    max_range, min_range
-        The limits of the sensor that they belong to, metres.
-    """
-
-    parameters: LikelihoodFieldParameters
-    exponent: float
-    n_beams: int
-    max_range: float
-    min_range: float
 
 
 def likelihood_field_text(
@@ -64,7 +43,7 @@ def likelihood_field_text(
     intervals, provenance
         As for `beamfield.io.parameters.document.document_text`.
     """
-    rounded = {name: six_digits(value) for name, value in asdict(parameters).items()}
+    rounded = {name: six_digits(getattr(parameters, name)) for name in PARAMETERS}
     if rounded["z_hit"] + rounded["z_rand"] > 1.0:
         rounded["z_rand"] = round(1.0 - rounded["z_hit"], 12)
     document = {
@@ -91,7 +70,7 @@ def is_likelihood_field(path: str | Path) -> bool:
 
 
 def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
-    """Read a likelihood_field.yaml.
+    """Read a likelihood_field.yaml, as `LikelihoodFieldModel` takes it: exponent and n_beams included.
 
     Parameters
     ----------
@@ -114,8 +93,10 @@ def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
         raise file.error(f"expected a number in (0, 1], got {exponent}", "likelihood_field", "exponent")
     if n_beams < 1 or n_beams != int(n_beams):
         raise file.error(f"expected a whole number >= 1, got {n_beams:g}", "likelihood_field", "n_beams")
+    weights = (values[name] for name in PARAMETERS)
     try:
-        parameters = LikelihoodFieldParameters(*(values[name] for name in PARAMETERS))
+        return SavedLikelihoodField(
+            *weights, exponent=exponent, n_beams=int(n_beams), max_range=max_range, min_range=min_range
+        )
     except InvalidInputError as error:
         raise file.error(str(error), "likelihood_field") from error
-    return SavedLikelihoodField(parameters, exponent, int(n_beams), max_range, min_range)

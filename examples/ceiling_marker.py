@@ -12,10 +12,9 @@ import sys
 
 import numpy as np
 
+import beamfield as bf
 from beamfield.io.bags.fiducial_detections import read_camera, read_camera_images, read_fiducials
-from beamfield.maps.markers import MarkerMap
-from beamfield.models.ceiling_camera import CeilingCamera
-from beamfield.models.marker import MarkerDetections, MarkerModel, image_of_corners
+from beamfield.models.marker import image_of_corners
 
 N_POSES = 20_000
 
@@ -32,8 +31,8 @@ def simulate() -> None:
     """Answer the three questions, then draw the poses that one marker allows, and those that all of them do."""
     rng = np.random.default_rng(0)
     # 640 x 480 pixels, 0.2 m before the robot's centre, the image's upper edge to the front, ceiling 2.4 m above.
-    camera = CeilingCamera(600.0, 2.4, (0.2, 0.0, np.pi / 2), (320.0, 240.0), (640.0, 480.0))
-    markers = MarkerMap([1, 2, 3], [[1.2, 2.0, 0.0], [2.3, 1.4, np.pi / 2], [1.9, 2.6, np.pi]])
+    camera = bf.CeilingCamera(600.0, 2.4, (0.2, 0.0, np.pi / 2), (320.0, 240.0), (640.0, 480.0))
+    markers = bf.MarkerMap([1, 2, 3], [[1.2, 2.0, 0.0], [2.3, 1.4, np.pi / 2], [1.9, 2.6, np.pi]])
     robot = np.array([1.5, 1.9, 0.4])
 
     image = camera.image_of(markers.poses[0], robot)
@@ -41,10 +40,10 @@ def simulate() -> None:
     show("(a) that image puts the marker at", camera.marker_poses(image, robot))
     show("(c) and the robot, given the marker, at", camera.robot_poses(image, markers.poses[0]))
 
-    model = MarkerModel(markers, camera, sigma_pixel=3.0, sigma_angle=0.03)
+    model = bf.MarkerModel(markers, camera, sigma_pixel=3.0, sigma_angle=0.03)
     seen = model.sample(robot[None], rng)[0]
     print(f"with noise, the image shows the markers {', '.join(map(str, seen.ids))}")
-    one = MarkerDetections(seen.ids[:1], seen.image[:1])
+    one = bf.MarkerDetections(seen.ids[:1], seen.image[:1])
     for label, z in ((f"by marker {one.ids[0]} alone", one), ("by all of them", seen)):
         poses = model.sample_poses(z, N_POSES, rng)
         show(label, poses.mean(axis=0), poses.std(axis=0))

@@ -7,12 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from beamfield.features.lines import find_lines
-from beamfield.features.sweep import RangeNoise
-from beamfield.maps.lines import LineMap
-from beamfield.models.line import LineModel, LineParameters
-from beamfield.models.line_detections import LineDetections
-from beamfield.sensors import RangeFinder, Scan
+import beamfield as bf
 
 SIGMA = 0.02
 N_PARTICLES = 50_000
@@ -21,19 +16,21 @@ N_PARTICLES = 50_000
 def main() -> None:
     """Take a scan of a room, and find the pose from its walls alone."""
     rng = np.random.default_rng(0)
-    walls = LineMap.from_segments([[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [4, 4, 4, 5], [4, 5, 0, 5], [0, 5, 0, 0]])
-    finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 360, endpoint=False), 12.0)
+    walls = bf.LineMap.from_segments(
+        [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [4, 4, 4, 5], [4, 5, 0, 5], [0, 5, 0, 0]]
+    )
+    finder = bf.RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 360, endpoint=False), 12.0)
     truth = np.array([1.7, 1.4, 0.6])
     ranges = distances(walls, truth, finder) + rng.normal(0.0, SIGMA, finder.n_beams)
 
-    lines = find_lines(Scan(ranges, finder), RangeNoise(SIGMA))
+    lines = bf.find_lines(bf.Scan(ranges, finder), bf.RangeNoise(SIGMA))
     for line in lines:
         print(f"wall at rho {line.rho:.3f} m, alpha {line.alpha:+.3f} rad, {line.length:.2f} m of it seen")
-    seen = LineDetections.from_lines(lines)
+    seen = bf.LineDetections.from_lines(lines)
 
     # Nothing is known of the pose. A little noise for errors of the map, and lines that are none of it.
-    noise = LineParameters(sigma_rho=0.01, sigma_alpha=0.005, spurious_rate=0.05, max_range=12.0)
-    model = LineModel(walls, noise, correspondence="nearest", min_overlap=0.5)
+    noise = bf.LineParameters(sigma_rho=0.01, sigma_alpha=0.005, spurious_rate=0.05, max_range=12.0)
+    model = bf.LineModel(walls, noise, correspondence="nearest", min_overlap=0.5)
     poses = rng.uniform([0, 0, -np.pi], [6, 5, np.pi], (N_PARTICLES, 3))
     for spread in (0.3, 0.1, 0.03):
         best = poses[np.argsort(-model.log_likelihood(seen, poses))[:500]]
@@ -46,7 +43,7 @@ def main() -> None:
     print(f"the walls are those with id {', '.join(map(str, model.correspondences(seen, [x, y, theta])))}")
 
 
-def distances(walls: LineMap, pose: np.ndarray, finder: RangeFinder) -> np.ndarray:
+def distances(walls: bf.LineMap, pose: np.ndarray, finder: bf.RangeFinder) -> np.ndarray:
     """Return where each beam meets the first wall, metres."""
     angles = pose[2] + finder.bearings
     beams = np.column_stack([np.cos(angles), np.sin(angles)])[:, None]

@@ -9,11 +9,7 @@ import time
 
 import numpy as np
 
-from beamfield.models.beam import BeamModel
-from beamfield.models.beam_parameters import BeamParameters
-from beamfield.sensors import RangeFinder
-from beamfield.simulation.floor_plan import draw_floor_plan
-from beamfield.simulation.log import simulate_log
+import beamfield as bf
 
 N_PARTICLES = 20_000
 
@@ -21,13 +17,13 @@ N_PARTICLES = 20_000
 def main() -> None:
     """Simulate a drive, score particles around one of its poses, and compare estimate and truth."""
     rng = np.random.default_rng(0)
-    grid = draw_floor_plan(seed=1)
-    laser = RangeFinder.from_bearings(np.radians(np.arange(-90.0, 90.0)), max_range=12.0, mount=(0.25, 0.0, 0.0))
-    truth = BeamParameters(z_hit=0.82, z_short=0.09, z_max=0.03, z_rand=0.06, sigma_hit=0.04, lambda_short=0.5)
-    log = simulate_log(grid, laser, truth, duration=20.0, scan_rate=2.0, seed=3).only_sensor()
+    grid = bf.draw_floor_plan(seed=1)
+    laser = bf.RangeFinder.from_bearings(np.radians(np.arange(-90.0, 90.0)), max_range=12.0, mount=(0.25, 0.0, 0.0))
+    truth = bf.BeamParameters(z_hit=0.82, z_short=0.09, z_max=0.03, z_rand=0.06, sigma_hit=0.04, lambda_short=0.5)
+    log = bf.simulate_log(grid, laser, truth, duration=20.0, scan_rate=2.0, seed=3).only_sensor()
 
     # Neighbouring beams of real scans depend on each other: few beams and an exponent keep a filter modest.
-    model = BeamModel(grid, truth, n_beams=30, exponent=0.2)
+    model = bf.BeamModel(grid, truth, n_beams=30, exponent=0.2)
     index = 25
     particles = log.poses[index] + rng.normal(0.0, [0.25, 0.25, 0.05], (N_PARTICLES, 3))
     model.log_likelihood(log.scan(index), particles[:10])  # compiles the kernels

@@ -7,24 +7,27 @@ not in it must run as it stands.
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import beamfield as bf
 from beamfield.cli.main import build_parser
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.io.landmarks.landmark_files import write_landmarks
 from beamfield.io.landmarks.line_files import write_line_map
 from beamfield.io.landmarks.sightings import write_sightings
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
 from beamfield.maps.occupancy import OccupancyGrid
@@ -43,6 +46,21 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(?: {4}|\$ )?(beamfield [a-z].*?)(?:\s+#.*)?$", re.MULTILINE)
 
+# What docs and examples may import besides `import beamfield as bf`, because few programs need it.
+DEEP = {
+    "beamfield.calibration.pose_windows",
+    "beamfield.features.feature",
+    "beamfield.io.bags.fiducial_detections",
+    "beamfield.io.parameters.likelihood_field_file",
+    "beamfield.localization.feature_map",
+    "beamfield.localization.feature_posteriors",
+    "beamfield.localization.information",
+    "beamfield.localization.pose_posterior",
+    "beamfield.maps.end_points",
+    "beamfield.models.marker",
+    "beamfield.simulation.sonar",
+    "beamfield.simulation.sonar_log",
+}
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
 
@@ -76,7 +94,7 @@ class World:
         return self.log.poses[10] + self.rng.normal(0.0, 0.05, (50, 3))
 
     def write_map(self) -> None:
-        save_map(self.grid, "map.yaml")
+        write_map(self.grid, "map.yaml")
 
     def write_log(self) -> None:
         bag = MiniBag("ros1").tf("base_link", "laser", 0.0, static=True)
@@ -220,12 +238,48 @@ WITH_PYTHON = [path for path in DOCUMENTS if blocks_of(path)]
 COMMANDS = sorted({command for path in DOCUMENTS for command in commands_of(path)})
 
 
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+@pytest.mark.parametrize("path", [*WITH_PYTHON, *EXAMPLES], ids=lambda path: path.name)
+def test_documents_and_examples_come_in_by_the_front_door(path: Path):
+    whole = path.read_text(encoding="utf-8")
+    text = "\n".join(block.text for block in blocks_of(path)) if path.suffix == ".md" else whole
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            names = [(alias.name, alias.asname) for alias in node.names if alias.name.startswith("beamfield")]
+            assert names in ([], [("beamfield", "bf")])
+        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("beamfield"):
+            assert node.module in DEEP or str(node.module).startswith("beamfield.stacks."), node.module
+            assert [alias.name for alias in node.names if alias.name in bf.__all__] == []
+    # Names in prose and tables, too.
+    assert [name for name in re.findall(r"\bbf\.(\w+)", whole) if name not in bf.__all__] == []
+
+
 @pytest.mark.parametrize("path", WITH_PYTHON, ids=lambda path: path.stem)
 def test_the_python_of_a_document_runs(path: Path, world: World, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = STAND_INS[path.stem](world) if path.stem in STAND_INS else {}
     for block in blocks_of(path):
         block.run(names)
+
+
+def test_the_filter_in_a_ros_node_weighs_its_particles(world: World):
+    names: dict[str, Any] = {"bf": bf, "np": np}
+    path = ROOT / "docs" / "likelihood_field.md"
+    next(block for block in blocks_of(path) if "class Filter" in block.text).run(names)
+    node, scan = names["Filter"](), world.scan
+    first, step = float(world.finder.bearings[0]), float(np.diff(world.finder.bearings)[0])
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0), frame_id="laser")
+    info = SimpleNamespace(width=60, height=40, resolution=0.1, origin=SimpleNamespace(
+        position=SimpleNamespace(x=0.0, y=0.0), orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)))  # fmt: skip
+    node.on_map(SimpleNamespace(info=info, data=(100 * world.grid.probability).astype(np.int8).ravel()))
+    # The node's laser is 0.2 m before the robot's centre.
+    right = bf.geometry.compose(world.log.poses[10], [-0.2, 0.0, 0.0])
+    node.particles = np.array([right, right + [1.0, 0.3, 1.0]])
+    node.on_scan(SimpleNamespace(header=header, angle_min=first, angle_increment=step, range_min=0.0, range_max=8.0,
+                                 ranges=scan.ranges))  # fmt: skip
+    assert node.weights[0] > 0.99
 
 
 @pytest.mark.parametrize("name", STAND_INS)

@@ -1,3 +1,91 @@
-"""Measurement models of probabilistic robotics: p(z | x, m) in a map, calibrated and fast."""
+"""Measurement models of probabilistic robotics: p(z | x, m) in a map, calibrated and fast.
+
+``import beamfield as bf`` offers what most programs need; a name is loaded when it is first used (PEP 562), so that the
+import itself costs next to nothing. Type checkers and editors read ``__init__.pyi``, and a test compares the two.
+"""
+
+from importlib import import_module
 
 __version__ = "0.1.0"
+
+_NAMES = {
+    # Files and messages
+    "io.read_map": ("read_map",),
+    "io.read_log": ("read_log",),
+    "io.trajectory": ("read_trajectory", "attach_poses"),
+    "io.read_sightings_log": ("read_sightings_log",),
+    "io.maps.ros_map": ("write_map",),
+    "io.landmarks.landmark_files": ("read_landmarks",),
+    "io.landmarks.line_files": ("read_line_map",),
+    "io.parameters.beam_model_file": ("read_beam_model",),
+    "io.parameters.likelihood_field_file": ("read_likelihood_field",),
+    "io.parameters.landmark_model_file": ("read_landmark_model",),
+    "io.bags.laser_scan": ("scan_from_message",),
+    "io.bags.map_topic": ("grid_from_message",),
+    # Sensors, measurements and maps
+    "sensors": ("RangeFinder", "Scan", "SensorLog", "ScanLog"),
+    "detections": ("Detections",),
+    "maps.occupancy": ("OccupancyGrid",),
+    "maps.landmarks": ("LandmarkMap",),
+    "maps.lines": ("LineMap",),
+    "maps.markers": ("MarkerMap",),
+    "maps.raycast": ("RayCaster",),
+    "maps.cone": ("ConeCaster",),
+    "maps.scan_field": ("ScanField",),
+    "maps.mapping": ("build_map", "local_map"),
+    # Models
+    "models.beam": ("BeamModel",),
+    "models.beam_parameters": ("BeamParameters",),
+    "models.likelihood_field": ("LikelihoodFieldModel",),
+    "models.field_parameters": ("LikelihoodFieldParameters",),
+    "models.map_matching": ("MapMatchingModel",),
+    "models.sonar": ("SonarModel",),
+    "models.landmark": ("LandmarkModel",),
+    "models.landmark_parameters": ("LandmarkParameters",),
+    "models.landmark_poses": ("sample_poses",),
+    "models.line": ("LineModel", "LineParameters"),
+    "models.line_detections": ("LineDetections",),
+    "models.marker": ("MarkerModel", "MarkerDetections"),
+    "models.ceiling_camera": ("CeilingCamera",),
+    # Learning and judging
+    "calibration.calibrate": ("calibrate",),
+    "calibration.options": ("CalibrationOptions",),
+    "calibration.intrinsic.em": ("learn_intrinsic_parameters",),
+    "calibration.field.learning": ("learn_field_parameters",),
+    "landmark_noise.learning": ("learn_landmark_parameters",),
+    "scan_fit.reference": ("calibrate_scan_fit",),
+    "scan_fit.scan_fit": ("judge_scan", "judge_log"),
+    # Where the robot is
+    "localization.likelihood_map": ("likelihood_map",),
+    "localization.alignment": ("align",),
+    "localization.global_search": ("GlobalSearch", "SearchWindow"),
+    "features.lines": ("find_lines",),
+    "features.corners": ("find_corners",),
+    "features.poles": ("find_poles",),
+    "features.minima": ("find_local_minima",),
+    "features.sweep": ("RangeNoise",),
+    # Simulation
+    "simulation.log": ("simulate_log",),
+    "simulation.floor_plan": ("draw_floor_plan",),
+}
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+_MODULES = (
+    "calibration", "errors", "features", "figures", "geometry", "io", "landmark_noise", "localization", "maps",
+    "models", "plot", "report", "scan_fit", "simulation", "stacks",
+)  # fmt: skip
+
+__all__ = ["__version__", *_HOMES, *_MODULES]
+
+
+def __getattr__(name: str) -> object:
+    if name in _MODULES:
+        return import_module(f"{__name__}.{name}")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -16,7 +16,7 @@ from beamfield.cli.inspect_picture import log_picture
 from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
 from beamfield.cli.main import main
 from beamfield.io.logs.carmen_writer import write_carmen
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.io.trajectory import write_tum
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track
@@ -53,7 +53,7 @@ def make_grid() -> OccupancyGrid:
 
 @pytest.fixture
 def map_path(tmp_path) -> Path:
-    save_map(make_grid(), tmp_path / "room.yaml")
+    write_map(make_grid(), tmp_path / "room.yaml")
     return tmp_path / "room.yaml"
 
 

@@ -11,7 +11,7 @@ import pytest
 from beamfield.cli.main import main
 from beamfield.geometry import between
 from beamfield.io.logs.carmen import write_carmen
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.io.parameters.beam_model_file import beam_model_text
 from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
 from beamfield.maps.occupancy import OccupancyGrid
@@ -49,9 +49,9 @@ def folder(tmp_path_factory) -> Path:
     place = tmp_path_factory.mktemp("likelihood")
     grid = make_grid()
     log = make_log(grid)
-    save_map(grid, place / "room.yaml")
-    save_map(OccupancyGrid(np.zeros((10, 10)), 0.1), place / "empty.yaml")
-    save_map(OccupancyGrid(np.ones((10, 10)), 0.1), place / "solid.yaml")
+    write_map(grid, place / "room.yaml")
+    write_map(OccupancyGrid(np.zeros((10, 10)), 0.1), place / "empty.yaml")
+    write_map(OccupancyGrid(np.ones((10, 10)), 0.1), place / "solid.yaml")
     write_carmen(place / "drive.log", ScanLog({"FLASER": log}, Track(log.stamps, log.odometry)))
     return place
 

@@ -10,7 +10,7 @@ import pytest
 
 from beamfield.cli import simulate
 from beamfield.errors import BeamfieldError, InvalidInputError
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import read_trajectory
@@ -120,7 +120,7 @@ def test_a_map_of_ones_own_is_driven_through(tmp_path: Path) -> None:
     cells = np.full((100, 160), 100)
     cells[2:-2, 2:-2] = 0
     cells[40:60, 70:90] = 100
-    save_map(OccupancyGrid.from_ros(cells, 0.1, [5.0, -3.0, 0.4]), tmp_path / "hall.yaml")
+    write_map(OccupancyGrid.from_ros(cells, 0.1, [5.0, -3.0, 0.4]), tmp_path / "hall.yaml")
     assert run(tmp_path / "out", "--map", str(tmp_path / "hall.yaml"), "--seed", "2") == 0
     saved = read_map(tmp_path / "out" / "map.yaml")
     np.testing.assert_array_equal(saved.occupied, cells == 100)

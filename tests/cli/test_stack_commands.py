@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from beamfield.cli.main import main
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 GOOD = """\
@@ -59,7 +59,7 @@ def test_the_doctor_speaks_json(good, capsys):
 
 def test_the_doctor_looks_at_the_map(good, tmp_path, capsys):
     grid = OccupancyGrid.from_ros([[100, 0, 0], [0, 0, 0]], resolution=0.5, origin=(0.0, 0.0, 0.2))
-    save_map(grid, tmp_path / "map.yaml")
+    write_map(grid, tmp_path / "map.yaml")
     assert main(["doctor", str(good), "--stack", "nav2", "--map", str(tmp_path / "map.yaml"), "--json"]) == 1
     found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
     assert found["map-yaw-ignored"]["values"]["yaw"] == pytest.approx(0.2)
@@ -131,7 +131,7 @@ def test_what_cannot_be_translated_is_one_line(good, tmp_path, capsys):
 
 def test_the_doctor_takes_reference_poses_from_a_file(good, tmp_path, capsys):
     grid = OccupancyGrid.from_ros(np.pad(np.zeros((60, 80)), 1, constant_values=100), resolution=0.1)
-    save_map(grid, tmp_path / "map.yaml")
+    write_map(grid, tmp_path / "map.yaml")
     lines = [f"FLASER 90 {' '.join(['2.0'] * 90)} 0 0 0 0 0 0 {t} host {t}" for t in range(30)]
     (tmp_path / "run.log").write_text("\n".join(lines) + "\n")
     (tmp_path / "poses.tum").write_text("".join(f"{t} 4 3 0 0 0 0 1\n" for t in range(30)))

@@ -60,7 +60,7 @@ from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.models.marker import MarkerDetections, MarkerModel
 from beamfield.models.sonar import SonarModel
-from beamfield.scan_fit.scan_fit import scan_fit
+from beamfield.scan_fit.scan_fit import judge_scan
 from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
 from beamfield.simulation.log import simulate_log
 from tests.contract.conftest import CEILING, CEILING_CAMERA, draw_floor
@@ -281,7 +281,7 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (SelectionOptions, {}),
     (CalibrationOptions, {}),
     (calibrate, {"log": LOG, "grid": GRID}),
-    (scan_fit, {"model": BeamModel(GRID, BEAM), "scan": SCAN, "pose": POSES[0]}),
+    (judge_scan, {"model": BeamModel(GRID, BEAM), "scan": SCAN, "pose": POSES[0]}),
     (
         simulate_log,
         {

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.bags import reader as rosbag
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.io.read_map import read_map
 from beamfield.maps.occupancy import OccupancyGrid
 
@@ -18,7 +18,7 @@ WEAN = b"robot_specifications->resolution 10\nglobal_map[0]: 1 2\n1.0 0.0\n"
 
 def test_the_ending_decides(tmp_path):
     for name in ("a.yaml", "a.yml"):
-        save_map(OccupancyGrid([[0.0, 1.0]], 0.05), tmp_path / name)
+        write_map(OccupancyGrid([[0.0, 1.0]], 0.05), tmp_path / name)
         assert read_map(tmp_path / name).resolution == 0.05
     (tmp_path / "a.dat").write_bytes(WEAN)
     (tmp_path / "a.dat.gz").write_bytes(gzip.compress(WEAN))
@@ -62,7 +62,7 @@ def test_an_unknown_ending_and_a_missing_file_are_named(tmp_path):
 
 
 def test_the_limit_of_pixels_is_passed_on(tmp_path):
-    save_map(OccupancyGrid(np.zeros((3, 4)), 0.05), tmp_path / "a.yaml")
+    write_map(OccupancyGrid(np.zeros((3, 4)), 0.05), tmp_path / "a.yaml")
     (tmp_path / "a.dat").write_bytes(WEAN)
     with pytest.raises(FormatError, match="limit of 11"):
         read_map(tmp_path / "a.yaml", max_pixels=11)

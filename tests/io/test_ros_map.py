@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.maps.ros_map import image_path, read_ros_map, ros_map_notes, save_map
+from beamfield.io.maps.ros_map import image_path, read_ros_map, ros_map_notes, write_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 DEFAULTS = {
@@ -273,7 +273,7 @@ def assert_same_map(first: OccupancyGrid, second: OccupancyGrid) -> None:
 @pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
 def test_a_map_that_was_read_saves_and_reads_again_unchanged(write, tmp_path, mode):
     grid = read_ros_map(write(np.arange(256).reshape(8, 32), mode=mode))
-    save_map(grid, tmp_path / "copy.yaml")
+    write_map(grid, tmp_path / "copy.yaml")
     assert_same_map(read_ros_map(tmp_path / "copy.yaml"), grid)
 
 
@@ -299,13 +299,13 @@ def test_any_grid_of_whole_percents_reads_again_unchanged(tmp_path_factory, prob
         occupied_thresh=limits[1],
     )
     path = tmp_path_factory.mktemp("map") / "map.yaml"
-    save_map(grid, path)
+    write_map(grid, path)
     assert_same_map(read_ros_map(path), grid)
 
 
 def test_the_saved_map_is_a_plain_pgm_that_others_read(tmp_path):
     grid = OccupancyGrid([[0.0, 1.0, np.nan], [1.0, 1.0, 0.0]], 0.05, free_thresh=0.196)
-    save_map(grid, tmp_path / "a.yaml")
+    write_map(grid, tmp_path / "a.yaml")
     with Image.open(tmp_path / "a.pgm") as picture:
         assert np.asarray(picture).tolist() == [[0, 0, 254], [254, 0, 205]]
     text = (tmp_path / "a.yaml").read_text()
@@ -315,49 +315,49 @@ def test_the_saved_map_is_a_plain_pgm_that_others_read(tmp_path):
 
 
 def test_small_numbers_are_written_so_that_yaml_1_1_takes_them_for_numbers(tmp_path):
-    save_map(OccupancyGrid([[0.0]], 0.05, np.array([1e-7, -1e22, 0.0])), tmp_path / "a.yaml")
+    write_map(OccupancyGrid([[0.0]], 0.05, np.array([1e-7, -1e22, 0.0])), tmp_path / "a.yaml")
     assert "origin: [1.0e-07, -1.0e+22, 0.0]\n" in (tmp_path / "a.yaml").read_text()
 
 
 @pytest.mark.parametrize("name", ["with space", "12", "#1", 'quote"and\\', "größe", "a: b", "- x", "~"])
 def test_any_file_name_can_be_saved_and_read(tmp_path, name):
     grid = OccupancyGrid([[0.0, 1.0]], 0.05)
-    save_map(grid, tmp_path / f"{name}.yaml")
+    write_map(grid, tmp_path / f"{name}.yaml")
     assert_same_map(read_ros_map(tmp_path / f"{name}.yaml"), grid)
 
 
 def test_other_probabilities_are_refused_unless_the_mode_is_given(tmp_path):
     grid = OccupancyGrid([[0.123, 0.9, np.nan, 0.2]], 0.05)
     with pytest.raises(InvalidInputError, match="whole percents only"):
-        save_map(grid, tmp_path / "a.yaml")
+        write_map(grid, tmp_path / "a.yaml")
     assert list(tmp_path.iterdir()) == []
-    save_map(grid, tmp_path / "a.yaml", mode="raw")
+    write_map(grid, tmp_path / "a.yaml", mode="raw")
     assert values(read_ros_map(tmp_path / "a.yaml")) == [[12, 90, -1, 20]]
-    save_map(grid, tmp_path / "a.yaml", mode="trinary")
+    write_map(grid, tmp_path / "a.yaml", mode="trinary")
     assert values(read_ros_map(tmp_path / "a.yaml")) == [[0, 100, -1, 0]]
 
 
 def test_thresholds_too_close_for_a_grey_between_them_are_saved_raw(tmp_path):
     grid = OccupancyGrid([[0.0, 1.0, np.nan]], 0.05, free_thresh=0.5, occupied_thresh=0.5001)
     with pytest.raises(InvalidInputError, match="no grey level lies between"):
-        save_map(grid, tmp_path / "a.yaml", mode="trinary")
-    save_map(grid, tmp_path / "a.yaml")
+        write_map(grid, tmp_path / "a.yaml", mode="trinary")
+    write_map(grid, tmp_path / "a.yaml")
     assert_same_map(read_ros_map(tmp_path / "a.yaml"), grid)
 
 
 def test_wrong_modes_and_endings_are_refused(tmp_path):
     grid = OccupancyGrid([[0.0]], 0.05)
     with pytest.raises(InvalidInputError, match="expected 'trinary' or 'raw', got 'scale'"):
-        save_map(grid, tmp_path / "a.yaml", mode="scale")
+        write_map(grid, tmp_path / "a.yaml", mode="scale")
     with pytest.raises(InvalidInputError, match=r"ending in \.yaml or \.yml, got 'a\.pgm'"):
-        save_map(grid, tmp_path / "a.pgm")
+        write_map(grid, tmp_path / "a.pgm")
     with pytest.raises(InvalidInputError, match="a name that prints"):
-        save_map(grid, tmp_path / "a\nb.yaml")
+        write_map(grid, tmp_path / "a\nb.yaml")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
-    save_map(OccupancyGrid([[0.0, 1.0]], 0.05), tmp_path / "a.yaml")
+    write_map(OccupancyGrid([[0.0, 1.0]], 0.05), tmp_path / "a.yaml")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
     def fail(*_args: object, **_options: object) -> int:
@@ -365,7 +365,7 @@ def test_a_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "write_text", fail)
     with pytest.raises(OSError, match="No space"):
-        save_map(OccupancyGrid([[1.0, 1.0]], 0.1), tmp_path / "a.yaml")
+        write_map(OccupancyGrid([[1.0, 1.0]], 0.1), tmp_path / "a.yaml")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 

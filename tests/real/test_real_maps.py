@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.io.read_map import read_map
 
 pytestmark = pytest.mark.real
@@ -71,7 +71,7 @@ def test_a_real_map_has_the_categories_that_exact_fractions_and_pillow_give(data
 @pytest.mark.parametrize("name", NAMES)
 def test_a_real_map_saves_and_reads_again_unchanged(data, tmp_path, name):
     grid = read_map(data / name)
-    save_map(grid, tmp_path / "copy.yaml")
+    write_map(grid, tmp_path / "copy.yaml")
     again = read_map(tmp_path / "copy.yaml")
     np.testing.assert_array_equal(again.probability, grid.probability)
     np.testing.assert_array_equal(again.unknown, grid.unknown)

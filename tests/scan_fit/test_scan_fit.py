@@ -19,7 +19,7 @@ from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.sonar import SonarModel
 from beamfield.scan_fit.reference import ScanFitReference, calibrate_scan_fit
-from beamfield.scan_fit.scan_fit import PROBLEMS, judge_log, scan_fit
+from beamfield.scan_fit.scan_fit import PROBLEMS, judge_log, judge_scan
 from beamfield.scan_fit.statistics import _field_surprise, fit_statistics
 from beamfield.scan_fit.surprise import beam_side, beam_surprise
 from beamfield.scan_fit.wrong_poses import wrong_poses
@@ -117,7 +117,7 @@ class TestPValue:
     def test_one_scan_gets_what_it_gets_in_the_log(self, model, reference, fresh):
         fits = judge_log(model, fresh, reference)
         for i in (0, 17, 200):
-            one = scan_fit(model, fresh.scan(i), fresh.poses[i], reference)
+            one = judge_scan(model, fresh.scan(i), fresh.poses[i], reference)
             assert one.p_value == fits.p_value[i]
             assert one.misfit == pytest.approx(fits.statistics.misfit[i], rel=1e-12)
             assert one.problem == ""
@@ -128,15 +128,15 @@ class TestPValue:
         crowd = Scan(np.where(np.arange(61) < 30, 0.6, scan.ranges), scan.finder)
         expected = model.expected(pose[None, :], scan.finder)[0]
         gone = Scan(np.where(np.arange(61) < 30, np.minimum(expected + 1.5, 9.9), scan.ranges), scan.finder)
-        assert scan_fit(model, crowd, pose).short > 0.3 > 0.1 > scan_fit(model, crowd, pose).through
-        assert scan_fit(model, gone, pose).through > 0.3 > 0.1 > scan_fit(model, gone, pose).short
+        assert judge_scan(model, crowd, pose).short > 0.3 > 0.1 > judge_scan(model, crowd, pose).through
+        assert judge_scan(model, gone, pose).through > 0.3 > 0.1 > judge_scan(model, gone, pose).short
 
     def test_a_group_of_wrong_beams_is_stranger_than_the_same_number_scattered(self, model, fresh):
         pose = fresh.poses[40]
         expected = model.expected(pose[None, :], fresh.finder)[0]
         number = np.arange(61)
         misfit = [
-            scan_fit(model, Scan(np.where(wrong, 0.5 * expected, expected), fresh.finder), pose).misfit
+            judge_scan(model, Scan(np.where(wrong, 0.5 * expected, expected), fresh.finder), pose).misfit
             for wrong in (number < 15, number % 4 == 0)
         ]
         assert misfit[0] > 1.3 * misfit[1]
@@ -215,7 +215,7 @@ class TestReference:
 
     def test_another_model_is_refused(self, office, reference, fresh):
         with pytest.raises(InvalidInputError, match="another model: lambda_short"):
-            scan_fit(BeamModel(office, PARAMETERS[0].__class__(0.8, 0.1, 0.03, 0.07, 0.05, 0.7)), fresh.scan(0),
+            judge_scan(BeamModel(office, PARAMETERS[0].__class__(0.8, 0.1, 0.03, 0.07, 0.05, 0.7)), fresh.scan(0),
                      fresh.poses[0], reference)  # fmt: skip
 
     def test_six_digits_of_the_model_are_enough(self, office, reference, truth, fresh):
@@ -241,18 +241,18 @@ class TestReference:
 
 class TestBadInput:
     def test_a_scan_without_measurement_is_flagged_never_judged(self, model, reference, fresh):
-        fit = scan_fit(model, Scan(np.full(61, np.nan), fresh.finder), fresh.poses[0], reference)
+        fit = judge_scan(model, Scan(np.full(61, np.nan), fresh.finder), fresh.poses[0], reference)
         assert fit.problem == "no measurement"
         assert np.isnan([fit.p_value, fit.misfit, fit.surprise]).all()
         assert fit.n_beams == 0
 
     def test_poses_off_the_map_and_in_walls_are_flagged(self, model, office, reference, fresh):
-        far = scan_fit(model, fresh.scan(0), [1e4, 0.0, 0.0], reference)
+        far = judge_scan(model, fresh.scan(0), [1e4, 0.0, 0.0], reference)
         assert far.problem == "off the map"
         assert far.p_value <= 0.05
         row, col = np.argwhere(office.occupied)[100]
         x, y = office.to_map([col + 0.5, row + 0.5])
-        assert scan_fit(model, fresh.scan(0), [x, y, 0.0], reference).problem == "inside a wall"
+        assert judge_scan(model, fresh.scan(0), [x, y, 0.0], reference).problem == "inside a wall"
 
     def test_silent_scans_of_a_log_get_no_p_value_and_no_evidence(self, model, reference, fresh):
         ranges, poses = np.array(fresh.ranges), np.array(fresh.poses)
@@ -266,7 +266,7 @@ class TestBadInput:
 
     def test_a_pose_that_is_no_number_is_refused(self, model, fresh):
         with pytest.raises(InvalidInputError, match="finite"):
-            scan_fit(model, fresh.scan(0), [0.0, np.nan, 0.0])
+            judge_scan(model, fresh.scan(0), [0.0, np.nan, 0.0])
 
     def test_shapes_must_fit(self, model, fresh):
         with pytest.raises(InvalidInputError, match="shapes"):

@@ -55,7 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Parse, read, build, write."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.io.maps.ros_map import save_map
+    from beamfield.io.maps.ros_map import write_map
     from beamfield.io.read_log import read_log
     from beamfield.io.trajectory import attach_poses, read_trajectory
     from beamfield.maps.mapping import build_map
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not grid.occupied.any():
             raise TooLittleDataError(f"{arguments.log}: {len(sensor)} scans mark no cell as occupied; no map written")
         progress("writing", 0, 1)
-        save_map(grid, arguments.out, mode=arguments.mode)
+        write_map(grid, arguments.out, mode=arguments.mode)
     for note in log.notes:
         say(f"note: {printable(in_options(note))}")
     say(_summary(grid, sensor))

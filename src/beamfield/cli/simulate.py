@@ -250,12 +250,12 @@ def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, logs: tuple[str
     """Write map, log and poses; return the names written."""
     from beamfield.io.bags.writer import write_bag
     from beamfield.io.logs.carmen import write_carmen
-    from beamfield.io.maps.ros_map import save_map
+    from beamfield.io.maps.ros_map import write_map
     from beamfield.io.trajectory import write_tum
     from beamfield.sensors import Track
 
     # Rays ask only for the category of a cell, so a map of one's own loses nothing that matters here.
-    save_map(grid, folder / MAP, mode="trinary")
+    write_map(grid, folder / MAP, mode="trinary")
     if CARMEN in logs:
         write_carmen(folder / CARMEN, log)
     if BAG in logs:

@@ -129,7 +129,7 @@ class ScanFits:
 
 
 @checked
-def scan_fit(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitReference | None = None) -> ScanFit:
+def judge_scan(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitReference | None = None) -> ScanFit:
     """Say how well a scan fits the map at a pose.
 
     Parameters
@@ -170,7 +170,7 @@ def scan_fit(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitRef
     >>> model = BeamModel(OccupancyGrid.from_ros(room, 0.1), BeamParameters(0.8, 0.1, 0.05, 0.05, 0.1, 0.5))
     >>> finder = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 60), max_range=8.0)
     >>> scan = model.sample([[2.0, 1.0, 0.3]], finder, np.random.default_rng(1))[0]
-    >>> right, wrong = (scan_fit(model, scan, pose) for pose in ([2.0, 1.0, 0.3], [3.0, 2.5, 2.0]))
+    >>> right, wrong = (judge_scan(model, scan, pose) for pose in ([2.0, 1.0, 0.3], [3.0, 2.5, 2.0]))
     >>> wrong.misfit > 2.0 * right.misfit
     True
     """

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.io.logs.carmen import write_carmen
-from beamfield.io.maps.ros_map import save_map
+from beamfield.io.maps.ros_map import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
@@ -49,7 +49,7 @@ def world(tmp_path_factory):
     cells[60:100, 100] = 100
     cells[70:80, 209] = 0
     grid = OccupancyGrid.from_ros(cells, resolution=0.05)
-    save_map(grid, folder / "map.yaml")
+    write_map(grid, folder / "map.yaml")
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 360, endpoint=False), 12.0, min_range=0.1)
     rng = np.random.default_rng(1)
     poses = np.column_stack([rng.uniform(1.5, 4.0, 40), rng.uniform(1.5, 6.0, 40), rng.uniform(-3.0, 3.0, 40)])

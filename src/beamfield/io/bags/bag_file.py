@@ -212,7 +212,9 @@ class BagFile:
 
 
 def seconds(stamp: Any) -> float:
-    """Return a ROS time as seconds."""
+    """Return a time of ROS 2 and rosbags (sec, nanosec) or of rospy (secs, nsecs) as seconds."""
+    if hasattr(stamp, "secs"):
+        return float(stamp.secs + stamp.nsecs * 1e-9)
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 

@@ -4,16 +4,103 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from beamfield.errors import FormatError
+from beamfield.arguments import as_floats, checked
+from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.io.bags.bag_file import BagMessage
+from beamfield.io.bags.bag_file import BagMessage, seconds
+from beamfield.sensors import RangeFinder, Scan
 
 STAMP_TOLERANCE = 0.5  # seconds: neighbours may swap on a lossy network; a clock that was set jumps further
 BEARING_TOLERANCE = 1e-3  # radians: what the geometry may change between the messages of one topic
+
+
+class LaserScanMessage(Protocol):
+    """What has the fields of sensor_msgs/LaserScan: a message of rclpy, rospy or rosbags."""
+
+    @property
+    def header(self) -> Any:
+        """Stamp and frame_id."""
+
+    @property
+    def angle_min(self) -> float:
+        """Direction of the first beam in the sensor's frame, radians."""
+
+    @property
+    def angle_increment(self) -> float:
+        """From one beam to the next, radians."""
+
+    @property
+    def range_min(self) -> float:
+        """Metres."""
+
+    @property
+    def range_max(self) -> float:
+        """Metres."""
+
+    @property
+    def ranges(self) -> Any:
+        """(k,) metres, as in REP 117."""
+
+
+@checked
+def scan_from_message(
+    message: LaserScanMessage, *, mount: ArrayLike = (0.0, 0.0, 0.0), no_return: tuple[float, ...] = ()
+) -> Scan:
+    """Turn a message of sensor_msgs/LaserScan into a scan, as a callback of rclpy gets it; ROS is not needed.
+
+    Parameters
+    ----------
+    message
+        Any object with the fields of the message.
+    mount
+        (3,) the sensor's pose on the robot, metres and radians: what tf has from base_link to `header.frame_id`.
+    no_return
+        Values in metres by which the sensor says "no return", if it does not follow REP 117 (+inf, or range_max and
+        more): 0.0 for many.
+
+    Returns
+    -------
+    The scan with its finder, whose name is `header.frame_id`, and the stamp of its first beam, seconds.
+
+    Raises
+    ------
+    InvalidInputError
+        If something is no message, it has no beams, or its angles or limits make no sense.
+
+    Notes
+    -----
+    One message is not enough to find out by what value a sensor says "no return", as `read_log` does.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Message
+    >>> header = Message(frame_id="laser", stamp=Message(sec=12, nanosec=500_000_000))
+    >>> message = Message(header=header, angle_min=-0.5, angle_increment=0.5, range_min=0.1, range_max=12.0,
+    ...                   ranges=[2.0, 0.0, 12.0])
+    >>> scan = scan_from_message(message, mount=(0.2, 0.0, 0.0), no_return=(0.0,))
+    >>> scan.ranges.tolist(), scan.finder.bearings.tolist(), scan.stamp
+    ([2.0, inf, 12.0], [-0.5, 0.0, 0.5], 12.5)
+    """
+    ranges = np.array(as_floats(message.ranges, "ranges"))
+    if ranges.ndim != 1 or len(ranges) == 0:
+        raise InvalidInputError(f"ranges: expected shape (k,) with beams, got {ranges.shape}")
+    angle_min, increment = float(message.angle_min), float(message.angle_increment)
+    _check_geometry(angle_min, increment, len(ranges))
+    for value in no_return:
+        ranges[ranges == np.float32(value)] = np.inf
+    finder = RangeFinder.from_bearings(
+        _bearings(angle_min, increment, len(ranges)),
+        float(message.range_max),
+        mount=mount,
+        min_range=float(message.range_min),
+        name=str(message.header.frame_id),
+    )
+    return Scan(ranges, finder, seconds(message.header.stamp))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +202,7 @@ class LaserScanCollector:
         return LaserScans(
             topic=self.topic,
             frame=self._frame,
-            bearings=np.asarray(angle_min + increment * np.arange(ranges.shape[1]), dtype=np.float64),
+            bearings=_bearings(angle_min, increment, ranges.shape[1]),
             range_min=self._limits[0],
             range_max=self._limits[1],
             stamps=stamps,
@@ -124,19 +211,11 @@ class LaserScanCollector:
         )
 
     def _begin(self, message: BagMessage, geometry: tuple[float, float], n_beams: int) -> None:
+        try:
+            _check_geometry(*geometry, n_beams)
+        except InvalidInputError as error:
+            raise self._error(message, str(error)) from error
         angle_min, increment = geometry
-        if not np.isfinite(geometry).all() or (n_beams > 1 and increment == 0.0):
-            raise self._error(
-                message,
-                "expected a finite angle_min and an angle_increment that is not 0, "
-                f"got angle_min {angle_min!r} and angle_increment {increment!r}",
-            )
-        span = abs(increment) * (n_beams - 1)
-        if span > 2.1 * np.pi:
-            raise self._error(
-                message,
-                f"the beams span {span:.6g} rad, more than a full turn (angle_increment {increment!r}: degrees?)",
-            )
         declared = (float(message.content.angle_max) - angle_min) / increment + 1.0 if increment else 1.0
         if abs(declared - n_beams) > 1.5:
             self._notes.append(
@@ -182,6 +261,23 @@ class LaserScanCollector:
 
     def _error(self, message: BagMessage, text: str) -> FormatError:
         return FormatError(self.path, text, field=message.place)
+
+
+def _check_geometry(angle_min: float, increment: float, n_beams: int) -> None:
+    if not np.isfinite([angle_min, increment]).all() or (n_beams > 1 and increment == 0.0):
+        raise InvalidInputError(
+            "expected a finite angle_min and an angle_increment that is not 0, "
+            f"got angle_min {angle_min!r} and angle_increment {increment!r}"
+        )
+    span = abs(increment) * (n_beams - 1)
+    if span > 2.1 * np.pi:
+        raise InvalidInputError(
+            f"the beams span {span:.6g} rad, more than a full turn (angle_increment {increment!r}: degrees?)"
+        )
+
+
+def _bearings(angle_min: float, increment: float, n_beams: int) -> FloatArray:
+    return np.asarray(angle_min + increment * np.arange(n_beams), dtype=np.float64)
 
 
 def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str]) -> tuple[FloatArray, NDArray[np.intp]]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
+from beamfield.arguments import checked
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import yaw_from_quaternion
 from beamfield.io.bags.bag_file import BagFile, BagMessage
@@ -43,7 +45,7 @@ def read_bag_map(path: str | Path, topic: str | None = None) -> OccupancyGrid:
         if last is None:
             raise FormatError(path, "the topic holds no message", field=chosen)
         with bag.quoting(last):
-            return _grid(last)
+            return grid_from_message(last.content)
 
 
 def _map_topic(bag: BagFile, asked: str | None) -> str:
@@ -60,8 +62,37 @@ def _map_topic(bag: BagFile, asked: str | None) -> str:
     return found[0] if len(found) == 1 else "/map"
 
 
-def _grid(message: BagMessage) -> OccupancyGrid:
-    info, data = message.content.info, np.asarray(message.content.data)
+class OccupancyGridMessage(Protocol):
+    """What has the fields of nav_msgs/OccupancyGrid: a message of rclpy, rospy or rosbags."""
+
+    @property
+    def info(self) -> Any:
+        """Width, height, resolution and origin."""
+
+    @property
+    def data(self) -> Any:
+        """-1 for unknown, or percent, row by row from the lowest y."""
+
+
+@checked
+def grid_from_message(message: OccupancyGridMessage) -> OccupancyGrid:
+    """Turn a message of nav_msgs/OccupancyGrid into a grid, as a callback of rclpy gets it; ROS is not needed.
+
+    Parameters
+    ----------
+    message
+        Any object with the fields of the message.
+
+    Returns
+    -------
+    The grid; its origin has the yaw of the message's quaternion (four zeros, as ROS 1 leaves it, are no rotation).
+
+    Raises
+    ------
+    InvalidInputError
+        If something is no message, its size does not fit its data, or its values, resolution or origin are wrong.
+    """
+    info, data = message.info, np.asarray(message.data)
     if info.width * info.height != len(data) or len(data) == 0:
         raise InvalidInputError(f"expected width {info.width} x height {info.height} cells, got {len(data)}")
     p, q = info.origin.position, info.origin.orientation

@@ -99,7 +99,7 @@ def image_path(path: str | os.PathLike[str]) -> Path:
     return _image_path(read_yaml(path))
 
 
-def save_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | None = None) -> None:
+def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | None = None) -> None:
     """Save a grid as a map_server map: a YAML file and a PGM picture of the same name, both or none.
 
     Read again, the map has the same probability, categories, origin, resolution and thresholds.
@@ -178,7 +178,7 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
 def between_share(path: str | os.PathLike[str]) -> float:
     """Return the share of a map's pixels between its two thresholds, without those that stand for unknown.
 
-    These are of the grey that map savers write for unknown, 205, of the one that `save_map` does, midway between the
+    These are of the grey that map savers write for unknown, 205, of the one that `write_map` does, midway between the
     thresholds, or of the only level that there is between them.
 
     Parameters

@@ -1,0 +1,47 @@
+"""The names of `import beamfield as bf`: there when used, not before, and the same for type checkers."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import beamfield as bf
+
+STUB = Path(bf.__file__).with_suffix(".pyi")
+
+
+def test_type_checkers_and_programs_see_the_same_names_from_the_same_places():
+    declared = {
+        alias.asname: (node.module, alias.name)
+        for node in ast.walk(ast.parse(STUB.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert sorted(declared) == sorted(set(bf.__all__) - {"__version__"})
+    assert len(bf.__all__) == len(set(bf.__all__))
+    for name, (module, original) in declared.items():
+        assert name == original
+        home = importlib.import_module(module)
+        expected = importlib.import_module(f"beamfield.{name}") if home is bf else getattr(home, name)
+        assert getattr(bf, name) is expected
+
+
+def test_names_are_listed_and_others_are_missed_as_of_any_module():
+    assert dir(bf) == sorted(bf.__all__)
+    with pytest.raises(AttributeError, match="module 'beamfield' has no attribute 'BeamModle'"):
+        _ = bf.BeamModle
+
+
+def test_the_import_loads_nothing_and_a_name_what_it_needs():
+    program = (
+        "import sys; import beamfield as bf; before = set(sys.modules);\n"
+        "assert not {'numpy', 'numba', 'scipy'} & before, before\n"
+        "assert [m for m in before if m.startswith('beamfield.')] == []\n"
+        "bf.RangeFinder; assert 'numpy' in sys.modules and 'numba' not in sys.modules and 'scipy' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

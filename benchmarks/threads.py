@@ -43,8 +43,8 @@ def cases() -> dict[str, Call]:
     grid = office(rng)
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False), MAX_RANGE)
     truth = np.array([25.0, 25.0, 0.3])
-    caster, field = RayCaster(grid), LikelihoodFieldModel.from_grid(grid, PARAMETERS)
-    bilinear = LikelihoodFieldModel.from_grid(grid, PARAMETERS, interpolation="bilinear")
+    caster, field = RayCaster(grid), LikelihoodFieldModel(grid, PARAMETERS)
+    bilinear = LikelihoodFieldModel(grid, PARAMETERS, interpolation="bilinear")
     scan = Scan(np.clip(caster.expected_ranges(truth, finder), 0.1, 0.99 * MAX_RANGE), finder)
     calls: dict[str, Call] = {}
     for n in (200, 2_000, 20_000, 200_000):

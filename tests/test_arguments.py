@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+import beamfield as bf
 from beamfield.arguments import as_count, as_floats, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
@@ -81,15 +82,59 @@ def test_an_error_that_the_arguments_do_not_explain_stays_what_it_is():
 def test_what_users_mix_up_is_said_in_one_line():
     parameters = BeamParameters(0.8, 0.1, 0.05, 0.05, sigma_hit=0.1, lambda_short=0.5)
     finder = RangeFinder.from_bearings([0.0, 1.0], 5.0)
-    with pytest.raises(InvalidInputError, match=r"^grid: expected an OccupancyGrid, got the text 'map\.yaml'$"):
+    with pytest.raises(InvalidInputError, match=r"^grid: expected an OccupancyGrid, got the text 'map\.yaml'"):
         BeamModel("map.yaml", parameters)
     with pytest.raises(InvalidInputError, match=r"^parameters: expected a BeamParameters, got the dict"):
         BeamModel(_grid(), {"z_hit": 1.0})
     model = BeamModel(_grid(), parameters)
     with pytest.raises(InvalidInputError, match="expected a Scan, got an array of float64 with shape"):
         model.log_likelihood(np.zeros((1, 3)), np.zeros((1, 3)))
-    with pytest.raises(InvalidInputError, match=r"^poses: expected an array of numbers, got a Scan$"):
+    with pytest.raises(
+        InvalidInputError, match=r"^poses: expected an array of numbers, got a Scan: the scan comes first"
+    ):
         model.log_likelihood(np.zeros((1, 3)), Scan([1.0, 2.0], finder))
+
+
+GRID = OccupancyGrid([[0.0, 1.0]], 1.0)
+BEAM = BeamParameters(0.8, 0.1, 0.05, 0.05, sigma_hit=0.1, lambda_short=0.5)
+FIELD = bf.LikelihoodFieldParameters(0.8, 0.1, 0.1)
+FINDER = RangeFinder.from_bearings([0.0, 1.0], 5.0)
+SCAN = Scan([1.0, 2.0], FINDER)
+LOG = bf.SensorLog(FINDER, [0.0], [[1.0, 2.0]], np.zeros((1, 3)), np.zeros((1, 3)))
+SEVERAL = bf.ScanLog({"/a": LOG, "/b": LOG}, source="run.bag")
+MODEL = BeamModel(GRID, BEAM)
+POSES = np.zeros((4, 3))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: bf.calibrate("run.bag", "map.yaml"), r"log: .*'run.bag': read_log\(path\).only_sensor\(\) reads one"),
+        (lambda: bf.calibrate(LOG, Path("map.yaml")), r"grid: .*: read_map\(path\) reads one"),
+        (lambda: bf.calibrate(SEVERAL, GRID), r"got a ScanLog: choose a sensor of it with .only_sensor\(name\)"),
+        (lambda: BeamModel(POSES, BEAM), r"grid: .*: OccupancyGrid.from_ros\(cells, resolution\) makes one"),
+        (lambda: BeamModel(GRID, {"z_hit": 1.0}), r"parameters: .*: BeamParameters\(\*\*values\) makes them"),
+        (lambda: BeamModel(GRID, "beam_model.yaml"), r"parameters: .*: read_beam_model\(path\) reads them"),
+        (
+            lambda: bf.LikelihoodFieldModel(GRID, BEAM),
+            r"parameters: .*: LikelihoodFieldParameters.from_beam_parameters",
+        ),
+        (lambda: bf.LikelihoodFieldModel(GRID, {"z_hit": 1}), r": LikelihoodFieldParameters\(\*\*values\) makes them"),
+        (lambda: MODEL.log_likelihood(POSES, SCAN), r"z: expected a Scan, .*: Scan\(ranges, finder\) makes one"),
+        (lambda: MODEL.responsibilities(POSES, SCAN), r"z: expected a Scan, .*: Scan\(ranges, finder\) makes one"),
+        (lambda: bf.LikelihoodFieldModel(GRID, FIELD).log_likelihood(POSES, SCAN), "it comes before the poses"),
+        (lambda: MODEL.log_likelihood(LOG, POSES), r"z: .*got a SensorLog: log\[i\] is one of its scans"),
+        (lambda: MODEL.expected(SCAN, FINDER), "poses: .*got a Scan: the scan comes first, then the poses"),
+        (lambda: MODEL.sample(POSES, np.random.default_rng(0)), r"finder: .*sample\(poses, finder, rng\)"),
+        (lambda: bf.RayCaster("map.yaml"), r"grid: .*: read_map\(path\) reads one"),
+        (lambda: bf.RayCaster(GRID).expected_ranges(POSES, SCAN), "finder: .*: it is the scan's .finder"),
+        (lambda: bf.attach_poses(SEVERAL, "poses.tum"), r"track: .*: read_trajectory\(path\) reads one"),
+        (lambda: bf.attach_poses("run.bag", "poses.tum"), r"log: .*: read_log\(path\) reads one"),
+    ],
+)
+def test_what_users_mix_up_comes_with_what_to_do(call, words):
+    with pytest.raises(InvalidInputError, match=words):
+        call()
 
 
 def _grid():

@@ -276,7 +276,7 @@ def test_the_filter_in_a_ros_node_weighs_its_particles(world: World):
     node.on_map(SimpleNamespace(info=info, data=(100 * world.grid.probability).astype(np.int8).ravel()))
     # The node's laser is 0.2 m before the robot's centre.
     right = bf.geometry.compose(world.log.poses[10], [-0.2, 0.0, 0.0])
-    node.particles = np.array([right, right + [1.0, 0.3, 1.0]])
+    node.particles = np.stack([right, right + np.array([1.0, 0.3, 1.0])])
     node.on_scan(SimpleNamespace(header=header, angle_min=first, angle_increment=step, range_min=0.0, range_max=8.0,
                                  ranges=scan.ranges))  # fmt: skip
     assert node.weights[0] > 0.99

@@ -77,3 +77,45 @@ def test_asking_for_an_unknown_sensor_lists_the_known():
     with pytest.raises(InvalidInputError, match="which sensor"):
         both.only_sensor()
     assert both.only_sensor("rear") is log
+
+
+class TestIndexing:
+    def test_a_log_gives_scans_and_shorter_logs(self):
+        log = three_scans()
+        assert log[1].stamp == log[-2].stamp == 1.0
+        assert log[1:].stamps.tolist() == log[[1, 2]].stamps.tolist() == log[log.stamps > 0.5].stamps.tolist()
+        assert log[::-1].ranges[0].tolist() == log.ranges[2].tolist()
+
+    @pytest.mark.parametrize("index", [3, -4, 9999])
+    def test_a_scan_that_is_not_there_is_named(self, index):
+        for ask in (three_scans().scan, three_scans().__getitem__):
+            with pytest.raises(IndexError, match=f"expected a scan from -3 to 2, got {index}"):
+                ask(index)
+
+    def test_a_scan_gives_scans_of_some_beams(self):
+        scan = three_scans()[0]
+        assert scan[1:].ranges.tolist() == scan[[1, 2]].ranges.tolist() == [2.0, 3.0]
+        assert scan[-1].finder.bearings.tolist() == [scan.finder.bearings[2]]
+        with pytest.raises(TypeError, match="not iterable"):
+            iter(scan)
+
+    def test_a_log_of_sensors_is_asked_by_name(self):
+        log = ScanLog({"/scan": three_scans(), "/back": three_scans()}, source="run.bag")
+        assert log["/scan"] is log.sensors["/scan"]
+        with pytest.raises(InvalidInputError, match=r"no sensor '/front'; the log has '/scan', '/back'"):
+            log["/front"]
+        with pytest.raises(InvalidInputError, match=r"got 0; .only_sensor\(\)\[...\] chooses scans"):
+            log[0]
+
+
+def three_scans() -> SensorLog:
+    finder = RangeFinder.from_bearings([-0.1, 0.0, 0.1], 8.0)
+    return SensorLog(finder, [0.0, 1.0, 2.0], [[1, 2, 3], [2, 3, 4], [3, 4, 5]], np.zeros((3, 3)), np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("bearings", "mount"), [(np.linspace(-90, 90, 181), (0.0, 0.0, 0.0)), ([0.0, 0.1], (0.2, 0.0, 90.0))]
+)
+def test_degrees_are_not_taken_for_radians(bearings, mount):
+    with pytest.raises(InvalidInputError, match=r"expected radians, at most a full turn, got 90; np.radians"):
+        RangeFinder.from_bearings(bearings, 12.0, mount=mount)

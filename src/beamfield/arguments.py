@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import collections.abc
 import inspect
+import os
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cache, wraps
@@ -116,7 +117,9 @@ def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
     if isinstance(values, np.ndarray) and values.dtype == np.float64:
         return values
     if not _is_array_of_numbers(values):
-        raise InvalidInputError(f"{name}: expected an array of numbers, got {_described(values)}")
+        raise InvalidInputError(
+            f"{name}: expected an array of numbers, got {_described(values)}{_advice(ArrayLike, values)}"
+        )
     return np.asarray(values, dtype=np.float64)
 
 
@@ -212,7 +215,7 @@ def _hints(annotated: Any) -> dict[str, Any]:
 
 def _expect(name: str, value: Any, hint: Any) -> None:
     if not _test_of(hint)(value):
-        raise InvalidInputError(f"{name}: expected {_wanted(hint)}, got {_described(value)}")
+        raise InvalidInputError(f"{name}: expected {_wanted(hint)}, got {_described(value)}{_advice(hint, value)}")
 
 
 def _expect_each(name: str, values: Any, hint: Any) -> None:
@@ -305,6 +308,49 @@ def _wanted(hint: Any) -> str:
     if origin is collections.abc.Callable:
         return "a function"
     return _with_article(getattr(origin or hint, "__name__", str(hint)))
+
+
+def _advice(hint: Any, value: Any) -> str:
+    """Return what to do with a value that often stands where another belongs, or nothing."""
+    kind = type(value).__name__
+    if isinstance(value, str | os.PathLike):
+        kind = "path"
+    elif isinstance(value, np.ndarray | list | tuple):
+        kind = "array"
+    hint = hint.__bound__ if isinstance(hint, TypeVar) else hint
+    for one in (hint,) if hint == ArrayLike else get_args(hint) or (hint,):
+        name = "array" if one == ArrayLike else getattr(get_origin(one) or one, "__name__", "")
+        if kind == "dict" and name.endswith("Parameters"):
+            return f": {name}(**values) makes them"
+        if text := _WHAT_TO_DO.get((name, kind)):
+            return f": {text}"
+    return ""
+
+
+# Given (what belongs there, what stands there).
+_WHAT_TO_DO = {
+    ("OccupancyGrid", "path"): "read_map(path) reads one",
+    ("OccupancyGrid", "array"): "OccupancyGrid.from_ros(cells, resolution) makes one",
+    ("SensorLog", "path"): "read_log(path).only_sensor() reads one",
+    ("SensorLog", "ScanLog"): "choose a sensor of it with .only_sensor(name)",
+    ("ScanLog", "path"): "read_log(path) reads one",
+    ("Track", "path"): "read_trajectory(path) reads one",
+    ("LandmarkMap", "path"): "read_landmarks(path) reads one",
+    ("LineMap", "path"): "read_line_map(path) reads one",
+    ("BeamParameters", "path"): "read_beam_model(path) reads them",
+    ("LikelihoodFieldParameters", "path"): "read_likelihood_field(path) reads them",
+    (
+        "LikelihoodFieldParameters",
+        "BeamParameters",
+    ): "LikelihoodFieldParameters.from_beam_parameters(...) makes some",
+    ("LandmarkParameters", "path"): "read_landmark_model(path) reads them",
+    ("RangeFinder", "array"): "RangeFinder.from_bearings(bearings, max_range) makes one",
+    ("RangeFinder", "Scan"): "it is the scan's .finder",
+    ("RangeFinder", "Generator"): "the sensor comes before the randomness, sample(poses, finder, rng)",
+    ("Scan", "array"): "Scan(ranges, finder) makes one, and it comes before the poses",
+    ("Scan", "SensorLog"): "log[i] is one of its scans",
+    ("array", "Scan"): "the scan comes first, then the poses",
+}
 
 
 def _described(value: Any) -> str:

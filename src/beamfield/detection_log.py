@@ -12,6 +12,7 @@ from beamfield.detections import Detections, as_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import as_indices
+from beamfield.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,8 @@ class DetectionLog:
     detections: tuple[Detections, ...]
     places: NDArray[np.int64] | None = None
     notes: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -11,6 +11,7 @@ from beamfield.arguments import LARGEST, check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import as_indices
+from beamfield.short_repr import short_repr
 
 SPURIOUS = -1
 """Correspondence c = N + 1 of 6.6.3: the feature belongs to no landmark of the map."""
@@ -56,6 +57,8 @@ class Detections:
     signatures: FloatArray | None = None
     ids: NDArray[np.int64] | None = None
     stamp: float = 0.0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

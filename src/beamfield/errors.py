@@ -24,6 +24,10 @@ class InvalidInputError(BeamfieldError, ValueError):
     """An argument is not what the function takes: says what, what was got and what was expected."""
 
 
+class NoSuchIndexError(InvalidInputError, IndexError):
+    """There is nothing of that number."""
+
+
 class FormatError(BeamfieldError, ValueError):
     """The content of a file is not what its format promises.
 
@@ -61,13 +65,14 @@ class MissingDependencyError(BeamfieldError, ImportError):
     package
         The package that is missing.
     extra
-        The extra of beamfield that brings it.
+        The extra of beamfield that brings it; None if none does.
     purpose
         What it is needed for.
     """
 
-    def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(f"{purpose} needs the package {package!r}: install it with pip install 'beamfield[{extra}]'")
+    def __init__(self, package: str, extra: str | None, purpose: str) -> None:
+        target = package if extra is None else f"'beamfield[{extra}]'"
+        super().__init__(f"{purpose} needs the package {package!r}: install it with pip install {target}")
 
 
 class BeamfieldWarning(UserWarning):

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from numbers import Integral
+from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import LARGEST, as_floats, check_fields, checked
-from beamfield.errors import InvalidInputError
+from beamfield.data_frame import data_frame
+from beamfield.errors import InvalidInputError, NoSuchIndexError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.indices import as_indices
+from beamfield.short_repr import short_repr
 
 # Metres between a sensor's limits. In less, the densities of wide hits and steep shorts cannot be told from 0 / 0.
 SHORTEST_SPAN = 1e-6
 NO_POSE = np.full(3, np.nan)
+TURN_TOLERANCE = 1e-3  # radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +63,8 @@ class RangeFinder:
     opening_angle: float = 0.0
     name: str = ""
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_fields(self)
         mounts = np.array(as_poses(self.mounts, "mounts"))
@@ -98,11 +104,14 @@ class RangeFinder:
         Raises
         ------
         InvalidInputError
-            If the bearings are not finite (k,), the mount is not a finite pose, or as for the class.
+            If the bearings are not finite (k,), the mount is not a finite pose, an angle is beyond a full turn (degrees
+            are, nearly always), or as for the class.
         """
         angles = as_floats(bearings, "bearings")
         if angles.ndim != 1:
             raise InvalidInputError(f"bearings: expected shape (k,), got {angles.shape}")
+        _require_radians("bearings", angles)
+        _require_radians("heading of mount", as_poses(mount, "mount")[..., 2])
         in_sensor = np.column_stack([np.zeros_like(angles), np.zeros_like(angles), angles])
         return cls(compose(as_poses(mount, "mount"), in_sensor), max_range, **limits)
 
@@ -168,6 +177,8 @@ class Scan:
     finder: RangeFinder
     stamp: float = 0.0
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_fields(self)
         ranges = np.array(as_floats(self.ranges, "ranges"))
@@ -196,6 +207,15 @@ class Scan:
         """
         chosen = as_indices(beams, self.finder.n_beams, "beams")
         return Scan(self.ranges[chosen], self.finder.subset(chosen), self.stamp)
+
+    def __getitem__(self, beams: slice | ArrayLike) -> Scan:
+        """Return the scan with only these beams: a slice, indices or a mask."""
+        if isinstance(beams, slice):
+            beams = np.arange(self.finder.n_beams)[beams]
+        return self.subset(beams if np.ndim(beams) else np.reshape(beams, 1))
+
+    # Its readings are `ranges`: one scan is one measurement, not a row of them.
+    __iter__ = None
 
     @checked
     def every(self, n_beams: int) -> Scan:
@@ -227,6 +247,15 @@ class Scan:
         if n_beams >= k:
             return self
         return self.subset(np.round(np.linspace(0, k - 1, n_beams)).astype(np.int64))
+
+
+def _require_radians(name: str, angles: FloatArray) -> None:
+    """Refuse angles of more than a full turn, which degrees are, nearly always."""
+    farthest = np.max(np.abs(angles), initial=0.0)
+    if 2.0 * np.pi + TURN_TOLERANCE < farthest < np.inf:
+        raise InvalidInputError(
+            f"{name}: expected radians, at most a full turn, got {farthest:g}; np.radians(...) makes them of degrees"
+        )
 
 
 @checked
@@ -322,6 +351,8 @@ class SensorLog:
     odometry: FloatArray
     no_return: NoReturnPolicy = field(default_factory=NoReturnPolicy)
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_fields(self)
         t, k = np.size(self.stamps), self.finder.n_beams
@@ -338,6 +369,18 @@ class SensorLog:
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(i) for i in range(len(self)))
 
+    @overload
+    def __getitem__(self, scans: int) -> Scan: ...
+
+    @overload
+    def __getitem__(self, scans: slice | Sequence[int] | NDArray[Any]) -> SensorLog: ...
+
+    def __getitem__(self, scans: int | slice | Sequence[int] | NDArray[Any]) -> Scan | SensorLog:
+        """Return one scan by its number; or the log with only some: a slice, indices or a mask."""
+        if isinstance(scans, slice):
+            scans = np.arange(len(self))[scans]
+        return self.select(scans) if np.ndim(scans) else self.scan(scans)  # type: ignore[arg-type]
+
     @checked
     def scan(self, index: int) -> Scan:
         """Return one scan.
@@ -353,9 +396,11 @@ class SensorLog:
 
         Raises
         ------
-        IndexError
-            If the log has no scan of that number.
+        NoSuchIndexError
+            If the log has no scan of that number; it is an IndexError, too.
         """
+        if isinstance(index, Integral) and not -len(self) <= index < len(self):
+            raise NoSuchIndexError(f"index: expected a scan from {-len(self)} to {len(self) - 1}, got {index}")
         return Scan(self.ranges[index], self.finder, float(self.stamps[index]))
 
     @checked
@@ -430,8 +475,14 @@ class Track:
     stamps: FloatArray
     poses: FloatArray
 
+    __repr__ = short_repr
+
     def __len__(self) -> int:
         return len(self.stamps)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame with the columns stamp, x, y and theta; needs pandas."""
+        return data_frame({"stamp": self.stamps, **dict(zip(("x", "y", "theta"), self.poses.T, strict=True))})
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,6 +509,14 @@ class ScanLog:
     notes: tuple[str, ...] = ()
     parameters: Mapping[str, str] = field(default_factory=dict)
 
+    __repr__ = short_repr
+
+    def __getitem__(self, name: str) -> SensorLog:
+        """Return the log of a sensor by its name."""
+        if not isinstance(name, str):
+            raise InvalidInputError(f"expected the name of a sensor, got {name!r}; .only_sensor()[...] chooses scans")
+        return self.only_sensor(name)
+
     def only_sensor(self, name: str | None = None) -> SensorLog:
         """Return the sensor of that name, or the only one there is.
 
@@ -478,7 +537,7 @@ class ScanLog:
         known = ", ".join(repr(n) for n in self.sensors) or "none"
         if name is None:
             if len(self.sensors) != 1:
-                raise InvalidInputError(f"{self.source}: which sensor? the log has {known}")
+                raise InvalidInputError(f"{self.source}: which sensor? name one, the log has {known}")
             return next(iter(self.sensors.values()))
         if name not in self.sensors:
             raise InvalidInputError(f"{self.source}: no sensor {name!r}; the log has {known}")

@@ -117,6 +117,7 @@ def _make_case(
             Finding("pose-refinement", "info", "The poses are good.", {"n": 30.0}),
         ),
         options=options,
+        finder=finder,
     )
     provenance = {
         "program": "beamfield 0.0.test",

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.data_frame import data_frame
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import as_indices
@@ -16,6 +17,7 @@ from beamfield.maps.cone import make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.short_repr import short_repr
 
 UnknownRule = Literal["skip", "free", "occupied"]
 Progress = Callable[[int, int], None]
@@ -63,8 +65,15 @@ class BeamTable:
     n_unsure: int = 0
     n_too_close: int = 0
 
+    __repr__ = short_repr
+
     def __len__(self) -> int:
         return len(self.ranges)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame with the columns range, expected_range, scan, beam and stamp; needs pandas."""
+        columns = {"range": self.ranges, "expected_range": self.expected_ranges}
+        return data_frame({**columns, "scan": self.scan, "beam": self.beam, "stamp": self.stamps})
 
     def select(self, rows: ArrayLike) -> BeamTable:
         """Return the table with only the given rows, in the given order.

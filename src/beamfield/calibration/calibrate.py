@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +52,11 @@ from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.sensors import SensorLog
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.short_repr import short_repr
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Calibration", "CalibrationOptions", "calibrate"]
 
@@ -93,6 +99,8 @@ class Calibration:
         What to know before trusting the result, warnings first.
     options
         The options used.
+    finder
+        The sensor.
     """
 
     parameters: BeamParameters
@@ -111,6 +119,9 @@ class Calibration:
     refinement: PoseRefinement | None
     findings: tuple[Finding, ...]
     options: CalibrationOptions
+    finder: RangeFinder
+
+    __repr__ = short_repr
 
     @property
     def converged(self) -> bool:
@@ -121,6 +132,36 @@ class Calibration:
     def n_fit(self) -> int:
         """Number of beams the parameters were fitted to."""
         return self.learning.n_beams
+
+    def summary(self) -> str:
+        """Return the data used, the parameters with 95 % intervals, held-out scores and warnings, as text to print."""
+        from beamfield.report.results import calibration_summary
+
+        return calibration_summary(self)
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure: measured ranges and the fitted density."""
+        from beamfield.report.results import plot_calibration
+
+        return plot_calibration(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write a beam_model.yaml, which `read_beam_model` and the commands read.
+
+        Parameters
+        ----------
+        path
+            The file; one that is there is replaced.
+        """
+        from beamfield.report.results import save_calibration
+
+        save_calibration(self, path)
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the parameters, warnings and the main picture."""
+        from beamfield.report.results import calibration_markup
+
+        return calibration_markup(self)
 
 
 @checked
@@ -235,6 +276,7 @@ def calibrate(
         refinement=refinement,
         findings=worst_first(findings),
         options=options,
+        finder=log.finder,
     )
 
 

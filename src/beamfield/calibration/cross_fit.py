@@ -17,6 +17,7 @@ from beamfield.maps.hit_counts import FREE_AFTER_ONE_PASS, HitCounts, count_hits
 from beamfield.maps.mapping import build_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int, int], None]
 
@@ -45,6 +46,8 @@ class CrossFitMaps:
     half: NDArray[np.int8]
     whole: OccupancyGrid
     counts: tuple[HitCounts, HitCounts] | None = None
+
+    __repr__ = short_repr
 
 
 @checked

@@ -12,6 +12,7 @@ from beamfield.calibration.beam_table import BeamTable
 from beamfield.geometry import FloatArray
 from beamfield.models.beam import beam_log_density, beam_pit, beam_responsibilities
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.short_repr import short_repr
 
 
 def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float, sigma: float, rate: float) -> BeamParameters:
@@ -228,6 +229,8 @@ class Timeline:
     stamps: FloatArray
     log_likelihood: FloatArray
     held_out: NDArray[np.bool_]
+
+    __repr__ = short_repr
 
 
 def timeline(table: BeamTable, parameters: BeamParameters, held_out: NDArray[np.bool_]) -> Timeline:

@@ -14,6 +14,7 @@ from beamfield.calibration.intrinsic.em import LearningResult, learn_intrinsic_p
 from beamfield.calibration.options import CalibrationOptions, Choice
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import beam_log_density
+from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int, int], None]
 
@@ -54,6 +55,8 @@ class Candidate:
     def is_chapter(self) -> bool:
         """Whether it is the chapter's form."""
         return not (self.has_offset or self.has_slope)
+
+    __repr__ = short_repr
 
 
 def fit_candidates(

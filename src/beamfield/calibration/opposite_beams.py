@@ -11,6 +11,7 @@ from beamfield.calibration.beam_table import BeamTable
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.sensors import SensorLog
+from beamfield.short_repr import short_repr
 
 # Beams count as opposite within this many radians of a half turn and with origins this close together (metres).
 OPPOSITE_TOLERANCE = 0.02
@@ -48,6 +49,8 @@ class OppositeBeams:
     scale_se: float
     widening: float
     widening_se: float
+
+    __repr__ = short_repr
 
 
 def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) -> OppositeBeams | None:

@@ -18,6 +18,7 @@ from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.short_repr import short_repr
 
 # Half widths of the searched window around each reference pose (metres, radians), halved on each level.
 WINDOW = (0.3, 0.06)
@@ -54,6 +55,8 @@ class PoseRefinement:
     sigma_after: float
     delay: float = float("nan")
     delay_share: float = float("nan")
+
+    __repr__ = short_repr
 
 
 def refine_poses(

@@ -13,6 +13,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.short_repr import short_repr
 
 # In the order in which they are looked for; a scan is dropped for the first that holds.
 REASONS = (
@@ -79,6 +80,8 @@ class Selection:
 
     used: NDArray[np.bool_]
     reason: NDArray[np.int8]
+
+    __repr__ = short_repr
 
     @property
     def dropped(self) -> Mapping[str, int]:

@@ -7,7 +7,6 @@ import json
 import math
 import shutil
 import sys
-import textwrap
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -330,8 +329,7 @@ def _calibrate_sensor(
     from beamfield.io.parameters.beam_model_file import beam_model_text
     from beamfield.report.as_json import calibration_as_dict
     from beamfield.report.html import render_report
-    from beamfield.report.text_table import parameter_table, readings_line, score_table
-    from beamfield.report.verdict import verdict
+    from beamfield.report.results import calibration_summary
 
     try:
         maps: OccupancyGrid | CrossFitMaps
@@ -373,13 +371,6 @@ def _calibrate_sensor(
         files[stack.file_name] = stack.file_text
     # Lines are broken for a terminal only: in a file or a pipe, one line is one parameter or warning.
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    said = verdict(result)
-    warnings = [f"warning ({f.name}): {in_options(f.text)}" for f in result.findings if f.severity == "warning"]
-    if width is not None:
-        said = textwrap.fill(said, width)
-        warnings = [textwrap.fill(text, width, subsequent_indent="  ") for text in warnings]
-    parameters = parameter_table(result, width=width)
-    data = f"{result.selection.describe()}\n{readings_line(result)}"
-    table = "\n\n".join([said, data, parameters, score_table(result), *warnings])
+    table = calibration_summary(result, width=width, wording=in_options)
     table = "\n\n".join([table, *(part.table for part in (field, stack) if part is not None)])
     return files, table, result.converged, stack

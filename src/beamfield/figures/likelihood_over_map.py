@@ -100,6 +100,19 @@ def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes
     legend(ax, loc="best")
 
 
+def plot_likelihood_map(result: LikelihoodMap, grid: OccupancyGrid) -> Figure:
+    """Draw the likelihood over the map in a figure of its own.
+
+    Parameters
+    ----------
+    result, grid
+        As for `draw_likelihood_map`.
+    """
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    draw_likelihood_map(result, grid, figure.subplots())
+    return figure
+
+
 def draw_likelihood_map(
     result: LikelihoodMap,
     grid: OccupancyGrid,

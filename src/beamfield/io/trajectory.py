@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import checked
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, interpolate_poses, wrap_angle, yaw_from_quaternion
 from beamfield.io.files.atomic import write_file
 from beamfield.io.files.text_lines import is_number, parse_numbers, read_lines
 from beamfield.sensors import ScanLog, SensorLog, Track
+from beamfield.short_repr import short_repr
 
 TIME_NAMES = ("t", "time", "stamp", "timestamp", "#timestamp", "sec", "seconds")
 # A reference at the rate of the scans, or of a SLAM program, has gaps of seconds; a longer one hides motion.
@@ -40,6 +42,8 @@ class IndexedTrack(Track):
     """
 
     scan_indices: NDArray[np.int64]
+
+    __repr__ = short_repr
 
 
 def read_trajectory(path: str | Path) -> Track:
@@ -110,6 +114,7 @@ def write_tum(path: str | Path, track: Track) -> None:
     write_file(path, "\n".join(lines) + "\n")
 
 
+@checked
 def attach_poses(log: ScanLog, track: Track, *, max_gap: float = MAX_GAP) -> ScanLog:
     """Return the log with the reference poses of a trajectory.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from beamfield.landmark_noise.residuals import ResidualGroup, groups_by_distance
 from beamfield.landmark_noise.sighting_table import SightingTable, sighting_table
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark_parameters import LandmarkParameters
+from beamfield.short_repr import short_repr
 
 # Six parameters from fewer sightings than this are noise.
 FEWEST_SIGHTINGS = 20
@@ -78,6 +80,26 @@ class LandmarkLearningResult:
     table: SightingTable
     of_landmark: FloatArray
     findings: tuple[Finding, ...]
+
+    __repr__ = short_repr
+
+    def summary(self) -> str:
+        """Return the parameters with intervals and warnings, as text to print."""
+        from beamfield.report.results import landmark_summary
+
+        return landmark_summary(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write a landmark_model.yaml, which `read_landmark_model` reads.
+
+        Parameters
+        ----------
+        path
+            The file; one that is there is replaced.
+        """
+        from beamfield.report.results import save_landmarks
+
+        save_landmarks(self, path)
 
 
 @checked

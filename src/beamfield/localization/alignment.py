@@ -20,6 +20,7 @@ from beamfield.localization.weak_direction import START_DEVIATION, weigh_slides
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_field import ScanField
 from beamfield.sensors import Scan
+from beamfield.short_repr import short_repr
 
 Problem = Literal["", "no end points", "no overlap", "outside the search", "undetermined", "ambiguous", "not converged"]
 
@@ -104,6 +105,8 @@ class AlignmentResult:
     undetermined: FloatArray
     lever: float
     problem: Problem
+
+    __repr__ = short_repr
 
 
 @checked

@@ -17,6 +17,7 @@ from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from beamfield.short_repr import short_repr
 
 # Field values are stored as whole multiples of 1 / STEPS.
 STEPS = 255
@@ -180,6 +181,8 @@ class GlobalSearch:
     sigma: float = field(default=0.1, kw_only=True)
     angle_step: float = field(default=float(np.radians(1.0)), kw_only=True)
     _field: NDArray[np.uint8] = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,10 @@ from beamfield.models.beam import BeamModel
 from beamfield.models.local_map_cells import LocalMap
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import Scan
+from beamfield.short_repr import short_repr
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[int, int], None]
 
@@ -66,6 +70,8 @@ class LikelihoodMap:
     origin: FloatArray
     direction_error: float = 0.0
 
+    __repr__ = short_repr
+
     @property
     def n_poses(self) -> int:
         """Number of poses that were compared."""
@@ -89,6 +95,18 @@ class LikelihoodMap:
     def best_pose(self) -> FloatArray:
         """(3,) the pose with the largest value, metres and radians."""
         return np.asarray(self.poses(*self.best_cell))
+
+    def plot(self, grid: OccupancyGrid) -> Figure:
+        """Return a Matplotlib figure of the map, the darker the more likely.
+
+        Parameters
+        ----------
+        grid
+            The map.
+        """
+        from beamfield.figures.likelihood_over_map import plot_likelihood_map
+
+        return plot_likelihood_map(self, grid)
 
     def poses(self, rows: NDArray[np.int64] | int, cols: NDArray[np.int64] | int) -> FloatArray:
         """Return the pose with the best heading in cells, (..., 3); `log_likelihood` is its value.

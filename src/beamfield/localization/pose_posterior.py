@@ -14,6 +14,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel
+from beamfield.short_repr import short_repr
 
 Progress = Callable[[int, int], None]
 
@@ -57,6 +58,8 @@ class PoseLattice:
     inside: BoolArray
     headings: FloatArray
     heading_step: float
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -222,6 +225,8 @@ class PosePosterior:
     lattice: PoseLattice
     log_mass: FloatArray
     log_evidence: float
+
+    __repr__ = short_repr
 
     @property
     def entropy(self) -> float:

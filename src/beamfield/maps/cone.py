@@ -15,6 +15,7 @@ from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import IntArray, RayCaster, frame_of, pose_rows
 from beamfield.sensors import RangeFinder
+from beamfield.short_repr import short_repr
 
 # What a cone costs beside a ray, to decide whether threads pay.
 RAYS_PER_CONE = 20
@@ -75,6 +76,8 @@ class ConeCaster:
     _rays: RayCaster = field(init=False, repr=False)
     _bits: kernels.Bits = field(init=False, repr=False)
     _bands: kernels.Bits = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

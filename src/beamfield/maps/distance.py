@@ -13,6 +13,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.kernels.distance import MAX_SIDE_CELLS, fill_heights, fill_metres
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
+from beamfield.short_repr import short_repr
 
 DistanceArray = NDArray[np.float32]
 # 16 GiB, and what tables of a field can count in 32 bits.
@@ -144,6 +145,8 @@ class DistanceField:
     distance: DistanceArray
     margin_cells: int = 0
     max_distance: float = math.inf
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

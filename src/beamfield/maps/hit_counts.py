@@ -17,6 +17,7 @@ from beamfield.maps.log_odds import check_resolution, check_size, grid_of_log_od
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.occupancy_mapper import MAX_CELLS
 from beamfield.sensors import SensorLog
+from beamfield.short_repr import short_repr
 
 Progress = Callable[[int, int], None]
 
@@ -54,6 +55,8 @@ class HitCounts:
     resolution: float
     cells: NDArray[np.int64]
     moments: FloatArray
+
+    __repr__ = short_repr
 
     def to_grid(self) -> OccupancyGrid:
         """Return the occupancy map by log-odds of the counts.

@@ -12,6 +12,7 @@ from beamfield.arguments import check_fields
 from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.short_repr import short_repr
 
 SignatureKind = Literal["none", "number", "vector", "type"]
 
@@ -53,6 +54,8 @@ class LandmarkMap:
     ids: NDArray[np.int64] = None  # type: ignore[assignment]  # always there once constructed
     signatures: FloatArray | None = None
     kind: SignatureKind = None  # type: ignore[assignment]  # the same
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

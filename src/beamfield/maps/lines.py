@@ -11,6 +11,7 @@ from beamfield.arguments import check_fields, checked
 from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.short_repr import short_repr
 
 # Given lines and end points may miss each other by this much, metres: files have a few digits.
 TOLERANCE = 1e-3
@@ -52,6 +53,8 @@ class LineMap:
     lines: FloatArray
     ids: NDArray[np.int64] = None  # type: ignore[assignment]  # always there once constructed
     segments: FloatArray | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
+from beamfield.short_repr import short_repr
 
 MarkerId = int | str
 
@@ -41,6 +42,8 @@ class MarkerMap:
     ids: Sequence[MarkerId]
     poses: FloatArray
     _rows: dict[MarkerId, int] = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import as_floats, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, invert, transform_points
+from beamfield.short_repr import short_repr
 
 BoolArray = NDArray[np.bool_]
 
@@ -56,6 +57,8 @@ class OccupancyGrid:
     origin: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     occupied_thresh: float = 0.65
     free_thresh: float = 0.25
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -15,6 +15,7 @@ from beamfield.kernels import raycast as kernels
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
+from beamfield.short_repr import short_repr
 
 IntArray = NDArray[np.int32]
 # The tables are addressed with 32-bit indices.
@@ -71,6 +72,8 @@ class RayCaster:
     grid: OccupancyGrid
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     _rectangles: NDArray[np.uint16] = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

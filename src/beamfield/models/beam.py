@@ -19,6 +19,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.range_mixture import RangeMixtureModel, RangeSource
 from beamfield.sensors import RangeFinder
+from beamfield.short_repr import short_repr
 
 __all__ = [
     "CAUSES",
@@ -101,6 +102,8 @@ class BeamModel(RangeMixtureModel):
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     finder: RangeFinder | None = field(default=None, kw_only=True)
     _source: RangeSource = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def _make_source(self) -> RangeSource:
         return RayCaster(self.grid, unknown=self.unknown)

@@ -14,6 +14,7 @@ from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, overlap_sums, value_table
+from beamfield.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,8 @@ class CellDifferenceModel:
     min_overlap: float = field(default=0.2, kw_only=True)
     inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
     _table: NDArray[np.float32] = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -15,6 +15,7 @@ from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, poses_in_cells
+from beamfield.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,8 @@ class HistogramMatchingModel:
     min_overlap: float = field(default=0.2, kw_only=True)
     inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
     _table: NDArray[np.uint8] = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -25,6 +25,7 @@ from beamfield.models.landmark_signatures import (
     signature_log_density,
 )
 from beamfield.models.wrapped_normal import log_share_on_circle, sample_wrapped
+from beamfield.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,8 @@ class LandmarkModel(CorrespondenceModel[Detections]):
     parameters: LandmarkParameters
     feature_name: ClassVar[str] = "feature"
     _kernels: ClassVar[ModuleType] = kernels
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         super().__post_init__()

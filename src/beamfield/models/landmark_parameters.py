@@ -10,6 +10,7 @@ import numpy as np
 from beamfield.arguments import LARGEST, check_fields, check_magnitude
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.short_repr import short_repr
 
 # Rows of a confusion matrix may miss the sum 1 by this much: they are read from files with a few digits.
 ROW_SUM_TOLERANCE = 1e-6
@@ -70,6 +71,8 @@ class LandmarkParameters:
     range_bias: float = 0.0
     bearing_bias: float = 0.0
     range_scale: float = 1.0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -21,6 +21,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
 from beamfield.models.field_tables import FieldTables, Table
 from beamfield.sensors import RangeFinder, Scan
+from beamfield.short_repr import short_repr
 
 # A hit further than this many sigma from its obstacle is lost in any z_rand; without z_rand, only beyond the second
 # number does its density underflow to 0.
@@ -148,6 +149,8 @@ class LikelihoodFieldModel:
     exponent: float = field(default=None, kw_only=True)  # type: ignore[assignment]  # the same
     n_beams: int | None = field(default=None, kw_only=True)
     _tables: FieldTables = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(
         self, max_distance: float | None, only_boundaries: bool, off_map: Literal["continued", "far"]

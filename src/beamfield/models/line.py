@@ -20,6 +20,7 @@ from beamfield.models.correspondence import CorrespondenceModel, Given, Tables
 from beamfield.models.landmark_signatures import LOG_2PI
 from beamfield.models.line_detections import LineDetections
 from beamfield.models.wrapped_normal import sample_wrapped
+from beamfield.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,8 @@ class LineModel(CorrespondenceModel[LineDetections]):
     min_overlap: float | None = field(default=None, kw_only=True)
     feature_name: ClassVar[str] = "line"
     _kernels: ClassVar[ModuleType] = kernels
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         super().__post_init__()

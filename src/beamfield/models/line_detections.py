@@ -15,6 +15,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import as_indices
 from beamfield.maps.lines import normal_form
+from beamfield.short_repr import short_repr
 
 
 class MeasuredLine(Protocol):
@@ -80,6 +81,8 @@ class LineDetections:
     segments: FloatArray | None = None
     ids: NDArray[np.int64] | None = None
     stamp: float = 0.0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

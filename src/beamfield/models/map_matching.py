@@ -22,6 +22,7 @@ from beamfield.models.local_map_cells import (
     overlap_sums,
     value_table,
 )
+from beamfield.short_repr import short_repr
 
 # Variances below this are 0: values are in [0, 1], and rounding leaves 1e-16 of them.
 NO_VARIANCE = 1e-12
@@ -106,6 +107,8 @@ class MapMatchingModel:
     min_overlap: float = field(default=0.2, kw_only=True)
     inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
     _table: NDArray[np.float32] = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -17,6 +17,7 @@ from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.markers import MarkerId, MarkerMap, as_ids
 from beamfield.models.ceiling_camera import CeilingCamera
 from beamfield.models.heading_density import HeadingDensity
+from beamfield.short_repr import short_repr
 
 __all__ = ["CeilingCamera", "MarkerDetections", "MarkerMap", "MarkerModel", "image_of_corners"]
 
@@ -51,6 +52,8 @@ class MarkerDetections:
     ids: Sequence[MarkerId]
     image: FloatArray
     stamp: float = 0.0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -178,6 +181,8 @@ class MarkerModel:
     camera: CeilingCamera
     sigma_pixel: float = field(kw_only=True)
     sigma_angle: float = field(kw_only=True)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

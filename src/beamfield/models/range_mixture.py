@@ -170,6 +170,7 @@ class RangeMixtureModel(ABC):
             return valid
         return np.asarray(valid[np.round(np.linspace(0, len(valid) - 1, self.n_beams)).astype(np.int64)])
 
+    @checked
     def responsibilities(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return how likely each cause is for each reading, (..., k, 4): hit, short, max, rand.
 

@@ -16,6 +16,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.range_mixture import RangeMixtureModel, RangeSource
 from beamfield.sensors import RangeFinder
+from beamfield.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,8 @@ class SonarModel(RangeMixtureModel):
     landmark_radius: ArrayLike = field(default=0.0, kw_only=True)
     finder: RangeFinder | None = field(default=None, kw_only=True)
     _source: RangeSource = field(init=False, repr=False)
+
+    __repr__ = short_repr
 
     def _make_source(self) -> RangeSource:
         if isinstance(self.map, LandmarkMap):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
@@ -66,29 +67,8 @@ def fit_over_time(
     judged = ~np.isnan(fits.p_value)
     if not judged.any():
         return None
-    seconds = fits.stamps - fits.stamps[0]
     figure = new_figure(WIDE, 4.6)
-    above, below = figure.subplots(2, 1, sharex=True)
-    low = fits.p_value <= LEVEL
-    above.scatter(seconds[judged & ~low], fits.p_value[judged & ~low], s=8, color=FIT, linewidths=0, label="fits")
-    above.scatter(
-        seconds[judged & low], fits.p_value[judged & low], s=12, color=HELD_OUT, marker="v", linewidths=0,
-        label=f"does not fit at {LEVEL:.0%}",
-    )  # fmt: skip
-    above.axhline(LEVEL, color=HELD_OUT, linewidth=1.0, linestyle="--")
-    above.set_yscale("log")
-    ticks = [t for t in (0.001, 0.01, 0.05, 0.1, 0.5, 1.0) if t >= 0.5 * reference.smallest_p_value]
-    above.set_yticks(ticks, [f"{t:g}" for t in ticks])
-    above.minorticks_off()
-    above.set_ylim(0.7 * min(LEVEL / 2, float(np.nanmin(fits.p_value))), 1.4)
-    style(above, y="p-value [1]")
-    legend(above, loc="lower left", ncols=2)
-    below.fill_between(seconds, fits.lost, step="post", color=HELD_OUT, alpha=0.25, linewidth=0)
-    below.plot(seconds, fits.lost, color=HELD_OUT, linewidth=1.2, drawstyle="steps-post")
-    below.axhline(0.5, color=MODEL, linewidth=0.8, linestyle="--")
-    below.set_ylim(-0.03, 1.03)
-    below.set_xlim(-0.01 * float(seconds[-1]), max(1.01 * float(seconds[-1]), 1e-3))
-    style(below, x="time since the first scan [s]", y="lost probability [1]")
+    draw_fit(figure, fits, reference.smallest_p_value)
     share = fits.share_that_fits(LEVEL)
     compared = "the other scans of this log, none closer in time than a block" if own else "the scans of the good log"
     silent = int((~judged).sum())
@@ -108,6 +88,43 @@ def fit_over_time(
         "but should leave this line low." + (f" {silent} scans could not be judged." if silent else ""),
         source,
     )
+
+
+def draw_fit(figure: Figure | SubFigure, fits: ScanFits, smallest: float) -> None:
+    """Draw p-value and lost probability over time, of a log of which at least one scan could be judged.
+
+    Parameters
+    ----------
+    figure
+        An empty figure.
+    fits
+        Result of `judge_log`.
+    smallest
+        The smallest p-value that there can be.
+    """
+    seconds = fits.stamps - fits.stamps[0]
+    judged = ~np.isnan(fits.p_value)
+    above, below = figure.subplots(2, 1, sharex=True)
+    low = fits.p_value <= LEVEL
+    above.scatter(seconds[judged & ~low], fits.p_value[judged & ~low], s=8, color=FIT, linewidths=0, label="fits")
+    above.scatter(
+        seconds[judged & low], fits.p_value[judged & low], s=12, color=HELD_OUT, marker="v", linewidths=0,
+        label=f"does not fit at {LEVEL:.0%}",
+    )  # fmt: skip
+    above.axhline(LEVEL, color=HELD_OUT, linewidth=1.0, linestyle="--")
+    above.set_yscale("log")
+    ticks = [t for t in (0.001, 0.01, 0.05, 0.1, 0.5, 1.0) if t >= 0.5 * smallest]
+    above.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    above.minorticks_off()
+    above.set_ylim(0.7 * min(LEVEL / 2, float(np.nanmin(fits.p_value))), 1.4)
+    style(above, y="p-value [1]")
+    legend(above, loc="lower left", ncols=2)
+    below.fill_between(seconds, fits.lost, step="post", color=HELD_OUT, alpha=0.25, linewidth=0)
+    below.plot(seconds, fits.lost, color=HELD_OUT, linewidth=1.2, drawstyle="steps-post")
+    below.axhline(0.5, color=MODEL, linewidth=0.8, linestyle="--")
+    below.set_ylim(-0.03, 1.03)
+    below.set_xlim(-0.01 * float(seconds[-1]), max(1.01 * float(seconds[-1]), 1e-3))
+    style(below, x="time since the first scan [s]", y="lost probability [1]")
 
 
 def calibration_fit(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps, log: SensorLog) -> ReportFigure:

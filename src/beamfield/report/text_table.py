@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from beamfield.calibration.calibrate import Calibration
+from beamfield.finding import Finding
 from beamfield.report.parameter_rows import parameter_rows
 
 GAP = "  "
@@ -67,6 +68,24 @@ def score_table(calibration: Calibration) -> str:
     ]
     table = aligned(("held-out beams", "nats per beam ± s.e.", "the fit is ahead by"), rows, right=(1, 2))
     return f"{table}\n{form_line(calibration)}"
+
+
+def warning_lines(
+    findings: Iterable[Finding], *, width: int | None = None, wording: Callable[[str], str] = str
+) -> list[str]:
+    """Return one paragraph for each warning.
+
+    Parameters
+    ----------
+    findings
+        Of a result; those that are no warnings are left out.
+    width
+        Characters in a line, for a terminal; None: as many as it takes.
+    wording
+        What turns the names of arguments in a text into those of the reader.
+    """
+    texts = [f"warning ({f.name}): {wording(f.text)}" for f in findings if f.severity == "warning"]
+    return texts if width is None else [textwrap.fill(text, width, subsequent_indent="  ") for text in texts]
 
 
 def form_line(calibration: Calibration) -> str:

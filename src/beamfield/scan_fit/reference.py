@@ -29,6 +29,7 @@ from beamfield.scan_fit.lost import (
 from beamfield.scan_fit.statistics import FitModel, FitStatistics, Progress, fit_statistics, grid_of
 from beamfield.scan_fit.wrong_poses import wrong_poses
 from beamfield.sensors import SensorLog
+from beamfield.short_repr import short_repr
 
 SCHEMA = "beamfield-scan-fit/1"
 # With fewer good scans no p-value would be below 5 %.
@@ -76,6 +77,8 @@ class ScanFitReference:
     gap_s: float
     reliability: tuple[ReliabilityRow, ...] = ()
     inputs: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import checked
+from beamfield.data_frame import data_frame
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.scan_fit.lost import LostRates, lost_probability
 from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.statistics import FitModel, FitStatistics, Progress, fit_statistics, grid_of
 from beamfield.sensors import Scan, SensorLog
+from beamfield.short_repr import short_repr
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # What can keep a scan from being judged, or make its p-value certain; in this order.
 PROBLEMS = ("", "no pose", "no measurement", "off the map", "inside a wall")
@@ -69,8 +76,46 @@ class ScanFits:
     lost: FloatArray
     problem: NDArray[np.int8]
 
+    __repr__ = short_repr
+
     def __len__(self) -> int:
         return len(self.stamps)
+
+    def summary(self) -> str:
+        """Return how many scans fit, whether the robot was lost, and the worst scans, as text to print."""
+        from beamfield.report.results import fits_summary
+
+        return fits_summary(self)
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure: p-value and lost probability over time."""
+        from beamfield.report.results import plot_fits
+
+        return plot_fits(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write one line per scan, as CSV.
+
+        Parameters
+        ----------
+        path
+            The file; one that is there is replaced.
+        """
+        from beamfield.report.results import save_fits
+
+        save_fits(self, path)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame with one row per scan and the columns of the CSV; needs pandas."""
+        s = self.statistics
+        columns: dict[str, NDArray[Any]] = {
+            "stamp": self.stamps,
+            "misfit": s.misfit,
+            "p_value": self.p_value,
+            "lost": self.lost,
+        }
+        columns |= {"surprise": s.surprise, "through": s.through, "short": s.short, "n_beams": s.n_beams}
+        return data_frame({**columns, "problem": np.array(PROBLEMS)[self.problem]})
 
     def share_that_fits(self, level: float = 0.05) -> float:
         """Return the share of judged scans whose p-value is above a level.

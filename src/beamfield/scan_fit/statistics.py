@@ -20,6 +20,7 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.scan_fit.surprise import MOST_SURPRISE, BeamSurprise, beam_surprise
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
+from beamfield.short_repr import short_repr
 
 Progress = Callable[[int, int], None]
 FitModel = RangeMixtureModel | LikelihoodFieldModel
@@ -56,6 +57,8 @@ class FitStatistics:
     through: FloatArray
     short: FloatArray
     n_beams: NDArray[np.int64]
+
+    __repr__ = short_repr
 
     def __len__(self) -> int:
         return len(self.surprise)

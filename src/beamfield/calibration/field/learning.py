@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
-from beamfield.sensors import SensorLog
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.short_repr import short_repr
 
 __all__ = ["FieldLearning", "FieldScore", "learn_field_parameters"]
 
@@ -93,6 +95,8 @@ class FieldLearning:
         On held-out blocks: this field, the same with exponent 1, the beam model's if one was given, a uniform.
     findings
         What the log leaves open.
+    finder
+        The sensor.
     """
 
     parameters: LikelihoodFieldParameters
@@ -108,6 +112,27 @@ class FieldLearning:
     n_blocks: int
     scores: tuple[FieldScore, ...]
     findings: tuple[Finding, ...]
+    finder: RangeFinder
+
+    __repr__ = short_repr
+
+    def summary(self) -> str:
+        """Return the parameters with 95 % intervals, held-out scores and warnings, as text to print."""
+        from beamfield.report.results import field_summary
+
+        return field_summary(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write a likelihood_field.yaml, which `read_likelihood_field` and the commands read.
+
+        Parameters
+        ----------
+        path
+            The file; one that is there is replaced.
+        """
+        from beamfield.report.results import save_field
+
+        save_field(self, path)
 
 
 def learn_field_parameters(
@@ -220,6 +245,7 @@ def learn_field_parameters(
         n_blocks=n_blocks,
         scores=tuple(scores),
         findings=tuple(findings),
+        finder=log.finder,
     )
 
 

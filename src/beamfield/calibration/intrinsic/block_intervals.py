@@ -32,6 +32,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.short_repr import short_repr
 
 # From this much time on, 95 % intervals hold the truth in 92 to 97 % of simulated logs, also where people walk by in
 # bursts every 30 s; in less time such bursts take that down to 83 % (docs/reliability.md). With fewer blocks
@@ -72,6 +73,8 @@ class IntervalResult:
     level: float
     n_blocks: int
     findings: tuple[Finding, ...]
+
+    __repr__ = short_repr
 
 
 @checked

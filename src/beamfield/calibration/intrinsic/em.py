@@ -24,6 +24,7 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits
+from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int], None]
 
@@ -80,6 +81,8 @@ class LearningResult:
     n_no_measurement: int
     modes: tuple[Mode, ...]
     findings: tuple[Finding, ...]
+
+    __repr__ = short_repr
 
 
 @checked

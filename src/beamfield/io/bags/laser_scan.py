@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import as_floats, checked
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.io.bags.bag_file import BagMessage, seconds
 from beamfield.sensors import RangeFinder, Scan
 
@@ -277,7 +277,9 @@ def _check_geometry(angle_min: float, increment: float, n_beams: int) -> None:
 
 
 def _bearings(angle_min: float, increment: float, n_beams: int) -> FloatArray:
-    return np.asarray(angle_min + increment * np.arange(n_beams), dtype=np.float64)
+    angles = np.asarray(angle_min + increment * np.arange(n_beams), dtype=np.float64)
+    # Some drivers go on counting after a full turn.
+    return angles if np.abs(angles).max() <= 2.0 * np.pi else wrap_angle(angles)
 
 
 def ordered_stamps(stamps: FloatArray, path: Path, topic: str, notes: list[str]) -> tuple[FloatArray, NDArray[np.intp]]:

@@ -1,0 +1,31 @@
+"""Columns as a pandas DataFrame, where pandas is installed: no dependency of beamfield."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from numpy.typing import NDArray
+
+from beamfield.errors import MissingDependencyError
+
+
+def data_frame(columns: Mapping[str, NDArray[Any]]) -> Any:
+    """Return a DataFrame.
+
+    Parameters
+    ----------
+    columns
+        Arrays of one length by name.
+
+    Raises
+    ------
+    MissingDependencyError
+        If pandas is not installed.
+    """
+    try:
+        pandas = import_module("pandas")
+    except ImportError as error:
+        raise MissingDependencyError("pandas", None, "to_dataframe") from error
+    return pandas.DataFrame(dict(columns))

@@ -1,0 +1,187 @@
+"""Results as people look at them from Python: a text, a picture, a notebook's cell, a file.
+
+The methods of the results come here when they are called, so that learning needs no drawing.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.field.learning import FieldLearning
+from beamfield.io.files.atomic import write_file
+from beamfield.io.parameters.beam_model_file import beam_model_text
+from beamfield.io.parameters.landmark_model_file import landmark_model_text
+from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
+from beamfield.landmark_noise.learning import LandmarkLearningResult
+from beamfield.report.density_figures import draw_histogram
+from beamfield.report.drawing import WIDE, new_figure, svg_panel
+from beamfield.report.escape import escaped
+from beamfield.report.field_section import field_tables
+from beamfield.report.landmark_table import landmark_parameter_table
+from beamfield.report.parameter_rows import parameter_rows
+from beamfield.report.range_bins import telling_bin, typical_bins
+from beamfield.report.scan_fit_figures import draw_fit
+from beamfield.report.scan_fit_page import fit_csv, fit_table
+from beamfield.report.text_table import parameter_table, readings_line, score_table, warning_lines
+from beamfield.report.verdict import verdict
+from beamfield.scan_fit.scan_fit import ScanFits
+
+
+def calibration_summary(result: Calibration, *, width: int | None = None, wording: Callable[[str], str] = str) -> str:
+    """Return what a calibration found: the verdict, the data, parameters with intervals, held-out scores, warnings.
+
+    Parameters
+    ----------
+    result
+        The result of `calibrate`.
+    width
+        Characters in a line, for a terminal; None: as many as it takes.
+    wording
+        What turns the names of arguments in a warning into those of the reader.
+    """
+    said = verdict(result) if width is None else textwrap.fill(verdict(result), width)
+    data = f"{result.selection.describe()}\n{readings_line(result)}"
+    warnings = warning_lines(result.findings, width=width, wording=wording)
+    return "\n\n".join([said, data, parameter_table(result, width=width), score_table(result), *warnings])
+
+
+def plot_calibration(result: Calibration) -> Figure:
+    """Draw measured ranges around one expected range and the fitted density over them: Figure 6.6.
+
+    Parameters
+    ----------
+    result
+        The result of `calibrate`.
+    """
+    figure = new_figure(WIDE, 5.0)
+    draw_histogram(figure, result, telling_bin(typical_bins(result.table)))
+    return figure
+
+
+def calibration_markup(result: Calibration) -> str:
+    """Return the table of the parameters, the warnings and the main picture as HTML for a notebook.
+
+    Parameters
+    ----------
+    result
+        The result of `calibrate`.
+    """
+    rows = "".join(
+        f"<tr><td>{escaped(row.name)}</td><td>{row.value}</td><td>{escaped(row.interval_text)}</td>"
+        f"<td>{row.unit}</td><td>{row.meaning}</td></tr>"
+        for row in parameter_rows(result)
+    )
+    head = "<th>parameter</th><th>value</th><th>95 % interval</th><th>unit</th><th>meaning</th>"
+    warnings = "".join(f"<p>{escaped(line)}</p>" for line in warning_lines(result.findings))
+    picture = svg_panel(plot_calibration(result), "readings", "Measured ranges and the fitted density").markup
+    return (
+        f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{warnings}"
+        f'<div style="max-width: 700px; background: white">{picture}</div>'
+    )
+
+
+def save_calibration(result: Calibration, path: str | Path) -> None:
+    """Write a beam_model.yaml.
+
+    Parameters
+    ----------
+    result
+        The result of `calibrate`.
+    path
+        The file; one that is there is replaced.
+    """
+    write_file(path, beam_model_text(result.parameters, result.finder, intervals=result.intervals.intervals))
+
+
+def field_summary(result: FieldLearning) -> str:
+    """Return the parameters with intervals, held-out scores and warnings.
+
+    Parameters
+    ----------
+    result
+        The result of `learn_field_parameters`.
+    """
+    return field_tables(result)
+
+
+def save_field(result: FieldLearning, path: str | Path) -> None:
+    """Write a likelihood_field.yaml.
+
+    Parameters
+    ----------
+    result
+        The result of `learn_field_parameters`.
+    path
+        The file; one that is there is replaced.
+    """
+    text = likelihood_field_text(
+        result.parameters, result.finder, exponent=result.exponent, n_beams=result.n_beams, intervals=result.intervals
+    )
+    write_file(path, text)
+
+
+def landmark_summary(result: LandmarkLearningResult) -> str:
+    """Return the parameters with intervals, and warnings.
+
+    Parameters
+    ----------
+    result
+        The result of `learn_landmark_parameters`.
+    """
+    return "\n\n".join([landmark_parameter_table(result), *warning_lines(result.findings)])
+
+
+def save_landmarks(result: LandmarkLearningResult, path: str | Path) -> None:
+    """Write a landmark_model.yaml.
+
+    Parameters
+    ----------
+    result
+        The result of `learn_landmark_parameters`.
+    path
+        The file; one that is there is replaced.
+    """
+    write_file(path, landmark_model_text(result.parameters, intervals=result.intervals))
+
+
+def fits_summary(fits: ScanFits) -> str:
+    """Return how many scans fit, whether the robot was lost, and the five worst scans.
+
+    Parameters
+    ----------
+    fits
+        The result of `judge_log`.
+    """
+    return fit_table(fits, fits.worst())
+
+
+def plot_fits(fits: ScanFits) -> Figure:
+    """Draw p-value and lost probability over time.
+
+    Parameters
+    ----------
+    fits
+        The result of `judge_log`.
+    """
+    figure = new_figure(WIDE, 4.6)
+    draw_fit(figure, fits, float(np.nanmin(fits.p_value, initial=1.0)))
+    return figure
+
+
+def save_fits(fits: ScanFits, path: str | Path) -> None:
+    """Write one line per scan as CSV.
+
+    Parameters
+    ----------
+    fits
+        The result of `judge_log`.
+    path
+        The file; one that is there is replaced.
+    """
+    write_file(path, fit_csv(fits))

@@ -40,7 +40,7 @@ def simulate() -> None:
     show("(a) that image puts the marker at", camera.marker_poses(image, robot))
     show("(c) and the robot, given the marker, at", camera.robot_poses(image, markers.poses[0]))
 
-    model = bf.MarkerModel(markers, camera, sigma_pixel=3.0, sigma_angle=0.03)
+    model = bf.MarkerModel(markers, bf.MarkerParameters(sigma_pixel=3.0, sigma_angle=0.03), camera)
     seen = model.sample(robot[None], rng)[0]
     print(f"with noise, the image shows the markers {', '.join(map(str, seen.ids))}")
     one = bf.MarkerDetections(seen.ids[:1], seen.image[:1])

@@ -51,7 +51,6 @@ DEEP = {
     "beamfield.calibration.pose_windows",
     "beamfield.features.feature",
     "beamfield.io.bags.fiducial_detections",
-    "beamfield.io.parameters.likelihood_field_file",
     "beamfield.localization.feature_map",
     "beamfield.localization.feature_posteriors",
     "beamfield.localization.information",

@@ -45,7 +45,7 @@ _NAMES = {
     "models.landmark_poses": ("sample_poses",),
     "models.line": ("LineModel", "LineParameters"),
     "models.line_detections": ("LineDetections",),
-    "models.marker": ("MarkerModel", "MarkerDetections"),
+    "models.marker": ("MarkerModel", "MarkerParameters", "MarkerDetections"),
     "models.ceiling_camera": ("CeilingCamera",),
     # Learning and judging
     "calibration.calibrate": ("calibrate",),

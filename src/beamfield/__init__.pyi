@@ -52,7 +52,11 @@ from beamfield.models.landmark_parameters import LandmarkParameters as LandmarkP
 from beamfield.models.landmark_poses import sample_poses as sample_poses
 from beamfield.models.line import LineModel as LineModel, LineParameters as LineParameters
 from beamfield.models.line_detections import LineDetections as LineDetections
-from beamfield.models.marker import MarkerModel as MarkerModel, MarkerDetections as MarkerDetections
+from beamfield.models.marker import (
+    MarkerModel as MarkerModel,
+    MarkerParameters as MarkerParameters,
+    MarkerDetections as MarkerDetections,
+)
 from beamfield.models.ceiling_camera import CeilingCamera as CeilingCamera
 from beamfield.calibration.calibrate import calibrate as calibrate
 from beamfield.calibration.options import CalibrationOptions as CalibrationOptions

@@ -29,7 +29,7 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
-from beamfield.models.marker import CeilingCamera, MarkerDetections, MarkerModel
+from beamfield.models.marker import CeilingCamera, MarkerDetections, MarkerModel, MarkerParameters
 from beamfield.models.sonar import SonarModel
 from beamfield.sensors import RangeFinder, Scan
 
@@ -247,13 +247,14 @@ CEILING = MarkerMap([3, 8, "door"], [[1.0, 2.0, 0.5], [2.1, 1.7, -3.0], [0.4, 1.
 def build_marker_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any) -> MarkerModel:
     """Return a model of three markers on the ceiling."""
     markers = MarkerMap(CEILING.ids, compose(map_from_moved, CEILING.poses))
-    return MarkerModel(markers, **{"camera": CEILING_CAMERA, "sigma_pixel": 2.0, "sigma_angle": 0.05, **options})
+    noise = {name: options.pop(name, value) for name, value in (("sigma_pixel", 2.0), ("sigma_angle", 0.05))}
+    return MarkerModel(markers, MarkerParameters(**noise), **{"camera": CEILING_CAMERA, **options})
 
 
 def integrate_one_marker(model: MarkerModel, pose: np.ndarray) -> float:
     """Return the integral over place and angle of one marker, by the trapezoidal rule in steps of sigma."""
-    steps = np.arange(-6.0, 7.0) * model.sigma_pixel
-    n_angles = int(np.ceil(2.0 * np.pi / model.sigma_angle)) + 8
+    steps = np.arange(-6.0, 7.0) * model.parameters.sigma_pixel
+    n_angles = int(np.ceil(2.0 * np.pi / model.parameters.sigma_angle)) + 8
     angles = -np.pi + 2.0 * np.pi * np.arange(n_angles) / n_angles
     noise = np.stack(np.meshgrid(steps, steps, angles, indexing="ij"), axis=-1).reshape(-1, 3)
     z = MarkerDetections([8] * len(noise), model.expected(pose)[1] + noise)
@@ -269,9 +270,9 @@ def marker_transform(
     error = np.array([z.image for z in samples]) - model.expected(pose)
     angle = np.pi - np.mod(np.pi - error[..., 2], 2.0 * np.pi)
     turns = 2.0 * np.pi * np.arange(-10, 11)[:, None, None]
-    law = stats.norm(0.0, model.sigma_angle)
+    law = stats.norm(0.0, model.parameters.sigma_angle)
     of_angle = (law.cdf(angle + turns) - law.cdf(-np.pi + turns)).sum(axis=0)
-    return np.concatenate([stats.norm.cdf(error[..., :2] / model.sigma_pixel).ravel(), of_angle.ravel()])
+    return np.concatenate([stats.norm.cdf(error[..., :2] / model.parameters.sigma_pixel).ravel(), of_angle.ravel()])
 
 
 NO_RETURN = [0.0, 1.2, np.inf, 5.0, 4.9999, 7.0, 0.3, 2.0, 2.5]

@@ -58,7 +58,7 @@ from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
-from beamfield.models.marker import MarkerDetections, MarkerModel
+from beamfield.models.marker import MarkerDetections, MarkerModel, MarkerParameters
 from beamfield.models.sonar import SonarModel
 from beamfield.scan_fit.scan_fit import judge_scan
 from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
@@ -222,9 +222,10 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (LineParameters, {"sigma_rho": 0.3, "sigma_alpha": 0.2, "spurious_rate": 0.2, "max_range": 8.0}),
     (LineModel, {"lines": WALLS, "parameters": LINE_NOISE, "correspondence": "known"}),
     (LineModel(WALLS, LINE_NOISE, correspondence="known").log_likelihood, {"z": WALLS_SEEN, "poses": POSES}),
-    (MarkerModel, {"markers": CEILING, "camera": CEILING_CAMERA, "sigma_pixel": 2.0, "sigma_angle": 0.05}),
+    (MarkerParameters, {"sigma_pixel": 2.0, "sigma_angle": 0.05}),
+    (MarkerModel, {"markers": CEILING, "parameters": MarkerParameters(2.0, 0.05), "camera": CEILING_CAMERA}),
     (
-        MarkerModel(CEILING, CEILING_CAMERA, sigma_pixel=2.0, sigma_angle=0.05).log_likelihood,
+        MarkerModel(CEILING, MarkerParameters(2.0, 0.05), CEILING_CAMERA).log_likelihood,
         {"z": MARKER_SEEN, "poses": POSES},
     ),
     (MapMatchingModel, {"grid": GRID, "min_overlap": 2}),

@@ -10,7 +10,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import wrap_angle
 from beamfield.maps.markers import MarkerMap
 from beamfield.models.ceiling_camera import CeilingCamera
-from beamfield.models.marker import MarkerDetections, MarkerModel
+from beamfield.models.marker import MarkerDetections, MarkerModel, MarkerParameters
 from tests.reference.marker_exercise import image_by_projection, wrapped_normal_density
 
 CAMERA = CeilingCamera(600.0, 2.6, (0.12, -0.05, np.pi / 2), (320.0, 240.0), (640.0, 480.0))
@@ -18,7 +18,8 @@ MARKERS = MarkerMap([4, 9, "door"], [[1.0, 2.0, 0.5], [2.1, 1.7, -3.0], [0.4, 1.
 
 
 def build(**changes):
-    return MarkerModel(MARKERS, CAMERA, **{"sigma_pixel": 3.0, "sigma_angle": 0.04, **changes})
+    noise = {name: changes.pop(name, value) for name, value in (("sigma_pixel", 3.0), ("sigma_angle", 0.04))}
+    return MarkerModel(MARKERS, MarkerParameters(**noise), CAMERA, **changes)
 
 
 def detect(model, pose, rng):
@@ -106,7 +107,7 @@ def test_only_markers_in_view_are_drawn(rng):
 
 
 def test_drawn_angles_lie_in_one_turn(rng):
-    model = MarkerModel(MARKERS, CeilingCamera(600.0, 2.6), sigma_pixel=1.0, sigma_angle=3.0)
+    model = MarkerModel(MARKERS, MarkerParameters(1.0, 3.0), CeilingCamera(600.0, 2.6))
     angles = np.concatenate([z.image[:, 2] for z in model.sample(np.zeros((500, 3)), rng)])
     assert angles.min() > -np.pi
     assert angles.max() <= np.pi

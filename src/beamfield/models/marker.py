@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -121,6 +121,34 @@ def _cross(one: FloatArray, two: FloatArray) -> FloatArray:
     return np.asarray(one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0])
 
 
+@dataclass(frozen=True)
+class MarkerParameters:
+    """The noise of a marker's place and angle in the image.
+
+    Parameters
+    ----------
+    sigma_pixel
+        Standard deviation of u and of v, pixels.
+    sigma_angle
+        Standard deviation of the angle in the image, radians, at most pi. An angle that says nothing is better left out
+        of the detections, as NaN.
+
+    Raises
+    ------
+    InvalidInputError
+        If a standard deviation is not positive and finite, or sigma_angle exceeds pi.
+    """
+
+    sigma_pixel: float
+    sigma_angle: float
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_magnitude("sigma_pixel", self.sigma_pixel)
+        if not SMALLEST <= self.sigma_angle <= np.pi:
+            raise InvalidInputError(f"sigma_angle: expected radians in (0, pi], got {self.sigma_angle}")
+
+
 @dataclass(frozen=True, eq=False)
 class MarkerModel:
     """p(z | x, m) of the markers found in the image of a camera that looks up at the ceiling.
@@ -142,18 +170,10 @@ class MarkerModel:
     ----------
     markers
         The map.
+    parameters
+        The noise.
     camera
         The camera.
-    sigma_pixel
-        Standard deviation of u and of v, pixels.
-    sigma_angle
-        Standard deviation of the angle in the image, radians, at most pi. An angle that says nothing is better left out
-        of the detections, as NaN.
-
-    Raises
-    ------
-    InvalidInputError
-        If a standard deviation is not positive and finite, or sigma_angle exceeds pi.
 
     Notes
     -----
@@ -169,7 +189,7 @@ class MarkerModel:
     Examples
     --------
     >>> camera = CeilingCamera(focal_length=500.0, height=2.5, principal_point=(320.0, 240.0))
-    >>> model = MarkerModel(MarkerMap([7], [[3.5, 1.0, 0.0]]), camera, sigma_pixel=2.0, sigma_angle=0.05)
+    >>> model = MarkerModel(MarkerMap([7], [[3.5, 1.0, 0.0]]), MarkerParameters(2.0, 0.05), camera)
     >>> z = MarkerDetections([7], [[420.0, 240.0, 0.0]])
     >>> model.log_likelihood(z, [[3.0, 1.0, 0.0], [3.1, 1.0, 0.0]]).round(2).tolist()
     [-1.15, -51.15]
@@ -178,17 +198,13 @@ class MarkerModel:
     is_normalized: ClassVar[bool] = True
 
     markers: MarkerMap
+    parameters: MarkerParameters
     camera: CeilingCamera
-    sigma_pixel: float = field(kw_only=True)
-    sigma_angle: float = field(kw_only=True)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_magnitude("sigma_pixel", self.sigma_pixel)
-        if not SMALLEST <= self.sigma_angle <= np.pi:
-            raise InvalidInputError(f"sigma_angle: expected radians in (0, pi], got {self.sigma_angle}")
 
     @checked
     def log_likelihood(self, z: MarkerDetections, poses: ArrayLike) -> FloatArray:
@@ -336,9 +352,9 @@ class MarkerModel:
         ceiling = image[:, :2] @ [1.0, 1.0j] / self.camera.scale
         markers = seen[:, :2] @ [1.0, 1.0j]
         turns = (seen[:, 2] - image[:, 2])[~np.isnan(image[:, 2])]
-        sigma = self.sigma_pixel / self.camera.scale
+        sigma = self.parameters.sigma_pixel / self.camera.scale
         moment = np.sum((markers - markers.mean()) * np.conj(ceiling - ceiling.mean())) / sigma**2
-        density = HeadingDensity(complex(moment), turns, float(self.sigma_angle), self._view().n_turns)
+        density = HeadingDensity(complex(moment), turns, float(self.parameters.sigma_angle), self._view().n_turns)
         theta = density.sample(n, rng)
         place = markers.mean() - np.exp(1j * theta) * ceiling.mean()
         place = place + rng.normal(0.0, sigma / np.sqrt(len(z)), (n, 2)) @ [1.0, 1.0j]
@@ -346,7 +362,9 @@ class MarkerModel:
         return compose(lenses, invert(self.camera.mount))
 
     def _add_noise(self, image: FloatArray, rng: np.random.Generator) -> FloatArray:
-        noisy = image + rng.normal(0.0, [self.sigma_pixel, self.sigma_pixel, self.sigma_angle], image.shape)
+        noisy = image + rng.normal(
+            0.0, [self.parameters.sigma_pixel, self.parameters.sigma_pixel, self.parameters.sigma_angle], image.shape
+        )
         noisy[..., 2] = wrap_angle(noisy[..., 2])
         return noisy
 
@@ -364,15 +382,15 @@ class MarkerModel:
     def _view(self) -> CameraView:
         x, y, theta = np.asarray(self.camera.mount).tolist()
         # How many turns matter: at half a turn, the k-th is exp(-2 pi^2 k (k - 1) / sigma^2) of the nearest.
-        n_turns = int(np.ceil(0.5 + np.sqrt(0.25 + NEGLIGIBLE * self.sigma_angle**2 / (2.0 * np.pi**2))))
+        n_turns = int(np.ceil(0.5 + np.sqrt(0.25 + NEGLIGIBLE * self.parameters.sigma_angle**2 / (2.0 * np.pi**2))))
         return CameraView(
             x,
             y,
             theta,
             self.camera.scale,
-            float(self.sigma_pixel),
-            float(self.sigma_angle),
-            float(-np.log(2.0 * np.pi * self.sigma_pixel**2)),
-            float(-0.5 * np.log(2.0 * np.pi * self.sigma_angle**2)),
+            float(self.parameters.sigma_pixel),
+            float(self.parameters.sigma_angle),
+            float(-np.log(2.0 * np.pi * self.parameters.sigma_pixel**2)),
+            float(-0.5 * np.log(2.0 * np.pi * self.parameters.sigma_angle**2)),
             n_turns,
         )

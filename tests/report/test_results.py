@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import beamfield as bf
-from beamfield.errors import MissingDependencyError
+from beamfield.errors import InvalidInputError, MissingDependencyError
 from beamfield.report.text_table import parameter_table, score_table
 from beamfield.scan_fit.scan_fit import ScanFits
 from beamfield.scan_fit.statistics import FitStatistics
@@ -65,6 +65,10 @@ class TestScanFits:
         assert [axes.get_ylabel() for axes in fits.plot().axes] == ["p-value [1]", "lost probability [1]"]
         fits.save(tmp_path / "fit.csv")
         assert len((tmp_path / "fit.csv").read_text().splitlines()) == 7
+
+    def test_there_is_no_picture_of_nothing(self, fits):
+        with pytest.raises(InvalidInputError, match="expected a scan that could be judged"):
+            dataclasses.replace(fits, p_value=np.full(6, np.nan)).plot()
 
 
 class TestDataFrames:

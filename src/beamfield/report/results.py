@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.field.learning import FieldLearning
+from beamfield.errors import InvalidInputError
 from beamfield.io.files.atomic import write_file
 from beamfield.io.parameters.beam_model_file import beam_model_text
 from beamfield.io.parameters.landmark_model_file import landmark_model_text
@@ -168,9 +169,16 @@ def plot_fits(fits: ScanFits) -> Figure:
     ----------
     fits
         The result of `judge_log`.
+
+    Raises
+    ------
+    InvalidInputError
+        If no scan could be judged.
     """
+    if np.isnan(fits.p_value).all():
+        raise InvalidInputError("fits: expected a scan that could be judged, got none")
     figure = new_figure(WIDE, 4.6)
-    draw_fit(figure, fits, float(np.nanmin(fits.p_value, initial=1.0)))
+    draw_fit(figure, fits, float(np.nanmin(fits.p_value)))
     return figure
 
 

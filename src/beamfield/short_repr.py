@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,8 @@ def _brief(value: Any) -> str:
         return _brief_array(value)
     if isinstance(value, float):
         return repr(float(f"{value:.6g}"))
-    text = " ".join(repr(value).split()) if not isinstance(value, Mapping | tuple | list) or len(value) <= FEW else ""
+    shown = short_repr(value) if is_dataclass(value) else repr(value)
+    text = " ".join(shown.split()) if not isinstance(value, Mapping | tuple | list) or len(value) <= FEW else ""
     if text and len(text) <= LONGEST:
         return text
     if isinstance(value, str):

@@ -57,6 +57,7 @@ class TestCalibration:
             assert len(text) < 2500
             assert max(len(line) for line in text.splitlines()) <= 110
         assert "72 x 3 numbers" in repr(case.log.finder)
+        assert f"sigma_hit={case.calibration.parameters.sigma_hit:.6g}" in repr(case.calibration)
 
 
 class TestScanFits:

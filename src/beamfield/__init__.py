@@ -64,9 +64,10 @@ _NAMES = {
     "features.poles": ("find_poles",),
     "features.minima": ("find_local_minima",),
     "features.sweep": ("RangeNoise",),
-    # Simulation
+    # Simulation, and the process
     "simulation.log": ("simulate_log",),
     "simulation.floor_plan": ("draw_floor_plan",),
+    "kernels.threads": ("set_threads",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = (

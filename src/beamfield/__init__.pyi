@@ -75,5 +75,6 @@ from beamfield.features.minima import find_local_minima as find_local_minima
 from beamfield.features.sweep import RangeNoise as RangeNoise
 from beamfield.simulation.log import simulate_log as simulate_log
 from beamfield.simulation.floor_plan import draw_floor_plan as draw_floor_plan
+from beamfield.kernels.threads import set_threads as set_threads
 
 __version__: str

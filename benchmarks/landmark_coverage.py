@@ -18,6 +18,7 @@ import numpy as np
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.kernels.threads import set_threads
 from beamfield.landmark_noise.learning import learn_landmark_parameters
 from beamfield.maps.landmarks import LandmarkMap
 from tables import print_table
@@ -82,4 +83,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    set_threads(1)
     main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import functools
 import os
 import threading
@@ -212,7 +213,8 @@ def _call_for_help(job: _Job, n: int) -> None:
     while _n_helpers < n:
         with _starting:
             if _n_helpers < n:
-                threading.Thread(target=_help_forever, args=(_jobs,), name="beamfield", daemon=True).start()
+                # Not threading.Thread: a start of that, ended half way by Ctrl-C, leaves a thread that dies.
+                _thread.start_new_thread(_help_forever, (_jobs,))
                 _n_helpers += 1
     # Calls for help that nobody has answered, because all are at work, are not piled up.
     with suppress(Empty):

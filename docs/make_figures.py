@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def draw_scan_fit(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> None:
-    """Draw what `beamfield fit` says of a drive whose pose is 2.3 m off between 40 and 65 s."""
+    """Draw what `beamfield check` says of a drive whose pose is 2.3 m off between 40 and 65 s."""
     model = BeamModel(grid, result.parameters)
     reference = calibrate_scan_fit(model, log)
     # Errors in bursts, as in the demo's own log.

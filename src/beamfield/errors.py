@@ -23,6 +23,8 @@ class BeamfieldError(Exception):
 class InvalidInputError(BeamfieldError, ValueError):
     """An argument is not what the function takes: says what, what was got and what was expected."""
 
+    exit_code = 2
+
 
 class NoSuchIndexError(InvalidInputError, IndexError):
     """There is nothing of that number."""
@@ -71,8 +73,8 @@ class MissingDependencyError(BeamfieldError, ImportError):
     """
 
     def __init__(self, package: str, extra: str | None, purpose: str) -> None:
-        target = package if extra is None else f"'beamfield[{extra}]'"
-        super().__init__(f"{purpose} needs the package {package!r}: install it with pip install {target}")
+        where = "" if extra is None else f", which is in the extra beamfield[{extra}]"
+        super().__init__(f"{purpose} needs the package {package!r}: pip install {package}{where}")
 
 
 class BeamfieldWarning(UserWarning):

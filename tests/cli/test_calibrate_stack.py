@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,7 @@ amcl:
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("world")
     code = main([
-        "simulate", str(folder), "--overwrite", "--seed", "4", "--duration", "90", "--scan-rate", "3", "--beams", "31",
+        "simulate", "--out", str(folder), "--seed", "4", "--duration", "90", "--scan-rate", "3", "--beams", "31",
         "--quiet",
     ])  # fmt: skip
     assert code == 0
@@ -44,17 +45,17 @@ def short_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(html, "report_figures", lambda *_, **__: [])
 
 
-def calibrate(world: Path, out: Path, *more: str) -> int:
+def calibrate(world: Path, out: Path, *more: str, quiet: bool = True) -> int:
     return main([
-        "calibrate", str(next(world.glob("log.*"))), "--map", str(world / "map.yaml"), "--out", str(out), "--quiet",
-        "--no-refine", *more,
+        "calibrate", str(next(world.glob("log.*"))), "--map", str(world / "map.yaml"), "--out", str(out),
+        *(["--quiet"] if quiet else []), "--no-refine", *more,
     ])  # fmt: skip
 
 
 def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(world, tmp_path, capsys):
     mine = tmp_path / "mine.yaml"
     mine.write_text(MINE)
-    assert calibrate(world, tmp_path / "out", "--stack", "nav2", "--patch", str(mine)) == 0
+    assert calibrate(world, tmp_path / "out", "--stack", "nav2", "--patch", str(mine), quiet=False) == 0
     printed = capsys.readouterr().out
     assert "likelihood_field_prob, before" in printed
     assert "the old file is mine.yaml.bak" in printed
@@ -82,7 +83,7 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
 
 
 def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path, capsys):
-    assert calibrate(world, tmp_path / "out", "--stack", "beluga") == 0
+    assert calibrate(world, tmp_path / "out", "--stack", "beluga", quiet=False) == 0
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
     assert [fit["model"] for fit in document["models"]] == ["likelihood_field", "likelihood_field_prob", "beam"]
     best = max(document["models"], key=lambda fit: max(trial["net_score"] for trial in fit["trials"]))
@@ -93,18 +94,18 @@ def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path,
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "message", "code"),
     [
-        (("--stack", "ros9"), "stack: expected one of nav2, ros1, beluga, mrpt, f1tenth, got 'ros9'"),
-        (("--stack", "nav2", "--model", "table"), "model: nav2 has likelihood_field, likelihood_field_prob, beam, got"),
-        (("--model", "beam"), "--model: is for another program's model, name it with --stack"),
-        (("--stack", "nav2", "--patch", "missing.yaml"), "missing.yaml: No such file or directory"),
-        (("--stack", "nav2", "--reference-error", "0"), "--reference-error: expected 0 to 0.25 m, without 0, got 0.0"),
+        (("--stack", "ros9"), "--stack: expected one of nav2, ros1, beluga, mrpt, f1tenth, got 'ros9'", 2),
+        (("--stack", "nav2", "--model", "table"), "--model: nav2 has likelihood_field, likelihood_field_prob, beam", 2),
+        (("--model", "beam"), "--model: is for another program's model, name it with --stack", 2),
+        (("--stack", "nav2", "--patch", "missing.yaml"), "missing.yaml: No such file or directory", 1),
+        (("--stack", "nav2", "--reference-error", "0"), "--reference-error: expected 0 to 0.25 m, without 0", 2),
     ],
     ids=["stack", "model", "no stack", "no file", "reference error"],
 )
-def test_wrong_requests_fail_before_any_work(world, tmp_path, capsys, options, message):
-    assert calibrate(world, tmp_path / "out", *options) == 1
+def test_wrong_requests_fail_before_any_work(world, tmp_path, capsys, options, message, code):
+    assert calibrate(world, tmp_path / "out", *options) == code
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
@@ -113,7 +114,7 @@ def test_wrong_requests_fail_before_any_work(world, tmp_path, capsys, options, m
 
 def test_a_stack_needs_a_map(world, tmp_path, capsys):
     log = str(next(world.glob("log.*")))
-    assert main(["calibrate", log, "--stack", "nav2", "--out", str(tmp_path / "out"), "--quiet"]) == 1
+    assert main(["calibrate", log, "--stack", "nav2", "--out", str(tmp_path / "out"), "--quiet"]) == 2
     assert "--stack: needs --map" in capsys.readouterr().err
 
 
@@ -133,3 +134,38 @@ def test_a_file_of_another_stack_is_refused_and_left_alone(world, tmp_path, caps
     assert calibrate(world, tmp_path / "out", "--stack", "nav2", "--patch", str(theirs)) == 1
     assert "theirs.yaml: expected a file of nav2, this is one of ros1" in capsys.readouterr().err
     assert theirs.read_text() == "amcl:\n  laser_z_hit: 0.9\n"
+
+
+def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tmp_path, capsys):
+    short = tmp_path / "short"
+    words = [
+        "simulate",
+        "--out",
+        str(short),
+        "--seed",
+        "4",
+        "--duration",
+        "30",
+        "--speed",
+        "0.25",
+        "--scan-rate",
+        "5",
+        "--beams",
+        "31",
+    ]
+    assert main([*words, "--quiet"]) == 0
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE)
+    assert calibrate(short, tmp_path / "out", "--stack", "nav2", "--patch", str(mine), quiet=False) == 3
+    printed = capsys.readouterr()
+    said = printed.err.splitlines()
+    early = next(i for i, line in enumerate(said) if "too short for --stack nav2, the rest goes on" in line)
+    assert re.search(r"need 5 of each: a drive about \d+\.\d times as long should do", said[early])
+    assert early < said.index("learning ...")
+    assert said[-1].startswith("beamfield: warning: no values for nav2: ")
+    names = ["beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html"]
+    assert [name for name in names if (tmp_path / "out" / name).exists()] == names
+    assert not (tmp_path / "out" / "nav2.yaml").exists()
+    assert mine.read_text() == MINE
+    assert "need 5 of each" in json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["missing"]
+    assert "no values for nav2" in (tmp_path / "out" / "report.html").read_text()

@@ -16,7 +16,7 @@ def test_the_list_names_every_figure(capsys):
 
 def test_chosen_figures_and_their_page_are_written(tmp_path, capsys):
     out = tmp_path / "pictures"
-    assert main(["figures", "--only", "6.9", "6.8", "--out", str(out), "--quiet"]) == 0
+    assert main(["figures", "--only", "6.9", "6.8", "--out", str(out)]) == 0
     assert sorted(file.name for file in out.iterdir()) == ["figure_6_8.svg", "figure_6_9.svg", "gallery.md"]
     text = capsys.readouterr().out
     for number in ("6.8", "6.9"):
@@ -27,20 +27,22 @@ def test_chosen_figures_and_their_page_are_written(tmp_path, capsys):
 
 def test_a_log_of_ones_own_is_drawn(tmp_path, capsys):
     world, out = tmp_path / "world", tmp_path / "pictures"
-    assert main(["simulate", str(world), "--duration", "10", "--beams", "60", "--quiet"]) == 0
+    assert main(["simulate", "--out", str(world), "--duration", "10", "--beams", "60", "--quiet"]) == 0
     words = ["figures", str(world / "log.carmen"), "--map", str(world / "map.yaml"), "--scan", "50"]
     assert main([*words, "--only", "6.10", "6.11", "6.12", "--format", "png", "--out", str(out), "--quiet"]) == 0
     assert {file.name for file in out.glob("*.png")} == {f"figure_6_{i}.png" for i in (10, 11, 12)}
     assert "drawn from: log.carmen" in capsys.readouterr().out
     # An error leaves no folder behind.
-    assert main([*words[:-1], "100", "--out", str(tmp_path / "none"), "--quiet"]) == 1
+    assert main([*words[:-1], "100", "--out", str(tmp_path / "none"), "--quiet"]) == 2
     assert "the log has scans 0 to 99, got 100" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 
 def test_a_short_log_gives_what_it_can_and_says_what_not(tmp_path, capsys):
     world, out = tmp_path / "world", tmp_path / "pictures"
-    assert main(["simulate", str(world), "--duration", "1", "--scan-rate", "5", "--beams", "60", "--quiet"]) == 0
+    assert (
+        main(["simulate", "--out", str(world), "--duration", "1", "--scan-rate", "5", "--beams", "60", "--quiet"]) == 0
+    )
     words = ["figures", str(world / "log.carmen"), "--map", str(world / "map.yaml"), "--quiet", "--out", str(out)]
     assert main([*words, "--only", "6.3", "6.7", "6.10"]) == 3
     said = capsys.readouterr()
@@ -60,16 +62,17 @@ def test_a_short_log_gives_what_it_can_and_says_what_not(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--only", "9.1"], "figure: expected one of 6.1, 6.3"),
+        (["--only", "9.1"], "--only: expected one of 6.1, 6.3"),
+        (["--only", "6.2"], "got '6.2': it is part (c) of 6.1"),
         (["some.log"], "expected both, or neither"),
         (["--map", "some.yaml"], "expected both, or neither"),
         (["--scan", "3"], "go with a LOG"),
-        (["--seed", "-1"], "--seed: expected a number >= 0, got -1"),
+        (["--seed", "-1"], "--seed: expected a whole number >= 0, got '-1'"),
     ],
-    ids=["number", "no-map", "no-log", "scan", "seed"],
+    ids=["number", "part", "no-map", "no-log", "scan", "seed"],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, words, message):
-    assert main(["figures", *words, "--out", str(tmp_path / "x"), "--quiet"]) == 1
+    assert main(["figures", *words, "--out", str(tmp_path / "x"), "--quiet"]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from beamfield.cli import inspect
+from beamfield.cli import options
 from beamfield.cli.inspect_picture import log_picture
 from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
 from beamfield.cli.main import main
@@ -80,12 +80,12 @@ def raw_log_path(tmp_path) -> Path:
 def shown(capsys, *words: str | Path) -> str:
     assert main(["inspect", *map(str, words)]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    assert set(err.splitlines()) <= {"reading ...", "drawing ..."}
     return out
 
 
-def refused(capsys, *words: str | Path) -> str:
-    assert main(["inspect", *map(str, words)]) == 1
+def refused(capsys, *words: str | Path, code: int = 1) -> str:
+    assert main(["inspect", "--quiet", *map(str, words)]) == code
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -189,7 +189,7 @@ def test_the_json_of_a_log_holds_the_same_in_si_units(capsys, log_path):
 def test_options_for_reading_the_log_are_obeyed(capsys, log_path):
     facts = json.loads(shown(capsys, log_path, "--json", "--max-range", "2"))
     assert facts["sensors"]["FLASER"]["max_range_m"] == 2.0
-    assert "expected detect, none or numbers" in refused(capsys, log_path, "--no-return", "often")
+    assert "expected detect, none or numbers" in refused(capsys, log_path, "--no-return", "often", code=2)
 
 
 def test_reference_poses_come_from_a_file(capsys, tmp_path, raw_log_path):
@@ -310,11 +310,11 @@ def test_the_layout_follows_the_shape_of_the_path():
 
 
 def test_a_picture_in_an_unknown_format_is_refused_before_anything_is_read(capsys, tmp_path):
-    error = refused(capsys, tmp_path / "none.yaml", "--out", tmp_path / "a.exe")
+    error = refused(capsys, tmp_path / "none.yaml", "--out", tmp_path / "a.exe", code=2)
     assert "--out: expected a name ending in .png, .svg, .pdf, got 'a.exe'" in error
 
 
-@pytest.mark.parametrize("suffix", inspect.PICTURES)
+@pytest.mark.parametrize("suffix", options.PICTURES)
 def test_every_offered_format_is_written(capsys, map_path, tmp_path, suffix):
     shown(capsys, map_path, "--out", tmp_path / f"a{suffix}")
     start = (tmp_path / f"a{suffix}").read_bytes()[:5]
@@ -335,17 +335,17 @@ def test_bad_input_is_one_line_that_names_the_file(capsys, tmp_path, map_path, l
     assert "room.yaml:1: image" in error
     assert "room.pgm' does not exist" in error
     assert not (tmp_path / "a.png").exists()
-    assert "none" in refused(capsys, log_path, "--out", tmp_path / "none" / "a.png")
+    assert f"{map_path}: Not a directory" in refused(capsys, log_path, "--out", map_path / "a.png")
 
 
 def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_path, raw_log_path):
-    assert "--map: the map is only drawn, so give --out too" in refused(capsys, log_path, "--map", map_path)
+    assert "--map: the map is only drawn, so give --out too" in refused(capsys, log_path, "--map", map_path, code=2)
     picture = ("--out", tmp_path / "a.png")
-    assert "--map: goes with a log" in refused(capsys, map_path, "--map", map_path, *picture)
-    assert "--poses: goes with a log" in refused(capsys, map_path, "--poses", log_path)
-    assert "a topic is chosen in a bag" in refused(capsys, map_path, "--map-topic", "/map")
+    assert "--map: goes with a log" in refused(capsys, map_path, "--map", map_path, *picture, code=2)
+    assert "--poses: goes with a log" in refused(capsys, map_path, "--poses", log_path, code=2)
+    assert "a topic is chosen in a bag" in refused(capsys, map_path, "--map-topic", "/map", code=2)
     error = refused(capsys, raw_log_path, "--map", map_path, *picture)
-    assert "has no reference poses to draw on a map; give --poses FILE" in error
+    assert "no scan has a reference pose to draw it on a map; give --poses FILE" in error
     assert not (tmp_path / "a.png").exists()
 
 
@@ -353,3 +353,21 @@ def test_a_file_of_sightings_is_said_to_be_for_another_command(tmp_path, capsys)
     (tmp_path / "seen.mat").write_bytes(b"\0" * 200)
     assert main(["inspect", str(tmp_path / "seen.mat")]) == 1
     assert "beamfield calibrate-landmarks" in capsys.readouterr().err
+
+
+def test_a_parameter_file_is_for_the_doctor(tmp_path, capsys):
+    (tmp_path / "nav2_params.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n    laser_max_range: 9.0\n")
+    error = refused(capsys, tmp_path / "nav2_params.yaml")
+    assert "this is a parameter file of nav2, not a map: use `beamfield doctor nav2_params.yaml`" in error
+
+
+def test_the_picture_comes_into_a_new_folder_but_an_error_leaves_none(capsys, log_path, tmp_path):
+    shown(capsys, log_path, "--out", tmp_path / "new" / "folder" / "a.png")
+    assert (tmp_path / "new" / "folder" / "a.png").is_file()
+    refused(capsys, tmp_path / "none.log", "--out", tmp_path / "other" / "a.png")
+    assert not (tmp_path / "other").exists()
+
+
+def test_quiet_leaves_one_line(capsys, log_path):
+    assert main(["inspect", str(log_path), "--quiet"]) == 0
+    assert capsys.readouterr() == ("drive.log: log with 1 sensor\n", "")

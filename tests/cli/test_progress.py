@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import threading
 import time
 
@@ -80,3 +81,12 @@ def test_elsewhere_there_is_one_line_per_stage(capsys):
     with StageProgress(quiet=True) as show:
         show("three", 0, 1)
     assert capsys.readouterr().err == "one ...\ntwo ...\n"
+
+
+def test_verbose_numbers_the_stages_and_times_them(capsys):
+    with StageProgress(verbose=True) as show:
+        for stage in ("one", "two"):
+            show(stage, 0, 2)
+            show(stage, 1, 2)
+    said = [re.sub(r"\d+\.\d s", "0.0 s", line) for line in capsys.readouterr().err.splitlines()]
+    assert said == ["1. one ...", "1. took 0.0 s", "2. two ...", "2. took 0.0 s"]

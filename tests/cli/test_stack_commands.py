@@ -122,7 +122,7 @@ def test_translation_writes_launch_lines(good, tmp_path):
 
 def test_what_cannot_be_translated_is_one_line(good, tmp_path, capsys):
     out = tmp_path / "new.yaml"
-    assert main(["translate", str(good), "--to", "f1tenth", "--out", str(out)]) == 1
+    assert main(["translate", str(good), "--to", "f1tenth", "--out", str(out)]) == 2
     err = capsys.readouterr().err
     assert "f1tenth has no model that can weigh as beluga's likelihood_field_prob does" in err
     assert err.count("\n") == 1
@@ -149,7 +149,7 @@ def test_the_doctor_takes_reference_poses_from_a_file(good, tmp_path, capsys):
     assert main([*words, "--poses", str(tmp_path / "poses.tum"), "--max-range", "10"]) == 1
     found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
     assert "in the log" in found["nearly-flat"]["seen"]
-    assert main(["doctor", str(good), "--poses", str(tmp_path / "poses.tum")]) == 1
+    assert main(["doctor", str(good), "--poses", str(tmp_path / "poses.tum")]) == 2
     assert "--poses: are poses of a log's scans, but there is no --log" in capsys.readouterr().err
 
 
@@ -182,7 +182,7 @@ def test_one_section_of_several_is_patched(good, tmp_path, capsys):
     assert "choose by label or line" in capsys.readouterr().err
     assert main([*words, "--patch-section", "/r2/amcl.ros__parameters"]) == 0
     assert target.read_text().startswith(TWO.replace("0.6", "0.947236"))
-    assert main(["translate", str(good), "--to", "nav2", "--patch-section", "x"]) == 1
+    assert main(["translate", str(good), "--to", "nav2", "--patch-section", "x"]) == 2
 
 
 @pytest.mark.parametrize(("name", "text"), [("ros1.yaml", "laser_z_hit: 0.5\n"), ("p.ini", "[a]\nLF_stdHit = 1\n")])
@@ -200,7 +200,7 @@ def test_another_stacks_file_is_not_patched(good, tmp_path, capsys, name, text):
     ("to", "name", "expected"), [("nav2", "a.ini", ".yaml"), ("nav2", "a.launch", ".yaml"), ("mrpt", "a.yaml", ".ini")]
 )
 def test_new_files_get_names_by_which_they_are_read_again(good, tmp_path, capsys, to, name, expected):
-    assert main(["translate", str(good), "--to", to, "--out", str(tmp_path / name)]) == 1
+    assert main(["translate", str(good), "--to", to, "--out", str(tmp_path / name)]) == 2
     assert f"files of {to} end in {expected}, got '{name}'" in capsys.readouterr().err
     assert not (tmp_path / name).exists()
 
@@ -327,7 +327,7 @@ def test_beamfields_own_model_is_named_in_one_line_by_the_others(own, tmp_path, 
     ],
 )
 def test_options_that_do_not_fit_beamfields_own_model_are_refused(own, capsys, words, message):
-    assert main(["translate", str(own), *words]) == 1
+    assert main(["translate", str(own), *words]) == 2
     assert message in capsys.readouterr().err
 
 

@@ -16,6 +16,7 @@ from beamfield.cli.wording import in_options
         ("unless no_return names NaN", "unless --no-return names NaN"),
         ("Give truncated_at, or sigma", "Give --truncated-at, or sigma"),
         ("block_s: expected a positive number", "--block: expected a positive number"),
+        ("stack: expected one of nav2, got 'x'", "--stack: expected one of nav2, got 'x'"),
         # Not what only looks like it: values of a sensor, paths, quotations, the options themselves.
         ("the sensor's max_range is 8 m", "the sensor's max_range is 8 m"),
         ("/data/map_frame/a.log: no 'map_frame' in it", "/data/map_frame/a.log: no 'map_frame' in it"),

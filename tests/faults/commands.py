@@ -74,13 +74,13 @@ COMMANDS = (
     Command("translate --patch", "translate {world}/beluga.yaml --to nav2 --patch {out}/nav2.yaml", 36,
             {"nav2.yaml": NAV2}),
     Command("inspect --out", "inspect {world}/log.carmen --out {out}/log.png", 20),
-    Command("map", "map {world}/log.carmen --out {out}/drawn.yaml --overwrite --quiet", 30),
-    Command("simulate", "simulate {out}/world --overwrite --seed 4 --duration 60 --beams 31 --format both --quiet", 26),
+    Command("map", "map {world}/log.carmen --out {out}/drawn.yaml --quiet", 30),
+    Command("simulate", "simulate --out {out}/world --seed 4 --duration 60 --beams 31 --format both --quiet", 26),
     Command("likelihood", f"likelihood {_LOG} --scan 3 --resolution 1 --out {{out}}/l.png --npz {{out}}/l.npz", 12),
-    Command("calibrate-landmarks", "calibrate-landmarks {world}/seen.csv --map {world}/tags.csv --replicates 20 "
+    Command("calibrate-landmarks", "calibrate-landmarks {world}/seen.csv --landmarks {world}/tags.csv --replicates 20 "
             "--out {out}/landmarks.yaml --quiet", 18),
     Command("figures", "figures --only 6.3 6.4 --out {out}/figures --quiet", 8),
-    Command("fit", f"fit {_LOG} --out {{out}}/fit", 5),
+    Command("check", f"check {_LOG} --out {{out}}/check", 5),
     Command("calibrate", f"calibrate {_LOG} --no-refine --out {{out}}/c", 4),
     Command("calibrate --stack --patch", f"calibrate {_LOG} --no-refine --out {{out}}/c --stack nav2 "
             "--patch {out}/nav2.yaml", 3, {"nav2.yaml": NAV2}),
@@ -96,7 +96,7 @@ def make_world(folder: Path, *, logs: bool) -> None:
     (folder / "beluga.yaml").write_text(BELUGA)
     if not logs:
         return
-    words = ["simulate", str(folder), "--overwrite", "--seed", "4", "--duration", "90", "--scan-rate", "3"]
+    words = ["simulate", "--out", str(folder), "--seed", "4", "--duration", "90", "--scan-rate", "3"]
     if main([*words, "--beams", "31", "--quiet"]) != 0:
         raise RuntimeError("the world could not be simulated")
     rng = np.random.default_rng(4)

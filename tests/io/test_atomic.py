@@ -197,17 +197,22 @@ def test_a_block_that_writes_nothing_is_an_error(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_a_folder_a_device_or_a_missing_folder_is_refused_before_anything_is_written(tmp_path):
+def test_a_folder_or_a_device_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(IsADirectoryError):
         write_file(tmp_path, "x")
-    with pytest.raises(FileNotFoundError):
-        write_file(tmp_path / "none" / "a.txt", "x")
     with pytest.raises(InvalidInputError, match="regular file"):
         write_file(os.devnull, "x")
-    with pytest.raises(FileNotFoundError):
-        check_writable(tmp_path / "none" / "a.txt")
+    check_writable(tmp_path / "none" / "a.txt")
     check_writable(tmp_path / "a.txt")
     assert names(tmp_path) == []
+
+
+def test_missing_folders_are_made_and_removed_again_on_an_error(tmp_path):
+    write_file(tmp_path / "new" / "folder" / "a.txt", "x")
+    assert (tmp_path / "new" / "folder" / "a.txt").read_text() == "x"
+    with pytest.raises(RuntimeError), atomic_file(tmp_path / "other" / "folder" / "a.txt"):
+        raise RuntimeError
+    assert names(tmp_path) == ["new"]
 
 
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeypatch):
@@ -218,11 +223,15 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monke
     check_folder_writable(tmp_path)
     check_folder_writable(tmp_path / "new" / "folder")
     assert names(tmp_path) == ["file"]
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(PermissionError, match=str(tmp_path)):
-        check_folder_writable(tmp_path / "new" / "folder")
-    with pytest.raises(PermissionError, match=str(tmp_path)):
-        check_writable(tmp_path / "file")
+
+    def refuse(folder: Path, *_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    for path, check in ((tmp_path / "new" / "folder", check_folder_writable), (tmp_path / "file", check_writable)):
+        with pytest.raises(PermissionError) as error:
+            check(path)
+        assert error.value.filename == str(path)  # not that of the folder that was tried
 
 
 def test_a_folder_that_exists_is_written_without_touching_its_parent(tmp_path):

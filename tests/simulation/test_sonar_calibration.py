@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import replace
 from functools import cache
@@ -12,8 +11,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
-from beamfield.cli import calibrate as calibrate_command
-from beamfield.cli import simulate as simulate_command
+from beamfield.cli.main import main
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
@@ -87,19 +85,12 @@ def test_cross_talk_raises_z_short_and_z_rand() -> None:
 
 
 def test_what_simulate_writes_calibrate_reads_with_its_cones(tmp_path: Path) -> None:
-    parser = argparse.ArgumentParser()
-    commands = parser.add_subparsers()
-    simulate_command.add_parser(commands)
-    calibrate_command.add_parser(commands)
-
     def run(*words: str) -> int:
-        arguments = parser.parse_args([*words, "--quiet"])
-        code: int = arguments.run(arguments)
-        return code
+        return main([*words, "--quiet"])
 
     world, out = tmp_path / "world", tmp_path / "out"
     rough = ("--roughness", "1", "--cross-talk", "0", "--dropout", "0.1", "--phantoms", "0.04", "--sigma", "0.05")
-    assert run("simulate", str(world), "--sensor", "sonar", "--ring", "12", "--duration", "90", *rough) == 0
+    assert run("simulate", "--out", str(world), "--sonar", "--ring", "12", "--duration", "90", *rough) == 0
     log, where = str(world / "log.carmen"), str(world / "map.yaml")
     assert run("calibrate", log, "--map", where, "--out", str(out), "--no-refine") == 0
     found = json.loads((out / "calibration.json").read_text())

@@ -228,14 +228,14 @@ def test_values_go_into_files_of_their_own_stack_only(write, text, stack, is_goo
     if is_good:
         check_patch_target(file)
         return
-    with pytest.raises(InvalidInputError, match=f"expected a file of {stack}, this is one of"):
+    with pytest.raises(FormatError, match=f"expected a file of {stack}, this is one of"):
         check_patch_target(file)
 
 
 def test_a_change_that_would_reach_further_is_not_made(write):
     path = write("z_hit:\n  - 0.5\n  - 0.7\nz_rand: 0.5\n")
     before = path.read_bytes()
-    with pytest.raises(InvalidInputError, match="without changing more; it is left as it is"):
+    with pytest.raises(FormatError, match="without changing more; it is left as it is"):
         write_values(read_stack_file(path).section, {"z_hit": 0.6})
     assert path.read_bytes() == before
     assert [file.name for file in path.parent.iterdir()] == ["params.yaml"]
@@ -319,7 +319,7 @@ def test_a_file_that_changed_meanwhile_is_left_alone(write):
     path = write(NAV2)
     section = read_stack_file(path).section
     path.write_text(NAV2 + "# more\n")
-    with pytest.raises(InvalidInputError, match="has changed since"):
+    with pytest.raises(FormatError, match="has changed since"):
         write_values(section, {"z_hit": 0.6})
     assert path.read_text() == NAV2 + "# more\n"
 

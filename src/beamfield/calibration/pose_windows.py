@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -209,9 +210,14 @@ def cut_windows(
         raise TooLittleDataError(
             f"{log.finder.name or 'log'}: {counts[0]} and {counts[1]} windows of {options.scans} scans, "
             f"{options.travel:g} m or {options.turn:g} rad apart, to fit to and {counts[HELD_OUT]} to judge by; "
-            f"need {FEWEST_WINDOWS} of each"
+            f"need {FEWEST_WINDOWS} of each: a drive about {_times_as_long(min(counts)):.1f} times as long should do"
         )
     return windows
+
+
+def _times_as_long(fewest: int) -> float:
+    """Return how much longer a log should be whose poorest part has so few windows, in tenths, rounded up."""
+    return math.ceil(10.0 * FEWEST_WINDOWS / max(fewest, 0.5)) / 10.0
 
 
 def window_block_s(

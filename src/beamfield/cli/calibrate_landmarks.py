@@ -1,4 +1,15 @@
-"""``beamfield calibrate-landmarks``: learn a landmark sensor's noise and biases from sightings with true poses."""
+"""Learn a landmark sensor's noise and biases.
+
+Learn sigma, bias and spurious rate of a sensor that sees landmarks (tags, reflectors, radio or infrared beacons) from
+sightings of known landmarks at known poses. SIGHTINGS is a CSV file (stamp,x,y,theta,id,range,bearing; leave empty what
+was not measured) with --landmarks, an MRCLAM or Plaza .mat file, Robot*_Measurement.dat of MRCLAM beside its
+Robot*_Groundtruth.dat, Barcodes.dat and Landmark_Groundtruth.dat, or a folder with landmark.csv and (Xa,Yb).csv.
+
+for example:
+
+  beamfield calibrate-landmarks seen.csv --landmarks tags.csv
+  beamfield calibrate-landmarks seen.csv --landmarks tags.csv --mount 0.2 0 90 --out camera.yaml
+"""
 
 from __future__ import annotations
 
@@ -7,113 +18,127 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli.progress import StageProgress
+from beamfield.cli import options
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command, count, positive
 from beamfield.cli.provenance import provenance
-from beamfield.cli.terminal import say
 from beamfield.cli.wording import in_options
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
     from beamfield.landmark_noise.learning import LandmarkLearningResult
 
-DESCRIPTION = """
-Learn sigma, bias and spurious rate of a sensor that sees landmarks (tags, reflectors, radio or infrared beacons) from
-sightings of known landmarks at known poses. SIGHTINGS is a CSV file (stamp,x,y,theta,id,range,bearing; leave empty what
-was not measured) with --map, an MRCLAM or Plaza .mat file, Robot*_Measurement.dat of MRCLAM beside its
-Robot*_Groundtruth.dat, Barcodes.dat and Landmark_Groundtruth.dat, or a folder with landmark.csv and (Xa,Yb).csv.
-"""
+
+# Whether a scale is learned: None lets the held-out sightings decide.
+SCALE = {"auto": None, "on": True, "off": False}
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
-    parser = subparsers.add_parser(
-        "calibrate-landmarks", help="learn a landmark sensor's noise and biases", description=DESCRIPTION
-    )
+    parser = add_command(subparsers, run, "calibrate-landmarks", __doc__)
     parser.add_argument("sightings", type=Path, metavar="SIGHTINGS", help="the sightings, see above")
-    parser.add_argument("--map", type=Path, metavar="FILE", help="CSV file of landmarks: id,x,y")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the parameters into this YAML file")
-    parser.add_argument("--mount", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "YAW_DEG"),
-                        help="the sensor's pose on the robot, metres and degrees (default: 0 0 0)")  # fmt: skip
-    parser.add_argument(
-        "--scale",
-        choices=("auto", "yes", "no"),
-        default="auto",
-        help="learn a scale of ranges: where held-out sightings ask for it, yes, no (default: auto)",
-    )
-    parser.add_argument("--truncated-at", type=float, nargs=2, metavar=("M", "RAD"),
-                        help="outliers beyond these residuals were taken out of the log before")  # fmt: skip
-    parser.add_argument("--max-range", type=float, metavar="M", help="limit of the sensor (default: largest range)")
-    parser.add_argument(
-        "--block",
-        type=float,
-        metavar="S",
-        help="length of the blocks for intervals (default: the log's places, or a 24th of its duration)",
-    )
-    parser.add_argument("--replicates", type=int, default=200, metavar="N", help="bootstrap samples (default: 200)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default: 0)")
-    parser.add_argument("--threads", type=int, help="processors to use (default: all)")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
-    parser.set_defaults(run=run)
+    parser.add_argument("--landmarks", type=Path, metavar="FILE", help="where the landmarks are, CSV file: id,x,y")
+    options.add_out(parser, "beamfield_landmarks.yaml", metavar="FILE", what="parameter file to write")
+    options.add_mount(parser, " (default: 0 0 0)", (0.0, 0.0, 0.0))
+    parser.add_argument("--scale", choices=tuple(SCALE), default="auto", help="scale of ranges: auto keeps it only if "
+                        "it improves held-out likelihood (default: auto)")  # fmt: skip
+    parser.add_argument("--truncated-at", type=_limit, nargs=2, metavar=("M", "DEG"),
+                        help="outliers beyond these residuals were removed from the log; inf: none were")  # fmt: skip
+    parser.add_argument("--max-range", type=positive, metavar="M", help="the sensor's limit (default: largest range)")
+    parser.add_argument("--block", type=positive, metavar="S", help="length of the blocks of time for intervals "
+                        "(default: the log's places, or a 24th of its duration)")  # fmt: skip
+    parser.add_argument("--replicates", type=count, default=200, metavar="N", help="bootstrap samples (default: 200)")
+    options.add_seed(parser)
+    options.add_threads(parser)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Read, learn, write, say."""
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read, learn, write."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.files.atomic import check_writable, write_file
     from beamfield.io.parameters.landmark_model_file import landmark_model_text
+    from beamfield.io.read_log import BAG_SUFFIXES
     from beamfield.io.read_sightings_log import read_sightings_log
     from beamfield.landmark_noise.learning import learn_landmark_parameters
 
-    if arguments.out is not None:
-        check_writable(arguments.out)
-    with StageProgress(quiet=arguments.quiet) as progress:
+    check_writable(arguments.out)
+    if arguments.sightings.suffix in BAG_SUFFIXES:
+        raise FormatError(
+            arguments.sightings,
+            "sightings are not read from bags: write them into a CSV file with the header "
+            "stamp,x,y,theta,id,range,bearing",
+        )
+    with options.progress(arguments) as progress:
         progress("reading", 0, 1)
-        landmarks, log = read_sightings_log(arguments.sightings, arguments.map)
+        landmarks, log = read_sightings_log(arguments.sightings, arguments.landmarks)
         progress("learning", 0, 1)
         try:
             result = learn_landmark_parameters(
                 landmarks,
                 log,
-                mount=(*arguments.mount[:2], math.radians(arguments.mount[2])),
-                fit_scale={"auto": None, "yes": True, "no": False}[arguments.scale],
-                truncated_at=None if arguments.truncated_at is None else tuple(arguments.truncated_at),
+                mount=options.mount(arguments),
+                fit_scale=SCALE[arguments.scale],
+                truncated_at=_truncation(arguments),
                 max_range=arguments.max_range,
                 block_s=arguments.block,
                 n_replicates=arguments.replicates,
                 seed=arguments.seed,
                 progress=lambda done, total: progress("intervals", done, total),
             )
-        except (InvalidInputError, TooLittleDataError) as error:
-            raise type(error)(f"{arguments.sightings}: {error}") from error
-    say(in_options(_summary(result, log.notes)))
-    if arguments.out is not None:
-        text = landmark_model_text(result.parameters, intervals=result.intervals, provenance=_provenance(arguments))
-        write_file(arguments.out, text)
-        say(f"wrote {arguments.out}")
-    return 0 if result.converged else 3
+        except InvalidInputError as error:  # the options were checked before, so it is about the data
+            raise FormatError(arguments.sightings, str(error)) from error
+        except TooLittleDataError as error:
+            raise TooLittleDataError(f"{arguments.sightings}: {error}") from error
+    text = landmark_model_text(result.parameters, intervals=result.intervals, provenance=provenance(arguments))
+    write_file(arguments.out, text)
+    problem = "" if result.converged else "the fit did not converge"
+    return Outcome(
+        f"wrote {arguments.out}", in_options(_summary(result)), _as_dict(result), log.notes, [arguments.out],
+        3 if problem else 0, problem,
+    )  # fmt: skip
 
 
-def _summary(result: LandmarkLearningResult, notes: tuple[str, ...]) -> str:
+def _limit(text: str) -> float:
+    return math.inf if text == "inf" else positive(text)
+
+
+def _truncation(arguments: argparse.Namespace) -> tuple[float | None, float | None] | None:
+    if arguments.truncated_at is None:
+        return None
+    metres, degrees = (None if math.isinf(value) else value for value in arguments.truncated_at)
+    return metres, None if degrees is None else math.radians(degrees)
+
+
+def _summary(result: LandmarkLearningResult) -> str:
     from beamfield.report.landmark_table import landmark_form_table, landmark_parameter_table
 
-    lines = [f"note: {printable(note)}" for note in notes]
-    lines.append(f"{result.n_sightings} sightings in {result.n_blocks} blocks\n")
-    lines.append(landmark_parameter_table(result))
+    lines = [f"{result.n_sightings} sightings in {result.n_blocks} blocks\n", landmark_parameter_table(result)]
     forms = landmark_form_table(result)
     if forms:
         lines += ["", forms]
     if result.findings:
         lines.append("")
     lines += [f"{finding.severity} ({finding.name}): {printable(finding.text)}" for finding in result.findings]
+    cuts = {finding.name: finding.values["cut"] for finding in result.findings if "cut" in finding.values}
+    if cuts:
+        metres, degrees = cuts.get("range-looks-cut", math.inf), math.degrees(cuts.get("bearing-looks-cut", math.inf))
+        lines.append(f"to say so, run it again with --truncated-at {_rounded_up(metres)} {_rounded_up(degrees)}")
     return "\n".join(lines)
 
 
-def _provenance(arguments: argparse.Namespace) -> dict[str, Any]:
-    inputs = [("sightings", arguments.sightings)]
-    if arguments.map is not None:
-        inputs.append(("map", arguments.map))
-    files = {"sightings", "map", "out", "run", "quiet", "threads", "seed"}
-    given = {name: value for name, value in sorted(vars(arguments).items()) if name not in files}
-    given["mount"] = list(given["mount"])
-    return provenance(inputs, given, arguments.seed)
+def _rounded_up(value: float) -> str:
+    return "inf" if math.isinf(value) else f"{math.ceil(value * 1000) / 1000:g}"
+
+
+def _as_dict(result: LandmarkLearningResult) -> dict[str, Any]:
+    from beamfield.report.as_json import plain
+
+    return {
+        "parameters": plain(result.parameters),
+        "intervals_95": plain(result.intervals),
+        "n_sightings": result.n_sightings,
+        "n_blocks": result.n_blocks,
+        "converged": result.converged,
+        "findings": [plain(finding) for finding in result.findings],
+    }

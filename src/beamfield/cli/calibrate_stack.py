@@ -4,51 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield import __version__
-from beamfield.cli.progress import StageProgress
-from beamfield.errors import InvalidInputError
+from beamfield.cli.report_part import ReportPart, StackPart
+from beamfield.cli.terminal import complain
+from beamfield.errors import InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
     from beamfield.calibration.calibrate import Calibration
+    from beamfield.calibration.pose_windows import WindowOptions
+    from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.maps.occupancy import OccupancyGrid
-    from beamfield.report.page_section import PageSection
     from beamfield.sensors import SensorLog
     from beamfield.stacks.files.parameter_file import StackFile
     from beamfield.stacks.fit.fit import StackFit
-
-
-@dataclass(frozen=True)
-class StackResult:
-    """What fitting a stack adds to the outputs.
-
-    Parameters
-    ----------
-    table
-        For the terminal.
-    document
-        For calibration.json.
-    section
-        For the report.
-    file_name, file_text
-        The stack's own parameter file.
-    values
-        The parameters that changed, for a file that is patched.
-    record
-        The comment by which `beamfield doctor` knows the values again; "" if they did not do well.
-    """
-
-    table: str
-    document: Mapping[str, Any]
-    section: PageSection
-    file_name: str
-    file_text: str
-    values: Mapping[str, Any]
-    record: str
 
 
 def add_stack_options(parser: argparse.ArgumentParser) -> None:
@@ -93,17 +65,51 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     return file
 
 
-def fit_for_stack(
-    arguments: argparse.Namespace, sensor: SensorLog, grid: OccupancyGrid, result: Calibration, file: StackFile | None,
-    progress: StageProgress,
-) -> StackResult:  # fmt: skip
+def warn_if_too_short(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid) -> None:
+    """Say before the work that the log is too short for the stack; the beam model is learned all the same."""
+    from beamfield.calibration.pose_windows import cut_windows, draw_rivals
+
+    options, arguments = _window_options(job), job.arguments
+    try:
+        cut_windows(sensor, grid, draw_rivals(options, grid), options, job.options.selection, arguments.block)
+    except TooLittleDataError as error:
+        if not arguments.quiet:
+            complain(f"beamfield: warning: too short for --stack {arguments.stack}, the rest goes on: {error}")
+
+
+def fit_for_stack(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> ReportPart:
     """Fit one model of the stack, or all of them, and return what comes of it."""
-    from beamfield.calibration.pose_windows import REFERENCE_LEVER, WindowOptions
+    from beamfield.report.escape import escaped
+    from beamfield.report.page_section import PageSection
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
-    from beamfield.stacks.files.typed_values import checked_values
-    from beamfield.stacks.fit.fit import fit_stack, net_score
+    from beamfield.stacks.fit.fit import net_score
     from beamfield.stacks.registry import STACKS
 
+    stack = job.arguments.stack
+    try:
+        fits = _fits(job, sensor, grid, result)
+    except TooLittleDataError as error:
+        why = f"no values for {stack}: {error}"
+        section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
+        return ReportPart("stack", why, {"stack": stack, "missing": str(error)}, section, {}, problem=why)
+    best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
+    record = _record(best) if best.covers else ""
+    text = _file_text(job.arguments, best.model.model, asdict(best.parameters), record)
+    start_values = asdict(best.start)
+    changed = {name: value for name, value in asdict(best.parameters).items() if value != start_values[name]}
+    return StackPart(
+        "stack", stack_tables(fits, best), stack_as_dict(fits, best), stack_section(fits, best, text),
+        {f"{stack}.{STACKS[stack].syntax}": text}, values=changed, record=record,
+    )  # fmt: skip
+
+
+def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> list[StackFit]:
+    """Return a fit of the model asked for, of the patched file's, or of each that the stack has."""
+    from beamfield.stacks.files.typed_values import checked_values
+    from beamfield.stacks.fit.fit import fit_stack
+    from beamfield.stacks.registry import STACKS
+
+    arguments, file = job.arguments, job.patched
     stack = STACKS[arguments.stack]
     models = tuple(stack.models)
     if file is not None:  # read with the model asked for, if any
@@ -111,35 +117,30 @@ def fit_for_stack(
     elif arguments.model is not None:
         models = (arguments.model,)
     plain = next((form.result.parameters for form in result.candidates if form.is_chapter), None)
-    fits = []
-    for model in models:
-        start = stack.start(model) if file is None else checked_values(file)
-        fits.append(
-            fit_stack(
-                stack.name, model, sensor, grid, start=start, beam_parameters=plain,
-                options=WindowOptions(
-                    reference_error=arguments.reference_error,
-                    reference_turn_error=arguments.reference_error / REFERENCE_LEVER, seed=arguments.seed,
-                ),
-                selection=result.options.selection, block_s=arguments.block, progress=progress,
-            )
-        )  # fmt: skip
-    best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
-    record = _record(best) if best.covers else ""
-    text = _file_text(arguments, best.model.model, asdict(best.parameters), record)
-    start_values = asdict(best.start)
-    changed = {name: value for name, value in asdict(best.parameters).items() if value != start_values[name]}
-    return StackResult(
-        stack_tables(fits, best), stack_as_dict(fits, best), stack_section(fits, best, text),
-        f"{stack.name}.{stack.syntax}", text, changed, record,
+    return [
+        fit_stack(
+            stack.name, model, sensor, grid, start=stack.start(model) if file is None else checked_values(file),
+            beam_parameters=plain, options=_window_options(job), selection=result.options.selection,
+            block_s=arguments.block, progress=job.progress,
+        )
+        for model in models
+    ]  # fmt: skip
+
+
+def _window_options(job: CalibrationJob) -> WindowOptions:
+    from beamfield.calibration.pose_windows import REFERENCE_LEVER, WindowOptions
+
+    error = job.arguments.reference_error
+    return WindowOptions(
+        reference_error=error, reference_turn_error=error / REFERENCE_LEVER, seed=job.arguments.seed
     )  # fmt: skip
 
 
-def write_patch(file: StackFile, fitted: StackResult) -> str:
+def write_patch(file: StackFile, fitted: StackPart) -> str:
     """Change the user's file and return a line that says so."""
     from beamfield.stacks.files.parameter_file import write_values
 
-    values = file.by_names_in_file(fitted.values)
+    values = file.by_names_in_file(fitted.values or {})
     backup = write_values(file.section, values, record=fitted.record)
     return f"changed {', '.join(values) or 'nothing'} in {file.section.path}; the old file is {backup.name}"
 

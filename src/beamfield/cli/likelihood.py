@@ -1,17 +1,26 @@
-"""``beamfield likelihood``: p(z | x, m) of one scan over a whole map, drawn and as arrays (Figure 6.7)."""
+"""Draw how likely a scan is over a whole map.
+
+Compute how likely a scan is at every free place of a map, with the heading that suits it best, say where the maximum is
+and how far from the reference pose, and draw it: the scan at its reference pose, and the likelihood over the map.
+
+for example:
+
+  beamfield likelihood run.bag --map map.yaml --scan 200
+  beamfield likelihood run.bag --map map.yaml --scan 200 --model likelihood_field --out field.png
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beamfield.cli.calibrate import add_log_options, log_options
-from beamfield.cli.formats import LOG_FORMATS, MAP_FORMATS
-from beamfield.cli.progress import StageProgress
-from beamfield.cli.terminal import say
-from beamfield.errors import InvalidInputError
+from beamfield.cli import options
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command, count, index, positive
+from beamfield.errors import FormatError, InvalidInputError
 
 if TYPE_CHECKING:
     from beamfield.localization.likelihood_map import LikelihoodMap
@@ -21,12 +30,7 @@ if TYPE_CHECKING:
     from beamfield.models.field_parameters import LikelihoodFieldParameters
     from beamfield.sensors import Scan, SensorLog
 
-DESCRIPTION = """
-Compute how likely a scan is at every free place of a map, with the heading that suits it best, say where the maximum is
-and how far from the reference pose, and draw it: the scan at its reference pose, and the likelihood over the map.
-"""
 
-PICTURES = (".png", ".svg", ".pdf")
 # Without --params: a laser scanner in a building with a few people.
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.2, "lambda_short": 0.4}
 # And a sonar: many echoes are lost or take a detour.
@@ -35,59 +39,56 @@ SONAR_DEFAULTS = {"z_hit": 0.5, "z_short": 0.05, "z_max": 0.2, "z_rand": 0.25, "
 DEFAULT_BEAMS = 30
 # Local maps for map matching have cells of at least this size, metres: time is proportional to their number.
 LOCAL_RESOLUTION = 0.2
+# The chapter's models, as other programs call those that they have too.
+MODELS = {"beam": "beam model", "likelihood_field": "likelihood field", "map_matching": "map matching"}
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
-    parser = subparsers.add_parser(
-        "likelihood", help="draw how likely a scan is over a whole map", description=DESCRIPTION
+    parser = add_command(subparsers, run, "likelihood", __doc__)
+    parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
+    options.add_map(parser, required=True)
+    parser.add_argument(
+        "--scan", type=index, required=True, metavar="I", help="index of the scan in the log, from 0 on"
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_FORMATS)
-    parser.add_argument("--map", type=Path, required=True, metavar="MAP", help=MAP_FORMATS)
-    parser.add_argument("--scan", type=int, required=True, metavar="I", help="index of the scan in the log, from 0 on")
-    parser.add_argument("--model", choices=("beam", "field", "matching"), default="beam",
-                        help="beam model, likelihood field or map matching (default: beam)")  # fmt: skip
-    parser.add_argument("--poses", type=Path, metavar="FILE", help="reference poses: TUM or CSV file")
-    parser.add_argument("--params", "--parameters", dest="parameters", type=Path, metavar="FILE",
-                        help="a beam_model.yaml, or with --model field a likelihood_field.yaml, from beamfield "
-                        "calibrate (default: typical values)")  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="FILE", help=f"draw into this file ({', '.join(PICTURES)})")
+    parser.add_argument("--model", choices=tuple(MODELS), default="beam", help="measurement model (default: beam)")
+    options.add_poses(parser)
+    options.add_params(parser, "a beam_model.yaml, or with --model likelihood_field a likelihood_field.yaml, from "
+                      "beamfield calibrate (default: typical values)")  # fmt: skip
+    options.add_out(parser, "beamfield_likelihood.png", metavar="FILE", what=f"picture ({', '.join(options.PICTURES)})")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="write the arrays into this NumPy .npz file")
     lattice = parser.add_argument_group("poses that are compared")
-    lattice.add_argument("--resolution", type=float, default=0.10, metavar="M", help="step in x and y (default: 0.1)")
-    lattice.add_argument("--headings", type=int, default=72, metavar="N", help="headings per place (default: 72)")
+    lattice.add_argument(
+        "--resolution", type=positive, default=0.10, metavar="M", help="step in x and y (default: 0.1)"
+    )
+    lattice.add_argument("--headings", type=count, default=72, metavar="N", help="headings per place (default: 72)")
     lattice.add_argument("--no-widening", action="store_true",
                          help="do not widen the noise of hits by what lies between the poses")  # fmt: skip
     model = parser.add_argument_group("model")
-    model.add_argument("--beams", type=int, metavar="K",
+    model.add_argument("--beams", type=index, metavar="N",
                        help="beams of the scan that count, equally spaced; 0: all (default: 30, or as a "
                        "likelihood_field.yaml says; with another number its exponent is scaled)")  # fmt: skip
-    model.add_argument("--local-scans", type=int, default=10, metavar="N",
-                       help="matching: scans in the local map, up to this one (default: 10)")  # fmt: skip
-    add_log_options(parser)
-    parser.add_argument("--threads", type=int, help="processors to use (default: all)")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
-    parser.set_defaults(run=run)
+    model.add_argument("--local-scans", type=count, default=10, metavar="N",
+                       help="map matching: scans in the local map, up to this one (default: 10)")  # fmt: skip
+    options.add_log(parser)
+    options.add_threads(parser)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Read, evaluate, write, say."""
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read, evaluate, draw."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.io.read_map import read_map
     from beamfield.localization.likelihood_map import likelihood_map
 
     _check(arguments)
-    with StageProgress(quiet=arguments.quiet) as progress:
+    with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
-        grid = read_map(arguments.map)
-        if not grid.occupied.any():
-            raise InvalidInputError(f"{arguments.map}: the map has no occupied cell, so all places are alike")
+        grid = options.read_walls(arguments)
         if not grid.free.any():
-            raise InvalidInputError(f"{arguments.map}: the map has no free cell, so there is no place to compare")
+            raise FormatError(arguments.map, "the map has no free cell, so there is no place to compare")
         progress("reading the log", 0, 1)
-        sensor = _sensor(arguments)
+        sensor, _ = options.read_sensor(arguments)
         scan = _scan(sensor, arguments)
-        measured, model = _measurement_and_model(sensor, scan, grid, arguments)
+        measured, model, notes = _measurement_and_model(sensor, scan, grid, arguments)
         result = likelihood_map(
             model,
             measured,
@@ -99,112 +100,92 @@ def run(arguments: argparse.Namespace) -> int:
         reference = sensor.poses[arguments.scan]
         reference = reference if math.isfinite(float(reference.sum())) else None
         progress("drawing", 0, 1)
-        _write(scan, grid, result, reference, arguments)
-    say(_summary(result, measured, model, reference))
-    for path in (arguments.out, arguments.npz):
-        if path is not None:
-            say(f"wrote {path}")
-    return 0
+        wrote = _write(scan, grid, result, reference, arguments)
+    document = {"scan": arguments.scan, "model": arguments.model, **_found(result, measured, model, reference)}
+    return Outcome(f"wrote {' and '.join(map(str, wrote))}", _summary(document), document, notes, wrote)
 
 
 def _check(arguments: argparse.Namespace) -> None:
     from beamfield.io.files.atomic import check_writable
 
-    if arguments.out is not None and arguments.out.suffix.lower() not in PICTURES:
-        raise InvalidInputError(f"--out: expected a name ending in {', '.join(PICTURES)}, got {arguments.out.name!r}")
-    if arguments.npz is not None and arguments.npz.suffix.lower() != ".npz":
-        raise InvalidInputError(f"--npz: expected a name ending in .npz, got {arguments.npz.name!r}")
-    for path in (arguments.out, arguments.npz):
-        if path is not None:
-            check_writable(path)
-    if arguments.beams is not None and arguments.beams < 0:
-        raise InvalidInputError(f"--beams: expected 0 (all) or more, got {arguments.beams}")
-    if arguments.local_scans < 1:
-        raise InvalidInputError(f"--local-scans: expected at least 1, got {arguments.local_scans}")
-
-
-def _sensor(arguments: argparse.Namespace) -> SensorLog:
-    from beamfield.io.read_log import read_log
-    from beamfield.io.trajectory import attach_poses, read_trajectory
-
-    log = read_log(arguments.log, **log_options(arguments))
-    if arguments.poses is not None:
-        log = attach_poses(log, read_trajectory(arguments.poses))
-    if arguments.sensor and len(arguments.sensor) > 1:
-        raise InvalidInputError(f"--sensor: expected one, got {len(arguments.sensor)}")
-    return log.only_sensor(arguments.sensor[0] if arguments.sensor else None)
+    options.check_picture(arguments.out)
+    check_writable(arguments.out)
+    if arguments.npz is not None:
+        if arguments.npz.suffix.lower() != ".npz":
+            raise InvalidInputError(f"--npz: expected a name ending in .npz, got {arguments.npz.name!r}")
+        check_writable(arguments.npz)
 
 
 def _scan(sensor: SensorLog, arguments: argparse.Namespace) -> Scan:
     """Return the scan, or say what there is instead."""
     from beamfield.sensors import usable_ranges
 
-    index = arguments.scan
-    if not 0 <= index < len(sensor):
+    number = arguments.scan
+    if number >= len(sensor):
         what = f"scans 0 to {len(sensor) - 1}" if len(sensor) else "no scan"
-        raise InvalidInputError(f"--scan: {arguments.log} has {what}, got {index}")
-    scan = sensor.scan(index)
+        raise InvalidInputError(f"--scan: {arguments.log} has {what}, got {number}")
+    scan = sensor.scan(number)
     ranges = usable_ranges(scan.ranges, scan.finder)
     if not (ranges < scan.finder.max_range).any():
-        raise InvalidInputError(f"--scan: scan {index} of {arguments.log} has no measured range")
+        raise FormatError(arguments.log, f"scan {number} has no measured range")
     return scan
 
 
 def _measurement_and_model(
     sensor: SensorLog, scan: Scan, grid: OccupancyGrid, arguments: argparse.Namespace
-) -> tuple[Any, MeasurementModel[Any]]:
-    """Return what is measured (a scan or a local map) and the model that scores it."""
+) -> tuple[Any, MeasurementModel[Any], list[str]]:
+    """Return what is measured (a scan or a local map), the model that scores it, and notes on its parameters."""
     from beamfield.localization.lattice_noise import widened_field_for_lattice, widened_for_lattice
     from beamfield.models.beam import BeamModel
     from beamfield.models.likelihood_field import LikelihoodFieldModel
     from beamfield.models.map_matching import MapMatchingModel
     from beamfield.models.sonar import SonarModel
 
-    if arguments.model == "matching":
-        return _local_map(sensor, grid, arguments), MapMatchingModel(grid)
+    if arguments.model == "map_matching":
+        return _local_map(sensor, grid, arguments), MapMatchingModel(grid), []
     lattice = {"resolution": arguments.resolution, "headings": arguments.headings}
     n_beams = DEFAULT_BEAMS if arguments.beams is None else arguments.beams or None
-    options: dict[str, Any] = {"n_beams": n_beams}
+    more: dict[str, Any] = {"n_beams": n_beams}
     if arguments.model == "beam":
         parameters = _parameters(arguments, scan)
         if not arguments.no_widening:
             parameters = widened_for_lattice(parameters, **lattice)
-        return scan, (SonarModel if scan.finder.opening_angle > 0.0 else BeamModel)(grid, parameters, **options)
-    of_field, learned = _field(arguments, scan)
+        return scan, (SonarModel if scan.finder.opening_angle > 0.0 else BeamModel)(grid, parameters, **more), []
+    of_field, learned, notes = _field(arguments, scan)
     if not arguments.no_widening:
         of_field = widened_field_for_lattice(of_field, scan, **lattice)
-    return scan, LikelihoodFieldModel(grid, of_field, **options | learned)
+    return scan, LikelihoodFieldModel(grid, of_field, **more | learned), notes
 
 
 def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
     from beamfield.io.parameters.beam_model_file import read_beam_model
     from beamfield.models.beam_parameters import BeamParameters
 
-    if arguments.parameters is None:
+    if arguments.params is None:
         return BeamParameters(**(SONAR_DEFAULTS if scan.finder.opening_angle > 0.0 else DEFAULTS))
-    return read_beam_model(arguments.parameters)
+    return read_beam_model(arguments.params)
 
 
-def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, dict[str, Any]]:
-    """Return the parameters of the field, and the options that a file of learned ones adds."""
+def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, dict[str, Any], list[str]]:
+    """Return the parameters of the field, the options that a file of learned ones adds, and what was left out."""
     from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
     from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
 
-    if arguments.parameters is not None and is_likelihood_field(arguments.parameters):
-        saved = read_likelihood_field(arguments.parameters)
+    if arguments.params is not None and is_likelihood_field(arguments.params):
+        saved = read_likelihood_field(arguments.params)
         if arguments.beams is None:
-            return saved.parameters, {"exponent": saved.exponent, "n_beams": saved.n_beams}
+            return saved.parameters, {"exponent": saved.exponent, "n_beams": saved.n_beams}, []
         # A scan is worth about as many independent beams, however many of its beams are used.
         used = min(arguments.beams or scan.finder.n_beams, scan.finder.n_beams)
-        return saved.parameters, {"exponent": min(1.0, saved.exponent * saved.n_beams / used)}
+        return saved.parameters, {"exponent": min(1.0, saved.exponent * saved.n_beams / used)}, []
     beam = _parameters(arguments, scan)
-    for name in NOT_OF_A_FIELD:
-        if getattr(beam, name) != 0.0:
-            say(
-                f"note: {arguments.parameters} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot "
-                "have; it is left out. The likelihood_field.yaml of beamfield calibrate is learned without."
-            )
-    return LikelihoodFieldParameters.from_beam_parameters(beam, drop=NOT_OF_A_FIELD), {}
+    notes = [
+        f"{arguments.params} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot have; it is left "
+        "out. The likelihood_field.yaml of beamfield calibrate is learned without."
+        for name in NOT_OF_A_FIELD
+        if getattr(beam, name) != 0.0
+    ]
+    return LikelihoodFieldParameters.from_beam_parameters(beam, drop=NOT_OF_A_FIELD), {}, notes
 
 
 def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> OccupancyGrid:
@@ -226,8 +207,8 @@ def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Names
 
 def _write(
     scan: Scan, grid: OccupancyGrid, result: LikelihoodMap, reference: Any, arguments: argparse.Namespace
-) -> None:
-    """Write what was asked for: all of it or nothing."""
+) -> list[Path]:
+    """Draw the picture and write the arrays if asked for, both or none."""
     import numpy as np
 
     from beamfield.figures.gallery import save_figure
@@ -235,11 +216,10 @@ def _write(
     from beamfield.io.files.atomic import atomic_files
 
     wanted = [path for path in (arguments.out, arguments.npz) if path is not None]
-    names = {"beam": "beam model", "field": "likelihood field", "matching": "map matching"}
     with atomic_files(wanted) as parts:
         for path, part in zip(wanted, parts, strict=True):
             if path is arguments.out:
-                figure = likelihood_figure(scan, grid, result, reference, model_name=names[arguments.model])
+                figure = likelihood_figure(scan, grid, result, reference, model_name=MODELS[arguments.model])
                 save_figure(figure, part)
             else:
                 rows, cols = np.nonzero(result.evaluated)
@@ -255,37 +235,61 @@ def _write(
                     best_pose=result.best_pose,
                     reference_pose=np.full(3, np.nan) if reference is None else reference,
                 )
+    return wanted
 
 
-def _summary(result: LikelihoodMap, measured: Any, model: MeasurementModel[Any], reference: Any) -> str:
-    """Return in words how much was compared, where the maximum is, and what the reference pose is worth."""
+def _found(result: LikelihoodMap, measured: Any, model: MeasurementModel[Any], reference: Any) -> dict[str, Any]:
+    """Return how much was compared, where the maximum is, and what the reference pose is worth."""
     from beamfield.geometry import between
 
-    places, n_headings = int(result.evaluated.sum()), len(result.headings)
-    lattice = f"{places:,} places of {result.resolution:g} m, {n_headings} headings"
-    lines = [f"compared {result.n_poses:,} poses: {lattice}"]
+    found: dict[str, Any] = {
+        "n_poses": result.n_poses,
+        "n_places": int(result.evaluated.sum()),
+        "n_headings": len(result.headings),
+        "resolution_m": result.resolution,
+        "maximum": None,
+        "reference": None,
+    }
     if result.is_flat:
-        lines.append("all places are equally likely: the scan says nothing here")
-        return "\n".join(lines)
-    best = result.best_pose
+        return found
     top = float(result.log_likelihood[result.best_cell])
-    lines.append(f"maximum: {_pose_text(best)}, log p(z | x, m) = {top:.2f} nats")
+    found["maximum"] = {"pose": [float(v) for v in result.best_pose], "log_likelihood": top}
     if reference is None:
-        lines.append("the scan has no reference pose to compare with")
-        return "\n".join(lines)
-    step = between(reference, best)
-    lines.append(f"reference: {_pose_text(reference)}; the maximum is {math.hypot(step[0], step[1]):.2f} m and "
-                 f"{math.degrees(abs(step[2])):.1f} deg away")  # fmt: skip
+        return found
+    step = between(reference, result.best_pose)
     value = float(model.log_likelihood(measured, reference))
-    share = result.share_above(value)
-    if value > top:
-        lines.append(f"the reference lies between the poses compared and is likelier still, by {value - top:.2f} nats")
+    found["reference"] = {
+        "pose": [float(v) for v in reference],
+        "distance_m": float(math.hypot(step[0], step[1])),
+        "turn_rad": float(abs(step[2])),
+        "below_maximum": top - value if math.isfinite(value) else None,
+        "share_of_likelier_places": float(result.share_above(value)),
+    }
+    return found
+
+
+def _summary(found: Mapping[str, Any]) -> str:
+    """Return in words what was found."""
+    best, reference = found["maximum"], found["reference"]
+    places = f"{found['n_places']:,} places of {found['resolution_m']:g} m, {found['n_headings']} headings"
+    lines = [f"compared {found['n_poses']:,} poses: {places}"]
+    if best is None:
+        return "\n".join([*lines, "all places are equally likely: the scan says nothing here"])
+    lines.append(f"maximum: {_pose_text(best['pose'])}, log p(z | x, m) = {best['log_likelihood']:.2f} nats")
+    if reference is None:
+        return "\n".join([*lines, "the scan has no reference pose to compare with"])
+    lines.append(
+        f"reference: {_pose_text(reference['pose'])}; the maximum is {reference['distance_m']:.2f} m and "
+        f"{math.degrees(reference['turn_rad']):.1f} deg away"
+    )
+    below = math.inf if reference["below_maximum"] is None else reference["below_maximum"]
+    if below < 0.0:
+        lines.append(f"the reference lies between the poses compared and is likelier still, by {-below:.2f} nats")
     else:
-        lines.append(
-            f"at the reference: {top - value:.2f} nats below the maximum; {share:.2%} of the places are likelier"
-        )
+        share = reference["share_of_likelier_places"]
+        lines.append(f"at the reference: {below:.2f} nats below the maximum; {share:.2%} of the places are likelier")
     return "\n".join(lines)
 
 
-def _pose_text(pose: Any) -> str:
+def _pose_text(pose: Sequence[float]) -> str:
     return f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, heading {math.degrees(pose[2]):.1f} deg"

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import io
 import os
 import sys
-import warnings
+import traceback
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 
@@ -14,25 +15,27 @@ from beamfield import __version__
 from beamfield.cli import (
     calibrate,
     calibrate_landmarks,
+    check,
     demo,
     doctor,
     figures,
-    fit,
     inspect,
     likelihood,
     simulate,
     translate,
 )
 from beamfield.cli import map as map_command
-from beamfield.cli.terminal import Parser, complain
+from beamfield.cli.outcome import show
+from beamfield.cli.parser import Parser
+from beamfield.cli.terminal import complain
 from beamfield.cli.wording import in_options
-from beamfield.errors import BeamfieldError, BeamfieldWarning
+from beamfield.errors import BeamfieldError
 from beamfield.kernels.threads import set_threads
 
 COMMANDS = (
     calibrate,
     calibrate_landmarks,
-    fit,
+    check,
     doctor,
     translate,
     inspect,
@@ -42,23 +45,23 @@ COMMANDS = (
     figures,
     demo,
 )
+# Old names, which are not in the help.
+RENAMED = {"fit": "check"}
+INTERNAL_ERROR = 70
 
-UNITS = "In the names of values M stands for metres, S for seconds, DEG for degrees, RAD for radians, HZ for 1/s."
 
-
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> Parser:
     """Return the parser with all subcommands."""
     parser = Parser(
         prog="beamfield",
         description="Measurement models of probabilistic robotics: calibrate a range sensor from a log and a map.",
-        epilog="Exit codes: 0 done; 1 a known error, on one line; 2 wrong usage; 3 not converged or too little data.",
+        epilog="Exit codes: 0 done; 1 bad input, or doctor found a problem; 2 wrong usage; 3 too little data or not "
+        "converged; 70 an error in beamfield itself.",
     )
     parser.add_argument("--version", action="version", version=f"beamfield {__version__}")
-    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Parser)
     for command in COMMANDS:
         command.add_parser(subparsers)
-    for subparser in subparsers.choices.values():
-        subparser.epilog = UNITS
     return parser
 
 
@@ -75,18 +78,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     parser = build_parser()
-    parsed = parser.parse_args(arguments)
-    threads = getattr(parsed, "threads", None)
-    if threads is not None and threads < 1:
-        parser.error(f"argument --threads: expected at least 1, got {threads}")
+    if "_ARGCOMPLETE" in os.environ:  # the shell asks how a word goes on
+        importlib.import_module("argcomplete").autocomplete(parser)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words:
+        words[0] = RENAMED.get(words[0], words[0])
     try:
-        with warnings.catch_warnings(), set_threads(threads) if threads is not None else nullcontext():
-            warnings.simplefilter("default", BeamfieldWarning)
-            warnings.showwarning = _show_warning
-            with _unpacking_limit(parsed):
-                code = int(parsed.run(parsed))
-            sys.stdout.flush()
-            return code
+        parsed = parser.parse_args(words)
+    except SystemExit as end:
+        return int(end.code or 0)
+    threads = getattr(parsed, "threads", None)
+    try:
+        with _unpacking_limit(parsed), set_threads(threads) if threads is not None else nullcontext():
+            outcome = parsed.run(parsed)
+        show(outcome, parsed)
+        sys.stdout.flush()
+        return int(outcome.code)
     except BeamfieldError as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
@@ -98,6 +105,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"{where}{error.strerror or error}", 1)
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
+    except Exception as error:
+        if parsed.verbose:
+            traceback.print_exc()
+        hint = "" if parsed.verbose else "; -v shows where"
+        return _fail(f"internal error, please report it: {type(error).__name__}: {error}{hint}", INTERNAL_ERROR)
 
 
 def _unpacking_limit(parsed: argparse.Namespace) -> AbstractContextManager[None]:
@@ -112,11 +124,6 @@ def _unpacking_limit(parsed: argparse.Namespace) -> AbstractContextManager[None]
 def _fail(message: str, code: int) -> int:
     complain(f"beamfield: error: {in_options(message)}")
     return code
-
-
-def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    """Print a warning without the place in the code, which says nothing to a user."""
-    complain(f"beamfield: warning: {in_options(str(message))}")
 
 
 if __name__ == "__main__":

@@ -30,10 +30,14 @@ class StageProgress:
     ----------
     quiet
         Show nothing.
+    verbose
+        One numbered line per stage, and how long it took.
     """
 
-    def __init__(self, *, quiet: bool = False) -> None:
+    def __init__(self, *, quiet: bool = False, verbose: bool = False) -> None:
         self._quiet = quiet
+        self._verbose = verbose
+        self._number = 0
         self._stage = ""
         self._since = 0.0
         self._bar: tqdm[NoReturn] | None = None
@@ -74,8 +78,9 @@ class StageProgress:
     def _begin(self, stage: str, total: int) -> None:
         self._end()
         self._stage, self._since = stage, time.monotonic()
-        if not sys.stderr.isatty():
-            complain(f"{stage} ...")
+        self._number += 1
+        if self._verbose or not sys.stderr.isatty():
+            complain(f"{self._number}. {stage} ..." if self._verbose else f"{stage} ...")
             return
         self._bar = tqdm(
             total=total, desc=stage, leave=False, file=sys.stderr, bar_format=TIMED if total <= 1 else COUNTED
@@ -86,6 +91,8 @@ class StageProgress:
             self._clock.start()
 
     def _end(self) -> None:
+        if self._verbose and self._stage:
+            complain(f"{self._number}. took {time.monotonic() - self._since:.1f} s")
         if self._bar is not None:
             self._bar.close()
             self._bar = None

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from beamfield import __version__
 from beamfield.printable import printable
+
+# They say where and how something is printed or computed, and change no result.
+_NO_OPTIONS = ("command", "json", "out", "quiet", "run", "seed", "threads", "verbose")
 
 
 def file_name(path: str | Path) -> str:
@@ -32,21 +35,32 @@ def file_hash(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def provenance(inputs: Iterable[tuple[str, str | Path]], options: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def provenance(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what a reader needs to repeat a result.
+
+    Every path given is an input, but for those that are written; paths are recorded by name only, as results travel.
 
     Parameters
     ----------
-    inputs
-        (role, path) of every file read; paths are recorded by name only, as results travel.
-    options
-        The options in force, without paths, which say nothing elsewhere.
-    seed
-        The seed of every random choice.
+    arguments
+        The command line.
     """
+    from beamfield.io.maps.ros_map import image_path
+
+    inputs: dict[str, Path] = {}
+    options: dict[str, Any] = {}
+    for name, value in sorted(vars(arguments).items(), key=lambda item: (item[0] not in ("log", "map"), item[0])):
+        if name in _NO_OPTIONS:
+            continue
+        if not isinstance(value, Path):
+            options[name] = list(value) if isinstance(value, tuple) else value
+            continue
+        inputs[name.replace("_", " ")] = value
+        if name == "map" and value.suffix in (".yaml", ".yml"):
+            inputs["map image"] = image_path(value)
     return {
         "program": f"beamfield {__version__}",
-        "inputs": {role: {"name": file_name(path), "sha256": file_hash(path)} for role, path in inputs},
-        "options": dict(options),
-        "seed": seed,
+        "inputs": {role: {"name": file_name(path), "sha256": file_hash(path)} for role, path in inputs.items()},
+        "options": options,
+        "seed": arguments.seed,
     }

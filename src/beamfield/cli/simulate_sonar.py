@@ -1,10 +1,11 @@
-"""The options of ``beamfield simulate --sensor sonar``: the ring, and how sound is reflected and heard."""
+"""The options of ``beamfield simulate --sonar``: the ring, and how sound is reflected and heard."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import InvalidInputError
 
@@ -14,13 +15,14 @@ if TYPE_CHECKING:
 
 MAX_SENSORS = 360
 DEFAULT_MAX_RANGE = 5.0
+Value = tuple[str, float, str, str]
 # Option, default, unit, meaning; those of the second table are fields of `SonarPhysics`.
-RING_OPTIONS: tuple[tuple[str, float, str, str], ...] = (
+RING_OPTIONS: tuple[Value, ...] = (
     ("ring", 16, "N", "sensors, evenly around the robot"),
     ("ring-radius", 0.2, "M", "of the ring"),
-    ("opening-deg", 30.0, "DEG", "full width of the cones"),
+    ("opening-angle", 30.0, "DEG", "full width of the cones"),
 )
-PHYSICS_OPTIONS: tuple[tuple[str, float, str, str], ...] = (
+PHYSICS_OPTIONS: tuple[Value, ...] = (
     ("roughness", 0.3, "P", "share of pulses that surfaces scatter; 1: the nearest thing in the cone is always heard"),
     ("corner-echo", 0.9, "P", "share of inner corners that are heard"),
     ("edge-echo", 0.2, "P", "share of edges that are heard"),
@@ -38,11 +40,18 @@ PHYSICS_OPTIONS: tuple[tuple[str, float, str, str], ...] = (
 
 def add_sonar_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the ring and of the acoustics."""
-    sonar = parser.add_argument_group("--sensor sonar: a ring among walls that mirror sound")
-    for name, value, unit, meaning in (*RING_OPTIONS, *PHYSICS_OPTIONS):
-        sonar.add_argument(
-            f"--{name}", type=type(value), default=value, metavar=unit, help=f"{meaning} (default: {value:g})"
-        )
+    add_values(
+        parser.add_argument_group("--sonar: a ring among walls that mirror sound"), RING_OPTIONS + PHYSICS_OPTIONS
+    )
+
+
+def add_values(
+    group: argparse._ActionsContainer, table: Sequence[Value], kind: Callable[[str], float] | None = None
+) -> None:
+    """Add options that take a number; it is of the type of its default if no other is named."""
+    for name, value, unit, meaning in table:
+        meaning = f"{meaning} (default: {value:g})"
+        group.add_argument(f"--{name}", type=kind or type(value), default=value, metavar=unit, help=meaning)
 
 
 def ring_of(arguments: argparse.Namespace) -> RangeFinder:
@@ -51,12 +60,12 @@ def ring_of(arguments: argparse.Namespace) -> RangeFinder:
 
     if not 1 <= arguments.ring <= MAX_SENSORS:
         raise InvalidInputError(f"--ring: expected 1 to {MAX_SENSORS} sensors, got {arguments.ring}")
-    if not 0.0 <= arguments.opening_deg < 180.0:
-        raise InvalidInputError(f"--opening-deg: expected 0 to below 180 degrees, got {arguments.opening_deg:g}")
+    if not 0.0 <= arguments.opening_angle < 180.0:
+        raise InvalidInputError(f"--opening-angle: expected 0 to below 180 degrees, got {arguments.opening_angle:g}")
     return sonar_ring(
         arguments.ring,
         radius=arguments.ring_radius,
-        opening_angle=math.radians(arguments.opening_deg),
+        opening_angle=math.radians(arguments.opening_angle),
         max_range=DEFAULT_MAX_RANGE if arguments.max_range is None else arguments.max_range,
     )
 
@@ -65,7 +74,12 @@ def physics_of(arguments: argparse.Namespace) -> SonarPhysics:
     """Return the acoustics that the command line asks for."""
     from beamfield.simulation.sonar import SonarPhysics
 
-    return SonarPhysics(**{_field(name): getattr(arguments, _field(name)) for name, *_ in PHYSICS_OPTIONS})
+    return SonarPhysics(**values_of(arguments, PHYSICS_OPTIONS))
+
+
+def values_of(arguments: argparse.Namespace, table: Sequence[Value]) -> dict[str, Any]:
+    """Return what was given for the options of a table, by the names of fields."""
+    return {_field(name): getattr(arguments, _field(name)) for name, *_ in table}
 
 
 def cause_shares(readings: SonarReadings) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from typing import Any
@@ -10,9 +9,9 @@ from typing import Any
 from beamfield.printable import printable
 
 
-def say(text: str = "", *, end: str = "\n") -> None:
+def say(text: str) -> None:
     """Print lines on stdout; names that come from files have been through `printable`, as they may hold line ends."""
-    print(printable(text, keep="\n"), end=end)
+    print(printable(text, keep="\n"))
 
 
 def say_json(document: Any) -> None:
@@ -24,10 +23,3 @@ def say_json(document: Any) -> None:
 def complain(text: str) -> None:
     """Print a warning, an error or a stage of the work on stderr: always one line."""
     print(printable(" ".join(text.split())), file=sys.stderr, flush=True)
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser whose messages, which quote arguments, print."""
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        super()._print_message(printable(message, keep="\n"), file)

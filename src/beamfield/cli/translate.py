@@ -1,4 +1,14 @@
-"""``beamfield translate``: the parameters of one stack in the meaning of another."""
+"""Convert parameters of one stack into those of another.
+
+Translate the measurement model in a parameter file of one stack, or beamfield's own beam_model.yaml, into the
+parameters of another stack. Prints the new file, or writes it with --out, or changes the values in an existing file of
+the other stack with --patch. Both formulas are computed and compared; what differs is said.
+
+for example:
+
+  beamfield translate nav2_params.yaml --to beluga --max-range 12
+  beamfield translate result/beam_model.yaml --to nav2 --patch nav2_params.yaml
+"""
 
 from __future__ import annotations
 
@@ -8,26 +18,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield import __version__
+from beamfield.cli import options
 from beamfield.cli.doctor import add_file_options
-from beamfield.cli.terminal import complain, say
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command, count, positive
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from beamfield.stacks.files.parameter_file import StackFile
     from beamfield.stacks.translation.translation import Translation
 
-DESCRIPTION = """
-Translate the measurement model in a parameter file of one stack, or beamfield's own beam_model.yaml, into the
-parameters of another stack. Prints the new file, or writes it with --out, or changes the values in an existing file of
-the other stack with --patch. Both formulas are computed and compared; what differs is said.
-"""
 
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
-    parser = subparsers.add_parser(
-        "translate", help="parameters of one stack in the meaning of another", description=DESCRIPTION
-    )
+    parser = add_command(subparsers, run, "translate", __doc__)
     parser.add_argument(
         "params", type=Path, metavar="PARAMS", help="YAML, ROS 1 launch file, MRPT ini, or beam_model.yaml"
     )
@@ -37,23 +41,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--to-model", metavar="NAME", help="the other stack's model (default: the one of the same kind)"
     )
     add_file_options(parser)
-    parser.add_argument("--max-range", type=float, metavar="M", help="the sensor's longest range, metres")
-    parser.add_argument("--beams", type=int, metavar="N", help="beams in a scan, to convert decimations")
-    parser.add_argument("--resolution", type=float, metavar="M", help="side of the map's cells, metres")
-    parser.add_argument("--typical-range", type=float, metavar="M",
+    parser.add_argument("--max-range", type=positive, metavar="M", help="the sensor's longest range")
+    parser.add_argument("--beams", type=count, metavar="N", help="beams in a scan, to convert decimations")
+    parser.add_argument("--resolution", type=positive, metavar="M", help="side of the map's cells")
+    parser.add_argument("--typical-range", type=positive, metavar="M",
                         help="of beam_model.yaml: root mean square of the ranges whose noise becomes sigma_hit "
                         "(default: 4, or 0.4 of the sensor's longest range)")  # fmt: skip
-    target = parser.add_mutually_exclusive_group()
-    target.add_argument("--out", type=Path, metavar="FILE", help="write a new file (.launch for ROS 1 launch lines)")
-    target.add_argument("--patch", type=Path, metavar="FILE", help="change the values in this file; keeps a backup")
+    options.add_out(parser, None, metavar="FILE", what="write a new file (.launch for ROS 1 launch lines)")
+    parser.add_argument("--patch", type=Path, metavar="FILE", help="change the values in this file; keeps a backup")
     parser.add_argument("--patch-section", metavar="LABEL", help="which section of it, if several have such parameters")
-    parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> Outcome:
     """Read, translate, write."""
     from beamfield.stacks.translation.translation import CHAPTER
 
+    if arguments.out is not None and arguments.patch is not None:
+        raise InvalidInputError("--out: writes a new file, --patch changes one; give only one of them")
     if arguments.patch_section is not None and arguments.patch is None:
         raise InvalidInputError("--patch-section: is a section of the file to --patch, but there is none")
     for name in ("patch", "out"):
@@ -62,15 +66,19 @@ def run(arguments: argparse.Namespace) -> int:
     result, source, more = _translate(arguments)
     head = f"{result.stack} {result.model}, from {source} by beamfield {__version__}"
     said = [result.summary, *result.assumptions, *result.notes, *more]
+    document = {"stack": result.stack, "model": result.model, "from": source, "values": dict(result.values)}
     if arguments.patch is not None:
-        said += _patch(arguments, result)
-    elif result.stack == CHAPTER:
-        say("\n".join(f"{name} = {value:.6g}" for name, value in result.values.items()))
-    else:
-        said = _print_or_write(arguments.out, result, head, said)
-    for note in said:
-        complain(f"note: {note}")
-    return 0
+        line, more = _patch(arguments, result)
+        return Outcome(line, "", document, [*said, *more], [arguments.patch])
+    if result.stack == CHAPTER:
+        values = "\n".join(f"{name} = {value:.6g}" for name, value in result.values.items())
+        return Outcome(values, "", document, said)
+    text = _new_file(arguments.out, result, head, said)
+    if arguments.out is not None:
+        return Outcome(f"wrote {arguments.out}", "", document, said, [arguments.out])
+    # What the head of the file says need not be twice on a screen.
+    shown = arguments.json or (sys.stderr.isatty() and not sys.stdout.isatty())
+    return Outcome(text.rstrip("\n"), "", {**document, "file": text}, said if shown else [])
 
 
 def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[str]]:
@@ -120,32 +128,29 @@ def _patched_file(arguments: argparse.Namespace, model: str | None) -> StackFile
     return target
 
 
-def _patch(arguments: argparse.Namespace, result: Translation) -> list[str]:
-    """Change the user's file and return what to say about it."""
+def _patch(arguments: argparse.Namespace, result: Translation) -> tuple[str, list[str]]:
+    """Change the user's file; return a line that says so, and notes."""
     from beamfield.stacks.files.parameter_file import write_values
 
     target = _patched_file(arguments, result.model)
     ran = _patched_file(arguments, None).model
     backup = write_values(target.section, target.by_names_in_file(result.values))
-    say(f"changed {arguments.patch}, the old file is {backup.name}")
-    return [f"the file chose {ran} before, now {result.model}"] if ran != result.model else []
+    notes = [f"the file chose {ran} before, now {result.model}"] if ran != result.model else []
+    return f"changed {arguments.patch}, the old file is {backup.name}", notes
 
 
-def _print_or_write(path: Path | None, result: Translation, head: str, said: list[str]) -> list[str]:
-    """Print or write the new file and return what is left to say: what its head says need not be twice on a screen."""
+def _new_file(path: Path | None, result: Translation, head: str, said: list[str]) -> str:
+    """Return the text of the new file, which is written if it has a name."""
     from beamfield.io.files.atomic import write_file
     from beamfield.stacks.files.new_file import new_file_text
 
-    launch = path is not None and path.suffix in (".launch", ".xml")
     if path is not None:
         _check_suffix(path, result.stack)
+    launch = path is not None and path.suffix in (".launch", ".xml")
     text = new_file_text(result.stack, result.values, comments=[head, *said], launch=launch)
     if path is not None:
         write_file(path, text)
-        say(f"wrote {path}")
-        return said
-    say(text, end="")
-    return said if sys.stderr.isatty() and not sys.stdout.isatty() else []
+    return text
 
 
 def _check_suffix(path: Path, stack: str) -> None:

@@ -20,6 +20,8 @@ _OPTIONS = {
 # Not in a path, a quotation or a longer name.
 _NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([^']*)')?")
 # These are words of models and files as well: they are options where they stand for a value to give.
+# As the beginning of an error these are what was given.
+_LEADING = {"figure": "--only", "model": "--model", "section": "--section", "stack": "--stack"}
 _GIVEN = re.compile(r"(?<=give )max_range\b|(?<![\w/.'\"-])stamps='([^']*)'")
 
 
@@ -36,5 +38,7 @@ def in_options(text: str) -> str:
     >>> in_options("read it with lone_poses='odometry', and give max_range")
     'read it with --lone-poses odometry, and give --max-range'
     """
+    head, colon, rest = text.partition(":")
+    text = f"{_LEADING.get(head, head)}{colon}{rest}"
     text = _NAME.sub(lambda found: _OPTIONS[found[1]] + (f" {found[2]}" if found[2] is not None else ""), text)
     return _GIVEN.sub(lambda found: "--max-range" if found[1] is None else f"--stamps {found[1]}", text)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-import matplotlib
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from beamfield.errors import InvalidInputError
-from beamfield.figures import (
-    beam_model_figures,
-    feature_figures,
-    field_figures,
-    landmark_figures,
-    scan_figures,
-    sonar_figures,
-)
-from beamfield.figures.world import FigureWorld
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from beamfield.figures.world import FigureWorld
 
 # Dots per inch of the parts of an SVG or PDF that are pictures, and of PNG.
 DPI = 130
@@ -60,6 +55,17 @@ class ChapterFigure:
         return f"{'Section' if self.number.count('.') > 1 else 'Figure'} {self.number}"
 
 
+def _drawn_by(where: str) -> Callable[[FigureWorld], Figure]:
+    """Return a function of this package; its module, and with it the numerical libraries, loads when it is called."""
+    module, name = where.split(".")
+
+    def draw(world: FigureWorld) -> Figure:
+        figure: Figure = getattr(importlib.import_module(f"beamfield.figures.{module}"), name)(world)
+        return figure
+
+    return draw
+
+
 _ALL = (
     ChapterFigure(
         "6.1",
@@ -70,7 +76,7 @@ _ALL = (
         "exceeds half the opening angle, the echo goes elsewhere. (c) What a scanner measured at the same pose, with "
         "a few random readings.",
         "6.1",
-        sonar_figures.sonar_figure,
+        _drawn_by("sonar_figures.sonar_figure"),
     ),
     ChapterFigure(
         "6.3",
@@ -79,7 +85,7 @@ _ALL = (
         "unexpected object before it, (c) no return, which is a probability and no density, (d) an unexplained "
         "reading.",
         "6.3.1",
-        beam_model_figures.components_figure,
+        _drawn_by("beam_model_figures.components_figure"),
     ),
     ChapterFigure(
         "6.4",
@@ -87,7 +93,7 @@ _ALL = (
         "The densities of Figure 6.3 times their weights, and in grey their sum, on a logarithmic scale. The "
         "probability of no return has an axis of its own.",
         "6.3.1",
-        beam_model_figures.mixture_figure,
+        _drawn_by("beam_model_figures.mixture_figure"),
     ),
     ChapterFigure(
         "6.5",
@@ -96,7 +102,7 @@ _ALL = (
         "its most likely cause. Where a sonar is beside a laser scanner, it has much more noise and far more readings "
         "without return.",
         "6.3.2",
-        beam_model_figures.readings_figure,
+        _drawn_by("beam_model_figures.readings_figure"),
     ),
     ChapterFigure(
         "6.6",
@@ -104,7 +110,7 @@ _ALL = (
         "Histograms of readings for a near and a far expected range, and the density that was learned from all "
         "data. Above the hits on a linear scale, below all ranges on a logarithmic one.",
         "6.3.2",
-        beam_model_figures.histograms_figure,
+        _drawn_by("beam_model_figures.histograms_figure"),
     ),
     ChapterFigure(
         "6.7",
@@ -113,7 +119,7 @@ _ALL = (
         "with the heading that suits it best: the darker, the more likely. The scan alone leaves several places "
         "possible.",
         "6.3.2",
-        scan_figures.likelihood_over_map_figure,
+        _drawn_by("scan_figures.likelihood_over_map_figure"),
     ),
     ChapterFigure(
         "6.8",
@@ -121,7 +127,7 @@ _ALL = (
         "(a) A robot, obstacles (grey) and the axis of one beam (dashed). (b) The likelihood field: the darker a "
         "place, the less likely is an end point there. Obstacles are outlined.",
         "6.4.1",
-        field_figures.obstacles_figure,
+        _drawn_by("field_figures.obstacles_figure"),
     ),
     ChapterFigure(
         "6.9",
@@ -130,7 +136,7 @@ _ALL = (
         "obstacle's nearest point. It does not know that the first obstacle would hide the others. (b) With the "
         "two uniform parts of (6.34); no return is a probability at z_max.",
         "6.4.1",
-        field_figures.beam_profile_figure,
+        _drawn_by("field_figures.beam_profile_figure"),
     ),
     ChapterFigure(
         "6.10",
@@ -138,7 +144,7 @@ _ALL = (
         "(a) An occupancy grid map. (b) The likelihood of an end point: bright near obstacles, dark in free "
         "space, constant where nothing is known.",
         "6.4.2",
-        field_figures.map_field_figure,
+        _drawn_by("field_figures.map_field_figure"),
     ),
     ChapterFigure(
         "6.11",
@@ -147,15 +153,15 @@ _ALL = (
         "an end point there. Space that beams passed is dark; what is hidden behind surfaces is white and costs "
         "nothing.",
         "6.4.2",
-        scan_figures.scan_field_figure,
+        _drawn_by("scan_figures.scan_field_figure"),
     ),
     ChapterFigure(
         "6.12",
         "A local map for map matching",
-        f"(a) A local map from {scan_figures.LOCAL_SCANS} scans with the last of them: free white, occupied dark, "
+        "(a) A local map from 10 scans with the last of them: free white, occupied dark, "
         "unknown grey. (b) Its correlation with the global map, moved around the reference pose without turning.",
         "6.5",
-        scan_figures.local_map_figure,
+        _drawn_by("scan_figures.local_map_figure"),
     ),
     ChapterFigure(
         "6.13",
@@ -164,7 +170,7 @@ _ALL = (
         "positions is a ring: nothing tells from which side it was seen. (b) Poses drawn from it: each has a "
         "heading that puts the landmark 30 degrees to its left, so that in x, y and theta the ring is a spiral.",
         "6.6.4",
-        landmark_figures.poses_of_detection_figure,
+        _drawn_by("landmark_figures.poses_of_detection_figure"),
     ),
     ChapterFigure(
         "6.6.5",
@@ -174,12 +180,16 @@ _ALL = (
         "scan excludes: they are not sufficient statistics (6.42). The scan is taken for 12 independent beams; the "
         "noise of the features, and how many of them the map does not show, are learned from other scans.",
         "6.6.5",
-        feature_figures.kept_information_figure,
+        _drawn_by("feature_figures.kept_information_figure"),
     ),
 )
 
 FIGURES: Mapping[str, ChapterFigure] = {figure.number: figure for figure in _ALL}
 """Every figure that can be drawn, by number, in the chapter's order."""
+
+
+# Figures of the chapter that are drawn beside another.
+PANELS = {"6.2": "(c) of 6.1"}
 
 
 def chosen_figures(numbers: Sequence[str] | None = None) -> list[ChapterFigure]:
@@ -194,7 +204,8 @@ def chosen_figures(numbers: Sequence[str] | None = None) -> list[ChapterFigure]:
         return list(FIGURES.values())
     unknown = [number for number in numbers if number not in FIGURES]
     if unknown:
-        raise InvalidInputError(f"figure: expected one of {', '.join(FIGURES)}, got {unknown[0]!r}")
+        part = f": it is part {PANELS[unknown[0]]}" if unknown[0] in PANELS else ""
+        raise InvalidInputError(f"figure: expected one of {', '.join(FIGURES)}, got {unknown[0]!r}{part}")
     return [figure for number, figure in FIGURES.items() if number in numbers]
 
 
@@ -217,6 +228,8 @@ def save_figure(figure: Figure, path: Path) -> None:
     if kind not in FORMATS:
         raise InvalidInputError(f"picture: expected a name ending in .svg, .png or .pdf, got {path.name!r}")
     without_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
+    import matplotlib
+
     # Ids in an SVG are random without a salt.
     with matplotlib.rc_context({"svg.hashsalt": "beamfield"}):
         figure.savefig(path, dpi=DPI, format=kind, metadata=without_date, facecolor="white")

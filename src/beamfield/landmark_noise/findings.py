@@ -269,8 +269,8 @@ def _looks_cut(what: str, e: FloatArray) -> list[Finding]:
     if at_edge < FEWEST_AT_EDGE or ends_itself:
         return []
     text = (
-        f"{at_edge} {what} residuals lie just below {span:.3g} {UNITS[what]} and none beyond: somebody has taken "
-        "outliers away. Give truncated_at, or sigma and tails come out too small."
+        f"{at_edge} {what} residuals lie just below {span:.3g} {UNITS[what]} and none beyond: outliers seem "
+        "to have been removed from this log. Give truncated_at, or sigma and tails come out too small."
     )
     return [Finding(f"{what}-looks-cut", "warning", text, {"cut": span, "n_at_edge": float(at_edge)})]
 

@@ -1,4 +1,4 @@
-"""The page and the documents of ``beamfield fit``: how well the scans of a log fit a map."""
+"""The page and the documents of ``beamfield check``: how well the scans of a log fit a map."""
 
 from __future__ import annotations
 

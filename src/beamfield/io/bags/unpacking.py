@@ -361,7 +361,7 @@ def _zstd() -> Any:
     for name in ("compression.zstd", "backports.zstd", "zstandard"):
         with suppress(ImportError):
             return importlib.import_module(name)
-    raise MissingDependencyError("zstd", "ros", "reading a compressed bag")
+    raise MissingDependencyError("zstandard", "ros", "reading a compressed bag")
 
 
 # ------------------------------------------------------------------------------------------------------------- SQLite

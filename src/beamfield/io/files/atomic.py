@@ -31,8 +31,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     Parameters
     ----------
     path
-        The file to write. If it exists it is replaced, and its permissions are kept, as are owner and group where the
-        system allows it.
+        The file to write; missing parents are created. If it exists it is replaced, and its permissions are kept, as
+        are owner and group where the system allows it.
 
     Yields
     ------
@@ -84,7 +84,7 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
     the last one old. A folder that is new is one rename; see `atomic_folder`.
     """
     targets = [_replaceable(Path(path)) for path in paths]
-    with ExitStack() as stack:
+    with _parents(targets), ExitStack() as stack:
         scratch = [stack.enter_context(scratch_folder(target.parent, target.name)) for target in targets]
         parts = [folder / target.name for folder, target in zip(scratch, targets, strict=True)]
         yield parts
@@ -107,9 +107,9 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     InvalidInputError
         If `path` exists and is no regular file.
     OSError
-        If it is a folder, or its folder does not exist or nothing can be created in it.
+        If it is a folder, or nothing can be created where it is to be; its folder and their parents need not exist.
     """
-    _require_access(_replaceable(Path(path)).parent)
+    _require_access(_replaceable(Path(path)).parent, Path(path))
 
 
 def check_folder_writable(path: str | os.PathLike[str]) -> None:
@@ -124,14 +124,10 @@ def check_folder_writable(path: str | os.PathLike[str]) -> None:
     ------
     NotADirectoryError
         If it, or the nearest of its parents that exists, is no folder.
-    PermissionError
+    OSError
         If nothing can be created where it is to be.
     """
-    target = Path(os.path.realpath(path))
-    nearest = next(folder for folder in (target, *target.parents) if folder.exists())
-    if not nearest.is_dir():
-        raise NotADirectoryError(20, "Not a directory", str(path if nearest == target else nearest))
-    _require_access(nearest)
+    _require_access(Path(os.path.realpath(path)), Path(path))
 
 
 @contextmanager
@@ -158,23 +154,17 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_dir():
         raise NotADirectoryError(20, "Not a directory", str(path))
-    created = _create_parents(target)
-    try:
-        # In a folder that exists, for its parent may be another disk (a mount point) or not ours to write (a home).
-        with scratch_folder(target if target.exists() else target.parent, target.name) as scratch:
-            part = scratch / target.name
-            part.mkdir()
-            yield part
-            files = sorted(file for file in part.rglob("*") if not file.is_dir())
-            if target.exists() or not _rename_folder(part, files, target):
-                goals = [target / file.relative_to(part) for file in files]
-                created += [folder for goal in goals for folder in _create_parents(goal)]
-                _replace_all(files, goals)
-    except BaseException:
-        for folder in reversed(created):
-            with suppress(OSError):  # someone else put something there: it is theirs
-                folder.rmdir()
-        raise
+    # In a folder that exists, for its parent may be another disk (a mount point) or not ours to write (a home).
+    place = target if target.exists() else target.parent
+    with _parents([target]) as created, scratch_folder(place, target.name) as scratch:
+        part = scratch / target.name
+        part.mkdir()
+        yield part
+        files = sorted(file for file in part.rglob("*") if not file.is_dir())
+        if target.exists() or not _rename_folder(part, files, target):
+            goals = [target / file.relative_to(part) for file in files]
+            created += [folder for goal in goals for folder in _create_parents(goal)]
+            _replace_all(files, goals)
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -234,14 +224,37 @@ def _replaceable(path: Path) -> Path:
         raise IsADirectoryError(21, "Is a directory", str(path))
     if target.exists() and not target.is_file():
         raise InvalidInputError(f"{path}: expected a regular file to replace, got a device, pipe or socket")
-    if not target.parent.is_dir():
-        raise FileNotFoundError(2, "No such folder to write into", str(target.parent))
     return target
 
 
-def _require_access(folder: Path) -> None:
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise PermissionError(13, "Permission denied", str(folder))
+@contextmanager
+def _parents(targets: Sequence[Path]) -> Iterator[list[Path]]:
+    """Create the folders that files are to be in; on an error, remove those that are listed by then."""
+    created: list[Path] = []
+    try:
+        for target in targets:
+            created += _create_parents(target)
+        yield created
+    except BaseException:
+        for folder in reversed(created):
+            with suppress(OSError):  # someone else put something there: it is theirs
+                folder.rmdir()
+        raise
+
+
+def _require_access(folder: Path, path: Path) -> None:
+    """Try to create something in a folder, or in its nearest parent that exists; errors name the user's path."""
+    nearest = next(place for place in (folder, *folder.parents) if place.exists())
+    if not nearest.is_dir():
+        raise NotADirectoryError(
+            20, "Not a directory", str(path if nearest == Path(os.path.realpath(path)) else nearest)
+        )
+    try:
+        # Trying is the only test: access bits do not tell of a read-only disk or of /proc.
+        with scratch_folder(nearest, folder.name):
+            pass
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror, str(path)) from error
 
 
 @cache

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import FormatError
 from beamfield.io.files.atomic import atomic_files
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.files.calibration_record import with_record
@@ -136,10 +136,9 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
     ------
     PermissionError
         If the file is read-only.
-    InvalidInputError
-        If the file has changed since it was read, or would not read as it should afterwards.
     FormatError
-        If there is no place for a new parameter.
+        If the file has changed since it was read, would not read as it should afterwards, or has no place for a new
+        parameter.
     OSError
         As the file system says; the file is then as it was.
     """
@@ -148,7 +147,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
     before = path.read_bytes()
     mark = b"\xef\xbb\xbf" if before.startswith(b"\xef\xbb\xbf") and not section.text.startswith("\ufeff") else b""
     if before != mark + section.text.encode():
-        raise InvalidInputError(f"{path}: the file has changed since it was read")
+        raise FormatError(path, "the file has changed since it was read")
     after = section.with_values(values)
     if record:
         after = with_record(after, record, section.syntax)
@@ -158,9 +157,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
         shutil.copymode(path, old)
         part.write_bytes(mark + after.encode())
         if not _reads_as(part, section, values):
-            raise InvalidInputError(
-                f"{path}: the new values cannot be put into it without changing more; it is left as it is"
-            )
+            raise FormatError(path, "the new values cannot be put into it without changing more; it is left as it is")
     return backup
 
 
@@ -174,14 +171,14 @@ def check_patch_target(file: StackFile) -> None:
 
     Raises
     ------
-    InvalidInputError
+    FormatError
         If it is another stack's file.
     PermissionError
         If it is read-only.
     """
     if file.possible and file.stack not in file.possible and not file.is_of_other_node:
-        raise InvalidInputError(
-            f"{file.section.path}: expected a file of {file.stack}, this is one of {' or '.join(file.possible)}"
+        raise FormatError(
+            file.section.path, f"expected a file of {file.stack}, this is one of {' or '.join(file.possible)}"
         )
     _refuse_read_only(file.section.path)
 

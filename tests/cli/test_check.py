@@ -1,4 +1,4 @@
-"""``beamfield fit``: what it prints, draws, writes and refuses."""
+"""``beamfield check``: what it prints, draws, writes and refuses."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import pytest
 
 from beamfield.cli.main import main
 
-FILES = ["beam_model.yaml", "fit.csv", "fit.html", "fit.json", "scan_fit_reference.json"]
+FILES = ["beam_model.yaml", "scan_fit.csv", "scan_fit.html", "scan_fit.json", "scan_fit_reference.json"]
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two drives through one building, one of them also with poses that jump away in the middle."""
-    folder = tmp_path_factory.mktemp("fit")
+    folder = tmp_path_factory.mktemp("check")
     drive = ("--duration", "60", "--scan-rate", "4", "--beams", "61", "--quiet")
-    assert main(["simulate", str(folder / "good"), "--seed", "4", *drive]) == 0
+    assert main(["simulate", "--out", str(folder / "good"), "--seed", "4", *drive]) == 0
     in_its_map = ("--map", str(folder / "good" / "map.yaml"))
-    assert main(["simulate", str(folder / "fresh"), "--seed", "5", *in_its_map, *drive]) == 0
+    assert main(["simulate", "--out", str(folder / "fresh"), "--seed", "5", *in_its_map, *drive]) == 0
     lines = (folder / "fresh" / "truth.tum").read_text().splitlines()
     rows = [line.split() for line in lines if not line.startswith("#")]
     for row in rows[120:180]:
@@ -31,10 +31,10 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def fit(world: Path, out: Path, *words: str, log: str = "fresh") -> int:
+def check(world: Path, out: Path, *words: str, log: str = "fresh", quiet: bool = True) -> int:
     return main([
-        "fit", str(world / log / "log.carmen"), "--map", str(world / "good" / "map.yaml"), "--out", str(out), "--quiet",
-        *words,
+        "check", str(world / log / "log.carmen"), "--map", str(world / "good" / "map.yaml"), "--out", str(out),
+        *(["--quiet"] if quiet else []), *words,
     ])  # fmt: skip
 
 
@@ -43,7 +43,7 @@ def result(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The kidnapped drive, judged by the good one."""
     out = tmp_path_factory.mktemp("result") / "out"
     good = ("--good", str(world / "good" / "log.carmen"))
-    assert fit(world, out, *good, "--poses", str(world / "kidnapped.tum")) == 0
+    assert check(world, out, *good, "--poses", str(world / "kidnapped.tum")) == 0
     return out
 
 
@@ -52,7 +52,7 @@ class TestResult:
         assert sorted(p.name for p in result.iterdir()) == FILES
 
     def test_the_csv_has_one_line_per_scan_and_finds_the_kidnapping(self, result: Path):
-        with (result / "fit.csv").open() as file:
+        with (result / "scan_fit.csv").open() as file:
             rows = list(csv.DictReader(file))
         assert len(rows) == 240
         # Stamps are rounded in the text log: the very last scan may lie after the last pose.
@@ -66,7 +66,7 @@ class TestResult:
         assert lost[200:].max() < 0.3
 
     def test_the_json_says_the_same(self, result: Path, world: Path):
-        document = json.loads((result / "fit.json").read_text())
+        document = json.loads((result / "scan_fit.json").read_text())
         assert document["n_judged"] in (239, 240)
         assert 0.6 < document["share_that_fits"] < 0.8
         assert 10.0 < document["longest_lost"]["seconds"] < 20.0
@@ -79,7 +79,7 @@ class TestResult:
             assert str(world) not in (result / name).read_text()
 
     def test_the_page_shows_both_figures(self, result: Path):
-        page = (result / "fit.html").read_text()
+        page = (result / "scan_fit.html").read_text()
         assert page.count("<html") == 1
         for words in (
             'id="scan-fit"',
@@ -91,7 +91,7 @@ class TestResult:
 
 
 def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, capsys):
-    assert fit(world, tmp_path / "out", "--worst", "3") == 0
+    assert check(world, tmp_path / "out", "--worst", "3", quiet=False) == 0
     text = capsys.readouterr().out
     share = float(re.search(r"([0-9.]+)% of 2[34][09] scans fit at 5%", text)[1])
     assert 90.0 < share <= 100.0
@@ -101,10 +101,10 @@ def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, cap
 
 
 def test_what_was_learned_can_be_used_again(world, result, tmp_path):
-    words = ("--params", str(result / "beam_model.yaml"), "--reference", str(result / "scan_fit_reference.json"))
-    assert fit(world, tmp_path / "out", *words, "--poses", str(world / "kidnapped.tum")) == 0
+    words = ("--params", str(result / "beam_model.yaml"), "--good-scans", str(result / "scan_fit_reference.json"))
+    assert check(world, tmp_path / "out", *words, "--poses", str(world / "kidnapped.tum")) == 0
     again, first = (
-        np.genfromtxt(path / "fit.csv", delimiter=",", skip_header=1) for path in (tmp_path / "out", result)
+        np.genfromtxt(path / "scan_fit.csv", delimiter=",", skip_header=1) for path in (tmp_path / "out", result)
     )
     # The model's file has six digits; a p-value is a rank among some 200 scans.
     np.testing.assert_allclose(again, first, rtol=1e-3, atol=1e-2)
@@ -112,7 +112,7 @@ def test_what_was_learned_can_be_used_again(world, result, tmp_path):
 
 
 def test_a_sensor_of_another_reach_is_refused(world, result, tmp_path, capsys):
-    assert fit(world, tmp_path / "out", "--params", str(result / "beam_model.yaml"), "--max-range", "8") == 1
+    assert check(world, tmp_path / "out", "--params", str(result / "beam_model.yaml"), "--max-range", "8") == 1
     assert "the sensor's max_range is 8 m" in capsys.readouterr().err
 
 
@@ -121,18 +121,18 @@ def test_a_sensor_of_another_reach_is_refused(world, result, tmp_path, capsys):
     [
         (("--poses", "missing.tum"), "missing.tum: No such file", 1),
         (("--good", "missing.log"), "missing.log: No such file", 1),
-        (("--worst", "-1"), "--worst: expected 0 or more", 1),
-        (("--good-poses", "a.tum"), "--good-poses: needs --good", 1),
-        (("--reference", "a.json"), "--reference: needs the parameters", 1),
-        (("--good", "a.log", "--reference", "a.json", "--params", "b"), "--reference: is in place of --good", 1),
-        (("--lose-rate", "0"), "lose: expected a positive rate", 1),
-        (("--sensor", "RLASER"), "no sensor 'RLASER'", 1),
+        (("--worst", "-1"), "--worst: expected a whole number >= 0, got '-1'", 2),
+        (("--good-poses", "a.tum"), "--good-poses: needs --good", 2),
+        (("--good-scans", "a.json"), "--good-scans: needs the parameters", 2),
+        (("--good", "a.log", "--good-scans", "a.json", "--params", "b"), "--good-scans: is in place of --good", 2),
+        (("--lose-rate", "0"), "--lose-rate: expected a number > 0", 2),
+        (("--sensor", "RLASER"), "no sensor 'RLASER'", 2),
         (("--min-range", "11.9"), "need", 3),
     ],
     ids=["poses", "good", "worst", "good-poses", "reference", "both", "rate", "sensor", "too-little"],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(world, tmp_path, capsys, words, message, code):
-    assert fit(world, tmp_path / "out", *words) == code
+    assert check(world, tmp_path / "out", *words) == code
     error = capsys.readouterr().err
     assert re.search(message, error), error
     assert error.count("\n") == 1
@@ -141,8 +141,8 @@ def test_bad_input_is_one_line_and_nothing_is_written(world, tmp_path, capsys, w
 
 def test_a_broken_reference_names_the_file(world, result, tmp_path, capsys):
     (tmp_path / "broken.json").write_text("{")
-    words = ("--params", str(result / "beam_model.yaml"), "--reference", str(tmp_path / "broken.json"))
-    assert fit(world, tmp_path / "out", *words) == 1
+    words = ("--params", str(result / "beam_model.yaml"), "--good-scans", str(tmp_path / "broken.json"))
+    assert check(world, tmp_path / "out", *words) == 1
     assert "broken.json: reference: Expecting" in capsys.readouterr().err
 
 
@@ -158,6 +158,17 @@ def test_a_log_without_poses_is_refused(world, tmp_path, capsys):
         kept.append(" ".join(word))
     lone.write_text("\n".join(kept) + "\n")
     map_path = str(world / "good" / "map.yaml")
-    code = main(["fit", str(lone), "--map", map_path, "--lone-poses", "odometry", "--out", str(tmp_path / "out")])
+    code = main(["check", str(lone), "--map", map_path, "--lone-poses", "odometry", "--out", str(tmp_path / "out")])
     assert code == 1
-    assert "no scan has a pose to judge" in capsys.readouterr().err
+    assert "no scan has a reference pose; give a TUM or CSV file with --poses" in capsys.readouterr().err
+
+
+def test_the_old_name_is_the_same_command_but_not_in_the_help(world, tmp_path, capsys):
+    words = [str(world / "good" / "log.carmen"), "--map", str(world / "good" / "map.yaml"), "--poses", "missing.tum"]
+    said = []
+    for name in ("check", "fit"):
+        assert main([name, *words, "--out", str(tmp_path / "out"), "--quiet"]) == 1
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1]
+    assert main(["--help"]) == 0
+    assert not re.search(r"\bfit  ", capsys.readouterr().out)

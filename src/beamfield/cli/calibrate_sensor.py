@@ -1,0 +1,139 @@
+"""What ``beamfield calibrate`` does for one sensor: learn, and put what was learned into files and tables."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
+from beamfield.calibration.cross_fit import CrossFitMaps, build_cross_fit_maps
+from beamfield.cli.calibrate_field import learn_field
+from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
+from beamfield.cli.progress import StageProgress
+from beamfield.cli.report_part import ReportPart, StackPart
+from beamfield.cli.wording import in_options
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.io.parameters.beam_model_file import beam_model_text
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.report import html
+from beamfield.report.as_json import calibration_as_dict
+from beamfield.report.results import calibration_summary
+from beamfield.sensors import SensorLog
+
+if TYPE_CHECKING:
+    from beamfield.stacks.files.parameter_file import StackFile
+
+
+@dataclass(frozen=True)
+class SensorResult:
+    """What was learned about one sensor.
+
+    Parameters
+    ----------
+    files
+        Content by name.
+    table
+        For the terminal.
+    document
+        Content of calibration.json.
+    stack
+        The other program's part, if there is one.
+    problems
+        Why the exit code is 3; none if it is 0.
+    """
+
+    files: Mapping[str, str]
+    table: str
+    document: Mapping[str, Any]
+    stack: StackPart | None
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CalibrationJob:
+    """What is the same for all sensors of a log.
+
+    Parameters
+    ----------
+    arguments
+        The command line.
+    grid
+        The map; None if it is to be drawn.
+    options
+        For learning.
+    origin
+        See `provenance`.
+    notes
+        From reading the log.
+    patched
+        The other program's file that is to be changed.
+    progress
+        Called with stage, steps done and steps in all.
+    """
+
+    arguments: argparse.Namespace
+    grid: OccupancyGrid | None
+    options: CalibrationOptions
+    origin: Mapping[str, Any]
+    notes: tuple[str, ...]
+    patched: StackFile | None
+    progress: StageProgress
+
+    def learn(self, sensor: SensorLog) -> SensorResult:
+        """Learn the beam model, the likelihood field and the stack's parameters, and draw the report."""
+        try:
+            maps, result, parts = self._learn(sensor)
+        except InvalidInputError as error:  # the options were checked before, so it is about the data
+            raise FormatError(self.arguments.log, str(error)) from error
+        except TooLittleDataError as error:
+            raise TooLittleDataError(f"{self.arguments.log}: {error}") from error
+        self.progress("writing the report", 0, 1)
+        document = {
+            "provenance": self.origin,
+            "notes": list(self.notes),
+            **calibration_as_dict(result),
+            **{part.name: part.document for part in parts},
+        }
+        model = beam_model_text(
+            result.parameters, sensor.finder, intervals=result.intervals.intervals, provenance=self.origin
+        )
+        page = html.render_report(
+            result, maps, sensor, {**self.origin, "notes": self.notes}, sections=[part.section for part in parts]
+        )
+        files = {
+            "beam_model.yaml": model,
+            "calibration.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
+            "report.html": page,
+            **{name: text for part in parts for name, text in part.files.items()},
+        }
+        problems = [] if result.converged else ["the fit did not converge"]
+        problems += [part.problem for part in parts if part.problem]
+        stack = next((part for part in parts if isinstance(part, StackPart)), None)
+        return SensorResult(files, _table(result, parts), document, stack, tuple(problems))
+
+    def _learn(self, sensor: SensorLog) -> tuple[OccupancyGrid | CrossFitMaps, Calibration, list[ReportPart]]:
+        """Return the map, or those drawn, what was learned, and what else was learned with a map."""
+        if self.grid is None:
+            resolution = self.arguments.resolution or 0.05
+            maps = build_cross_fit_maps(sensor, resolution=resolution, progress=self.progress)
+            return maps, calibrate(sensor, maps, self.options, progress=self.progress), []
+        if self.arguments.stack is not None:
+            warn_if_too_short(self, sensor, self.grid)
+        result = calibrate(sensor, self.grid, self.options, progress=self.progress)
+        parts = [learn_field(self, sensor, self.grid, result)]
+        result = replace(result, findings=(*result.findings, *parts[0].findings))
+        if self.arguments.stack is not None:
+            parts.append(fit_for_stack(self, sensor, self.grid, result))
+        return self.grid, result, parts
+
+
+def _table(result: Calibration, parts: Sequence[ReportPart]) -> str:
+    """Return what is printed. Lines are broken for a terminal only: elsewhere, a line is a parameter or a warning."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    summary = calibration_summary(result, width=width, wording=in_options)
+    return "\n\n".join([summary, *(part.table for part in parts)])

@@ -1,0 +1,252 @@
+"""The options that commands share, spelt once, and what is read by them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beamfield.cli.parser import count, index, not_negative, positive
+from beamfield.cli.progress import StageProgress
+from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
+
+if TYPE_CHECKING:
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import ScanLog, SensorLog
+
+# Not `SUPPORTED` of `beamfield.io.read_log`: that loads the numerical libraries, and --help is to answer at once.
+LOG_FORMATS = (
+    "CARMEN, Wean Hall, GMapping, g2o or CoreSLAM text, plain or .gz; a folder with measurement.txt and poses.txt; "
+    "ROS 1 .bag; ROS 2 folder, .db3 or .mcap"
+)
+MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
+    """Add --out; a command that is there to write has a default, one that answers a question has none."""
+    stated = "" if default is None else " (default: %(default)s)"
+    parser.add_argument("-o", "--out", type=Path, default=default and Path(default), metavar=metavar,
+                        help=f"{what}; files of the same name are replaced{stated}")  # fmt: skip
+
+
+def add_map(parser: argparse.ArgumentParser, *, required: bool = False, what: str = "") -> None:
+    """Add --map and --map-topic."""
+    parser.add_argument(
+        "--map", type=Path, required=required, metavar="MAP", help=f"{what or 'the map'}: {MAP_FORMATS}"
+    )
+    parser.add_argument("--map-topic", metavar="TOPIC", help="topic of the map in a bag (default: the only one)")
+
+
+def add_poses(parser: argparse.ArgumentParser) -> None:
+    """Add --poses."""
+    parser.add_argument("--poses", type=Path, metavar="FILE",
+                        help="reference poses: TUM or CSV file (default: those in the log)")  # fmt: skip
+
+
+def add_params(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --params."""
+    parser.add_argument("--params", type=Path, metavar="FILE", help=what)
+
+
+def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:
+    """Add --seed."""
+    parser.add_argument("--seed", type=index, default=default, metavar="N",
+                        help="seed of every random choice (default: %(default)s)")  # fmt: skip
+
+
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add --threads."""
+    parser.add_argument("--threads", type=count, metavar="N", help="processors to use (default: all)")
+
+
+def add_mount(parser: argparse._ActionsContainer, what: str, default: tuple[float, ...] | None = None) -> None:
+    """Add --mount."""
+    parser.add_argument("--mount", type=float, nargs=3, default=default, metavar=("X", "Y", "YAW"),
+                        help=f"the sensor's pose on the robot, metres and degrees{what}")  # fmt: skip
+
+
+def add_log(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the options that say how a log is read, of several sensors or of one."""
+    group = parser.add_argument_group("reading the log")
+    repeatable = "; repeatable" if several else ""
+    group.add_argument("--sensor", action="append", metavar="NAME",
+                       help=f"scan topic or sensor{repeatable} (default: the only one)")  # fmt: skip
+    group.add_argument("--poses-topic", metavar="TOPIC", help="topic of the reference poses in the bag "
+                       "(default: tf from the map, or a topic named as truth)")  # fmt: skip
+    group.add_argument("--map-frame", metavar="FRAME", help="name of the map frame in tf (default: map)")
+    group.add_argument("--base-frame", metavar="FRAME",
+                       help="name of the robot's frame in tf (default: base_link or base_footprint)")  # fmt: skip
+    add_mount(group, ", for a bag without /tf_static")
+    group.add_argument("--no-return", type=_no_return, default="detect", metavar="detect|none|V[,V...]",
+                       help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
+    group.add_argument(
+        "--max-range", type=positive, metavar="M", help="the sensor's limit, if the log is wrong about it"
+    )
+    group.add_argument("--min-range", type=not_negative, metavar="M",
+                       help="shortest range that counts (default: as the log says)")  # fmt: skip
+    group.add_argument("--mask", type=_sector, action="append", default=[], metavar="DEG:DEG",
+                       help="bearings whose readings do not count, as --mask=-170:-155; repeatable")  # fmt: skip
+    group.add_argument("--opening-angle", type=_opening_angle, metavar="DEG",
+                       help="full width of a sonar's cones, if the log does not say it; 0: beams")  # fmt: skip
+    group.add_argument("--stamps", choices=("file", "order"), default="file",
+                       help="text logs: the file's stamps, or scans one second apart (default: file)")  # fmt: skip
+    group.add_argument("--lone-poses", choices=("reference", "odometry"), default="reference",
+                       help="text logs with one pose per scan: what it is (default: reference)")  # fmt: skip
+    add_unpacking(group)
+
+
+def add_unpacking(group: argparse._ActionsContainer) -> None:
+    """Add --max-unpacked, which is for all files that a command reads."""
+    group.add_argument("--max-unpacked", type=positive, metavar="GB",
+                       help="gigabytes that a bag may unpack to (default: 500 times its size, 1 a chunk)")  # fmt: skip
+
+
+def progress(arguments: argparse.Namespace) -> StageProgress:
+    """Return the progress that the command line asks for."""
+    return StageProgress(quiet=arguments.quiet, verbose=arguments.verbose)
+
+
+def mount(arguments: argparse.Namespace) -> tuple[float, float, float]:
+    """Return --mount in metres and radians."""
+    x, y, yaw = arguments.mount
+    return x, y, math.radians(yaw)
+
+
+def check_picture(path: Path | None) -> None:
+    """Refuse a picture in a format that cannot be drawn."""
+    if path is not None and path.suffix.lower() not in PICTURES:
+        raise InvalidInputError(f"--out: expected a name ending in {', '.join(PICTURES)}, got {path.name!r}")
+
+
+def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
+    """Read --map, and say if it seems to be the log."""
+    from beamfield.io.read_map import read_map
+
+    try:
+        return read_map(arguments.map, topic=arguments.map_topic)
+    except FormatError as error:
+        log = getattr(arguments, "log", None)
+        if log is None or (looks_like_a_map(arguments.map) and not looks_like_a_map(log)):
+            raise
+        raise BeamfieldError(f"{error}; did you swap LOG and --map?") from error
+
+
+def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:
+    """Read --map, which must have something for rays to meet."""
+    grid = read_grid(arguments)
+    if not grid.occupied.any():
+        raise FormatError(arguments.map, "the map has no occupied cell: no ray has an expected range")
+    return grid
+
+
+def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None) -> ScanLog:
+    """Read a log, and its reference poses if they are in a file; LOG and --poses if no other is named."""
+    from beamfield.io.read_log import read_log
+    from beamfield.io.trajectory import attach_poses, read_trajectory
+
+    log_path, poses = (arguments.log, arguments.poses) if path is None else (path, poses)
+    if looks_like_a_map(log_path):
+        swapped = "; did you swap LOG and --map?" if getattr(arguments, "map", None) is not None else ""
+        raise FormatError(log_path, f"expected a log, this is a map{swapped}")
+    log = read_log(
+        log_path,
+        sensor_topic=arguments.sensor,
+        poses_topic=arguments.poses_topic,
+        map_frame=arguments.map_frame,
+        base_frame=arguments.base_frame,
+        mount=None if arguments.mount is None else mount(arguments),
+        no_return=arguments.no_return,
+        max_range=arguments.max_range,
+        min_range=arguments.min_range,
+        opening_angle=radians(arguments.opening_angle),
+        mask=[_radians_of(sector) for sector in arguments.mask],
+        stamps=arguments.stamps,
+        lone_poses=arguments.lone_poses,
+    )
+    if poses is None:
+        return log
+    track = read_trajectory(poses)
+    try:
+        return attach_poses(log, track)
+    except InvalidInputError as error:
+        raise FormatError(poses, str(error)) from error
+
+
+def read_sensor(arguments: argparse.Namespace) -> tuple[SensorLog, tuple[str, ...]]:
+    """Read the one sensor of a log, and what was noticed on the way."""
+    if arguments.sensor and len(arguments.sensor) > 1:
+        raise InvalidInputError(f"--sensor: expected one, got {', '.join(arguments.sensor)}")
+    log = read_scans(arguments)
+    return log.only_sensor(arguments.sensor[0] if arguments.sensor else None), log.notes
+
+
+def require_poses(sensor: SensorLog, path: Path, *, odometry: bool = False, may_be_odometry: bool = False) -> SensorLog:
+    """Return the sensor with reference poses, or with its odometry in their place if that is asked for.
+
+    Parameters
+    ----------
+    sensor, path
+        What was read, and from where.
+    odometry
+        Whether the odometry is asked for.
+    may_be_odometry
+        Whether the command could take it.
+    """
+    if odometry:
+        if not sensor.has_odometry:
+            raise FormatError(path, "--odometry: the log has none")
+        return sensor.with_poses(sensor.odometry)
+    if not sensor.has_poses:
+        wheels = ", or --odometry to trust the wheels" if may_be_odometry and sensor.has_odometry else ""
+        raise FormatError(path, f"no scan has a reference pose; give a TUM or CSV file with --poses{wheels}")
+    return sensor
+
+
+def looks_like_a_map(path: Path) -> bool:
+    """Return whether a file's name, or the first line of a .dat, is a map's."""
+    from beamfield.io.files.text_lines import read_lines
+
+    if path.is_dir():
+        return False
+    if path.suffix == ".dat" or path.name.endswith(".dat.gz"):
+        # CoreSLAM's logs have this ending too.
+        _, text = next(iter(read_lines(path)), (1, ""))
+        return text.startswith(("robot_specifications", "global_map"))
+    return path.suffix in (".yaml", ".yml", ".pgm", ".png", ".bmp")
+
+
+def _no_return(text: str) -> str | tuple[float, ...]:
+    try:
+        return text if text in ("detect", "none") else tuple(float(word) for word in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected detect, none or numbers, got {text!r}") from None
+
+
+def _sector(text: str) -> str:
+    """Check a sector; what was typed is recorded."""
+    try:
+        holds = all(math.isfinite(value) for value in _radians_of(text))
+    except ValueError:
+        holds = False
+    if not holds:
+        raise argparse.ArgumentTypeError(f"expected DEG:DEG, got {text!r}")
+    return text
+
+
+def _radians_of(sector: str) -> tuple[float, float]:
+    first, last = (math.radians(float(word)) for word in sector.split(":"))
+    return first, last
+
+
+def _opening_angle(text: str) -> float:
+    degrees = not_negative(text)
+    if degrees >= 180.0:
+        raise argparse.ArgumentTypeError(f"expected an angle below 180 degrees, got {text!r}")
+    return degrees
+
+
+def radians(degrees: float | None) -> float | None:
+    """Return an angle of the command line as the library takes it."""
+    return None if degrees is None else math.radians(degrees)

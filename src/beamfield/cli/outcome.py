@@ -1,0 +1,57 @@
+"""What a command found, and the one place that says it: as text, on one line, or as JSON."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from beamfield.cli.terminal import complain, say, say_json
+from beamfield.cli.wording import in_options
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command found.
+
+    Parameters
+    ----------
+    line
+        The result on one line, which --quiet leaves.
+    text
+        What comes before it otherwise.
+    document
+        The result for --json, by name.
+    notes
+        What else is worth knowing; on stderr, as stdout may go into a file.
+    wrote
+        Files and folders written.
+    code, problem
+        The exit code, and if it is 3, why.
+    """
+
+    line: str
+    text: str = ""
+    document: Mapping[str, Any] | None = None
+    notes: Sequence[str] = ()
+    wrote: Sequence[Path] = ()
+    code: int = 0
+    problem: str = ""
+
+
+def show(outcome: Outcome, arguments: argparse.Namespace) -> None:
+    """Print an outcome in the form asked for."""
+    if not arguments.quiet:
+        for note in outcome.notes:
+            complain(f"note: {in_options(note)}")
+    if arguments.json:
+        said = {"command": arguments.command, "exit_code": outcome.code, "notes": list(outcome.notes)}
+        say_json({**said, "wrote": [str(path) for path in outcome.wrote], **(outcome.document or {})})
+    else:
+        if outcome.text and not arguments.quiet:
+            say(f"{outcome.text}\n")
+        say(outcome.line)
+    if outcome.problem:
+        complain(f"beamfield: warning: {in_options(outcome.problem)}")

@@ -1,0 +1,140 @@
+"""The parser of every command: what went wrong first, on one line, with what was probably meant."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import math
+from collections.abc import Callable, Iterable, Sequence
+from itertools import takewhile
+from typing import Any, TypeVar
+
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.terminal import complain
+from beamfield.printable import printable
+
+_T = TypeVar("_T", int, float)
+UNITS = "M stands for metres, S for seconds, DEG for degrees, HZ for 1/s."
+# What argparse says in the words of a programmer.
+_PLAIN = {
+    "the following arguments are required:": "missing:",
+    "unrecognized arguments:": "not understood:",
+    "invalid float value:": "expected a number, got",
+    "invalid int value:": "expected a whole number, got",
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that fails on one line and says what was probably meant."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=_Help, allow_abbrev=False, **options)
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Refuse an option that does not exist before one that it was meant for is called missing."""
+        words = list(args or ())
+        own: Iterable[str] = takewhile(lambda word: word != "--", words)
+        if self._subparsers is not None:
+            own = takewhile(lambda word: word.startswith("-"), words)
+        for word in own:
+            name = word.partition("=")[0]
+            # As argparse has it, a word with a space is no option.
+            if name.startswith("--") and " " not in word and name not in self._option_string_actions:
+                self.error(f"no option {name}{_meant(name, self._option_string_actions)}")
+        return super().parse_known_args(words, namespace)
+
+    def error(self, message: str) -> Any:
+        """Print what is wrong and where help is, and exit with code 2."""
+        for technical, plain in _PLAIN.items():
+            message = message.replace(technical, plain)
+        end = "" if message.endswith("?") else "."
+        complain(f"beamfield: error: {message.removeprefix('argument ')}{end} See {self.prog} --help")
+        raise SystemExit(2)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        if isinstance(action, argparse._SubParsersAction):
+            raise argparse.ArgumentError(None, f"no command {value!r}{_meant(value, action.choices)}")
+        known = ", ".join(map(str, action.choices))
+        raise argparse.ArgumentError(action, f"expected one of {known}, got {value!r}{_meant(value, action.choices)}")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        super()._print_message(printable(message, keep="\n"), file)
+
+
+class _Help(argparse.HelpFormatter):
+    """Breaks the lines of descriptions, but leaves indented paragraphs, which are examples, as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        parts = text.strip("\n").split("\n\n")
+        return "\n\n".join(p if p.startswith("  ") else super(_Help, self)._fill_text(p, width, indent) for p in parts)
+
+
+def add_command(
+    commands: argparse._SubParsersAction[Parser],
+    run: Callable[[argparse.Namespace], Outcome],
+    name: str,
+    text: str | None,
+) -> argparse.ArgumentParser:
+    """Return the parser of a new command, with the options that all commands have.
+
+    Parameters
+    ----------
+    commands
+        Where to add it.
+    run
+        Does the work.
+    name
+        What is typed.
+    text
+        The help, which is the docstring of the command's module: one line for the list of commands, what it does, and
+        examples, which stand below the options.
+    """
+    summary, _, rest = (text or "x").partition("\n\n")
+    about, head, examples = rest.partition("for example:")
+    summary = summary[0].lower() + summary[1:].rstrip(".")
+    parser = commands.add_parser(name, help=summary, description=about, epilog=f"{head}{examples}\n{UNITS}")
+    parser.add_argument("-q", "--quiet", action="store_true", help="print only errors and the result on one line")
+    parser.add_argument("-v", "--verbose", action="store_true",
+                        help="number the steps and time them; show where an internal error arose")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print the result as JSON (metres, radians, seconds)")
+    parser.set_defaults(run=run, command=name)
+    return parser
+
+
+def positive(text: str) -> float:
+    """Read a finite number above 0."""
+    return _number(text, float, lambda value: 0.0 < value < math.inf, "a number > 0")
+
+
+def not_negative(text: str) -> float:
+    """Read a finite number from 0 on."""
+    return _number(text, float, lambda value: 0.0 <= value < math.inf, "a number >= 0")
+
+
+def count(text: str) -> int:
+    """Read a whole number from 1 on."""
+    return _number(text, int, lambda value: value >= 1, "a whole number >= 1")
+
+
+def index(text: str) -> int:
+    """Read a whole number from 0 on."""
+    return _number(text, int, lambda value: value >= 0, "a whole number >= 0")
+
+
+def _number(text: str, kind: Callable[[str], _T], holds: Callable[[_T], bool], expected: str) -> _T:
+    try:
+        value = kind(text)
+    except ValueError:
+        value = kind("-1")
+    if not holds(value):
+        raise argparse.ArgumentTypeError(f"expected {expected}, got {text!r}")
+    return value
+
+
+def _meant(word: str, known: Iterable[Any]) -> str:
+    close = difflib.get_close_matches(word, [str(name) for name in known], n=1)
+    return f"; did you mean {close[0]}?" if close else ""

@@ -1,7 +1,7 @@
 """How much of a scan its features keep (6.6.5): ``python benchmarks/feature_information.py``.
 
 Rooms: simulated scans whose beams are independent, so that the beam model with exponent 1 is the truth; the prior is
-uniform over a box around the true pose. Over whole maps, see `feature_coverage.py`.
+uniform over a box around the true pose. Over whole maps, see `feature_study`.
 """
 
 from __future__ import annotations

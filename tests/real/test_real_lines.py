@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from beamfield.features.lines import find_lines
+from beamfield.features.map_features import map_features
 from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import compose
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
-from beamfield.localization.feature_map import map_features
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
 

@@ -51,8 +51,8 @@ class ChapterFigure:
 
     @property
     def name(self) -> str:
-        """How it is called: Figure 6.7; or Section 6.6.5, for what that section says without a figure."""
-        return f"{'Section' if self.number.count('.') > 1 else 'Figure'} {self.number}"
+        """How the chapter calls it: Figure 6.7."""
+        return f"Figure {self.number}"
 
 
 def _drawn_by(where: str) -> Callable[[FigureWorld], Figure]:
@@ -171,16 +171,6 @@ _ALL = (
         "heading that puts the landmark 30 degrees to its left, so that in x, y and theta the ring is a spiral.",
         "6.6.4",
         _drawn_by("landmark_figures.poses_of_detection_figure"),
-    ),
-    ChapterFigure(
-        "6.6.5",
-        "What features keep of a scan",
-        "The posterior over positions, all on one scale, given (a) a whole scan, (b) only its walls, (c) only its "
-        "corners, and its entropy beside the prior's, over x, y and theta. Features leave places possible that the "
-        "scan excludes: they are not sufficient statistics (6.42). The scan is taken for 12 independent beams; the "
-        "noise of the features, and how many of them the map does not show, are learned from other scans.",
-        "6.6.5",
-        _drawn_by("feature_figures.kept_information_figure"),
     ),
 )
 

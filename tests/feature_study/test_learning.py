@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.rooms import drawn_room
-
-from beamfield.errors import InvalidInputError, TooLittleDataError
-from beamfield.features.corners import Corner
-from beamfield.geometry import wrap_angle
-from beamfield.localization.feature_corners import CornerLikelihood
-from beamfield.localization.feature_learning import (
+from benchmarks.feature_study.corner_likelihood import CornerLikelihood
+from benchmarks.feature_study.field_of_view import FieldOfView, corners_in_sight
+from benchmarks.feature_study.learning import (
     CornerSightings,
     learn_corner_noise,
     learn_exponent,
     learn_line_noise,
 )
-from beamfield.localization.feature_map import MapFeatures
-from beamfield.localization.feature_noise import TYPICAL_LINES, CornerNoise
-from beamfield.localization.feature_posteriors import (
+from benchmarks.feature_study.noise import TYPICAL_LINES, CornerNoise
+from benchmarks.feature_study.posteriors import (
     corner_likelihood,
     learn_feature_noise,
     posterior_of_corners,
     posterior_of_lines,
 )
-from beamfield.localization.feature_view import FieldOfView, corners_in_sight
+from benchmarks.rooms import drawn_room
+
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.features.corners import Corner
+from beamfield.features.map_features import MapFeatures
+from beamfield.geometry import wrap_angle
 from beamfield.localization.pose_posterior import PoseLattice
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.beam_parameters import BeamParameters

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.feature_study.corner_likelihood import CornerLikelihood
+from benchmarks.feature_study.field_of_view import FieldOfView, corners_in_sight
+from benchmarks.feature_study.noise import TYPICAL_CORNERS, CornerNoise, LineNoise
 from benchmarks.rooms import drawn_room
 from scipy.stats import gamma, norm
 
 from beamfield.errors import InvalidInputError
 from beamfield.features.corners import Corner
-from beamfield.localization.feature_corners import CornerLikelihood
-from beamfield.localization.feature_noise import TYPICAL_CORNERS, CornerNoise, LineNoise
-from beamfield.localization.feature_view import FieldOfView, corners_in_sight
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.line import LineParameters
 from beamfield.sensors import RangeFinder

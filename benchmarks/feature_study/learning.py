@@ -14,13 +14,14 @@ from beamfield.errors import TooLittleDataError
 from beamfield.features.corners import Corner
 from beamfield.features.feature import stack_features
 from beamfield.geometry import FloatArray, transform_points, wrap_angle
-from beamfield.localization.feature_noise import TYPICAL_CORNERS, CornerNoise
-from beamfield.localization.feature_view import FieldOfView, corners_in_sight
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
+
+from .field_of_view import FieldOfView, corners_in_sight
+from .noise import TYPICAL_CORNERS, CornerNoise
 
 # Corners of the map farther than this from a measured one cannot be what it is of, metres.
 CANDIDATES = 1.5

@@ -1,6 +1,12 @@
-"""Section 6.6.5: what a scan says about the pose, and what is left of it in its features."""
+"""Draw what a scan says about the pose, and what is left of it in its features (6.6.5).
+
+Run: python -m benchmarks.feature_study.picture [FILE.svg]
+"""
 
 from __future__ import annotations
+
+import sys
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,17 +18,19 @@ from scipy.ndimage import maximum_filter
 from beamfield.errors import TooLittleDataError
 from beamfield.features.corners import find_corners
 from beamfield.features.lines import find_lines
+from beamfield.features.map_features import MapFeatures, map_features
 from beamfield.features.sweep import RangeNoise
 from beamfield.figures.drawing import colour_bar, framed_map, known_limits, mark_robot
+from beamfield.figures.gallery import save_figure
 from beamfield.figures.likelihood_over_map import PALE_MAP, REFERENCE_COLOUR
-from beamfield.figures.world import FigureWorld
-from beamfield.localization.feature_map import MapFeatures, map_features
-from beamfield.localization.feature_noise import TYPICAL_NOISE, FeatureNoise
-from beamfield.localization.feature_posteriors import learn_feature_noise, posteriors_of_scan
+from beamfield.figures.world import FigureWorld, simulated_world
 from beamfield.localization.pose_posterior import PoseLattice, PosePosterior
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import draw_array
 from beamfield.report.drawing import legend, new_figure, style
+
+from .noise import TYPICAL_NOISE, FeatureNoise
+from .posteriors import learn_feature_noise, posteriors_of_scan
 
 RESOLUTION, HEADINGS = 0.25, 60
 # A scan is taken for so many independent beams (6.3.4), as in Figure 6.7.
@@ -106,3 +114,8 @@ def draw_posterior(
     masked = np.ma.masked_where(shown < top / SPAN, shown)
     lattice = posterior.lattice
     return draw_array(masked, lattice.resolution, lattice.corner, ax, cmap="magma_r", norm=LogNorm(top / SPAN, top))
+
+
+if __name__ == "__main__":
+    default = Path(__file__).resolve().parents[2] / "docs" / "images" / "section_6_6_5.svg"
+    save_figure(kept_information_figure(simulated_world()), Path(sys.argv[1]) if len(sys.argv) > 1 else default)

@@ -1,4 +1,5 @@
-"""How often the posterior given walls, or corners, holds the reference pose: ``python benchmarks/feature_coverage.py``.
+"""How often the posterior given walls, or corners, holds the reference pose:
+``python -m benchmarks.feature_study.coverage``.
 
 Maps of real logs are drawn from every second group of scans; the other groups are judged. Their noise is learned from
 every second one of those, the rest is held out. A posterior over the whole map holds the pose if the pose's cell is
@@ -7,7 +8,7 @@ of the posterior, "found" the log of how much more probable the pose's cell beca
 posteriors are honest. To save time, a random part of the map's cells is taken for all there are; the reference poses'
 cells are always among them.
 
-Run: python benchmarks/feature_coverage.py [FOLDER WITH DATA] [--only NAME ...]
+Run: python -m benchmarks.feature_study.coverage [FOLDER WITH DATA] [--only NAME ...]
 """
 
 from __future__ import annotations
@@ -19,26 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks.tables import print_table
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.detections import Detections
 from beamfield.features.corners import Corner
 from beamfield.features.feature import stack_features
+from beamfield.features.map_features import MapFeatures, map_features
 from beamfield.features.straight_line import Line
 from beamfield.geometry import wrap_angle
 from beamfield.io.read_log import read_log
-from beamfield.localization.feature_learning import CornerSightings, learn_corner_noise
-from beamfield.localization.feature_map import MapFeatures, map_features
-from beamfield.localization.feature_noise import CornerNoise, FeatureNoise
-from beamfield.localization.feature_posteriors import (
-    SCORED_BEAMS,
-    corner_likelihood,
-    features_of_scan,
-    learn_feature_noise,
-    posterior_of_corners,
-    posterior_of_lines,
-)
-from beamfield.localization.feature_view import FieldOfView
 from beamfield.localization.lattice_noise import widened_for_lattice
 from beamfield.localization.pose_posterior import PoseLattice, PosePosterior, pose_posterior
 from beamfield.maps.mapping import build_map
@@ -53,14 +44,21 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 
-if __package__:
-    from benchmarks.tables import print_table
-else:
-    from tables import print_table
+from .field_of_view import FieldOfView
+from .learning import CornerSightings, learn_corner_noise
+from .noise import CornerNoise, FeatureNoise
+from .posteriors import (
+    SCORED_BEAMS,
+    corner_likelihood,
+    features_of_scan,
+    learn_feature_noise,
+    posterior_of_corners,
+    posterior_of_lines,
+)
 
 # What the constants chosen by hand go with: a scan is taken for so many independent beams.
 INDEPENDENT_BEAMS = 12
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 # Log, and how many consecutive scans change sides together.
 LOGS = {
     "Intel": ("intel_gfs/derived_intel_rawodom.log.gz", 5),

@@ -32,7 +32,7 @@ class CornerNoise:
     and one and a half pi.
 
     `learn_feature_noise` learns the values. `TYPICAL_CORNERS` is near what five buildings give together, with maps
-    drawn from other scans of the same logs (``python benchmarks/feature_coverage.py``); its exponent is cautious.
+    drawn from other scans of the same logs (``python -m benchmarks.feature_study.coverage``); its exponent is cautious.
 
     Parameters
     ----------

@@ -7,8 +7,8 @@ import pytest
 from benchmarks.rooms import drawn_room
 
 from beamfield.errors import InvalidInputError
+from beamfield.features.map_features import map_features, merged_corners, merged_segments
 from beamfield.geometry import compose, transform_points
-from beamfield.localization.feature_map import map_features, merged_corners, merged_segments
 from beamfield.maps.occupancy import OccupancyGrid
 
 NICHES = [(0, 0), (6, 0), (6, 4), (4, 4), (4, 5), (3, 5), (3, 4), (0, 4)]

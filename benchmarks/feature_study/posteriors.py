@@ -11,20 +11,10 @@ from numpy.typing import ArrayLike
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.features.corners import Corner, find_corners
 from beamfield.features.lines import find_lines
+from beamfield.features.map_features import MapFeatures
 from beamfield.features.straight_line import Line
 from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import FloatArray
-from beamfield.localization.feature_corners import CornerLikelihood
-from beamfield.localization.feature_learning import (
-    CornerSightings,
-    learn_corner_noise,
-    learn_exponent,
-    learn_line_noise,
-    most_probable_noise,
-)
-from beamfield.localization.feature_map import MapFeatures
-from beamfield.localization.feature_noise import TYPICAL_NOISE, CornerNoise, FeatureNoise, LineNoise
-from beamfield.localization.feature_view import FieldOfView
 from beamfield.localization.information import FeatureInformation
 from beamfield.localization.lattice_noise import widened_for_lattice
 from beamfield.localization.pose_posterior import PoseLattice, PosePosterior, pose_posterior, posterior_of
@@ -35,6 +25,17 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.line import LineModel, LineParameters
 from beamfield.models.line_detections import LineDetections
 from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
+
+from .corner_likelihood import CornerLikelihood
+from .field_of_view import FieldOfView
+from .learning import (
+    CornerSightings,
+    learn_corner_noise,
+    learn_exponent,
+    learn_line_noise,
+    most_probable_noise,
+)
+from .noise import TYPICAL_NOISE, CornerNoise, FeatureNoise, LineNoise
 
 # Beams of a scan that are scored, evenly spaced, each for those beside it as well: casting all of them over a map takes
 # minutes and, with an exponent, tells hardly more.

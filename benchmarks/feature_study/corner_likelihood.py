@@ -13,10 +13,11 @@ from beamfield.errors import InvalidInputError
 from beamfield.features.corners import Corner
 from beamfield.features.feature import stack_features
 from beamfield.geometry import FloatArray, wrap_angle
-from beamfield.localization.feature_noise import CornerNoise
-from beamfield.localization.feature_view import FieldOfView, corners_in_sight
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.occupancy import OccupancyGrid
+
+from .field_of_view import FieldOfView, corners_in_sight
+from .noise import CornerNoise
 
 # Beyond so many deviations of its tail a match adds nothing that clutter would not add as well.
 CUT = 5.0

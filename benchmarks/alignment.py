@@ -29,13 +29,13 @@ import numpy as np
 
 from beamfield.geometry import between, compose, invert
 from beamfield.io.read_log import read_log
-from beamfield.io.relations import chain, read_relations
 from beamfield.localization.alignment import AlignmentResult, align
 from beamfield.maps.scan_field import ScanField
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, Scan, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from relations import chain, read_relations
 from tables import print_table
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from landmark_noise_picture import landmark_noise_picture
 from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 
@@ -49,12 +48,6 @@ def main() -> None:
     cones_picture(simulated_world().grid).savefig(
         HERE / "images" / "cones.svg", metadata={"Date": None}, bbox_inches="tight"
     )
-    # Real logs are not part of this repository; the picture is redrawn where they lie beside the checkout.
-    logs = HERE.parents[1] / "shared" / "data"
-    if logs.is_dir():
-        landmark_noise_picture(logs).savefig(
-            HERE / "images" / "landmark_noise.svg", metadata={"Date": None}, bbox_inches="tight"
-        )
     draw_scan_fit(result, grid, log)
     draw_gallery()
 

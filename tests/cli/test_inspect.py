@@ -349,12 +349,6 @@ def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_pat
     assert not (tmp_path / "a.png").exists()
 
 
-def test_a_file_of_sightings_is_said_to_be_for_another_command(tmp_path, capsys):
-    (tmp_path / "seen.mat").write_bytes(b"\0" * 200)
-    assert main(["inspect", str(tmp_path / "seen.mat")]) == 1
-    assert "beamfield calibrate-landmarks" in capsys.readouterr().err
-
-
 def test_a_parameter_file_is_for_the_doctor(tmp_path, capsys):
     (tmp_path / "nav2_params.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n    laser_max_range: 9.0\n")
     error = refused(capsys, tmp_path / "nav2_params.yaml")

@@ -9,9 +9,7 @@ import numpy as np
 
 from beamfield.detection_log import DetectionLog
 from beamfield.io.bags.fiducial_detections import FiducialDetections
-from beamfield.io.landmarks.landmark_files import CourseLog
 from beamfield.io.parameters.beam_model_file import SavedBeamModel
-from beamfield.io.relations import Relations
 from beamfield.io.trajectory import IndexedTrack
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
@@ -68,13 +66,6 @@ def track(result: Any) -> None:
         assert (np.diff(result.scan_indices) > 0).all()
 
 
-def relations(result: Any) -> None:
-    assert isinstance(result, Relations)
-    assert np.isfinite(result.stamps).all()
-    assert np.isfinite(result.poses).all()
-    result.steps()
-
-
 def landmarks(result: Any) -> None:
     assert isinstance(result, LandmarkMap)
     assert result.positions.shape == (len(result), 2)
@@ -87,12 +78,6 @@ def lines(result: Any) -> None:
     assert isinstance(result, LineMap)
     assert np.isfinite(result.lines).all()
     assert result.segments is None or np.isfinite(result.segments).all()
-
-
-def course(result: Any) -> None:
-    assert isinstance(result, CourseLog)
-    assert len(result.odometry) == len(result.detections)
-    assert np.isfinite(result.odometry).all()
 
 
 def sightings(result: Any) -> None:

@@ -10,21 +10,15 @@ from typing import Any
 
 from beamfield.io.bags.fiducial_detections import read_camera, read_camera_images, read_fiducials
 from beamfield.io.bags.reader import read_bag_map
-from beamfield.io.landmarks.landmark_files import (
-    read_course_log,
-    read_course_world,
-    read_landmarks,
-    read_mrclam_landmarks,
-)
-from beamfield.io.landmarks.line_files import read_amrl_vector_map, read_line_map
+from beamfield.io.landmarks.landmark_files import read_landmarks
+from beamfield.io.landmarks.line_files import read_line_map
+from beamfield.io.landmarks.sightings import read_sightings
 from beamfield.io.maps.ros_map import between_share, ros_map_notes
 from beamfield.io.parameters.beam_model_file import read_saved_beam_model
 from beamfield.io.parameters.landmark_model_file import read_landmark_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.io.read_sightings_log import read_sightings_log
-from beamfield.io.relations import read_relations
 from beamfield.io.trajectory import read_trajectory
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
@@ -90,7 +84,7 @@ def _map_and_notes(path: Path) -> Any:
 
 
 def _sightings(path: Path) -> Any:
-    return read_sightings_log(path, path.parent / "l.csv" if path.suffix == ".csv" else None)
+    return read_landmarks(path.parent / "l.csv"), read_sightings(path)
 
 
 def _parameters(path: Path) -> Any:
@@ -144,17 +138,9 @@ TARGETS: tuple[Target, ...] = (
     Target("coreslam", logs.coreslam_logs, _with_options(read_log, LOG_OPTIONS), sane.log),
     Target("sonar", logs.sonar_logs, read_log, sane.log),
     Target("trajectory", logs.trajectories, read_trajectory, sane.track),
-    Target("relations", logs.relations, read_relations, sane.relations),
     Target("landmarks", landmarks.landmark_maps, read_landmarks, sane.landmarks),
     Target("lines", landmarks.line_maps, read_line_map, sane.lines),
-    Target("amrl", landmarks.amrl_maps, read_amrl_vector_map, sane.lines),
-    Target("mrclam_landmarks", landmarks.mrclam_landmarks, read_mrclam_landmarks, sane.landmarks),
-    Target("course_world", landmarks.course_worlds, read_course_world, sane.landmarks),
-    Target("course_log", landmarks.course_logs, read_course_log, sane.course),
     Target("sightings", landmarks.sightings, _sightings, sane.sightings),
-    Target("mrclam", landmarks.mrclam_sets, _sightings, sane.sightings),
-    Target("mat", landmarks.mat_files, _sightings, sane.sightings),
-    Target("roh", landmarks.roh_folders, _sightings, sane.sightings),
     Target("beam_model", parameters.beam_models, read_saved_beam_model, sane.beam_model),
     Target("field_model", parameters.field_models, read_likelihood_field, sane.field_model),
     Target("landmark_model", parameters.landmark_models, read_landmark_model, sane.landmark_model),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import FormatError
-from beamfield.io.landmarks.line_files import read_amrl_vector_map, read_line_map, write_line_map
+from beamfield.io.landmarks.line_files import read_line_map, write_line_map
 from beamfield.maps.lines import LineMap
 
 
@@ -35,21 +35,6 @@ def test_csv_may_have_blanks_comments_and_gzip(tmp_path):
     np.testing.assert_allclose(lines.lines, [[1.5, 0.0], [2.0, np.pi]])
 
 
-def test_a_vector_map_is_read(tmp_path):
-    (tmp_path / "hall.txt").write_text("  -1.0,   2.0,   3.0,  2.0\n 0,0,0,5\n")
-    lines = read_amrl_vector_map(tmp_path / "hall.txt")
-    np.testing.assert_allclose(lines.lines, [[2.0, np.pi / 2], [0.0, lines.lines[1, 1]]], atol=1e-15)
-    assert lines.ids.tolist() == [1, 2]
-
-
-@pytest.mark.real
-def test_the_vector_map_of_a_building_is_read(data):
-    lines = read_amrl_vector_map(data / "amrl_vectormap" / "GDC1.vectormap.txt")
-    assert len(lines) == 1289
-    along = np.abs(np.sin(2.0 * lines.lines[:, 1]))
-    assert np.mean(along < 0.01) > 0.8  # most walls are parallel to the axes
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -69,14 +54,3 @@ def test_bad_csv_is_refused_with_its_line(text, message, tmp_path):
     (tmp_path / "map.csv").write_text(text)
     with pytest.raises(FormatError, match=message):
         read_line_map(tmp_path / "map.csv")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [("", "no lines"), ("1,2,3\n", ":1: expected x1, y1, x2, y2, got 3 values"), ("1,2,1,2\n", "two different ends")],
-    ids=["empty", "short", "point"],
-)
-def test_bad_vector_maps_are_refused(text, message, tmp_path):
-    (tmp_path / "map.txt").write_text(text)
-    with pytest.raises(FormatError, match=message):
-        read_amrl_vector_map(tmp_path / "map.txt")

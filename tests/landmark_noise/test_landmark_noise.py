@@ -124,15 +124,11 @@ def test_intervals_allow_for_errors_that_last():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("cut", [None, (0.4, 0.25)], ids=["whole", "cut"])
 @pytest.mark.parametrize("scale", [False, True], ids=["bias", "bias and scale"])
-def test_em_never_falls(kind, cut, scale, rng):
+def test_em_never_falls(kind, scale, rng):
     log = simulate(replace(KINDS[kind], range_scale=1.0, range_bias=0.1), rng, n=150)
     table = sighting_table(MAP, log, mount=MOUNT)
-    if cut is not None:
-        residuals = np.nan_to_num([table.range_residuals, table.bearing_residuals])
-        table = table.subset((np.abs(residuals) < np.array([cut]).T).all(axis=0))
-    likelihood = NoiseLikelihood(table, NoiseProblem(14.0, cut or (None, None), fit_scale=scale))
+    likelihood = NoiseLikelihood(table, NoiseProblem(14.0, fit_scale=scale))
     bad = NoiseTheta(-2.0, 1.0, 3.0, 2.0, 2.5, 0.9)
     for start in (*noise_starts(likelihood), bad):
         climb = climb_noise(likelihood, start, tolerance=1e-12, max_iterations=200)
@@ -140,35 +136,24 @@ def test_em_never_falls(kind, cut, scale, rng):
         assert np.diff(climb.trace).min() >= -1e-9
 
 
-@pytest.mark.parametrize("cut", [None, (0.4, 0.12)], ids=["whole", "cut"])
-def test_the_end_is_the_maximum_that_a_general_optimiser_finds(cut, rng):
+def test_the_end_is_the_maximum_that_a_general_optimiser_finds(rng):
     log = simulate(replace(BOTH, range_scale=1.0, range_bias=0.1), rng, n=150)
     table = sighting_table(MAP, log, mount=MOUNT)
-    c_r, c_b = cut or (np.inf, np.pi)
-    kept = (np.abs(table.range_residuals) < c_r) & (np.abs(table.bearing_residuals) < c_b)
-    table = table.subset(kept)
-    e, b, d = table.range_residuals, table.bearing_residuals, table.expected_ranges
-    if cut is None:
-        log_none = np.where((table.ranges >= 0) & (table.ranges <= 14.0), -np.log(14.0 * 2.0 * np.pi), -np.inf)
-    else:
-        span = np.minimum(d + c_r, 14.0) - np.maximum(d - c_r, 0.0)
-        log_none = np.where((table.ranges >= 0) & (table.ranges <= 14.0), -np.log(span * 2.0 * c_b), -np.inf)
+    e, b = table.range_residuals, table.bearing_residuals
+    log_none = np.where((table.ranges >= 0) & (table.ranges <= 14.0), -np.log(14.0 * 2.0 * np.pi), -np.inf)
 
     def log_likelihood(x: np.ndarray) -> float:
         bias, sigma, shift, spread = x[0], np.exp(x[1]), x[2], np.exp(x[3])
         rate = 1.0 / (1.0 + np.exp(-x[4]))
-        first = stats.truncnorm.logpdf(e, (-c_r - bias) / sigma, (c_r - bias) / sigma, bias, sigma)
-        if cut is None:
-            second = stats.truncnorm.logpdf(wrap_angle(b - shift), -np.pi / spread, np.pi / spread, 0.0, spread)
-        else:
-            second = stats.truncnorm.logpdf(b, (-c_b - shift) / spread, (c_b - shift) / spread, shift, spread)
+        first = stats.norm.logpdf(e, bias, sigma)
+        second = stats.truncnorm.logpdf(wrap_angle(b - shift), -np.pi / spread, np.pi / spread, 0.0, spread)
         return float(np.logaddexp(np.log1p(-rate) + first + second, np.log(rate) + log_none).mean())
 
     found = optimize.minimize(
         lambda x: -log_likelihood(x), [0.0, -1.5, 0.0, -3.0, -2.0], method="Nelder-Mead",
         options={"xatol": 1e-9, "fatol": 1e-14, "maxiter": 4000, "maxfev": 6000, "adaptive": True},
     )  # fmt: skip
-    likelihood = NoiseLikelihood(table, NoiseProblem(14.0, cut or (None, None)))
+    likelihood = NoiseLikelihood(table, NoiseProblem(14.0))
     ends = [climb_noise(likelihood, start, tolerance=1e-13) for start in noise_starts(likelihood)]
     best = max(ends, key=lambda climb: climb.trace[-1])
     assert best.trace[-1] == pytest.approx(-found.fun, abs=1e-9)
@@ -200,12 +185,7 @@ def test_biases_are_reported_and_do_not_end_up_in_the_sigmas(rng):
     assert text.startswith("Range bias +2.")
     assert "remove it at the sensor or keep range_bias" in text
     assert finding(result, "bearing-bias").values["bias"] == pytest.approx(-0.05, abs=0.01)
-    none, bias = result.forms[:2]
-    assert (none.name, bias.name, bias.chosen) == ("no bias", "bias", True)
-    assert bias.gain > 10.0 * bias.gain_se > 0.0
-    without = learn(simulate(truth, np.random.default_rng(3)), fit_bias=False)
-    assert without.parameters.sigma_range > 2.7
-    assert "range_bias" not in without.intervals
+    assert "sigma_range would be 2.8" in text
 
 
 def test_no_bias_is_reported_where_there_is_none(rng):
@@ -217,7 +197,6 @@ def test_no_bias_is_reported_where_there_is_none(rng):
     # The rule of three, wider as few blocks are less sure of their own number.
     wider = stats.t.ppf(0.975, result.n_blocks - 1) / stats.norm.ppf(0.975)
     assert (low, high) == (0.0, pytest.approx(-np.log(0.05) * wider**2 / result.n_sightings))
-    assert abs(result.forms[1].gain) < 0.01
     assert result.parameters.range_scale == 1.0
 
 
@@ -250,46 +229,13 @@ def test_a_scale_is_learned_only_where_it_is_worth_it_or_asked_for(rng):
     assert learn(scaled, max_range=14.0).parameters.range_scale == pytest.approx(1.04, abs=0.01)
     without = learn(scaled, max_range=14.0, fit_scale=False)
     assert without.parameters.range_scale == 1.0
-    assert "it was not asked for" in finding(without, "range-scale").text
+    assert "range-scale" not in names_of(without)
+    assert "times the true ones" in finding(learn(scaled, max_range=14.0), "range-scale").text
     plain = simulate(replace(BOTH, range_scale=1.0), rng)
     assert learn(plain, max_range=14.0).parameters.range_scale == 1.0
     asked = learn(plain, max_range=14.0, fit_scale=True)
     assert asked.parameters.range_scale != 1.0
     assert asked.parameters.range_scale == pytest.approx(1.0, abs=0.01)
-
-
-def test_what_was_cut_off_is_allowed_for_when_said_and_suspected_when_not(rng):
-    truth = LandmarkParameters(0.3, 0.1, range_bias=0.1)
-    log = simulate(truth, rng, n=1500)
-    cut = 0.4, 0.15
-    model = LandmarkModel(MAP, LandmarkParameters(1.0, 1.0), correspondence="known", mount=MOUNT)
-
-    def within(i, z):
-        expected = model.expected(log.poses[i])
-        off = np.column_stack([z.ranges - expected[:, 0], wrap_angle(z.bearings - expected[:, 1])])
-        return z.subset((np.abs(off) < cut).all(axis=1))
-
-    log = edited(log, within)
-    blind = learn(log, fit_spurious=False)
-    assert blind.parameters.sigma_range < 0.23
-    assert {"range-looks-cut", "bearing-looks-cut"} <= names_of(blind)
-    assert finding(blind, "range-looks-cut").values["cut"] == pytest.approx(0.4, abs=1e-3)
-    aware = learn(log, truncated_at=cut, fit_spurious=False)
-    assert aware.parameters.sigma_range == pytest.approx(0.3, abs=4.0 * aware.standard_errors["sigma_range"])
-    assert aware.parameters.sigma_bearing == pytest.approx(0.1, abs=4.0 * aware.standard_errors["sigma_bearing"])
-    assert aware.parameters.range_bias == pytest.approx(0.1, abs=4.0 * aware.standard_errors["range_bias"])
-    with pytest.raises(
-        InvalidInputError, match=r"truncated_at: expected all range residuals within 0\.2, got .* lie bey"
-    ):
-        learn(log, truncated_at=(0.2, None))
-
-
-def test_the_rate_among_kept_features_says_so(rng):
-    log = simulate(replace(BOTH, range_scale=1.0, range_bias=0.0), rng, n=600)
-    table = sighting_table(MAP, log, mount=MOUNT)
-    assert np.abs(table.bearing_residuals).max() > 3.0
-    result = learn(log, truncated_at=(20.0, None), max_range=14.0)
-    assert "the share among those that were kept" in finding(result, "spurious-of-kept").text
 
 
 def test_bearings_wrap_for_a_sensor_that_looks_backwards_and_for_wide_noise(rng):
@@ -369,7 +315,7 @@ def test_places_are_the_blocks_where_a_log_has_them(rng):
 def test_one_block_has_neither_intervals_nor_scores(rng):
     log = edited(simulate(BOTH, rng, n=60), lambda _, z: replace(z, stamp=0.0))
     result = learn(log, max_range=14.0)
-    assert (result.intervals, result.forms, result.n_blocks) == ({}, (), 1)
+    assert (result.intervals, result.n_blocks) == ({}, 1)
     assert "no-intervals" in names_of(result)
 
 
@@ -394,11 +340,6 @@ def test_threads_and_seed_decide_no_bit_but_the_draws(rng):
         second = learn(log, max_range=14.0)
     assert first.intervals == second.intervals
     assert learn(log, max_range=14.0, seed=1).intervals != first.intervals
-
-
-def test_signature_noise_is_carried_over(rng):
-    keep = LandmarkParameters(1.0, 1.0, sigma_signature=0.7)
-    assert learn(simulate(BOTH, rng, n=30), keep=keep).parameters.sigma_signature == 0.7
 
 
 def test_progress_counts_replicates(rng):
@@ -427,15 +368,11 @@ def test_ranges_that_shrink_with_distance_have_no_scale(rng):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"truncated_at": (0.5,)}, r"truncated_at: expected \(metres, radians\), got \(0.5,\)"),
-        ({"truncated_at": (0.5, -0.1)}, "truncated_at: expected positive numbers or None"),
-        ({"tolerance": 0.0}, "tolerance: expected a positive number of nats per sighting, got 0.0"),
         ({"max_iterations": 0}, "max_iterations: expected at least 1, got 0"),
         ({"max_range": np.inf}, "max_range: expected a positive, finite number of metres, got inf"),
         ({"n_replicates": 1}, "n_replicates: expected at least 2, got 1"),
         ({"level": 1.0}, "level: expected a share between 0 and 1, got 1.0"),
         ({"block_s": 0.0}, "block_s: expected a positive number of seconds, got 0.0"),
-        ({"fit_scale": True, "fit_bias": False}, "fit_scale: expected ranges at several distances and fit_bias=True"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, dict) else "",
 )

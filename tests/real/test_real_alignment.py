@@ -9,9 +9,9 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from benchmarks.relations import read_relations
 
 from beamfield.geometry import between
-from beamfield.io.relations import read_relations
 
 pytestmark = pytest.mark.real
 

@@ -6,13 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.landmark_sets import read_mrclam, read_plaza, read_roh
 
-from beamfield.detections import SPURIOUS, UNKNOWN
-from beamfield.io.landmarks.landmark_files import read_mrclam_landmarks
-from beamfield.io.landmarks.mrclam_instant import read_mrclam_instant
-from beamfield.io.landmarks.mrclam_raw import read_mrclam_barcodes, read_mrclam_measurements, read_mrclam_odometry
-from beamfield.io.landmarks.plaza import read_plaza
-from beamfield.io.landmarks.roh_bearings import read_roh_bearings
 from beamfield.landmark_noise.learning import LandmarkLearningResult, learn_landmark_parameters
 
 pytestmark = pytest.mark.real
@@ -27,23 +22,17 @@ def holds(result: LandmarkLearningResult, name: str, value: float) -> bool:
     return low <= value <= high
 
 
-def test_mrclam_has_the_known_moments_and_was_cut(data: Path):
-    landmarks, log = read_mrclam_instant(data / "mrclam_instant" / "mrclam1.mat")
+def test_mrclam_has_the_known_moments(data: Path):
+    landmarks, log = read_mrclam(data / "mrclam_instant" / "mrclam1.mat")
     plain = learn_landmark_parameters(landmarks, log, fit_spurious=False, fit_scale=False, n_replicates=20)
     assert plain.n_sightings == 32970
     p = plain.parameters
     assert p.range_bias == pytest.approx(-0.038, abs=5e-4)
     assert p.sigma_range == pytest.approx(0.164, abs=5e-4)
     assert p.sigma_bearing == pytest.approx(0.0127, abs=1e-4)
-    assert {"range-looks-cut", "range-sigma-by-distance", "bearing-heavy-tails"} <= names_of(plain)
-
-    mixed = learn_landmark_parameters(
-        landmarks, log, truncated_at=(0.5, 0.25), max_range=10.0, fit_scale=False, n_replicates=20
-    )
-    assert mixed.parameters.sigma_bearing < 0.009
-    assert mixed.log_likelihood > plain.log_likelihood + 0.1
-    assert "spurious-of-kept" in names_of(mixed)
-    assert np.diff(mixed.trace).min() > -1e-9
+    assert {"range-sigma-by-distance", "bearing-heavy-tails"} <= names_of(plain)
+    mixed = learn_landmark_parameters(landmarks, log, fit_scale=False, n_replicates=20)
+    assert mixed.log_likelihood > plain.log_likelihood
 
 
 @pytest.mark.parametrize(("number", "bias", "sigma"), [(1, 2.79, 1.15), (2, 2.93, 1.56)])
@@ -53,20 +42,18 @@ def test_ranging_radios_measure_seven_per_cent_too_far(number, bias, sigma, data
     assert biased.parameters.range_bias == pytest.approx(bias, abs=0.01)
     assert biased.parameters.sigma_range == pytest.approx(sigma, abs=0.01)
     assert biased.parameters.sigma_bearing is None
-    assert {"range-bias", "range-scale"} <= names_of(biased)
-    none, one, both = biased.forms
-    assert (none.name, one.name, both.name) == ("no bias", "bias", "bias and scale")
-    assert one.gain > 0.5
-    assert both.gain_over_simpler > 0.5
+    assert "range-bias" in names_of(biased)
     # Left to itself, the learner finds that the bias is a scale: the same in both sets.
     scaled = learn_landmark_parameters(landmarks, log)
     assert holds(scaled, "range_scale", 1.0695)
     assert holds(scaled, "range_bias", 0.0)
     assert scaled.parameters.sigma_range < 0.58
+    assert scaled.log_likelihood > biased.log_likelihood + 0.5
+    assert "range-scale" in names_of(scaled)
 
 
 def test_infrared_beacons_have_degrees_of_noise_from_place_to_place(data: Path):
-    landmarks, log = read_roh_bearings(data / "roh_bearing")
+    landmarks, log = read_roh(data / "roh_bearing")
     result = learn_landmark_parameters(landmarks, log)
     assert (result.n_sightings, result.n_blocks) == (7200, 9)
     assert result.parameters.sigma_range is None
@@ -80,13 +67,3 @@ def test_infrared_beacons_have_degrees_of_noise_from_place_to_place(data: Path):
     assert np.rad2deg(np.min(each)) == pytest.approx(0.37, abs=0.05)
     assert np.rad2deg(np.max(each)) == pytest.approx(4.2, abs=0.1)
     assert "bearing-heavy-tails" in names_of(result)
-
-
-def test_raw_mrclam_files_are_read(data: Path):
-    folder = data / "mrclam_raw_ds1"
-    landmarks = read_mrclam_landmarks(folder / "Landmark_Groundtruth.dat.gz")
-    barcodes = read_mrclam_barcodes(folder / "Barcodes.dat.gz")
-    log = read_mrclam_measurements(folder / "Robot3_Measurement.dat.gz", barcodes, landmarks)
-    ids = np.concatenate([z.ids for z in log.detections])
-    assert (len(ids), (ids == SPURIOUS).sum(), (ids == UNKNOWN).sum()) == (8742, 1969, 2)
-    assert len(read_mrclam_odometry(folder / "Robot3_Odometry.dat.gz")[0]) == 97351

@@ -1,9 +1,8 @@
 """Learn a landmark sensor's noise and biases.
 
 Learn sigma, bias and spurious rate of a sensor that sees landmarks (tags, reflectors, radio or infrared beacons) from
-sightings of known landmarks at known poses. SIGHTINGS is a CSV file (stamp,x,y,theta,id,range,bearing; leave empty what
-was not measured) with --landmarks, an MRCLAM or Plaza .mat file, Robot*_Measurement.dat of MRCLAM beside its
-Robot*_Groundtruth.dat, Barcodes.dat and Landmark_Groundtruth.dat, or a folder with landmark.csv and (Xa,Yb).csv.
+sightings of known landmarks at known poses. SIGHTINGS is a CSV file with the columns stamp,x,y,theta,id,range,bearing;
+leave empty what was not measured.
 
 for example:
 
@@ -14,7 +13,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,16 +36,15 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
     parser = add_command(subparsers, run, "calibrate-landmarks", __doc__)
     parser.add_argument("sightings", type=Path, metavar="SIGHTINGS", help="the sightings, see above")
-    parser.add_argument("--landmarks", type=Path, metavar="FILE", help="where the landmarks are, CSV file: id,x,y")
+    parser.add_argument("--landmarks", type=Path, metavar="FILE", required=True,
+                        help="where the landmarks are, CSV file: id,x,y")  # fmt: skip
     options.add_out(parser, "beamfield_landmarks.yaml", metavar="FILE", what="parameter file to write")
     options.add_mount(parser, " (default: 0 0 0)", (0.0, 0.0, 0.0))
     parser.add_argument("--scale", choices=tuple(SCALE), default="auto", help="scale of ranges: auto keeps it only if "
                         "it improves held-out likelihood (default: auto)")  # fmt: skip
-    parser.add_argument("--truncated-at", type=_limit, nargs=2, metavar=("M", "DEG"),
-                        help="outliers beyond these residuals were removed from the log; inf: none were")  # fmt: skip
     parser.add_argument("--max-range", type=positive, metavar="M", help="the sensor's limit (default: largest range)")
     parser.add_argument("--block", type=positive, metavar="S", help="length of the blocks of time for intervals "
-                        "(default: the log's places, or a 24th of its duration)")  # fmt: skip
+                        "(default: a 24th of the log's duration)")  # fmt: skip
     parser.add_argument("--replicates", type=count, default=200, metavar="N", help="bootstrap samples (default: 200)")
     options.add_seed(parser)
     options.add_threads(parser)
@@ -79,7 +76,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 log,
                 mount=options.mount(arguments),
                 fit_scale=SCALE[arguments.scale],
-                truncated_at=_truncation(arguments),
                 max_range=arguments.max_range,
                 block_s=arguments.block,
                 n_replicates=arguments.replicates,
@@ -99,36 +95,14 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )  # fmt: skip
 
 
-def _limit(text: str) -> float:
-    return math.inf if text == "inf" else positive(text)
-
-
-def _truncation(arguments: argparse.Namespace) -> tuple[float | None, float | None] | None:
-    if arguments.truncated_at is None:
-        return None
-    metres, degrees = (None if math.isinf(value) else value for value in arguments.truncated_at)
-    return metres, None if degrees is None else math.radians(degrees)
-
-
 def _summary(result: LandmarkLearningResult) -> str:
-    from beamfield.report.landmark_table import landmark_form_table, landmark_parameter_table
+    from beamfield.report.landmark_table import landmark_parameter_table
 
     lines = [f"{result.n_sightings} sightings in {result.n_blocks} blocks\n", landmark_parameter_table(result)]
-    forms = landmark_form_table(result)
-    if forms:
-        lines += ["", forms]
     if result.findings:
         lines.append("")
     lines += [f"{finding.severity} ({finding.name}): {printable(finding.text)}" for finding in result.findings]
-    cuts = {finding.name: finding.values["cut"] for finding in result.findings if "cut" in finding.values}
-    if cuts:
-        metres, degrees = cuts.get("range-looks-cut", math.inf), math.degrees(cuts.get("bearing-looks-cut", math.inf))
-        lines.append(f"to say so, run it again with --truncated-at {_rounded_up(metres)} {_rounded_up(degrees)}")
     return "\n".join(lines)
-
-
-def _rounded_up(value: float) -> str:
-    return "inf" if math.isinf(value) else f"{math.ceil(value * 1000) / 1000:g}"
 
 
 def _as_dict(result: LandmarkLearningResult) -> dict[str, Any]:

@@ -78,8 +78,6 @@ def _read(arguments: argparse.Namespace) -> OccupancyGrid | ScanLog:
             return read_map(path, topic=arguments.map_topic)
         except FormatError as error:
             raise (_known(path) or error) from None
-    if path.suffix == ".mat" and path.is_file():
-        raise FormatError(path, "no log of scans; sightings of landmarks are for beamfield calibrate-landmarks")
     try:
         return options.read_scans(arguments)
     except FormatError as error:

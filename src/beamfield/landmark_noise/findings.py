@@ -1,9 +1,8 @@
-"""What a user of learned landmark noise should know: biases, tails, places and landmarks that differ, cuts."""
+"""What a user of learned landmark noise should know: biases, a scale, tails, landmarks that differ, blocks."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,90 +10,77 @@ from numpy.typing import NDArray
 from beamfield.calibration.time_split import FEWEST_TRUSTED_BLOCKS
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
-from beamfield.landmark_noise.em import (
-    LEAST_SIGMA_BEARING,
-    LEAST_SIGMA_RANGE,
-    NoiseClimb,
-    NoiseLikelihood,
-    NoiseTheta,
-)
-from beamfield.landmark_noise.forms import NoiseForm
+from beamfield.landmark_noise.em import LEAST_SIGMA_BEARING, LEAST_SIGMA_RANGE, NoiseClimb, NoiseTheta
 from beamfield.landmark_noise.intervals import NoiseIntervals
-from beamfield.landmark_noise.residuals import ResidualGroup
 from beamfield.landmark_noise.sighting_table import SightingTable
 
 # A bias of less than this share of sigma hardly moves a likelihood.
 NOTABLE_BIAS = 0.25
-# Sigmas of the nearest and farthest quarter that differ by more than this factor.
+# Deviations of the nearest and the farthest quarter that differ by more than this factor.
 NOTABLE_RATIO = 1.5
 # A normal has 0.27 % beyond three deviations.
-NORMAL_TAIL = 0.0027
-NOTABLE_TAIL, FEWEST_IN_TAIL = 4.0 * NORMAL_TAIL, 5
+NOTABLE_TAIL, FEWEST_IN_TAIL = 4.0 * 0.0027, 5
 # From the median of absolute values to the deviation of a normal.
 NORMAL_FROM_MIDDLE = 1.4826
-# Residuals in the outermost fiftieth of their span, where a tail that was not cut has next to none.
-EDGE, FEWEST_AT_EDGE = 0.02, 20
 # Mean residuals of neighbouring blocks that agree so much belong to one stretch.
 NOTABLE_CORRELATION = 0.5
+# A landmark's own bias is judged from at least so many blocks and sightings.
+FEWEST_BLOCKS, FEWEST_SIGHTINGS = 4, 10
 UNITS = {"range": "m", "bearing": "rad"}
 
 
 def noise_findings(
     table: SightingTable,
-    likelihood: NoiseLikelihood,
     climb: NoiseClimb,
     intervals: NoiseIntervals,
-    forms: Sequence[NoiseForm],
-    residuals: tuple[FloatArray, FloatArray, FloatArray],
-    groups: tuple[Sequence[ResidualGroup], Sequence[ResidualGroup]],
+    ids: NDArray[np.int64],
+    residuals: tuple[FloatArray, FloatArray],
+    of_landmark: FloatArray,
 ) -> tuple[Finding, ...]:
     """Name what the parameters alone do not say.
 
-    The names: ``not-converged``, ``no-intervals``, ``few-blocks``, ``features-left-out``, ``range-blocks-depend``,
-    ``bearing-blocks-depend``, ``range-bias``, ``bearing-bias``, ``range-scale``, ``no-spurious``,
-    ``spurious-of-kept``, ``range-exact``, ``bearing-exact``, ``range-heavy-tails``, ``bearing-heavy-tails``,
-    ``range-sigma-by-distance``, ``bearing-sigma-by-distance``, ``range-bias-by-landmark``,
-    ``bearing-bias-by-landmark``, ``range-looks-cut``, ``bearing-looks-cut``.
+    The names: ``not-converged``, ``no-intervals``, ``few-blocks``, ``features-left-out``, ``range-scale``,
+    ``no-spurious``, and for ranges and bearings ``range-bias``, ``range-exact``, ``range-blocks-depend``,
+    ``range-heavy-tails``, ``range-sigma-by-distance``,
+    ``range-bias-by-landmark``.
 
     Parameters
     ----------
-    table, likelihood, climb, intervals, forms
+    table, climb, intervals
         What was learned from what.
+    ids
+        (N,) of the map's landmarks.
     residuals
-        Range and bearing residuals, bias and scale taken out, and how probably each sighting is of its landmark; each
-        (n,).
-    groups
-        Residuals per landmark and by distance.
+        Of range and bearing, bias and scale taken out; each (n,).
+    of_landmark
+        (n,) how probably each sighting is of its landmark.
 
     Returns
     -------
     Findings; none if there is nothing to say.
     """
-    theta, problem = climb.theta, likelihood.problem
-    values = {"range": residuals[0], "bearing": residuals[1]}
-    sigmas = {"range": theta.sigma_range, "bearing": theta.sigma_bearing}
-    floors = {"range": LEAST_SIGMA_RANGE, "bearing": LEAST_SIGMA_BEARING}
-    cuts = dict(zip(values, problem.truncated_at, strict=True))
-    raw = {"range": table.range_residuals, "bearing": table.bearing_residuals}
-    found = [*_climb_findings(climb), *_block_findings(intervals), *_left_out(table)]
-    found += _scale_finding(theta, intervals, forms)
-    for what in values:
-        if not np.isfinite(values[what]).any():
+    theta = climb.theta
+    found = [*_climb_finding(climb), *_block_finding(intervals), *_left_out(table), *_scale_finding(theta, intervals)]
+    for what, e, sigma, least in (
+        ("range", residuals[0], theta.sigma_range, LEAST_SIGMA_RANGE),
+        ("bearing", residuals[1], theta.sigma_bearing, LEAST_SIGMA_BEARING),
+    ):
+        used = ~np.isnan(e) & (of_landmark > 0.0)
+        if not used.any():
             continue
-        found += _bias_finding(what, theta, intervals, scaled=problem.fit_scale)
-        if sigmas[what] <= floors[what]:
-            found.append(_exact(what, sigmas[what]))
+        found += _bias_finding(what, theta, intervals)
+        if sigma <= least:
+            text = f"The {what} residuals have no noise: sigma_{what} stops at {sigma:g} {UNITS[what]}. Simulated?"
+            found.append(Finding(f"{what}-exact", "warning", text, {f"sigma_{what}": sigma}))
             continue
-        found += _dependence(what, values[what], residuals[2], table.blocks)
-        found += _tails(what, values[what], residuals[2])
-        found += _by_distance(what, groups[1])
-        found += _by_landmark(what, groups[0], sigmas[what])
-        if cuts[what] is None:
-            found += _looks_cut(what, raw[what])
-    return (*found, *_spurious_findings(theta, likelihood, residuals[2]))
+        found += _dependence(what, e[used], of_landmark[used], table.blocks[used])
+        found += _tails(what, e[used], of_landmark[used])
+        found += _by_distance(what, table.expected_ranges[used], e[used], of_landmark[used])
+        found += _by_landmark(what, table.subset(used), ids, e[used], of_landmark[used], sigma)
+    return (*found, *_spurious_finding(intervals, of_landmark))
 
 
-def _climb_findings(climb: NoiseClimb) -> list[Finding]:
+def _climb_finding(climb: NoiseClimb) -> list[Finding]:
     if climb.converged:
         return []
     n = len(climb.trace) - 1
@@ -102,7 +88,7 @@ def _climb_findings(climb: NoiseClimb) -> list[Finding]:
     return [Finding("not-converged", "warning", text, {"iterations": float(n)})]
 
 
-def _block_findings(intervals: NoiseIntervals) -> list[Finding]:
+def _block_finding(intervals: NoiseIntervals) -> list[Finding]:
     n = intervals.n_blocks
     if n == 1:
         text = "All sightings lie in one stretch of time, so there are no intervals: a longer log is needed."
@@ -124,78 +110,44 @@ def _left_out(table: SightingTable) -> list[Finding]:
     return [Finding("features-left-out", "info", text, numbers)]
 
 
-def _bias_finding(what: str, theta: NoiseTheta, intervals: NoiseIntervals, *, scaled: bool) -> list[Finding]:
+def _bias_finding(what: str, theta: NoiseTheta, intervals: NoiseIntervals) -> list[Finding]:
     name = f"{what}_bias"
     low, high = intervals.intervals.get(name, (math.nan, math.nan))
     if not (low > 0.0 or high < 0.0):
         return []
     bias, sigma = getattr(theta, name), getattr(theta, f"sigma_{what}")
-    beside = " at distance 0" if what == "range" and scaled else ""
+    beside = " at distance 0" if what == "range" and theta.range_scale != 1.0 else ""
     notable = abs(bias) > NOTABLE_BIAS * sigma
     text = (
-        f"{what.capitalize()} bias{beside} {_signed(what, bias)} [{low:.3g}, {high:.3g}]: "
+        f"{what.capitalize()} bias{beside} {bias:+.3g} {UNITS[what]} [{low:.3g}, {high:.3g}]: "
         f"remove it at the sensor or keep {name}. Left out, sigma_{what} would be "
         f"{math.hypot(sigma, bias):.3g} {UNITS[what]} instead of {sigma:.3g}."
     )
     return [Finding(f"{what}-bias", "warning" if notable else "info", text, {"bias": bias, "low": low, "high": high})]
 
 
-def _scale_finding(theta: NoiseTheta, intervals: NoiseIntervals, forms: Sequence[NoiseForm]) -> list[Finding]:
-    scale = next((form for form in forms if form.name == "bias and scale"), None)
-    if theta.range_scale != 1.0:
-        low, high = intervals.intervals.get("range_scale", (math.nan, math.nan))
-        gain = (
-            ""
-            if scale is None
-            else f" It gains {scale.gain_over_simpler:+.3f} nats per held-out sighting over a bias alone."
-        )
-        text = (
-            f"Measured ranges are {theta.range_scale:.4f} [{low:.4f}, {high:.4f}] times the true ones: correct the "
-            f"sensor's scale (speed of light or sound, clock, focal length) or keep range_scale.{gain}"
-        )
-        values = {"range_scale": theta.range_scale, "low": low, "high": high}
-        return [Finding("range-scale", "warning", text, values)]
-    if scale is None or not scale.is_worth_it:
+def _scale_finding(theta: NoiseTheta, intervals: NoiseIntervals) -> list[Finding]:
+    if theta.range_scale == 1.0:
         return []
+    low, high = intervals.intervals.get("range_scale", (math.nan, math.nan))
     text = (
-        f"A range scale of {scale.theta.range_scale:.4f} would gain {scale.gain_over_simpler:.3f} nats per held-out "
-        f"sighting and bring sigma_range from {theta.sigma_range:.3g} to {scale.theta.sigma_range:.3g} m; "
-        "it was not asked for."
+        f"Measured ranges are {theta.range_scale:.4f} [{low:.4f}, {high:.4f}] times the true ones: correct the "
+        "sensor's scale (speed of light or sound, clock, focal length) or keep range_scale."
     )
-    values = {"range_scale": scale.theta.range_scale, "gain": scale.gain_over_simpler}
-    return [Finding("range-scale", "warning", text, values)]
+    return [Finding("range-scale", "warning", text, {"range_scale": theta.range_scale, "low": low, "high": high})]
 
 
-def _spurious_findings(theta: NoiseTheta, likelihood: NoiseLikelihood, of_landmark: FloatArray) -> list[Finding]:
-    problem, n = likelihood.problem, len(likelihood)
-    if not problem.fit_spurious:
-        return []
+def _spurious_finding(intervals: NoiseIntervals, of_landmark: FloatArray) -> list[Finding]:
     expected = float((1.0 - of_landmark).sum())
-    if expected < 1.0:
-        text = (
-            f"No sighting looks spurious: the rate is below {3.0 / n:.2g} (95 %, were the {n} sightings independent), "
-            "not 0."
-        )
-        return [Finding("no-spurious", "info", text, {"expected": expected, "upper": 3.0 / n})]
-    if problem.truncated_at == (None, None):
+    if "spurious_rate" not in intervals.intervals or expected >= 1.0:
         return []
-    text = (
-        "Features beyond the cut were taken away before: spurious_rate is the share among those that were kept, spread "
-        "evenly within the cut. How many were taken away is not known."
-    )
-    return [Finding("spurious-of-kept", "info", text, {"spurious_rate": theta.spurious_rate})]
-
-
-def _exact(what: str, sigma: float) -> Finding:
-    text = f"The {what} residuals have no noise: sigma_{what} stops at {sigma:g} {UNITS[what]}. Is the log simulated?"
-    return Finding(f"{what}-exact", "warning", text, {f"sigma_{what}": sigma})
+    upper = intervals.intervals["spurious_rate"][1]
+    text = f"No sighting looks spurious: the rate is below {upper:.2g} ({intervals.level:.0%}), not 0."
+    return [Finding("no-spurious", "info", text, {"expected": expected, "upper": upper})]
 
 
 def _dependence(what: str, e: FloatArray, w: FloatArray, blocks: NDArray[np.int64]) -> list[Finding]:
-    used = ~np.isnan(e) & (w > 0.0)
-    _, number = np.unique(blocks[used], return_inverse=True)
-    counts = np.bincount(number, w[used])
-    means = np.bincount(number, w[used] * e[used])[counts > 0] / counts[counts > 0]
+    means, _ = _block_means(e, w, blocks)
     if len(means) < FEWEST_TRUSTED_BLOCKS or not np.ptp(means) > 0.0:
         return []
     off = means - means.mean()
@@ -211,10 +163,12 @@ def _dependence(what: str, e: FloatArray, w: FloatArray, blocks: NDArray[np.int6
 
 def _tails(what: str, e: FloatArray, w: FloatArray) -> list[Finding]:
     # Judged by the deviation of the middle half: tails widen sigma itself until they hide behind it.
-    used = ~np.isnan(e) & (w > 0.5)
-    middle = NORMAL_FROM_MIDDLE * float(np.median(np.abs(e[used]))) if used.any() else 0.0
-    count = float(w[used & (np.abs(e) > 3.0 * middle)].sum())
-    beyond = count / max(float(w[used].sum()), 1e-300)
+    of_landmark = w > 0.5
+    if not of_landmark.any():
+        return []
+    middle = NORMAL_FROM_MIDDLE * float(np.median(np.abs(e[of_landmark])))
+    count = float(w[of_landmark & (np.abs(e) > 3.0 * middle)].sum())
+    beyond = count / float(w[of_landmark].sum())
     if beyond <= NOTABLE_TAIL or count < FEWEST_IN_TAIL:
         return []
     text = (
@@ -225,55 +179,50 @@ def _tails(what: str, e: FloatArray, w: FloatArray) -> list[Finding]:
     return [Finding(f"{what}-heavy-tails", "warning", text, {"beyond": beyond, "middle_deviation": middle})]
 
 
-def _by_distance(what: str, groups: Sequence[ResidualGroup]) -> list[Finding]:
-    if len(groups) < 2:
-        return []
-    near, far = (float(getattr(groups[i], f"{what}_std")) for i in (0, -1))
-    if not (near > 0.0 and far > 0.0) or 1.0 / NOTABLE_RATIO <= far / near <= NOTABLE_RATIO:
+def _by_distance(what: str, distances: FloatArray, e: FloatArray, w: FloatArray) -> list[Finding]:
+    low, high = np.quantile(distances, [0.25, 0.75])
+    near, far = (
+        float(np.sqrt(np.cov(e[quarter], aweights=w[quarter]))) if w[quarter].sum() >= FEWEST_SIGHTINGS else 0.0
+        for quarter in (distances <= low, distances >= high)
+    )
+    if not (near > 0.0 and far > 0.0 and low < high) or 1.0 / NOTABLE_RATIO <= far / near <= NOTABLE_RATIO:
         return []
     text = (
-        f"The {what} noise changes with distance: {near:.3g} {UNITS[what]} at {groups[0].name} m, {far:.3g} at "
-        f"{groups[-1].name} m. One sigma is too wide for some and too narrow for others."
+        f"The {what} noise changes with distance: {near:.3g} {UNITS[what]} up to {low:.3g} m, {far:.3g} from "
+        f"{high:.3g} m on. One sigma is too wide for some and too narrow for others."
     )
     return [Finding(f"{what}-sigma-by-distance", "info", text, {"near": near, "far": far})]
 
 
-def _by_landmark(what: str, groups: Sequence[ResidualGroup], sigma: float) -> list[Finding]:
-    off = [
-        (group, getattr(group, f"{what}_mean"))
-        for group in groups
-        if abs(getattr(group, f"{what}_mean")) > 3.0 * getattr(group, f"{what}_mean_se")
-        and abs(getattr(group, f"{what}_mean")) > NOTABLE_BIAS * sigma
-    ]
-    if not off or len(groups) < 2:
+def _by_landmark(
+    what: str, table: SightingTable, ids: NDArray[np.int64], e: FloatArray, w: FloatArray, sigma: float
+) -> list[Finding]:
+    """Name landmarks whose mean residual is more than three standard errors, taken from block to block, from 0."""
+    off: dict[int, float] = {}
+    seen = np.unique(table.landmarks)
+    for j in seen:
+        mine = table.landmarks == j
+        means, weights = _block_means(e[mine], w[mine], table.blocks[mine])
+        mean, b = float((weights * means).sum() / weights.sum()), len(means)
+        if b < FEWEST_BLOCKS or weights.sum() < FEWEST_SIGHTINGS or abs(mean) <= NOTABLE_BIAS * sigma:
+            continue
+        error = math.sqrt(float(np.square(weights * (means - mean)).sum()) * b / (b - 1.0)) / float(weights.sum())
+        if abs(mean) > 3.0 * error:
+            off[int(ids[j])] = mean
+    if not off or len(seen) < 2:
         return []
-    worst, mean = max(off, key=lambda item: abs(item[1]))
+    worst = max(off, key=lambda name: abs(off[name]))
     text = (
-        f"{len(off)} of {len(groups)} landmarks have a {what} bias of their own, most of all {worst.name} with "
-        f"{_signed(what, mean)} beside the others: check where they are in the map, or how they look from where "
-        "they are seen."
+        f"{len(off)} of {len(seen)} landmarks have a {what} bias of their own, most of all {worst} with "
+        f"{off[worst]:+.3g} {UNITS[what]} beside the others: check where they are in the map, or how they look from "
+        "where they are seen."
     )
-    return [
-        Finding(
-            f"{what}-bias-by-landmark", "warning", text, {"n": float(len(off)), "worst": mean, "id": float(worst.name)}
-        )
-    ]
+    values = {"n": float(len(off)), "worst": off[worst], "id": float(worst)}
+    return [Finding(f"{what}-bias-by-landmark", "warning", text, values)]
 
 
-def _looks_cut(what: str, e: FloatArray) -> list[Finding]:
-    sizes = np.abs(e[~np.isnan(e)])
-    span = float(sizes.max(initial=0.0))
-    at_edge = int((sizes > (1.0 - EDGE) * span).sum())
-    # Bearings end at a half turn by themselves, and a flat distribution has a fiftieth at its end.
-    ends_itself = what == "bearing" and span > 0.9 * math.pi
-    if at_edge < FEWEST_AT_EDGE or ends_itself:
-        return []
-    text = (
-        f"{at_edge} {what} residuals lie just below {span:.3g} {UNITS[what]} and none beyond: outliers seem "
-        "to have been removed from this log. Give truncated_at, or sigma and tails come out too small."
-    )
-    return [Finding(f"{what}-looks-cut", "warning", text, {"cut": span, "n_at_edge": float(at_edge)})]
-
-
-def _signed(what: str, value: float) -> str:
-    return f"{value:+.3g} {UNITS[what]}"
+def _block_means(e: FloatArray, w: FloatArray, blocks: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Return the weighted mean of each block that has any weight, and its weight."""
+    _, number = np.unique(blocks, return_inverse=True)
+    weights: FloatArray = np.bincount(number, w).astype(np.float64)
+    return np.bincount(number, w * e) / weights, weights

@@ -171,10 +171,10 @@ def _learned(likelihood: NoiseLikelihood) -> list[str]:
     has_range = bool((likelihood.has_range & likelihood.real).any())
     has_bearing = bool((likelihood.has_bearing & likelihood.real).any())
     learned = {
-        "range_bias": has_range and problem.fit_range_bias,
+        "range_bias": has_range,
         "range_scale": has_range and problem.fit_scale,
         "sigma_range": has_range,
-        "bearing_bias": has_bearing and problem.fit_bearing_bias,
+        "bearing_bias": has_bearing,
         "sigma_bearing": has_bearing,
         "spurious_rate": problem.fit_spurious,
     }

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +15,9 @@ from beamfield.detection_log import DetectionLog
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, wrap_angle
-from beamfield.landmark_noise.em import NoiseLikelihood, NoiseProblem, NoiseTheta
+from beamfield.landmark_noise.em import NoiseLikelihood, NoiseProblem, NoiseTheta, fit_noise
 from beamfield.landmark_noise.findings import noise_findings
-from beamfield.landmark_noise.forms import NoiseForm, fit_noise, score_forms
 from beamfield.landmark_noise.intervals import noise_intervals
-from beamfield.landmark_noise.residuals import ResidualGroup, groups_by_distance, groups_by_landmark
 from beamfield.landmark_noise.sighting_table import SightingTable, sighting_table
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark_parameters import LandmarkParameters
@@ -30,7 +27,10 @@ from beamfield.short_repr import short_repr
 FEWEST_SIGHTINGS = 20
 # EM approaches a spurious rate of 0 without end; below this many expected sightings it is there.
 NO_SIGHTING = 1e-3
-Truncation = tuple[float | None, float | None]
+# A scale must gain more nats per held-out sighting than this, and more than twice its standard error.
+LEAST_GAIN = 0.005
+# Every third block is held out, as for beams.
+_EVERY = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +47,8 @@ class LandmarkLearningResult:
         The share of such intervals that are to hold the truth.
     log_likelihood
         At the parameters, nats per sighting.
-    trace
-        Log-likelihood per sighting after each iteration, nats; it never falls.
     converged
         Whether further iterations promise less than the tolerance.
-    forms
-        What bias and scale are worth on held-out sightings, from the simplest form on; empty with too few blocks.
-    by_landmark, by_distance
-        Residuals in groups, bias and scale taken out.
     n_sightings, n_blocks
         Features that were used, and the stretches of time or place they fall into.
     table
@@ -70,11 +64,7 @@ class LandmarkLearningResult:
     standard_errors: Mapping[str, float]
     level: float
     log_likelihood: float
-    trace: tuple[float, ...]
     converged: bool
-    forms: tuple[NoiseForm, ...]
-    by_landmark: tuple[ResidualGroup, ...]
-    by_distance: tuple[ResidualGroup, ...]
     n_sightings: int
     n_blocks: int
     table: SightingTable
@@ -108,17 +98,13 @@ def learn_landmark_parameters(
     log: DetectionLog,
     *,
     mount: ArrayLike = (0.0, 0.0, 0.0),
-    fit_bias: bool = True,
     fit_scale: bool | None = None,
     fit_spurious: bool = True,
-    truncated_at: Truncation | None = None,
     max_range: float | None = None,
-    keep: LandmarkParameters | None = None,
     block_s: float | None = None,
     n_replicates: int = 200,
     level: float = 0.95,
     seed: int = 0,
-    tolerance: float = 1e-9,
     max_iterations: int = 1000,
     progress: Callable[[int, int], None] | None = None,
 ) -> LandmarkLearningResult:
@@ -138,47 +124,37 @@ def learn_landmark_parameters(
         be `SPURIOUS` counts as such.
     mount
         (3,) pose of the sensor on the robot, metres and radians. A wrong heading of the mount is a bearing bias.
-    fit_bias
-        Whether to learn range_bias and bearing_bias.
     fit_scale
         Whether to learn range_scale; None learns it where it gains more than 0.005 nats per held-out sighting and more
         than twice the gain's standard error.
     fit_spurious
         Whether to learn spurious_rate; else it is 0, and features known to be spurious are left out.
-    truncated_at
-        (metres, radians), each or None: features whose residual is larger were taken out of the log before, and the
-        densities are cut there. None if nothing was taken out.
     max_range
         Limit of the sensor, metres; None takes the largest range in the log.
-    keep
-        Signature noise to carry over into the result.
     block_s
         Length of the blocks of time for held-out sightings and intervals, seconds; None takes the log's places, or a
         24th of its duration.
     n_replicates, level, seed
         Of the bootstrap.
-    tolerance, max_iterations
-        Of EM: nats per sighting that further iterations may promise, and the most iterations.
+    max_iterations
+        Of EM, at most.
     progress
         Called with the number of finished replicates and their total.
 
     Returns
     -------
-    The parameters with intervals, residuals and findings. Where `converged` is False they are the best that was found.
+    The parameters with intervals and findings. Where `converged` is False they are the best that was found.
 
     Raises
     ------
     InvalidInputError
-        If an id is not in the map, an option is impossible, a residual lies beyond `truncated_at`, or a feature known
-        to be spurious has a range outside [0, max_range].
+        If an id is not in the map, an option is impossible, or a feature known to be spurious has a range outside
+        [0, max_range].
     TooLittleDataError
         If fewer than 20 features remain, or ranges do not grow with the distance although a scale was asked for.
 
     Notes
     -----
-    Where `truncated_at` is given, spurious_rate is the share of spurious features among those that were kept, and a
-    finding says so: how many were taken out cannot be learned.
-
     Sightings of neighbouring times err together (the same landmark from the same place): intervals come from resampled
     blocks. Errors of the reference poses end up in the sigmas; motion capture and surveys have little of them.
 
@@ -203,23 +179,23 @@ def learn_landmark_parameters(
     >>> [finding.name for finding in result.findings]
     ['range-bias', 'no-spurious']
     """
-    cuts = _checked_cuts(truncated_at)
-    _check_options(tolerance, max_iterations, max_range)
+    if max_iterations < 1:
+        raise InvalidInputError(f"max_iterations: expected at least 1, got {max_iterations}")
+    if max_range is not None and not 0.0 < max_range < math.inf:
+        raise InvalidInputError(f"max_range: expected a positive, finite number of metres, got {max_range}")
     table = _enough(sighting_table(landmark_map, log, mount=mount, block_s=block_s), fit_spurious)
-    _check_within(table, cuts)
-    has_range, has_bearing = (bool(np.isfinite(e).any()) for e in (table.range_residuals, table.bearing_residuals))
-    if fit_scale and not (has_range and fit_bias and _distances_vary(table)):
-        raise InvalidInputError("fit_scale: expected ranges at several distances and fit_bias=True")
     limit = None
-    if has_range and fit_spurious:
+    if fit_spurious and not np.isnan(table.ranges).all():
         limit = max_range if max_range is not None else max(float(np.nanmax(table.ranges)), 1e-9)
         _check_spurious(table, limit)
-    problem = NoiseProblem(limit, cuts, fit_bias and has_range, fit_bias and has_bearing, False, fit_spurious)
-    options = {"tolerance": tolerance, "max_iterations": max_iterations}
-    may_scale = fit_scale is not False and has_range and fit_bias and _distances_vary(table)
-    problem, forms = _chosen_form(table, problem, fit_scale, may_scale, options)
+    problem = NoiseProblem(limit, fit_spurious=fit_spurious)
+    scaled = replace(problem, fit_scale=True)
+    if fit_scale and not _distances_vary(table):
+        raise InvalidInputError("fit_scale: expected ranges at several distances")
+    if fit_scale or (fit_scale is None and _distances_vary(table) and _is_worth_it(table, problem, scaled)):
+        problem = scaled
     likelihood = NoiseLikelihood(table, problem)
-    climb = fit_noise(likelihood, **options)
+    climb = fit_noise(likelihood, max_iterations=max_iterations)
     if climb.theta.range_scale <= 0.0:
         raise TooLittleDataError(
             f"measured ranges do not grow with the distance (scale {climb.theta.range_scale:.3g}): "
@@ -237,50 +213,20 @@ def learn_landmark_parameters(
         progress=progress,
     )
     of_landmark = likelihood.e_step(climb.theta)[1]
-    ranges, bearings = _remaining(table, climb.theta)
-    groups = (
-        groups_by_landmark(table, landmark_map.ids, ranges, bearings, of_landmark),
-        groups_by_distance(table, ranges, bearings, of_landmark),
-    )
+    residuals = _remaining(table, climb.theta)
     return LandmarkLearningResult(
-        parameters=_as_parameters(climb.theta, limit if limit is not None else max_range, keep),
+        parameters=_as_parameters(climb.theta, limit if limit is not None else max_range),
         intervals=intervals.intervals,
         standard_errors=intervals.standard_errors,
         level=level,
         log_likelihood=climb.trace[-1],
-        trace=climb.trace,
         converged=climb.converged,
-        forms=forms,
-        by_landmark=groups[0],
-        by_distance=groups[1],
         n_sightings=len(table),
         n_blocks=intervals.n_blocks,
         table=table,
         of_landmark=of_landmark,
-        findings=noise_findings(table, likelihood, climb, intervals, forms, (ranges, bearings, of_landmark), groups),
+        findings=noise_findings(table, climb, intervals, landmark_map.ids, residuals, of_landmark),
     )
-
-
-def _checked_cuts(truncated_at: Truncation | None) -> Truncation:
-    if truncated_at is None:
-        return (None, None)
-    if len(truncated_at) != 2:
-        raise InvalidInputError(f"truncated_at: expected (metres, radians), got {truncated_at!r}")
-    for value in truncated_at:
-        if value is not None and not 0.0 < value < math.inf:
-            raise InvalidInputError(f"truncated_at: expected positive numbers or None, got {truncated_at!r}")
-    cut_range, cut_bearing = truncated_at
-    # A bearing is never off by more than half a turn.
-    return (cut_range, cut_bearing if cut_bearing is not None and cut_bearing < math.pi else None)
-
-
-def _check_options(tolerance: float, max_iterations: int, max_range: float | None) -> None:
-    if not 0.0 < tolerance < math.inf:
-        raise InvalidInputError(f"tolerance: expected a positive number of nats per sighting, got {tolerance}")
-    if max_iterations < 1:
-        raise InvalidInputError(f"max_iterations: expected at least 1, got {max_iterations}")
-    if max_range is not None and not 0.0 < max_range < math.inf:
-        raise InvalidInputError(f"max_range: expected a positive, finite number of metres, got {max_range}")
 
 
 def _enough(table: SightingTable, fit_spurious: bool) -> SightingTable:
@@ -295,21 +241,6 @@ def _enough(table: SightingTable, fit_spurious: bool) -> SightingTable:
     return table
 
 
-def _check_within(table: SightingTable, cuts: Truncation) -> None:
-    for name, residuals, cut in zip(
-        ("range", "bearing"), (table.range_residuals, table.bearing_residuals), cuts, strict=True
-    ):
-        if cut is None:
-            continue
-        beyond = np.abs(np.nan_to_num(residuals)) > cut
-        if beyond.any():
-            i = int(np.nanargmax(np.abs(residuals)))
-            raise InvalidInputError(
-                f"truncated_at: expected all {name} residuals within {cut:g}, got {residuals[i]:.6g} at stamp "
-                f"{table.stamps[i]:.10g} ({int(beyond.sum())} lie beyond)"
-            )
-
-
 def _check_spurious(table: SightingTable, limit: float) -> None:
     impossible = (table.landmarks < 0) & ((table.ranges < 0.0) | (table.ranges > limit))
     if impossible.any():
@@ -322,27 +253,26 @@ def _check_spurious(table: SightingTable, limit: float) -> None:
 
 def _distances_vary(table: SightingTable) -> bool:
     used = np.isfinite(table.range_residuals)
-    return bool(np.ptp(table.expected_ranges[used]) > 0.0)
+    return bool(used.any() and np.ptp(table.expected_ranges[used]) > 0.0)
 
 
-def _chosen_form(
-    table: SightingTable, problem: NoiseProblem, fit_scale: bool | None, may_scale: bool, options: dict[str, Any]
-) -> tuple[NoiseProblem, tuple[NoiseForm, ...]]:
-    """Score the forms on held-out blocks; return the problem to solve, and the forms with the chosen one marked."""
-    plain = replace(problem, fit_range_bias=False, fit_bearing_bias=False)
-    scaled = replace(problem, fit_scale=True)
-    candidates = [("no bias", plain)]
-    if problem.fit_range_bias or problem.fit_bearing_bias:
-        candidates.append(("bias", problem))
-    if may_scale or (fit_scale is False and problem.fit_range_bias and _distances_vary(table)):
-        candidates.append(("bias and scale", scaled))
-    forms = score_forms(table, candidates, **options)
-    use_scale = bool(fit_scale) and may_scale
-    if fit_scale is None and may_scale and forms:
-        use_scale = forms[-1].is_worth_it and forms[-1].theta.range_scale > 0.0
-    chosen = "bias and scale" if use_scale else ("bias" if len(candidates) > 1 else "no bias")
-    marked = tuple(replace(form, chosen=form.name == chosen) for form in forms)
-    return dict(candidates)[chosen], marked
+def _is_worth_it(table: SightingTable, plain: NoiseProblem, scaled: NoiseProblem) -> bool:
+    """Return whether held-out blocks are enough more likely with a scale; no where there are too few blocks."""
+    _, number = np.unique(table.blocks, return_inverse=True)
+    held_out, real = number % _EVERY == _EVERY // 2, table.landmarks >= 0
+    if not (real & held_out).any() or not (real & ~held_out).any():
+        return False
+    fitted_on, scored_on = table.subset(~held_out), table.subset(held_out)
+    simple, rich = (fit_noise(NoiseLikelihood(fitted_on, problem)).theta for problem in (plain, scaled))
+    judge = NoiseLikelihood(scored_on, scaled)
+    without, gains = judge.e_step(simple)[0], judge.e_step(rich)[0]
+    if rich.range_scale <= 0.0 or np.isneginf(gains).any():
+        return False
+    gains = gains - without
+    mean, (_, number) = float(gains.mean()), np.unique(scored_on.blocks, return_inverse=True)
+    b, off = int(number.max()) + 1, np.bincount(number, gains - mean)
+    noise = math.sqrt(float(np.square(off).sum()) * b / (b - 1.0)) / len(gains) if b > 1 else 0.0
+    return mean > max(LEAST_GAIN, 2.0 * noise)
 
 
 def _remaining(table: SightingTable, theta: NoiseTheta) -> tuple[FloatArray, FloatArray]:
@@ -350,13 +280,10 @@ def _remaining(table: SightingTable, theta: NoiseTheta) -> tuple[FloatArray, Flo
     return ranges, wrap_angle(table.bearings - table.expected_bearings - theta.bearing_bias)
 
 
-def _as_parameters(theta: NoiseTheta, max_range: float | None, keep: LandmarkParameters | None) -> LandmarkParameters:
+def _as_parameters(theta: NoiseTheta, max_range: float | None) -> LandmarkParameters:
     return LandmarkParameters(
         None if math.isnan(theta.sigma_range) else theta.sigma_range,
         None if math.isnan(theta.sigma_bearing) else theta.sigma_bearing,
-        None if keep is None else keep.sigma_signature,
-        None if keep is None else keep.signature_covariance,
-        None if keep is None else keep.confusion,
         spurious_rate=theta.spurious_rate,
         max_range=max_range,
         range_bias=theta.range_bias,

@@ -1,4 +1,4 @@
-"""Learned landmark noise as plain-text tables for the terminal."""
+"""Learned landmark noise as a plain-text table for the terminal."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 from beamfield.landmark_noise.learning import LandmarkLearningResult
 from beamfield.report.parameter_rows import decimals_for
-from beamfield.report.text_table import aligned, plus_minus
+from beamfield.report.text_table import aligned
 
 MEANINGS = {
     "sigma_range": ("m", "standard deviation of a measured range"),
@@ -37,24 +37,3 @@ def landmark_parameter_table(result: LandmarkLearningResult) -> str:
         interval = f"[{low:.{decimals}f}, {high:.{decimals}f}]" if math.isfinite(low) else "not determined"
         rows.append((name, f"{value:.{decimals}f}", interval, unit, meaning))
     return aligned(("parameter", "value", f"{100.0 * result.level:g} % interval", "unit", "meaning"), rows, right=(1,))
-
-
-def landmark_form_table(result: LandmarkLearningResult) -> str:
-    """Return a table of what bias and scale are worth on held-out sightings; empty with too few blocks.
-
-    Parameters
-    ----------
-    result
-        From `learn_landmark_parameters`.
-    """
-    if not result.forms:
-        return ""
-    rows = [
-        (
-            form.name + (" (chosen)" if form.chosen else ""),
-            f"{form.log_likelihood:.4f}",
-            "" if i == 0 else plus_minus(form.gain, form.gain_se, sign=True),
-        )
-        for i, form in enumerate(result.forms)
-    ]
-    return aligned(("held-out sightings", "nats each", "gain over no bias ± s.e."), rows, right=(1, 2))

@@ -12,7 +12,6 @@ from tests.fuzz.case import Case
 from tests.fuzz.mutate.bag1 import mutate_bag1
 from tests.fuzz.mutate.bmp import mutate_bmp
 from tests.fuzz.mutate.havoc import havoc
-from tests.fuzz.mutate.mat import mutate_mat
 from tests.fuzz.mutate.mcap import mutate_mcap
 from tests.fuzz.mutate.pgm import mutate_pgm
 from tests.fuzz.mutate.png import mutate_png
@@ -33,7 +32,6 @@ _MUTATORS: dict[str, tuple[Mutator, ...]] = {
     ".bag": (mutate_bag1,) * 5,
     ".mcap": (mutate_mcap,) * 5,
     ".db3": (mutate_sqlite,) * 3,
-    ".mat": (mutate_mat, mutate_mat, mutate_mat),
 }
 _LONGEST = 2**20
 

@@ -87,11 +87,5 @@ def trajectories() -> list[Case]:
     return [*cases, one_file("t.tum", _packed(tum)), carmen_logs()[0]]
 
 
-def relations() -> list[Case]:
-    return [
-        one_file("r.relations", "# from to x y z r p y\n10.0 11.0 1.0 0.0 0 0 0 1.5\n12.0 11.0 -1.0 0.0 0 0 0 0.0\n")
-    ]
-
-
 def _packed(text: str) -> bytes:
     return gzip.compress(text.encode(), 1, mtime=0)

@@ -1,11 +1,11 @@
-"""Tables in text files: rows of words or of comma-separated values, with checked numbers and ids, and writing them."""
+"""Tables of comma-separated values: rows with checked numbers and ids, and writing them."""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,8 @@ from beamfield.io.files.text_lines import parse_numbers, read_lines
 MAX_ID = 2**53
 
 
-def word_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and words, split at blanks, of each line that is neither blank nor begins with #.
+def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and values, split at commas, of each line that is neither blank nor begins with #.
 
     Raises
     ------
@@ -30,123 +30,69 @@ def word_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """
     for number, text in read_lines(path):
         if text.strip() and not text.lstrip().startswith("#"):
-            yield number, text.split()
-
-
-def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the same with values split at commas, without the blanks around them."""
-    for number, text in read_lines(path):
-        if text.strip() and not text.lstrip().startswith("#"):
             yield number, [word.strip() for word in text.split(",")]
 
 
-def finite_numbers(path: Path, line: int, words: Sequence[str], what: str) -> FloatArray:
-    """Return words as finite numbers.
-
-    Parameters
-    ----------
-    path, line
-        For the error.
-    words
-        The texts of the numbers.
-    what
-        Name of the row, for the error.
-
-    Raises
-    ------
-    FormatError
-        If a word is no finite number; it is quoted.
-    """
-    numbers = parse_numbers(path, line, words, what)
-    if not np.isfinite(numbers).all():
-        bad = words[int((~np.isfinite(numbers)).argmax())]
-        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
-    return numbers
-
-
-def expect_columns(path: Path, line: int, words: Sequence[str], columns: Sequence[str]) -> None:
-    """Say if a row has not one value per column.
-
-    Parameters
-    ----------
-    path, line
-        For the error.
-    words
-        The row.
-    columns
-        Names of the columns.
-
-    Raises
-    ------
-    FormatError
-        If there are more or fewer.
-    """
-    if len(words) != len(columns):
-        raise FormatError(path, f"expected {', '.join(columns)}, got {len(words)} values", line=line)
-
-
-class IdRows:
-    """Collects rows of an id and numbers, each id once, line by line.
+def id_table(
+    path: Path,
+    what: str,
+    is_header: Callable[[list[str]], bool],
+    expected: str,
+    check: Callable[[int, FloatArray], None] = lambda _line, _numbers: None,
+) -> tuple[list[str], NDArray[np.int64], FloatArray]:
+    """Read a table with a header, whose rows are an id and finite numbers.
 
     Parameters
     ----------
     path
-        The file, for errors.
+        The file.
     what
         What a row is, for errors: "landmark".
+    is_header
+        Says whether the names of the columns, in lower case, are those of such a table.
+    expected
+        The headers that are, for errors.
+    check
+        Called with the line and the numbers of each row; may raise.
+
+    Returns
+    -------
+    names, ids, values
+        The header, (n,) and (n, d).
+
+    Raises
+    ------
+    FormatError
+        If the header is another, a row has another length, an id is no whole number from 0 to 2^53 or appears twice,
+        a value is no finite number, or there is no row; line and value are named.
     """
-
-    def __init__(self, path: Path, what: str) -> None:
-        self.path, self.what = path, what
-        self._line_of: dict[int, int] = {}
-        self._rows: list[FloatArray] = []
-
-    def add(self, line: int, words: Sequence[str]) -> FloatArray:
-        """Add a row, its id first, and return its numbers.
-
-        Raises
-        ------
-        FormatError
-            If the id is none or came before, or another word is no finite number; line and value are named.
-        """
-        which = parse_id(self.path, line, words[0])
-        if which in self._line_of:
-            text = f"expected each id once, got {which} again after line {self._line_of[which]}"
-            raise FormatError(self.path, text, line=line)
-        numbers = finite_numbers(self.path, line, words[1:], self.what)
-        self._line_of[which] = line
-        self._rows.append(numbers)
-        return numbers
-
-    def table(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """Return the ids (n,) and the numbers (n, d).
-
-        Raises
-        ------
-        FormatError
-            If there is no row.
-        """
-        if not self._rows:
-            raise FormatError(self.path, f"no {self.what}s: the file has no rows")
-        return np.array(list(self._line_of)), np.array(self._rows)
+    rows = csv_rows(path)
+    line, header = next(rows, (None, []))
+    names = [name.lower() for name in header]
+    if not is_header(names):
+        raise FormatError(path, f"expected the header {expected}; got {','.join(header)[:80]!r}", line=line)
+    line_of: dict[int, int] = {}
+    values: list[FloatArray] = []
+    for line, words in rows:
+        if len(words) != len(names):
+            raise FormatError(path, f"expected {len(names)} values, got {len(words)}", line=line)
+        if not is_id(words[0]):
+            raise FormatError(path, f"expected a whole number >= 0, got {words[0][:40]!r}", line=line, field="id")
+        which = int(words[0])
+        if which in line_of:
+            text = f"expected each id once, got {which} again after line {line_of[which]}"
+            raise FormatError(path, text, line=line)
+        line_of[which] = line
+        values.append(_finite_numbers(path, line, words[1:], what))
+        check(line, values[-1])
+    if not values:
+        raise FormatError(path, f"no {what}s: the file has no rows")
+    return names, np.array(list(line_of)), np.array(values)
 
 
 def is_id(word: str) -> bool:
     """Say whether a word is an id: a whole number from 0 to 2^53."""
     return re.fullmatch(r"[0-9]{1,16}", word) is not None and int(word) <= MAX_ID
-
-
-def parse_id(path: Path, line: int, word: str) -> int:
-    """Return a word as an id.
-
-    Raises
-    ------
-    FormatError
-        If it is no whole number from 0 to 2^53; it is quoted.
-    """
-    if not is_id(word):
-        raise FormatError(path, f"expected a whole number >= 0, got {word[:40]!r}", line=line, field="id")
-    return int(word)
 
 
 def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -171,3 +117,11 @@ def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[o
     writer.writerow(header)
     writer.writerows(rows)
     write_file(path, text.getvalue())
+
+
+def _finite_numbers(path: Path, line: int, words: Sequence[str], what: str) -> FloatArray:
+    numbers = parse_numbers(path, line, words, what)
+    if not np.isfinite(numbers).all():
+        bad = words[int((~np.isfinite(numbers)).argmax())]
+        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
+    return numbers

@@ -7,10 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, compose, invert
-from beamfield.io.files.text_lines import parse_numbers
-from beamfield.io.files.text_rows import word_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,25 +50,7 @@ def chain(steps: FloatArray) -> FloatArray:
     return pose
 
 
-def read_relations(path: str | Path) -> Relations:
-    """Read relations: ``from to x y z roll pitch yaw`` on each line, seconds, metres and radians; ``#`` for comments.
-
-    Parameters
-    ----------
-    path
-        Plain or gzip. Height, roll and pitch are not used.
-
-    Raises
-    ------
-    FormatError
-        If a line has not eight finite numbers.
-    """
-    source = Path(path)
-    rows = []
-    for line, words in word_rows(source):
-        numbers = parse_numbers(source, line, words, "relation")
-        if len(numbers) != 8 or not np.isfinite(numbers).all():
-            raise FormatError(source, f"expected eight finite numbers, got {' '.join(words)[:80]!r}", line=line)
-        rows.append(numbers)
-    table = np.array(rows).reshape(-1, 8)
+def read_relations(path: Path) -> Relations:
+    """Read lines ``from to x y z roll pitch yaw``, plain or gzip; height, roll and pitch are not used."""
+    table = np.loadtxt(path, ndmin=2)
     return Relations(table[:, :2], table[:, [2, 3, 7]])

@@ -1,20 +1,19 @@
-"""Residuals of two real landmark sensors with what was fitted to them; drawn where the logs are at hand."""
+"""Draw residuals of two real landmark sensors with what was fitted: ``python benchmarks/landmark_noise_picture.py``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from beamfield.io.landmarks.mrclam_instant import read_mrclam_instant
-from beamfield.io.landmarks.plaza import read_plaza
 from beamfield.landmark_noise.learning import LandmarkLearningResult, learn_landmark_parameters
+from landmark_sets import read_mrclam, read_plaza
 
 FIT, OTHER, DATA = "#0072b2", "#d55e00", "0.8"
-CUT = (0.5, 0.25)
 
 
 def landmark_noise_picture(data: Path) -> Figure:
@@ -25,28 +24,26 @@ def landmark_noise_picture(data: Path) -> Figure:
     data
         Folder with mrclam_instant and plaza_range_only.
     """
-    camera = read_mrclam_instant(data / "mrclam_instant" / "mrclam1.mat")
+    camera = read_mrclam(data / "mrclam_instant" / "mrclam1.mat")
     radio = read_plaza(data / "plaza_range_only" / "Plaza1_.mat")
-    mixed = learn_landmark_parameters(*camera, truncated_at=CUT, max_range=10.0, n_replicates=2)
-    plain = learn_landmark_parameters(*camera, fit_spurious=False, n_replicates=2)
+    learned = learn_landmark_parameters(*camera, n_replicates=2)
     scaled, biased = (learn_landmark_parameters(*radio, fit_scale=scale, n_replicates=2) for scale in (True, False))
     figure = Figure(figsize=(10, 6.4), layout="constrained")
     axes = figure.subplots(2, 2)
-    draw_camera(axes[0, 0], mixed, plain, "range")
-    draw_camera(axes[0, 1], mixed, plain, "bearing")
+    draw_camera(axes[0, 0], learned, "range")
+    draw_camera(axes[0, 1], learned, "bearing")
     draw_radio_over_distance(axes[1, 0], scaled, biased)
     draw_radio_residuals(axes[1, 1], scaled, biased)
     return figure
 
 
-def draw_camera(axes: Axes, mixed: LandmarkLearningResult, plain: LandmarkLearningResult, what: str) -> None:
-    residuals, cut = getattr(mixed.table, f"{what}_residuals"), CUT[what == "bearing"]
-    span = cut if what == "range" else 0.11
+def draw_camera(axes: Axes, result: LandmarkLearningResult, what: str) -> None:
+    residuals, p = getattr(result.table, f"{what}_residuals"), result.parameters
+    span, unit = (0.5, "m") if what == "range" else (0.11, "rad")
     axes.hist(residuals, np.linspace(-span, span, 101), density=True, color=DATA, label=f"{len(residuals):,} sightings")
     x = np.linspace(-span, span, 800)
-    axes.plot(x, mixture(mixed, what, x, cut), color=FIT, label="normal + spurious, cut where outliers were taken out")
-    axes.plot(x, mixture(plain, what, x, None), color=OTHER, ls="--", label="one normal")
-    unit = {"range": "m", "bearing": "rad"}[what]
+    bias, sigma = getattr(p, f"{what}_bias"), getattr(p, f"sigma_{what}")
+    axes.plot(x, stats.norm.pdf(x, bias, sigma), color=FIT, label=f"sigma_{what} {sigma:.2g} {unit}")
     axes.set(
         xlabel=f"measured minus true {what} [{unit}]", ylabel=f"density [1/{unit}]", title=f"MRCLAM 1, camera: {what}s"
     )
@@ -54,19 +51,7 @@ def draw_camera(axes: Axes, mixed: LandmarkLearningResult, plain: LandmarkLearni
     if what == "bearing":
         axes.set_yscale("log")
         axes.set_ylim(2e-3, 2e4)
-    else:
-        axes.set_ylim(0, 11.5)
     axes.legend(fontsize=8, loc="upper left")
-
-
-def mixture(result: LandmarkLearningResult, what: str, x: np.ndarray, cut: float | None) -> np.ndarray:
-    p = result.parameters
-    bias, sigma = getattr(p, f"{what}_bias"), getattr(p, f"sigma_{what}")
-    density = stats.norm.pdf(x, bias, sigma)
-    if cut is None:
-        return density
-    density /= stats.norm.cdf(cut, bias, sigma) - stats.norm.cdf(-cut, bias, sigma)
-    return (1.0 - p.spurious_rate) * density + p.spurious_rate / (2.0 * cut)
 
 
 def draw_radio_over_distance(axes: Axes, scaled: LandmarkLearningResult, biased: LandmarkLearningResult) -> None:
@@ -92,3 +77,11 @@ def draw_radio_residuals(axes: Axes, scaled: LandmarkLearningResult, biased: Lan
     axes.set(xlabel="what remains of a range [m]", ylabel="density [1/m]", title="Plaza 1: what sigma is left with")
     axes.set_ylim(0, 1.05)
     axes.legend(fontsize=8, loc="upper right")
+
+
+if __name__ == "__main__":
+    ROOT = Path(__file__).resolve().parents[1]
+    matplotlib.rcParams["svg.hashsalt"] = "beamfield"
+    landmark_noise_picture(ROOT.parent / "shared" / "data").savefig(
+        ROOT / "docs" / "images" / "landmark_noise.svg", metadata={"Date": None}, bbox_inches="tight"
+    )

@@ -1,9 +1,8 @@
 """Write a log and a map with known truth.
 
 Drive a simulated robot through an office (or a map of your own) and write what its range finder measures: map.yaml and
-map.pgm, the log, the true poses (truth.tum) and what is true (truth.json); all of them or none. A laser's readings
-are drawn from the beam model. Those of a ring of sonars (--sonar) come from walls that mirror sound: pulses are
-lost or come back late, and sensors hear each other.
+map.pgm, the log, the true poses (truth.tum) and what is true (truth.json); all of them or none. Readings are drawn
+from the beam model. A ring of sonars (--sonar) has cones instead of beams, and walls that mirror sound: pulses get lost.
 
 for example:
 
@@ -29,9 +28,7 @@ from beamfield.cli.simulate_sonar import (
     Value,
     add_sonar_options,
     add_values,
-    cause_shares,
     given_options,
-    physics_of,
     ring_of,
     values_of,
 )
@@ -116,7 +113,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     check_folder_writable(arguments.out)
     _require_options_of_the_sensor(arguments)
-    simulate = _simulate_sonar if arguments.sonar else _simulate_laser
     with options.progress(arguments) as progress:
         progress("making the map", 0, 1)
         grid = _world(arguments)
@@ -125,7 +121,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             "duration": arguments.duration, "scan_rate": arguments.scan_rate, "seed": arguments.seed, "drive": drive,
             "progress": lambda done, total: progress("measuring", done, total),
         }  # fmt: skip
-        log, known = simulate(arguments, grid, how)
+        log, known = _simulate(arguments, grid, how)
         progress("writing", 0, 1)
         sensor = log.only_sensor()
         with atomic_folder(arguments.out) as folder:
@@ -147,8 +143,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
 
 
-def _simulate_laser(
-    arguments: argparse.Namespace, grid: OccupancyGrid, how: Mapping[str, Any]
+def _simulate(
+    arguments: argparse.Namespace, grid: OccupancyGrid, how: dict[str, Any]
 ) -> tuple[ScanLog, dict[str, Any]]:
     """Return the log, and what is known about its truth."""
     from beamfield.models.beam_parameters import BeamParameters
@@ -157,19 +153,11 @@ def _simulate_laser(
 
     parameters = BeamParameters(**values_of(arguments, TRUE_PARAMETERS))
     dependence = Dependence(angle=math.radians(arguments.dependence_angle), time=arguments.dependence_time)
-    log = simulate_log(grid, _finder(arguments), parameters, dependence=dependence, **how)
-    return log, {"parameters": asdict(parameters), "dependence": asdict(dependence)}
-
-
-def _simulate_sonar(
-    arguments: argparse.Namespace, grid: OccupancyGrid, how: Mapping[str, Any]
-) -> tuple[ScanLog, dict[str, Any]]:
-    """Return the log, and what is known about its truth."""
-    from beamfield.simulation.sonar_log import simulate_sonar_log
-
-    physics = physics_of(arguments)
-    log, readings = simulate_sonar_log(grid, ring_of(arguments), physics, **how)
-    return log, {"physics": asdict(physics), "causes": cause_shares(readings)}
+    known: dict[str, Any] = {"parameters": asdict(parameters), "dependence": asdict(dependence)}
+    if arguments.sonar:
+        known["roughness"] = how["roughness"] = arguments.roughness
+    finder = ring_of(arguments) if arguments.sonar else _finder(arguments)
+    return simulate_log(grid, finder, parameters, dependence=dependence, **how), known
 
 
 def _require_options_of_the_sensor(arguments: argparse.Namespace) -> None:
@@ -178,8 +166,7 @@ def _require_options_of_the_sensor(arguments: argparse.Namespace) -> None:
         if given := given_options(arguments):
             raise InvalidInputError(f"{given[0]}: is an option of --sonar")
         return
-    laser = LASER | {name.replace("-", "_"): value for name, value, *_ in TRUE_PARAMETERS + DEPENDENCE}
-    for name, value in laser.items():
+    for name, value in LASER.items():
         if getattr(arguments, name) != value:
             raise InvalidInputError(f"--{name.replace('_', '-')}: is no option of --sonar")
     if arguments.format != "carmen":

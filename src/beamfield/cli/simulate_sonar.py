@@ -1,4 +1,4 @@
-"""The options of ``beamfield simulate --sonar``: the ring, and how sound is reflected and heard."""
+"""The options of ``beamfield simulate --sonar``: the ring, and the walls that mirror sound."""
 
 from __future__ import annotations
 
@@ -11,37 +11,23 @@ from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from beamfield.sensors import RangeFinder
-    from beamfield.simulation.sonar import SonarPhysics, SonarReadings
 
 MAX_SENSORS = 360
 DEFAULT_MAX_RANGE = 5.0
 Value = tuple[str, float, str, str]
-# Option, default, unit, meaning; those of the second table are fields of `SonarPhysics`.
+# Option, default, unit, meaning.
 RING_OPTIONS: tuple[Value, ...] = (
     ("ring", 16, "N", "sensors, evenly around the robot"),
     ("ring-radius", 0.2, "M", "of the ring"),
     ("opening-angle", 30.0, "DEG", "full width of the cones"),
-)
-PHYSICS_OPTIONS: tuple[Value, ...] = (
-    ("roughness", 0.3, "P", "share of pulses that surfaces scatter; 1: the nearest thing in the cone is always heard"),
-    ("corner-echo", 0.9, "P", "share of inner corners that are heard"),
-    ("edge-echo", 0.2, "P", "share of edges that are heard"),
-    ("second-echo", 0.7, "P", "share of echoes over several walls that are heard"),
-    ("dropout", 0.01, "P", "share of readings that miss their echo"),
-    ("sigma", 0.02, "M", "noise of a range"),
-    ("cross-talk", 0.3, "P", "share of the other sensors' echoes that are taken for one's own"),
-    ("firing-groups", 4, "N", "sensors k, k + N, k + 2 N ... fire at once"),
-    ("firing-interval", 0.01, "S", "from one group to the next"),
-    ("objects", 0.0, "P", "share of readings that a person may stand before"),
-    ("object-rate", 0.5, "R", "rate of the distance of persons, 1/metre"),
-    ("phantoms", 0.005, "P", "share of readings without any reason"),
+    ("roughness", 0.3, "P", "share of pulses that come back from walls that a sensor does not face"),
 )
 
 
 def add_sonar_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the ring and of the acoustics."""
+    """Add the options of the ring."""
     add_values(
-        parser.add_argument_group("--sonar: a ring among walls that mirror sound"), RING_OPTIONS + PHYSICS_OPTIONS
+        parser.add_argument_group("--sonar: a ring among walls that mirror sound"), RING_OPTIONS
     )
 
 
@@ -70,29 +56,14 @@ def ring_of(arguments: argparse.Namespace) -> RangeFinder:
     )
 
 
-def physics_of(arguments: argparse.Namespace) -> SonarPhysics:
-    """Return the acoustics that the command line asks for."""
-    from beamfield.simulation.sonar import SonarPhysics
-
-    return SonarPhysics(**values_of(arguments, PHYSICS_OPTIONS))
-
-
 def values_of(arguments: argparse.Namespace, table: Sequence[Value]) -> dict[str, Any]:
     """Return what was given for the options of a table, by the names of fields."""
     return {_field(name): getattr(arguments, _field(name)) for name, *_ in table}
 
 
-def cause_shares(readings: SonarReadings) -> dict[str, float]:
-    """Return the share of readings of each cause by its name."""
-    from beamfield.simulation.sonar import EchoCause
-
-    return {cause.name.lower(): round(float((readings.causes == cause).mean()), 6) for cause in EchoCause}
-
-
 def given_options(arguments: argparse.Namespace) -> list[str]:
     """Return the sonar's options that differ from their defaults, as words of the command line."""
-    options = (*RING_OPTIONS, *PHYSICS_OPTIONS)
-    return [f"--{name}" for name, value, *_ in options if getattr(arguments, _field(name)) != value]
+    return [f"--{name}" for name, value, *_ in RING_OPTIONS if getattr(arguments, _field(name)) != value]
 
 
 def _field(option: str) -> str:

@@ -71,7 +71,7 @@ _ALL = (
         "6.1",
         "A sonar scan, and how sonars misread",
         "(a) A ring of sonars simulated in the map, the first of 30 scans with readings of every kind. Cones end where "
-        "something was heard: most at the nearest thing in them, some too late or too early, and the dashed ones "
+        "something was heard: most at the nearest thing in them, some too far or too near, and the dashed ones "
         "heard nothing although there is a wall. (b) A smooth wall mirrors the pulse: if the angle to its normal "
         "exceeds half the opening angle, the echo goes elsewhere. (c) What a scanner measured at the same pose, with "
         "a few random readings.",

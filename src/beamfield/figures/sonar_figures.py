@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,10 +13,13 @@ from numpy.typing import ArrayLike
 from beamfield.figures.drawing import framed_map, mark_robot
 from beamfield.figures.world import FigureWorld
 from beamfield.geometry import FloatArray, compose
+from beamfield.maps.cone import ConeCaster
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.plot import draw_scan
 from beamfield.report.drawing import QUIET, new_figure, style
 from beamfield.sensors import RangeFinder
-from beamfield.simulation.sonar import EchoCause, SonarPhysics, SonarReadings, simulate_sonar, sonar_ring
+from beamfield.simulation.log import drawn_readings
+from beamfield.simulation.sonar import heard_ranges, sonar_ring
 
 N_SENSORS, MAX_RANGE = 24, 5.0
 # Scans that are tried for one with readings of every kind.
@@ -25,11 +30,14 @@ REACH = 4.7
 RIGHT = 0.15
 KINDS = (
     ("nearest thing in the cone", "#0072B2"),
-    ("too long: over several walls", "#D55E00"),
-    ("too short: another's pulse, noise", "#CC79A7"),
+    ("too long: a late echo", "#D55E00"),
+    ("too short: a person, another's pulse", "#CC79A7"),
     ("no echo: mirrored away", "#7A8793"),
 )
 SCAN_COLOUR, ROBOT_COLOUR, WALL_COLOUR = "#D55E00", "#0072B2", "#3C444D"
+# Of the sonars, and the share of pulses that walls scatter.
+SONAR = BeamParameters(z_hit=0.8, z_short=0.08, z_max=0.02, z_rand=0.1, sigma_hit=0.03, lambda_short=0.5)
+ROUGHNESS = 0.3
 # Of the sketch: half the opening angle, and the angle to the wall's normal.
 HALF, ALPHA = np.radians(13.0), np.radians(35.0)
 
@@ -62,13 +70,27 @@ def sonar_figure(world: FigureWorld) -> Figure:
     return figure
 
 
+@dataclass(frozen=True, eq=False)
+class SonarReadings:
+    """What a ring measures at one pose, (k,) metres, and the distance to the nearest thing in each cone."""
+
+    ranges: FloatArray
+    nearest: FloatArray
+
+
+def sonar_readings(world: FigureWorld, ring: RangeFinder, rng: np.random.Generator) -> SonarReadings:
+    """Draw what a ring measures at the world's pose; +inf for no return."""
+    caster = ConeCaster(world.grid)
+    nearest = caster.expected_ranges(world.pose, ring)
+    heard = heard_ranges(caster, world.pose[None], ring, ROUGHNESS, rng)
+    return SonarReadings(drawn_readings(heard, ring, SONAR, rng)[0], nearest)
+
+
 def telling_readings(world: FigureWorld, ring: RangeFinder) -> SonarReadings:
     """Return the first of 30 simulated scans at the world's pose that has the most kinds of readings."""
     rng = np.random.default_rng(61)
-    scans = [
-        simulate_sonar(world.grid, world.pose[None], ring, SonarPhysics(phantoms=0.0), rng) for _ in range(N_TRIALS)
-    ]
-    return max(scans, key=lambda readings: np.isin(np.arange(len(KINDS)), kinds_of(readings)).sum())
+    scans = [sonar_readings(world, ring, rng) for _ in range(N_TRIALS)]
+    return max(scans, key=lambda readings: np.isin(np.arange(len(KINDS)), kinds_of(readings, ring)).sum())
 
 
 def draw_cones(readings: SonarReadings, ring: RangeFinder, pose: FloatArray, ax: Axes) -> None:
@@ -87,7 +109,7 @@ def draw_cones(readings: SonarReadings, ring: RangeFinder, pose: FloatArray, ax:
     """
     sensors = compose(pose, ring.mounts)
     half = np.degrees(0.5 * ring.opening_angle)
-    z, kinds = readings.ranges[0], kinds_of(readings)[0]
+    z, kinds = readings.ranges, kinds_of(readings, ring)
     for (x, y, theta), reading, kind in zip(sensors, z, kinds, strict=True):
         if kind < 0:
             continue
@@ -103,13 +125,12 @@ def draw_cones(readings: SonarReadings, ring: RangeFinder, pose: FloatArray, ax:
                          linewidth=2.2, zorder=5))  # fmt: skip
 
 
-def kinds_of(readings: SonarReadings) -> FloatArray:
-    """Return which of `KINDS` each reading is; -1 for what is too close or has nothing in its cone."""
-    with np.errstate(invalid="ignore"):
-        error = readings.ranges - readings.nearest
-    kinds = np.select([np.isposinf(readings.ranges), error > RIGHT, error < -RIGHT], [3, 1, 2], 0)
-    silent = np.isneginf(readings.ranges) | (readings.causes == EchoCause.NOTHING)
-    return np.asarray(np.where(silent, -1, kinds))
+def kinds_of(readings: SonarReadings, ring: RangeFinder) -> FloatArray:
+    """Return which of `KINDS` each reading is; -1 for no echo where there is nothing in the cone."""
+    error = readings.ranges - readings.nearest
+    silent = np.isposinf(readings.ranges)
+    kinds = np.select([silent, error > RIGHT, error < -RIGHT], [3, 1, 2], 0)
+    return np.asarray(np.where(silent & (readings.nearest >= ring.max_range), -1, kinds))
 
 
 def draw_misreading(ax: Axes) -> None:

@@ -19,6 +19,7 @@ from beamfield.models.beam_sampling import beams_from_uniforms, sample_beams
 from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track
 from beamfield.simulation.dependence import Dependence, dependent_uniforms
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
+from beamfield.simulation.sonar import heard_ranges
 from beamfield.simulation.trajectory import DriveOptions, drive_through
 
 Progress = Callable[[int, int], None]
@@ -42,6 +43,7 @@ def simulate_log(
     odometry_noise: OdometryNoise | None = None,
     dependence: Dependence | None = None,
     unknown: Literal["free", "occupied"] = "free",
+    roughness: float = 1.0,
     progress: Progress | None = None,
 ) -> ScanLog:
     """Drive a robot through a map and record what its range finder would measure.
@@ -51,8 +53,7 @@ def simulate_log(
     grid
         The world.
     finder
-        The sensor. If it has an opening angle, the readings are those of `SonarModel`; for sonars among walls that
-        mirror sound see `simulate_sonar_log`.
+        The sensor. If it has an opening angle, the readings are those of `SonarModel`.
     parameters
         The true parameters of the beam model.
     duration
@@ -70,6 +71,8 @@ def simulate_log(
         distribution either way.
     unknown
         Whether rays pass unknown cells ("free") or stop there ("occupied").
+    roughness
+        Share of pulses of a sonar that come back from walls that it does not face: see `heard_ranges`.
     progress
         Called with (done, total) scans.
 
@@ -107,13 +110,17 @@ def simulate_log(
     """
     as_count(seed, "seed", least=0)
     stamps = scan_stamps(duration, scan_rate, start)
-    drive_seed, odometry_seed, reading_seed = np.random.SeedSequence(seed).generate_state(3)
+    drive_seed, odometry_seed, reading_seed, mirror_seed = np.random.SeedSequence(seed).generate_state(4)
     if not grid.occupied.any():
         raise InvalidInputError("the map has no occupied cell: there is nothing to measure")
     truth = drive_through(grid, stamps, seed=int(drive_seed), options=drive)
     odometry = noisy_odometry(truth.poses, np.random.default_rng(odometry_seed), odometry_noise)
-    expected = _expected_ranges(make_caster(grid, finder, unknown=unknown), truth.poses, finder, progress)
-    ranges = _draw(expected, finder, parameters, stamps, dependence, np.random.default_rng(reading_seed))
+    caster = make_caster(grid, finder, unknown=unknown)
+    if isinstance(caster, ConeCaster):
+        expected = heard_ranges(caster, truth.poses, finder, roughness, np.random.default_rng(mirror_seed))
+    else:
+        expected = _expected_ranges(caster, truth.poses, finder, progress)
+    ranges = drawn_readings(expected, finder, parameters, np.random.default_rng(reading_seed), stamps, dependence)
     policy = NoReturnPolicy((), float(np.isinf(ranges).mean()), "declared", "simulated: no return is +inf")
     name = finder.name or "scan"
     sensor = SensorLog(finder, stamps, ranges, truth.poses, odometry, policy)
@@ -156,7 +163,7 @@ def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
 
 
 def _expected_ranges(
-    caster: RayCaster | ConeCaster,
+    caster: RayCaster,
     poses: FloatArray,
     finder: RangeFinder,
     progress: Progress | None,
@@ -170,19 +177,33 @@ def _expected_ranges(
     return expected
 
 
-def _draw(
+def drawn_readings(
     expected: FloatArray,
     finder: RangeFinder,
     parameters: BeamParameters,
-    stamps: FloatArray,
-    dependence: Dependence | None,
     rng: np.random.Generator,
+    stamps: FloatArray | None = None,
+    dependence: Dependence | None = None,
 ) -> FloatArray:
-    """Draw readings, +inf for no return."""
+    """Draw readings from the beam model; where nothing can be hit, hits are missing returns (see `simulate_log`).
+
+    Parameters
+    ----------
+    expected
+        (t, k) expected ranges, metres; max_range where there is nothing.
+    finder, parameters, rng
+        As for `simulate_log`, and the source of randomness.
+    stamps, dependence
+        (t,) seconds, and how far neighbours err alike; None: all are independent.
+
+    Returns
+    -------
+    (t, k) metres; +inf for no return.
+    """
     nothing = expected >= finder.max_range
     weights = (0.0, parameters.z_short, parameters.z_max + parameters.z_hit, parameters.z_rand)
     without_hits = replace(parameters, **dict(zip(("z_hit", "z_short", "z_max", "z_rand"), weights, strict=True)))
-    if dependence is None or dependence.is_none:
+    if stamps is None or dependence is None or dependence.is_none:
         ranges = sample_beams(expected, finder.max_range, parameters, rng, min_range=finder.min_range)
         ranges[nothing] = sample_beams(
             expected[nothing], finder.max_range, without_hits, rng, min_range=finder.min_range

@@ -57,25 +57,17 @@ def time_map(name: str, grid: OccupancyGrid, scan: Scan) -> list[dict[str, Any]]
     rows = []
     for n_beams in (30, None):
         fields = LikelihoodFieldModel(grid, of_field, n_beams=n_beams)
-        rows.append(one_row(name, "beam, shared rays", n_beams, BeamModel(grid, beam, n_beams=n_beams), scan, grid))
+        rows.append(one_row(name, "beam", n_beams, BeamModel(grid, beam, n_beams=n_beams), scan, grid))
         rows.append(one_row(name, "field", n_beams, fields, scan, grid))
-    every_ray = BeamModel(grid, beam, n_beams=30)
-    rows.append(one_row(name, "beam, every ray", 30, every_ray, scan, grid, direction_tolerance=0.0))
     return rows + time_matching(
         name, f"1 scan, {LOCAL_RESOLUTION:g} m", grid, scan_map(scan, resolution=LOCAL_RESOLUTION)
     )
 
 
 def time_matching(name: str, what: str, grid: OccupancyGrid, local: OccupancyGrid) -> list[dict[str, Any]]:
-    """Time map matching by transforms and, from some headings, by asking the model for every pose."""
-    model = MapMatchingModel(grid)
-    what = f"{what}: {int((~np.isnan(local.probability)).sum()):,} cells"
-    by_transforms = one_row(name, f"matching, {what}", None, model, local, grid)
-    rows, cols = np.nonzero(grid.free)
-    poses = np.column_stack([grid.to_map(np.column_stack([cols, rows]) + 0.5), np.full(len(rows), 0.7)])
-    asked = least_seconds(lambda: model.log_likelihood(local, poses), repeats=2) * HEADINGS
-    by_pose = {"model": f"matching, {what}, every pose", "seconds": round(asked, 1)}
-    return [by_transforms, {**by_transforms, **by_pose}]
+    """Time map matching."""
+    cells = int((~np.isnan(local.probability)).sum())
+    return [one_row(name, f"matching, {what}: {cells:,} cells", None, MapMatchingModel(grid), local, grid)]
 
 
 def one_row(name: str, kind: str, n_beams: int | None, model: Any, z: Any, grid: OccupancyGrid, **options: Any) -> Any:

@@ -89,9 +89,7 @@ def test_a_map_of_likelihoods_shows_differences_however_small_they_are(spread):
     # Correlations of maps differ by two nats, scans of a laser by hundreds.
     values = -spread * np.linspace(0.0, 1.0, 400).reshape(20, 20)
     everywhere = np.ones((20, 20), np.bool_)
-    result = LikelihoodMap(
-        values, everywhere, np.zeros((20, 20), np.int16), np.zeros(1), np.zeros((1, 2)), 0.5, np.zeros(3)
-    )
+    result = LikelihoodMap(values, everywhere, np.zeros((20, 20), np.int16), np.zeros(1), 0.5, np.zeros(3))
     ax = Figure().add_subplot()
     draw_likelihood_map(result, OccupancyGrid(np.zeros((20, 20)), 0.5), ax)
     image = next(image for image in ax.get_images() if image.norm.vmax == 0.0 and image.norm.vmin < 0.0)

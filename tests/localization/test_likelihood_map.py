@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import between, compose, wrap_angle
-from beamfield.kernels.heading_search import fill_heading_scores
+from beamfield.geometry import between, compose
 from beamfield.localization.lattice_noise import widened_field_for_lattice, widened_for_lattice
 from beamfield.localization.likelihood_map import likelihood_map
-from beamfield.localization.shared_fan import shared_fan
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
@@ -82,76 +80,18 @@ def test_values_are_the_models_at_poses_inside_their_cells(grid, truth, mount):
     np.testing.assert_allclose(result.log_likelihood[rows, cols], model.log_likelihood(scan, poses), rtol=1e-12)
     in_lattice = between(grid.origin, poses)[:, :2] / result.resolution
     assert np.abs(in_lattice - np.column_stack([cols, rows]) - 0.5).max() <= 0.5 + 1e-9
-    shifts = np.abs(result.shifts)
-    assert shifts.max() <= 0.05 + 1e-12
-    assert (shifts.max() > 0.0) == (mount[0] != 0.0)
-
-
-def test_shared_rays_find_the_headings_that_casting_every_beam_finds(grid, truth):
-    scan = noisy_scan(grid, truth, finder())
-    model = wide_model(grid, n_beams=30)
-    shared = likelihood_map(model, scan, grid)
-    single = likelihood_map(model, scan, grid, direction_tolerance=0.0)
-    assert single.direction_error == 0.0
-    assert shared.direction_error < 1e-9
-    np.testing.assert_array_equal(shared.evaluated, single.evaluated)
-    there = shared.evaluated
-    # Where two headings are nearly as good, the table's interpolation may decide for the other one.
-    np.testing.assert_allclose(shared.log_likelihood[there], single.log_likelihood[there], atol=0.05)
-    assert (shared.heading_index == single.heading_index)[there].mean() > 0.99
-    assert (shared.log_likelihood <= single.log_likelihood + 1e-9)[there].all()
 
 
 def test_each_cell_holds_the_largest_value_over_the_headings(grid, truth):
     scan = noisy_scan(grid, truth, finder())
     model = wide_model(grid, n_beams=20)
-    result = likelihood_map(model, scan, grid, headings=36, direction_tolerance=0.0)
+    result = likelihood_map(model, scan, grid, headings=36)
     rows, cols = (index[::97] for index in np.nonzero(result.evaluated))
     poses = np.repeat(result.poses(rows, cols)[:, None], 36, axis=1)
     poses[..., 2] = 2.0 * np.pi * np.arange(36) / 36
     np.testing.assert_allclose(
         model.log_likelihood(scan, poses).max(axis=1), result.log_likelihood[rows, cols], rtol=1e-12
     )
-
-
-def test_the_fan_of_beams_one_degree_apart_has_one_ray_per_degree():
-    headings = wrap_angle(2.0 * np.pi * np.arange(72) / 72)
-    fan = shared_fan(Scan(np.ones(180), finder((0.3, 0.0, 0.0))), headings, 0.4, 0.1, np.radians(0.25))
-    assert fan.rays.n_beams == 360
-    directions = headings[:, None] + BEARINGS
-    assert np.abs(wrap_angle(fan.rays.bearings[fan.index] - directions)).max() < 1e-9
-    # The sensor's cell and the robot's shift give the mount back.
-    offsets = 0.1 * fan.offsets[:, ::-1] - fan.shifts
-    turned = 0.3 * np.column_stack([np.cos(headings - 0.4), np.sin(headings - 0.4)])
-    np.testing.assert_allclose(offsets, turned, atol=1e-12)
-
-
-def test_the_fan_of_uneven_beams_stays_within_the_tolerance():
-    bearings = np.sort(np.random.default_rng(0).uniform(-2.0, 2.0, 300))
-    headings = wrap_angle(2.0 * np.pi * np.arange(72) / 72)
-    for tolerance in np.radians([0.25, 1.0]):
-        fan = shared_fan(Scan(np.ones(300), finder(bearings=bearings)), headings, 0.0, 0.1, tolerance)
-        error = np.abs(wrap_angle(fan.rays.bearings[fan.index] - headings[:, None] - bearings)).max()
-        assert error <= fan.direction_error + 1e-12 <= tolerance + 1e-9
-        assert fan.rays.n_beams <= np.ceil(2 * np.pi / (2 * tolerance * 72)) * 72
-
-
-def test_rays_are_not_shared_by_beams_that_start_at_different_points():
-    mounts = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 1.0]])
-    assert shared_fan(Scan(np.ones(2), RangeFinder(mounts, 8.0)), np.zeros(1), 0.0, 0.1, 0.01) is None
-
-
-def test_the_kernel_adds_up_interpolated_tables():
-    rng = np.random.default_rng(3)
-    ranges, step = rng.uniform(0.0, 5.0, (70, 12)), 0.25
-    ranges[0, :2] = 0.0, 5.0
-    index = rng.integers(0, 12, (7, 9))
-    tables = rng.normal(size=(7, 21)).astype(np.float32)
-    out = np.empty((70, 9))
-    fill_heading_scores(ranges, index, tables, step, out)
-    nodes = np.arange(21) * step
-    expected = sum(np.interp(ranges[:, index[k]], nodes, tables[k]) for k in range(7))
-    np.testing.assert_allclose(out, expected, atol=1e-5)
 
 
 def test_nothing_is_nan_and_only_free_cells_are_evaluated(grid, truth):
@@ -196,15 +136,8 @@ def test_a_mask_chooses_the_cells(grid, truth):
 def test_progress_ends_with_the_total(grid, truth):
     calls = []
     scan = noisy_scan(grid, truth, finder())
-    for tolerance in (0.0, 0.01):
-        likelihood_map(
-            wide_model(grid, n_beams=5),
-            scan,
-            grid,
-            direction_tolerance=tolerance,
-            progress=lambda done, total: calls.append((done, total)),
-        )
-        assert calls[-1][0] == calls[-1][1] > 0
+    likelihood_map(wide_model(grid, n_beams=5), scan, grid, progress=lambda done, total: calls.append((done, total)))
+    assert calls[-1][0] == calls[-1][1] > 0
 
 
 @pytest.mark.parametrize(
@@ -213,12 +146,11 @@ def test_progress_ends_with_the_total(grid, truth):
         ({"resolution": 0.0}, "resolution: expected a positive"),
         ({"resolution": 1e-5}, "more than"),
         ({"headings": 0}, "headings: expected 1 to 3600, got 0"),
-        ({"direction_tolerance": -1.0}, "direction_tolerance"),
         ({"where": "walls"}, "where: expected 'free', 'known', 'all' or a mask, got 'walls'"),
         ({"where": np.ones((2, 2), bool)}, r"expected a mask of shape \(40, 60\)"),
         ({"where": np.zeros((40, 60), bool)}, "no cell to evaluate"),
     ],
-    ids=["step", "fine", "headings", "tolerance", "word", "shape", "empty"],
+    ids=["step", "fine", "headings", "word", "shape", "empty"],
 )
 def test_what_makes_no_sense_is_refused(grid, options, message):
     with pytest.raises(InvalidInputError, match=message):

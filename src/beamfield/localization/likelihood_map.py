@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,9 @@ from numpy.typing import NDArray
 from beamfield.arguments import check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
-from beamfield.localization.fan_headings import fan_headings
-from beamfield.localization.matching_headings import matching_headings, simple_ratio
-from beamfield.localization.shared_fan import SharedFan, shared_fan
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel
-from beamfield.models.beam import BeamModel
 from beamfield.models.local_map_cells import LocalMap
-from beamfield.models.map_matching import MapMatchingModel
-from beamfield.sensors import Scan
 from beamfield.short_repr import short_repr
 
 if TYPE_CHECKING:
@@ -49,26 +43,18 @@ class LikelihoodMap:
         (rows, cols) which of `headings` is the best; -1 where not evaluated.
     headings
         (h,) radians in the map frame.
-    shifts
-        (h, 2) metres in the lattice's frame: the pose that stands for a cell is at the cell's centre plus the shift of
-        its heading, which stays inside the cell. 0 unless rays were shared (see `likelihood_map`).
     resolution
         Side of a cell, metres.
     origin
         (3,) pose of the lattice's lower-left corner in the map frame: that of the map.
-    direction_error
-        Largest difference between the direction of a beam and that of the ray that stood for it when the best heading
-        was chosen, radians; 0 where rays were not shared.
     """
 
     log_likelihood: FloatArray
     evaluated: BoolArray
     heading_index: NDArray[np.int16]
     headings: FloatArray
-    shifts: FloatArray
     resolution: float
     origin: FloatArray
-    direction_error: float = 0.0
 
     __repr__ = short_repr
 
@@ -119,7 +105,7 @@ class LikelihoodMap:
         index = self.heading_index[rows, cols]
         centre = (np.stack([np.asarray(cols), np.asarray(rows)], axis=-1) + 0.5) * self.resolution
         heading = wrap_angle(self.headings[index] - self.origin[2])
-        return compose(self.origin, np.concatenate([centre + self.shifts[index], heading[..., None]], axis=-1))
+        return compose(self.origin, np.concatenate([centre, heading[..., None]], axis=-1))
 
     def cell_of(self, pose: FloatArray) -> tuple[int, int] | None:
         """Return (row, col) of the cell in which a pose lies; None off the lattice.
@@ -148,7 +134,6 @@ def likelihood_map(
     resolution: float = 0.10,
     headings: int = 72,
     where: Literal["free", "known", "all"] | BoolArray = "free",
-    direction_tolerance: float = np.radians(0.25),
     progress: Progress | None = None,
 ) -> LikelihoodMap:
     """Evaluate p(z | x, m) over all x and y of a map, maximised over theta: Figure 6.7b.
@@ -166,18 +151,14 @@ def likelihood_map(
     grid
         The map that tells where the robot may be: the model's.
     resolution
-        Side of the lattice's cells, metres. Within 1e-6 of a simple ratio to the map's cells (2, 1 / 2 ...), the
-        lattice takes exactly that ratio: 0.1 m on cells of 0.05000000075 m are two cells.
+        Side of the lattice's cells, metres.
     headings
         Number of headings, equally spaced over the circle from 0 on.
     where
         The cells to evaluate, by what the map says at their centre: "free" ones, "known" ones (free or occupied),
         "all"; or a mask (rows, cols) of the lattice.
-    direction_tolerance
-        Radians. A `BeamModel` whose beams start at one point shares rays between the headings of a place (see Notes);
-        a beam may then be off by at most so much. 0 casts each beam for itself.
     progress
-        Called with how much is done and how much there is, in cells or poses.
+        Called with how many cells are done, and of how many.
 
     Returns
     -------
@@ -192,22 +173,6 @@ def likelihood_map(
 
     Notes
     -----
-    The values are the model's own, log p(z | x, m) at `LikelihoodMap.poses`. Only the choice of the best heading is
-    made a quicker way, with two models.
-
-    With a `BeamModel`, rays are shared: turning the robot by one heading step turns every beam onto the place of
-    another beam, if the step between beams and the step between headings have a common measure. A fan of rays at that
-    measure, cast once per place, then holds the expected ranges of all headings, a few hundred rays instead of headings
-    times beams; and log p(z^k | z*) of each beam is read from a table. The measure taken is the coarsest for which
-    every beam is within `direction_tolerance` of a ray; for beams 1 degree apart and 72 headings it is 1 degree and
-    exact, for others at most 0.5 degree. If the sensor is not in the robot's centre, it is the sensor that stands in
-    the centre of a cell; the robot is then up to half a cell away from the centre of its own (`LikelihoodMap.shifts`).
-
-    With a `MapMatchingModel`, Fourier transforms give the correlations of all places at one heading
-    (`matching_headings`), if that takes less time and the lattice's step is a simple ratio of the map's cells. The
-    correlation of the heading that is chosen is at most 1e-3 less than that of the best. For local maps of many cells
-    the transforms are in double precision, and the values are theirs: exp of a value is within 1e-8 of the model's.
-
     A lattice can miss peaks that are narrower than its step; see `widened_for_lattice`.
 
     References
@@ -217,40 +182,23 @@ def likelihood_map(
     shape = _lattice_shape(grid, resolution)
     if not 1 <= headings <= MAX_HEADINGS:
         raise InvalidInputError(f"headings: expected 1 to {MAX_HEADINGS}, got {headings}")
-    if not 0.0 <= direction_tolerance < np.pi:
-        raise InvalidInputError(f"direction_tolerance: expected [0, pi) radians, got {direction_tolerance}")
-    ratio = simple_ratio(resolution, grid.resolution)
-    if ratio is not None and not np.isclose(float(ratio) * grid.resolution, resolution, rtol=1e-12, atol=0.0):
-        resolution = float(ratio) * grid.resolution
+    mask = _mask(grid, shape, resolution, where)
+    rows, cols = np.nonzero(mask)
     angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
-    lattice = _Lattice(grid.origin, resolution, _mask(grid, shape, resolution, where), angles)
-    if isinstance(model, MapMatchingModel):
-        return _by_transforms(model, scan, lattice, progress)
-    if isinstance(model, BeamModel) and isinstance(scan, Scan):
-        chosen = scan.subset(model.used_beams(scan))
-        fan = shared_fan(chosen, angles, float(grid.origin[2]), resolution, direction_tolerance)
-        if fan is not None:
-            return _by_shared_fan(model, chosen, fan, lattice, progress)
-    return _pose_by_pose(model, scan, lattice, progress)
-
-
-class _Lattice(NamedTuple):
-    """Where to evaluate: origin (3,), side of a cell in metres, mask (rows, cols), and headings (h,) in radians."""
-
-    origin: FloatArray
-    resolution: float
-    mask: BoolArray
-    headings: FloatArray
-
-    def map_of(
-        self, heading_index: NDArray[np.int16], shifts: FloatArray | None = None, direction_error: float = 0.0
-    ) -> LikelihoodMap:
-        """Return a map with these best headings, (rows, cols), and without values yet."""
-        values = np.full(self.mask.shape, -np.inf)
-        shifts = np.zeros((len(self.headings), 2)) if shifts is None else shifts
-        return LikelihoodMap(
-            values, self.mask, heading_index, self.headings, shifts, self.resolution, self.origin, direction_error
-        )
+    values, index = np.full(shape, -np.inf), np.full(shape, -1, np.int16)
+    n_headings = len(angles)
+    step = max(1, POSES_PER_CHUNK // n_headings)
+    for start in range(0, len(rows), step):
+        row, col = rows[start : start + step], cols[start : start + step]
+        centres = transform_points(grid.origin, (np.column_stack([col, row]) + 0.5) * resolution)
+        poses = np.empty((len(row), n_headings, 3))
+        poses[..., :2], poses[..., 2] = centres[:, None], angles
+        each = model.log_likelihood(scan, poses)
+        best = np.argmax(each, axis=1)
+        values[row, col], index[row, col] = each[np.arange(len(row)), best], best
+        if progress is not None:
+            progress(min(start + step, len(rows)), len(rows))
+    return LikelihoodMap(values, mask, index, angles, resolution, grid.origin)
 
 
 def _lattice_shape(grid: OccupancyGrid, resolution: float) -> tuple[int, int]:
@@ -288,54 +236,3 @@ def _mask(
     if not mask.any():
         raise InvalidInputError(f"where: no cell to evaluate; the map has {int(grid.free.sum())} free cells")
     return mask
-
-
-def _pose_by_pose(
-    model: MeasurementModel[Any], scan: LocalMap, lattice: _Lattice, progress: Progress | None
-) -> LikelihoodMap:
-    """Ask the model for every pose."""
-    result = lattice.map_of(np.where(lattice.mask, 0, -1).astype(np.int16))
-    rows, cols = np.nonzero(lattice.mask)
-    n_headings = len(lattice.headings)
-    step = max(1, POSES_PER_CHUNK // n_headings)
-    for start in range(0, len(rows), step):
-        row, col = rows[start : start + step], cols[start : start + step]
-        centres = transform_points(lattice.origin, (np.column_stack([col, row]) + 0.5) * lattice.resolution)
-        poses = np.empty((len(row), n_headings, 3))
-        poses[..., :2] = centres[:, None]
-        poses[..., 2] = lattice.headings
-        values = model.log_likelihood(scan, poses)
-        best = np.argmax(values, axis=1)
-        result.log_likelihood[row, col] = values[np.arange(len(row)), best]
-        result.heading_index[row, col] = best
-        if progress is not None:
-            progress(min(start + step, len(rows)), len(rows))
-    return result
-
-
-def _by_transforms(model: MapMatchingModel, z: LocalMap, lattice: _Lattice, progress: Progress | None) -> LikelihoodMap:
-    """Find the best heading of each cell from correlations at all translations; ask the model where these round."""
-    rows, cols = np.nonzero(lattice.mask)
-    found = matching_headings(model, z, (rows, cols), lattice.headings, lattice.origin, lattice.resolution, progress)
-    if found is None:
-        return _pose_by_pose(model, z, lattice, progress)
-    index = np.full(lattice.mask.shape, -1, np.int16)
-    index[rows, cols] = found.heading_index
-    result = lattice.map_of(index)
-    if found.is_exact:
-        with np.errstate(divide="ignore"):
-            result.log_likelihood[rows, cols] = np.log(found.correlation)
-    else:
-        result.log_likelihood[rows, cols] = model.log_likelihood(z, result.poses(rows, cols))
-    return result
-
-
-def _by_shared_fan(
-    model: BeamModel, scan: Scan, fan: SharedFan, lattice: _Lattice, progress: Progress | None
-) -> LikelihoodMap:
-    """Find the best heading of each cell from one fan of rays per place of the sensor; then ask the model."""
-    index = fan_headings(model, scan, fan, lattice.mask, lattice.origin, lattice.resolution, progress)
-    result = lattice.map_of(index, fan.shifts, fan.direction_error)
-    rows, cols = np.nonzero(lattice.mask)
-    result.log_likelihood[rows, cols] = model.log_likelihood(scan, result.poses(rows, cols))
-    return result

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import LARGEST, check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.indices import as_indices
+from beamfield.indices import subset_of
 from beamfield.short_repr import short_repr
 
 SPURIOUS = -1
@@ -95,14 +95,7 @@ class Detections:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = as_indices(features, len(self), "features")
-        return replace(
-            self,
-            ranges=self.ranges[chosen],
-            bearings=self.bearings[chosen],
-            signatures=None if self.signatures is None else self.signatures[chosen],
-            ids=None if self.ids is None else self.ids[chosen],
-        )
+        return subset_of(self, features, len(self), "features", ("ranges", "bearings", "signatures", "ids"))
 
     def without_ids(self) -> Detections:
         """Return the same features with all correspondences unknown.

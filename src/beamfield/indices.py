@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
+
+Table = TypeVar("Table")
 
 
 @checked
@@ -54,3 +60,26 @@ def as_indices(choice: ArrayLike, n: int, name: str) -> NDArray[np.int64]:
     if not there.all():
         raise InvalidInputError(f"{name}: expected indices from {-n} to {n - 1}, got {array[~there][0]}")
     return np.arange(n, dtype=np.int64)[array.astype(np.int64)]
+
+
+def subset_of(table: Table, choice: ArrayLike, n: int, name: str, columns: Sequence[str]) -> Table:
+    """Return a dataclass with only the chosen rows of its columns; a column that is None stays None.
+
+    Parameters
+    ----------
+    table
+        The dataclass.
+    choice, n, name
+        As for `as_indices`.
+    columns
+        Its fields of n rows.
+
+    Raises
+    ------
+    InvalidInputError
+        As for `as_indices`.
+    """
+    chosen = as_indices(choice, n, name)
+    values = {column: getattr(table, column) for column in columns}
+    kept = {column: None if value is None else value[chosen] for column, value in values.items()}
+    return replace(table, **kept)  # type: ignore[type-var]

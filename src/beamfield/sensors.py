@@ -14,7 +14,7 @@ from beamfield.arguments import LARGEST, as_floats, check_fields, checked
 from beamfield.data_frame import data_frame
 from beamfield.errors import InvalidInputError, NoSuchIndexError
 from beamfield.geometry import FloatArray, as_poses, compose
-from beamfield.indices import as_indices
+from beamfield.indices import as_indices, subset_of
 from beamfield.short_repr import short_repr
 
 # Metres between a sensor's limits. In less, the densities of wide hits and steep shorts cannot be told from 0 / 0.
@@ -421,14 +421,7 @@ class SensorLog:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = as_indices(scans, len(self), "scans")
-        return replace(
-            self,
-            stamps=self.stamps[chosen],
-            ranges=self.ranges[chosen],
-            poses=self.poses[chosen],
-            odometry=self.odometry[chosen],
-        )
+        return subset_of(self, scans, len(self), "scans", ("stamps", "ranges", "poses", "odometry"))
 
     def with_poses(self, poses: ArrayLike) -> SensorLog:
         """Return the log with other reference poses.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.data_frame import data_frame
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.indices import as_indices
+from beamfield.indices import subset_of
 from beamfield.maps.cone import make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -92,20 +92,7 @@ class BeamTable:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = as_indices(rows, len(self), "rows")
-        return BeamTable(
-            self.ranges[chosen],
-            self.expected_ranges[chosen],
-            self.scan[chosen],
-            self.beam[chosen],
-            self.stamps[chosen],
-            self.max_range,
-            self.n_no_measurement,
-            self.n_unknown,
-            self.min_range,
-            self.n_unsure,
-            self.n_too_close,
-        )
+        return subset_of(self, rows, len(self), "rows", ("ranges", "expected_ranges", "scan", "beam", "stamps"))
 
     @property
     def n_nan(self) -> int:

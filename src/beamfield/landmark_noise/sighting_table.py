@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,7 @@ from beamfield.detection_log import DetectionLog
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
-from beamfield.indices import as_indices
+from beamfield.indices import subset_of
 from beamfield.maps.landmarks import LandmarkMap
 
 # Errors stay while a robot sees the same landmarks from nearly the same place, for minutes in a room; 20 s, as for
@@ -80,9 +80,8 @@ class SightingTable:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = as_indices(rows, len(self), "rows")
-        names = ("ranges", "bearings", "expected_ranges", "expected_bearings", "landmarks", "stamps", "blocks")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+        columns = ("ranges", "bearings", "expected_ranges", "expected_bearings", "landmarks", "stamps", "blocks")
+        return subset_of(self, rows, len(self), "rows", columns)
 
 
 def sighting_table(

@@ -13,7 +13,7 @@ from beamfield.arguments import check_fields
 from beamfield.detections import UNKNOWN, as_ids, finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.indices import as_indices
+from beamfield.indices import subset_of
 from beamfield.maps.lines import normal_form
 from beamfield.short_repr import short_repr
 
@@ -162,14 +162,7 @@ class LineDetections:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        chosen = as_indices(features, len(self), "features")
-        return replace(
-            self,
-            lines=self.lines[chosen],
-            covariances=None if self.covariances is None else self.covariances[chosen],
-            segments=None if self.segments is None else self.segments[chosen],
-            ids=None if self.ids is None else self.ids[chosen],
-        )
+        return subset_of(self, features, len(self), "features", ("lines", "covariances", "segments", "ids"))
 
     def without_ids(self) -> LineDetections:
         """Return the same lines with all correspondences unknown.

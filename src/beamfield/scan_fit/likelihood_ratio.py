@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import isotonic_regression
 
 from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
@@ -97,14 +99,10 @@ def learn_evidence(
 
 
 def _pool(ok: FloatArray, bad: FloatArray) -> list[tuple[int, int]]:
-    """Return bins (first, one past the last) joined until the share of `bad` does not fall."""
-    groups: list[tuple[int, int, float, float]] = []
-    for i, (g, b) in enumerate(zip(ok, bad, strict=True)):
-        groups.append((i, i + 1, float(g), float(b)))
-        while len(groups) > 1 and groups[-2][3] * groups[-1][2] >= groups[-1][3] * groups[-2][2]:
-            (first, _, g0, b0), (_, behind, g1, b1) = groups[-2], groups[-1]
-            groups[-2:] = [(first, behind, g0 + g1, b0 + b1)]
-    return [(first, behind) for first, behind, _, _ in groups]
+    """Return bins (first, one past the last) joined until the share of `bad` rises from each to the next."""
+    both = np.maximum(ok + bad, 1e-300)
+    share = isotonic_regression(bad / both, weights=both).x
+    return list(pairwise([0, *(np.flatnonzero(np.diff(share) > 1e-12) + 1).tolist(), len(share)]))
 
 
 def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:

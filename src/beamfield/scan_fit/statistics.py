@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.indices import as_indices
+from beamfield.indices import subset_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.likelihood_field import LikelihoodFieldModel
@@ -80,8 +80,8 @@ class FitStatistics:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        i = as_indices(scans, len(self), "scans")
-        return FitStatistics(self.surprise[i], self.misfit[i], self.through[i], self.short[i], self.n_beams[i])
+        columns = ("surprise", "misfit", "through", "short", "n_beams")
+        return subset_of(self, scans, len(self), "scans", columns)
 
 
 def fit_statistics(

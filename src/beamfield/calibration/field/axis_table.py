@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose, invert
-from beamfield.indices import as_indices
+from beamfield.indices import subset_of
 from beamfield.kernels.axis import count_along_axes
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
@@ -69,8 +69,7 @@ class AxisTable:
 
     def select(self, rows: ArrayLike) -> AxisTable:
         """Return the table with only the given rows, by indices or a mask (n,), and all readings at max_range."""
-        chosen = as_indices(rows, len(self), "rows")
-        return replace(self, squares=self.squares[chosen], counts=self.counts[chosen], scan=self.scan[chosen])
+        return subset_of(self, rows, len(self), "rows", ("squares", "counts", "scan"))
 
     def of_scans(self, scans: NDArray[np.bool_]) -> AxisTable:
         """Return the table of some scans, by a mask over the scans of the log."""

@@ -63,6 +63,7 @@ from beamfield.models.sonar import SonarModel
 from beamfield.scan_fit.scan_fit import judge_scan
 from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
 from beamfield.simulation.log import simulate_log
+from beamfield.simulation.sonar import heard_ranges, sonar_ring
 from tests.contract.conftest import CEILING, CEILING_CAMERA, draw_floor
 
 HOSTILE: dict[str, Any] = {
@@ -283,6 +284,17 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (CalibrationOptions, {}),
     (calibrate, {"log": LOG, "grid": GRID}),
     (judge_scan, {"model": BeamModel(GRID, BEAM), "scan": SCAN, "pose": POSES[0]}),
+    (sonar_ring, {"n_sensors": 8, "radius": 0.2, "opening_angle": 0.3, "max_range": 5.0}),
+    (
+        heard_ranges,
+        {
+            "caster": ConeCaster(GRID),
+            "poses": POSES,
+            "ring": RangeFinder(POSES, 5.0, opening_angle=0.3),
+            "roughness": 0.5,
+            "rng": np.random.default_rng(0),
+        },
+    ),
     (
         simulate_log,
         {

@@ -72,7 +72,7 @@ def test_a_ring_looks_outwards_from_the_rim_and_survives_a_log(tmp_path, n):
 
 
 def test_impossible_rings_and_shares_are_refused():
-    with pytest.raises(InvalidInputError, match="n_sensors: expected at least 1, got 0"):
+    with pytest.raises(InvalidInputError, match="n_sensors: expected 1 to 360, got 0"):
         sonar_ring(0)
     with pytest.raises(InvalidInputError, match=r"radius: expected a finite number of metres >= 0, got -0.1"):
         sonar_ring(8, radius=-0.1)

@@ -5,18 +5,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from beamfield.arguments import as_count, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
 
+MOST_SENSORS = 360
 # Normals are those of walls blurred by so many cells: a wall aslant the grid is a staircase.
 BLUR = 2.0
 # A wall whose normal at its nearest point differs by more from the way there is not faced.
 FACED_WITHIN = np.radians(6.0)
 
 
+@checked
 def sonar_ring(
     n_sensors: int,
     *,
@@ -51,15 +54,14 @@ def sonar_ring(
     Raises
     ------
     InvalidInputError
-        If the number is not positive, the radius negative, or a limit is out of range.
+        If the number is not 1 to 360, the radius negative, or a limit is out of range.
 
     Examples
     --------
     >>> sonar_ring(4, radius=0.2).mounts.round(3).tolist()[1]
     [0.0, 0.2, 1.571]
     """
-    if n_sensors < 1:
-        raise InvalidInputError(f"n_sensors: expected at least 1, got {n_sensors}")
+    n_sensors = as_count(n_sensors, "n_sensors", least=1, most=MOST_SENSORS)
     if not 0.0 <= radius < np.inf:
         raise InvalidInputError(f"radius: expected a finite number of metres >= 0, got {radius}")
     bearings = first_bearing + np.arange(n_sensors) * (2.0 * np.pi / n_sensors)
@@ -68,6 +70,7 @@ def sonar_ring(
     return RangeFinder(mounts, max_range, min_range=min_range, opening_angle=opening_angle, name=name)
 
 
+@checked
 def heard_ranges(
     caster: ConeCaster, poses: FloatArray, ring: RangeFinder, roughness: float, rng: np.random.Generator
 ) -> FloatArray:
@@ -82,7 +85,7 @@ def heard_ranges(
     caster
         Of the map.
     poses
-        (t, 3) of the robot, metres and radians.
+        (..., 3) of the robot, metres and radians.
     ring
         The sensors.
     roughness
@@ -93,12 +96,12 @@ def heard_ranges(
 
     Returns
     -------
-    (t, k) metres; max_range where nothing is heard.
+    (..., k) metres; max_range where nothing is heard.
 
     Raises
     ------
     InvalidInputError
-        If the roughness is no share.
+        If the poses are not finite (..., 3), or the roughness is no share.
 
     Notes
     -----
@@ -122,14 +125,14 @@ def heard_ranges(
     if roughness == 1.0 or ring.opening_angle == 0.0:
         return ranges
     points, _ = caster.expected_points(robots, ring)
-    away = points - compose(robots[:, None], ring.mounts)[..., :2]
+    away = points - compose(robots[..., None, :], ring.mounts)[..., :2]
     off_normal = _angles_to_walls(caster.grid, points, away)
     lost = (off_normal > FACED_WITHIN) & (rng.random(ranges.shape) >= roughness)
     return np.where(lost, ring.max_range, ranges)
 
 
 def _angles_to_walls(grid: OccupancyGrid, points: FloatArray, away: FloatArray) -> FloatArray:
-    """Return the angle between each way to a point and the normal of the wall there, (t, k); NaN for no point."""
+    """Return the angle between each way to a point and the normal of the wall there, (..., k); NaN for no point."""
     direction = np.arctan2(away[..., 1], away[..., 0])
     unit = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
     # Seen from the sensor's side: in the middle of a thin wall there is no slope.

@@ -293,7 +293,7 @@ def test_a_document_gets_nothing_that_it_does_not_use(name: str, world: World, t
 
 
 def test_documents_have_commands_and_python():
-    assert len(WITH_PYTHON) >= 17
+    assert len(WITH_PYTHON) >= 16
     assert len(COMMANDS) >= 25
 
 

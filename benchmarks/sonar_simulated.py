@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
+from beamfield.kernels.threads import set_threads
 from beamfield.maps.cone import ConeCaster
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog

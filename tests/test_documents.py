@@ -51,14 +51,12 @@ DEEP = {
     "beamfield.calibration.pose_windows",
     "beamfield.features.feature",
     "beamfield.io.bags.fiducial_detections",
-    "beamfield.localization.feature_map",
-    "beamfield.localization.feature_posteriors",
+    "beamfield.features.map_features",
     "beamfield.localization.information",
     "beamfield.localization.pose_posterior",
     "beamfield.maps.end_points",
     "beamfield.models.marker",
     "beamfield.simulation.sonar",
-    "beamfield.simulation.sonar_log",
 }
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 

@@ -14,7 +14,6 @@ from beamfield.cli.wording import in_options
         ("read with stamps='order' if", "read with --stamps order if"),
         ("(give max_range if it measures that far)", "(give --max-range if it measures that far)"),
         ("unless no_return names NaN", "unless --no-return names NaN"),
-        ("Give truncated_at, or sigma", "Give --truncated-at, or sigma"),
         ("block_s: expected a positive number", "--block: expected a positive number"),
         ("stack: expected one of nav2, got 'x'", "--stack: expected one of nav2, got 'x'"),
         # Not what only looks like it: values of a sensor, paths, quotations, the options themselves.

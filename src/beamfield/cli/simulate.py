@@ -2,7 +2,7 @@
 
 Drive a simulated robot through an office (or a map of your own) and write what its range finder measures: map.yaml and
 map.pgm, the log, the true poses (truth.tum) and what is true (truth.json); all of them or none. Readings are drawn
-from the beam model. A ring of sonars (--sonar) has cones instead of beams, and walls that mirror sound: pulses get lost.
+from the beam model. A ring of sonars (--sonar) has cones instead of beams, and walls that mirror sound lose its pulses.
 
 for example:
 

@@ -26,9 +26,7 @@ RING_OPTIONS: tuple[Value, ...] = (
 
 def add_sonar_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the ring."""
-    add_values(
-        parser.add_argument_group("--sonar: a ring among walls that mirror sound"), RING_OPTIONS
-    )
+    add_values(parser.add_argument_group("--sonar: a ring among walls that mirror sound"), RING_OPTIONS)
 
 
 def add_values(

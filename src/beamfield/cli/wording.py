@@ -15,7 +15,6 @@ _OPTIONS = {
     "no_return": "--no-return",
     "poses_topic": "--poses-topic",
     "sensor_topic": "--sensor",
-    "truncated_at": "--truncated-at",
 }
 # Not in a path, a quotation or a longer name.
 _NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([^']*)')?")

@@ -45,6 +45,7 @@ kills: $(STAMP)  ## Kill every command that writes, fill its disk, run it twice 
 
 docs: $(STAMP)  ## Redraw the pictures and tables of the documentation
 	$(BIN)/python docs/make_figures.py
+	$(BIN)/python docs/make_book_map.py
 
 wheel: $(STAMP)  ## Build the wheel into dist/
 	$(BIN)/python -m build --quiet --wheel

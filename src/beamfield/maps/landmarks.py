@@ -41,7 +41,7 @@ class LandmarkMap:
 
     References
     ----------
-    Probabilistic Robotics, section 6.6.2.
+    Probabilistic Robotics, section 6.6.2; a map as a list of features: (6.3).
 
     Examples
     --------

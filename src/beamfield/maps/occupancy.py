@@ -43,7 +43,7 @@ class OccupancyGrid:
 
     References
     ----------
-    Probabilistic Robotics, section 6.2: a location-based map. The third category, unknown: section 6.4.2.
+    Probabilistic Robotics, section 6.2, (6.3): a location-based map. The third category, unknown: section 6.4.2.
 
     Examples
     --------

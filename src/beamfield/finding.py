@@ -43,6 +43,11 @@ class Finding:
     parameter: str = ""
     line: int | None = None
 
+    @property
+    def full_text(self) -> str:
+        """What was seen, why it matters and what to do, as one paragraph."""
+        return " ".join(part for part in (self.text, self.why, self.do) if part)
+
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings by severity, and as they were found within one."""

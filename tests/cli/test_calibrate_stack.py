@@ -78,7 +78,9 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     main(["doctor", str(mine)])
     assert "info: calibrated" not in capsys.readouterr().out
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "For nav2: likelihood_field_prob" in page
+    assert "<title>nav2: likelihood_field_prob for FLASER</title>" in page
+    assert page.index("With the calibrated values one scan") < page.index("beats nav2")
+    assert document["verdict"].startswith("With the calibrated values one scan of nav2's likelihood_field_prob leaves")
     assert 'id="stack-choice"' in page
 
 

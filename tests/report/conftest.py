@@ -113,7 +113,14 @@ def _make_case(
         opposite=opposite_beams(log, table, blocks),
         refinement=PoseRefinement(np.arange(30), shifts, 0.05, 0.047) if with_refinement else None,
         findings=(
-            Finding("poor-map", "warning", "The map is poor.", {"share": 0.25}),
+            Finding(
+                "poor-map",
+                "warning",
+                "The map is poor.",
+                {"share": 0.25},
+                why="It matters.",
+                do="Draw a better one.",
+            ),
             Finding("pose-refinement", "info", "The poses are good.", {"n": 30.0}),
         ),
         options=options,

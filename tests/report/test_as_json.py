@@ -38,6 +38,10 @@ def test_everything_a_calibration_says_is_in_the_document(case):
         "severity": "warning",
         "text": "The map is poor.",
         "values": {"share": 0.25},
+        "why": "It matters.",
+        "do": "Draw a better one.",
+        "parameter": "",
+        "line": None,
     }
     assert document["options"]["selection"]["min_travel"] == 0.02
     assert document["opposite_beams"]["n_pairs"] == calibration.opposite.n_pairs

@@ -14,9 +14,12 @@ from beamfield.calibration.calibrate import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.html import render_report
+from beamfield.report.page import document, finding_list
+from beamfield.report.page_section import PageSection
 from beamfield.report.parameter_rows import parameter_rows
 from beamfield.report.score_figures import candidate_plot, likelihood_trace
 from beamfield.report.text_table import plus_minus
+from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import NoReturnPolicy
 
 FIGURES = {
@@ -84,13 +87,16 @@ class Page(HTMLParser):
 
 
 def render(case, **changes) -> str:
-    return render_report(replace(case.calibration, **changes), case.grid, case.log, case.provenance)
+    calibration = replace(case.calibration, **changes)
+    scan_fit = fit_of_calibration(calibration, case.grid, case.log)
+    return render_report(calibration, case.grid, case.log, case.provenance, scan_fit=scan_fit)
 
 
 @pytest.fixture
 def no_figures(monkeypatch):
     """Leave the figures out where only words are tested: they take seconds."""
     monkeypatch.setattr("beamfield.report.html.report_figures", lambda *_: [])
+    monkeypatch.setattr(f"{__name__}.fit_of_calibration", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +133,7 @@ def test_ids_are_unique_and_every_link_inside_the_page_has_its_target(text, page
 
 def test_numbers_in_the_tables_are_the_calibrations(case, text):
     for row in parameter_rows(case.calibration):
-        assert f'<code>{row.name}</code></td><td class="n">{row.value}</td>' in text
+        assert f'<th scope="row">{row.name}</th><td class="n">{row.value}</td>' in text
         assert row.interval_text in text
     for score in case.calibration.scores:
         assert plus_minus(score.log_likelihood, score.standard_error) in text
@@ -156,7 +162,8 @@ def test_verdict_admits_a_fit_that_is_not_better(case):
     text = Page(render(case, scores=tuple(scores), learning=learning)).text
     assert "does not beat ROS 1's on held-out beams" in text
     assert "did not converge" in text
-    assert "verdict bad" in render(case, scores=tuple(scores))
+    assert "verdict bad" in render(case, scores=tuple(scores), learning=learning)
+    assert "verdict care" in render(case, scores=tuple(scores))
 
 
 def test_warnings_come_before_the_parameters_and_the_rest_is_folded(text):
@@ -165,9 +172,46 @@ def test_warnings_come_before_the_parameters_and_the_rest_is_folded(text):
     assert text.rindex("<details>", 0, folded) > warning
 
 
+def test_a_finding_says_what_was_seen_why_it_matters_and_what_to_do(page):
+    assert "Warning The map is poor. poor-map It matters. What to do: Draw a better one." in page.text
+    assert "What to do" not in Page(document("", finding_list([Finding("n", "info", "x")]), [], "")).text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_part_that_was_asked_for_opens_the_page_and_warns_where_nothing_can_be_trusted(case):
+    asked = PageSection("stack", "nav2: beam", "<p>Values.</p>", "It is better.", "good")
+    other = PageSection("field", "Likelihood field", "<p>Field.</p>")
+
+    def with_findings(*findings: Finding) -> str:
+        calibration = replace(case.calibration, findings=findings)
+        return render_report(calibration, case.grid, case.log, sections=[other, asked])
+
+    text = with_findings()
+    assert "<title>nav2: beam for /scan</title>" in text
+    places = ["<h1>", "verdict good", "It is better.", "Values.", 'id="beam-model"', "beats nav2", "Field."]
+    assert [text.index(place) for place in places] == sorted(text.index(place) for place in places)
+    first = re.search(r'<p class="verdict bad">.*', with_findings(Finding("map-scale", "warning", "")))
+    assert "Do not use these values yet: the scale of the map is wrong. It is better." in first[0]
+
+
+def test_the_page_can_be_read_without_seeing_it(text, page):
+    assert [tag for tag, _ in page.tags].count("main") == 1
+    assert page.links[0] == "#main"
+    heads = [values for tag, values in page.tags if tag == "th"]
+    assert heads
+    assert all(values.get("scope") in ("col", "row") for values in heads)
+    assert "Use with care" in page.text  # not by its colour alone
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_what_was_not_given_is_named_in_one_line(page):
+    assert "Not given: options.block." in page.text
+    assert "not given" not in page.text.replace("Not given", "")
+
+
 def test_dropped_scans_and_beams_are_counted(page):
-    assert "scans in the log120100.0%used11797.5%dropped: standing still32.5%" in page.text.replace(" used ", "used")
-    assert "left out: no measurement (NaN)50.1%left out: nearer than min_range = 0 m00.0%" in page.text
+    assert "scans in the log120100.0% used11797.5% dropped: standing still32.5%" in page.text
+    assert "left out: no measurement (NaN)50.1% left out: nearer than min_range = 0 m00.0%" in page.text
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -206,9 +250,8 @@ def test_the_same_calibration_gives_the_same_page_also_from_threads(case, text):
 
 @pytest.mark.usefixtures("no_figures")
 def test_how_the_log_was_read_and_what_stands_in_for_map_and_poses_is_said(case):
-    drawn = (Finding("cross-fitted-map", "info", "No map was given.", {}),)
     origin = {"inputs": {"log": "a.log"}, "options": {"odometry": True}, "notes": ["stamps <lost>"]}
-    text = render_report(replace(case.calibration, findings=drawn), case.grid, case.log, origin)
+    text = render_report(replace(case.calibration, map_from_log=True), case.grid, case.log, origin)
     page = Page(text)
     assert "map drawn from the log" in page.text
     assert "poses odometry of the log" in page.text

@@ -11,7 +11,7 @@ from beamfield.calibration.calibrate import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.report.parameter_rows import decimals_for, parameter_rows
 from beamfield.report.text_table import form_line, parameter_table, plus_minus, readings_line, score_table
-from beamfield.report.verdict import DOUBTS, is_good, verdict
+from beamfield.report.verdict import DOUBTS, verdict, verdict_level
 
 
 def cells(table: str) -> dict[str, str]:
@@ -66,14 +66,32 @@ def test_noise_that_grows_is_spelt_out_at_some_ranges(case):
 
 @pytest.mark.parametrize("name", DOUBTS)
 def test_the_verdict_does_not_praise_a_fit_to_poses_or_a_map_that_cannot_be_trusted(case, name):
-    assert is_good(case.calibration)
     doubtful = replace(
         case.calibration, findings=(Finding(name, "warning", "..."), Finding("few-blocks", "warning", ""))
     )
     assert verdict(doubtful) == (
         f"Do not use these values yet: {DOUBTS[name]}. Read the 2 warnings before you trust it."
     )
-    assert not is_good(doubtful)
+    assert verdict_level(doubtful) == "bad"
+
+
+def test_the_level_of_the_verdict_is_that_of_its_worst_reason(case):
+    calm = replace(case.calibration, findings=case.calibration.findings[1:])
+    assert verdict_level(calm) == "good"
+    assert verdict_level(case.calibration) == "care"  # a warning
+    rival = replace(calm.scores[1], behind_fit=-0.1)
+    assert verdict_level(replace(calm, scores=(calm.scores[0], rival))) == "care"
+    assert verdict_level(replace(calm, learning=replace(calm.learning, converged=False))) == "bad"
+
+
+def test_the_form_of_the_hits_is_named_by_what_was_fitted_not_by_its_title(case):
+    first, second = case.calibration.candidates
+    assert (
+        form_line(case.calibration)
+        == "Hit model: plain Gaussian. 1 extension did not improve held-out likelihood enough."
+    )
+    renamed = replace(case.calibration, candidates=(replace(first, name="another title"), second))
+    assert form_line(renamed) == form_line(case.calibration)
 
 
 def test_readings_are_accounted_for(case):
@@ -144,7 +162,7 @@ def test_the_meaning_is_broken_to_the_width_of_a_terminal(case):
 
 
 def test_the_form_says_what_was_chosen_and_for_what_gain(case):
-    assert "none worth an extra parameter" in form_line(case.calibration)
+    assert "1 extension did not improve held-out likelihood enough" in form_line(case.calibration)
     first, second = case.calibration.candidates
     chosen = (replace(first, chosen=False), replace(second, chosen=True, gain=0.25, gain_se=0.03))
     text = form_line(replace(case.calibration, candidates=chosen))

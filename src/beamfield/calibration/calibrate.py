@@ -101,6 +101,8 @@ class Calibration:
         The options used.
     finder
         The sensor.
+    map_from_log
+        Whether there was no map, and each half of the scans was judged by what the other half drew.
     """
 
     parameters: BeamParameters
@@ -120,6 +122,7 @@ class Calibration:
     findings: tuple[Finding, ...]
     options: CalibrationOptions
     finder: RangeFinder
+    map_from_log: bool = False
 
     __repr__ = short_repr
 
@@ -277,6 +280,7 @@ def calibrate(
         findings=worst_first(findings),
         options=options,
         finder=log.finder,
+        map_from_log=isinstance(grid, CrossFitMaps),
     )
 
 

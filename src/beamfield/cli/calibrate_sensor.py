@@ -23,6 +23,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.report.as_json import calibration_as_dict
 from beamfield.report.results import calibration_summary
+from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import SensorLog
 
 if TYPE_CHECKING:
@@ -92,18 +93,25 @@ class CalibrationJob:
             raise FormatError(self.arguments.log, str(error)) from error
         except TooLittleDataError as error:
             raise TooLittleDataError(f"{self.arguments.log}: {error}") from error
+        self.progress("judging scans", 0, 1)
+        scan_fit = fit_of_calibration(result, maps, sensor)
         self.progress("writing the report", 0, 1)
         document = {
             "provenance": self.origin,
             "notes": list(self.notes),
-            **calibration_as_dict(result),
+            **calibration_as_dict(result, scan_fit),
             **{part.name: part.document for part in parts},
         }
         model = beam_model_text(
             result.parameters, sensor.finder, intervals=result.intervals.intervals, provenance=self.origin
         )
         page = html.render_report(
-            result, maps, sensor, {**self.origin, "notes": self.notes}, sections=[part.section for part in parts]
+            result,
+            maps,
+            sensor,
+            {**self.origin, "notes": self.notes},
+            sections=[part.section for part in parts],
+            scan_fit=scan_fit,
         )
         files = {
             "beam_model.yaml": model,

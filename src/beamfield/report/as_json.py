@@ -17,12 +17,17 @@ from beamfield.models.beam_density import CAUSES
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.parameter_rows import UNITS, finite_interval
 from beamfield.report.score_figures import PIT_BINS, pit_band
-from beamfield.report.verdict import verdict
+from beamfield.report.verdict import verdict, verdict_level
+from beamfield.scan_fit.calibration_fit import CalibrationFit
+from beamfield.scan_fit.reference import ScanFitReference
+from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
 
 SCHEMA = "beamfield-calibration/1"
+# A scan fits if this share of the good scans fits as badly.
+LEVEL = 0.05
 
 
-def calibration_as_dict(calibration: Calibration) -> dict[str, Any]:
+def calibration_as_dict(calibration: Calibration, scan_fit: CalibrationFit | None = None) -> dict[str, Any]:
     """Return everything that a calibration says, as values that strict JSON can hold.
 
     Numbers are SI and nats. What is not known (an infinite or undefined number, a missing interval) is None: JSON has
@@ -32,11 +37,14 @@ def calibration_as_dict(calibration: Calibration) -> dict[str, Any]:
     ----------
     calibration
         The result of `calibrate`.
+    scan_fit
+        The result of `fit_of_calibration`; None if it was not asked for.
     """
     return {
         "schema": SCHEMA,
         "program": f"beamfield {__version__}",
         "verdict": verdict(calibration),
+        "verdict_level": verdict_level(calibration),
         "converged": bool(calibration.converged),
         "parameters": _parameters(calibration),
         "max_range": float(calibration.table.max_range),
@@ -52,7 +60,50 @@ def calibration_as_dict(calibration: Calibration) -> dict[str, Any]:
         "opposite_beams": plain(calibration.opposite),
         "pose_refinement": plain(calibration.refinement),
         "findings": plain(calibration.findings),
+        "map_from_log": calibration.map_from_log,
+        "scan_fit": None if scan_fit is None else _scan_fit(scan_fit),
         "options": plain(calibration.options),
+    }
+
+
+def _scan_fit(scan_fit: CalibrationFit) -> dict[str, Any]:
+    fits, reference = scan_fit.fits, scan_fit.reference
+    if fits is None or reference is None:
+        return {"missing": scan_fit.missing}
+    series = {"stamps": fits.stamps, "p_value": fits.p_value, "lost_probability": fits.lost}
+    return {**scan_fits_as_dict(fits, reference, own=True), **plain(series)}
+
+
+def scan_fits_as_dict(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> dict[str, Any]:
+    """Return how well the scans of a log fit and what they were compared with, as values that strict JSON can hold.
+
+    Parameters
+    ----------
+    fits, reference
+        What was found, and what it was compared with.
+    own
+        Whether the reference is learned from the same log.
+    """
+    span = fits.longest_lost()
+    counts = {name: int((fits.problem == i).sum()) for i, name in enumerate(PROBLEMS) if i}
+    return {
+        "n_scans": len(fits),
+        "n_judged": int((~np.isnan(fits.p_value)).sum()),
+        "level": LEVEL,
+        "share_that_fits": plain(fits.share_that_fits(LEVEL)),
+        "longest_lost": None if span is None else {"from": span[0], "to": span[1], "seconds": span[1] - span[0]},
+        "highest_lost_probability": plain(float(fits.lost.max())) if len(fits) else None,
+        "problems": {name: n for name, n in counts.items() if n},
+        "reference": {
+            "own_log": own,
+            "n_scans": len(reference),
+            "n_effective": reference.n_effective,
+            "smallest_p_value": reference.smallest_p_value,
+            "correlation_s": reference.correlation_s,
+            "evidence_correlation_s": reference.evidence.correlation_s,
+            "gap_s": reference.gap_s,
+            "reliability": plain(reference.reliability),
+        },
     }
 
 

@@ -180,7 +180,7 @@ def opposite_widths(calibration: Calibration, log: SensorLog) -> ReportFigure | 
         f"{plus_minus(fit.scale, fit.scale_se)}, widening {plus_minus(fit.widening, fit.widening_se)} m. A cloud above "
         "zero: walls drawn too thick, by half of it on each side. A cloud that climbs or falls: a wrong "
         "scale of the map.",
-        "Not in the chapter; checks that the map deserves the trust that (6.4) puts in z*",
+        "Not in the book; checks that the map deserves the trust that (6.4) puts in z*",
     )
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import html
 import math
 
 from beamfield.calibration.field.learning import FieldLearning, FieldScore
+from beamfield.report.escape import escaped
+from beamfield.report.page import table
 from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned, plus_minus
 
@@ -47,16 +48,16 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         The parameter file.
     """
     markup = (
-        f"{_table(PARAMETER_HEADER, _parameter_rows(learned), (1,))}"
+        f"{table(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), css='parameters')}"
         f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "
         "sigma_hit make the readings most likely along the axes of their beams; without the reference poses' error "
         f"sigma_hit is {learned.density_sigma:.4g} m. The exponent is the one whose posteriors around the reference "
         f"poses hold them best.</p>"
-        f"{_table(SCORE_HEADER, [_score_row(score) for score in learned.scores], (1, 2, 3))}"
+        f"{table(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3))}"
         "<p>Nats per reading: mean log density along the axis, given that the reading is a range. Nats per posterior: "
         "mean logarithm of the posterior's density at the reference over the prior's, of a few scans each; 0 for a "
         "field that says nothing, far below 0 for one that is certain and wrong. Covered: share of those posteriors "
-        f"whose 95 % region holds the reference.</p><p>The file:</p><pre>{html.escape(file_text)}</pre>"
+        f"whose 95 % region holds the reference.</p><p>The file:</p><pre>{escaped(file_text)}</pre>"
     )
     return PageSection("field", TITLE, markup)
 
@@ -69,7 +70,7 @@ def field_missing(reason: str) -> PageSection:
     reason
         Why.
     """
-    return PageSection("field", TITLE, f"<p>Not learned: {html.escape(reason)}.</p>")
+    return PageSection("field", TITLE, f"<p>Not learned: {escaped(reason)}.</p>")
 
 
 def _parameter_rows(learned: FieldLearning) -> list[tuple[str, ...]]:
@@ -95,13 +96,3 @@ def _score_row(score: FieldScore) -> tuple[str, ...]:
         return (score.name, density, "", "")
     covered = "" if score.coverage is None else f"{score.coverage:.0%}"
     return (score.name, density, plus_minus(score.posterior, score.posterior_se), covered)
-
-
-def _table(header: tuple[str, ...], rows: list[tuple[str, ...]], right: tuple[int, ...]) -> str:
-    def cells(tag: str, row: tuple[str, ...]) -> str:
-        classes = [' class="n"' if i in right else "" for i in range(len(row))]
-        parts = (f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for kind, cell in zip(classes, row, strict=True))
-        return f"<tr>{''.join(parts)}</tr>"
-
-    body = "".join(cells("td", row) for row in rows)
-    return f'<div class="scroll"><table><thead>{cells("th", header)}</thead><tbody>{body}</tbody></table></div>'

@@ -10,12 +10,18 @@ from beamfield.report.density_figures import range_histograms, reading_series
 from beamfield.report.drawing import ReportFigure
 from beamfield.report.map_figures import cause_map, fit_map
 from beamfield.report.mixture_figure import mixture
-from beamfield.report.scan_fit_figures import calibration_fit
+from beamfield.report.scan_fit_figures import fit_of_own_log
 from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace, pit_histogram
+from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.sensors import SensorLog
 
 
-def report_figures(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps, log: SensorLog) -> list[ReportFigure]:
+def report_figures(
+    calibration: Calibration,
+    grid: OccupancyGrid | CrossFitMaps,
+    log: SensorLog,
+    scan_fit: CalibrationFit | None = None,
+) -> list[ReportFigure]:
     """Draw every figure for which the calibration has data.
 
     Parameters
@@ -24,6 +30,8 @@ def report_figures(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps,
         The result of `calibrate`.
     grid, log
         The map, or the two maps that the log drew itself, and the log it was made from.
+    scan_fit
+        The result of `fit_of_calibration`; None leaves it out.
     """
     shown = grid.whole if isinstance(grid, CrossFitMaps) else grid
     drawn = [
@@ -34,7 +42,7 @@ def report_figures(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps,
         cause_map(calibration, shown, log),
         fit_map(calibration, shown, log),
         likelihood_over_time(calibration),
-        calibration_fit(calibration, grid, log),
+        None if scan_fit is None else fit_of_own_log(scan_fit, map_from_log=calibration.map_from_log),
         noise_by_range(calibration),
         candidate_plot(calibration),
         likelihood_trace(calibration),

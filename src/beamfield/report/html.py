@@ -15,15 +15,15 @@ from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.as_json import plain
-from beamfield.report.drawing import ReportFigure
 from beamfield.report.escape import escaped
 from beamfield.report.figures import report_figures
+from beamfield.report.page import LEVELS, document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import PageSection
-from beamfield.report.page_style import STYLE
 from beamfield.report.parameter_rows import EXTENSIONS, parameter_rows
 from beamfield.report.score_figures import score_plot
 from beamfield.report.text_table import form_line, plus_minus
-from beamfield.report.verdict import is_good, verdict
+from beamfield.report.verdict import doubts, verdict, verdict_level
+from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.sensors import SensorLog
 
 AMCL = (
@@ -32,15 +32,12 @@ AMCL = (
     "values are a start there, not an optimum. <code>beamfield calibrate --stack nav2</code> (or ros1, beluga, mrpt, "
     "f1tenth) fits the program's own model."
 )
-
+KEY = (
+    f"The box above is green ({LEVELS['good'].lower()}), orange ({LEVELS['care'].lower()}) or red "
+    f"({LEVELS['bad'].lower()}); blue boxes are notes. Sections, figures and equations such as (6.12) are those of "
+    "chapter 6 of Probabilistic Robotics (Thrun, Burgard and Fox, 2005), called the book below."
+)
 UNSURE = "left out, or for the weights alone: the drawn map has no straight wall there"
-SECTIONS = {
-    "parameters": "Parameters",
-    "score": "Score",
-    "data": "Data used",
-    "figures": "Figures",
-    "origin": "Origin",
-}
 
 
 def render_report(
@@ -50,6 +47,7 @@ def render_report(
     provenance: Mapping[str, Any] | None = None,
     *,
     sections: Sequence[PageSection] = (),
+    scan_fit: CalibrationFit | None = None,
 ) -> str:
     """Return the report as one HTML document.
 
@@ -65,43 +63,50 @@ def render_report(
         on how the log was read), "options" (with "odometry", if that is what the poses are). The rest is listed at
         the end of the page.
     sections
-        More sections, behind the score.
+        More sections. The one with a verdict opens the page, before the beam model; the others follow the score.
+    scan_fit
+        The result of `fit_of_calibration`; None leaves it out.
     """
     origin = dict(provenance or {})
-    figures = report_figures(calibration, grid, log)
-    title = f"Beam model of {log.finder.name or 'the range finder'}"
-    body = "\n".join(
-        [
-            _head(title, calibration, log, origin, sections),
-            _findings(calibration.findings),
-            _parameters(calibration, log),
-            _score(calibration),
-            *(f'<h2 id="{part.anchor}">{escaped(part.title)}</h2>\n{part.markup}' for part in sections),
-            _data(calibration, log, origin),
-            _figures(figures),
-            _origin(calibration, origin),
-        ]
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escaped(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{body}\n"
-        "<footer>Section, figure and equation numbers are those of chapter 6 of Probabilistic Robotics (Thrun, "
-        f"Burgard, Fox). Made by {escaped(_program(origin))}.</footer>\n</body>\n</html>\n"
-    )
+    name = log.finder.name or "the range finder"
+    lead = next((part for part in sections if part.verdict), None)
+    rest = [part for part in sections if part is not lead]
+    title = f"Beam model of {name}" if lead is None else f"{lead.title} for {name}"
+    figures = report_figures(calibration, grid, log, scan_fit)
+    contents = [
+        *([(lead.anchor, lead.title), ("beam-model", "Beam model")] if lead else []),
+        *([("warnings", "Warnings")] if _warnings(calibration) else []),
+        ("parameters", "Parameters"),
+        ("score", "Score"),
+        *((part.anchor, part.title) for part in rest),
+        ("data", "Data used"),
+        ("figures", "Figures"),
+        ("origin", "Origin"),
+    ]
+    main = [
+        f'<h1>{escaped(title)}</h1>\n<p class="facts">{_facts(calibration, log, origin)}</p>',
+        *_answers(calibration, lead),
+        _findings(calibration),
+        _parameters(calibration, log),
+        _score(calibration),
+        *map(_section, rest),
+        _data(calibration, log, origin),
+        '<h2 id="figures">Figures</h2>',
+        *map(figure, figures),
+        _origin(calibration, origin),
+    ]
+    return document(title, "\n".join(main), contents, f"Made by {_program(origin)}.", figures)
 
 
 def _program(origin: Mapping[str, Any]) -> str:
     return str(origin.get("program", f"beamfield {__version__}"))
 
 
-def _head(
-    title: str, calibration: Calibration, log: SensorLog, origin: Mapping[str, Any], sections: Sequence[PageSection]
-) -> str:
+def _facts(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -> str:
     inputs = origin.get("inputs")
     named = {str(role): _input_name(entry) for role, entry in inputs.items()} if isinstance(inputs, Mapping) else {}
     facts = [f"{role} <b>{escaped(named[role])}</b>" for role in ("log", "map", "poses") if role in named]
-    if "map" not in named and _drawn_by_the_log(calibration):
+    if "map" not in named and calibration.map_from_log:
         facts.append("map <b>drawn from the log</b>")
     if _option(origin, "odometry"):
         facts.append("poses <b>odometry of the log</b>")
@@ -110,19 +115,22 @@ def _head(
         facts.append(f"recorded {recorded}")
     if "date" in origin:
         facts.append(f"calibrated {escaped(origin['date'])}")
-    facts.append(escaped(_program(origin)))
-    names = list(SECTIONS.items())
-    names[2:2] = [(part.anchor, part.title) for part in sections]
-    links = " ".join(f'<a href="#{anchor}">{escaped(name)}</a>' for anchor, name in names)
-    css = "verdict" if is_good(calibration) else "verdict bad"
-    return (
-        f'<h1>{escaped(title)}</h1>\n<p class="facts">{" · ".join(facts)}</p>\n'
-        f'<p class="{css}">{escaped(verdict(calibration))}</p>\n<nav>{links}</nav>'
-    )
+    return " · ".join([*facts, escaped(_program(origin))])
 
 
-def _drawn_by_the_log(calibration: Calibration) -> bool:
-    return any(finding.name == "cross-fitted-map" for finding in calibration.findings)
+def _answers(calibration: Calibration, lead: PageSection | None) -> list[str]:
+    """The verdicts, that of the part which was asked for first: no value is good where map or poses are not."""
+    key = f'<p class="key">{escaped(KEY)}</p>'
+    own = verdict_box(verdict_level(calibration), verdict(calibration))
+    if lead is None:
+        return [own, key]
+    doubt = doubts(calibration)
+    first = verdict_box("bad" if doubt else lead.level, f"{doubt} {lead.verdict}".strip())
+    return [first, key, _section(lead), f'<h2 id="beam-model">Beam model</h2>\n{own}']
+
+
+def _section(part: PageSection) -> str:
+    return f'<h2 id="{part.anchor}">{escaped(part.title)}</h2>\n{part.markup}'
 
 
 def _option(origin: Mapping[str, Any], name: str) -> Any:
@@ -143,38 +151,31 @@ def _recorded(log: SensorLog) -> str:
     return datetime.datetime.fromtimestamp(start, tz=datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def _findings(findings: tuple[Finding, ...]) -> str:
-    warnings = [f for f in findings if f.severity == "warning"]
-    notes = [f for f in findings if f.severity != "warning"]
+def _warnings(calibration: Calibration) -> list[Finding]:
+    return [finding for finding in calibration.findings if finding.severity != "info"]
+
+
+def _findings(calibration: Calibration) -> str:
+    warnings = _warnings(calibration)
+    notes = [finding for finding in calibration.findings if finding.severity == "info"]
     parts = []
     if warnings:
-        items = "\n".join(_finding(f) for f in warnings)
-        parts.append(f'<h2 id="warnings">Before you trust it</h2>\n<ul class="findings">\n{items}\n</ul>')
+        parts.append(f'<h2 id="warnings">Before you trust it</h2>\n{finding_list(warnings)}')
     if notes:
-        items = "\n".join(_finding(f) for f in notes)
         count = f"{len(notes)} more observation{'s' if len(notes) > 1 else ''}"
-        parts.append(f'<details><summary>{count}</summary><ul class="findings">\n{items}\n</ul></details>')
-    if not findings:
+        parts.append(f"<details><summary>{count}</summary>{finding_list(notes)}</details>")
+    if not calibration.findings:
         parts.append("<p>No warnings: map, reference poses and data give no reason to distrust the result.</p>")
     return "\n".join(parts)
 
 
-def _finding(finding: Finding) -> str:
-    css = ' class="info"' if finding.severity != "warning" else ""
-    return f"<li{css}>{escaped(finding.text)} <code>{escaped(finding.name)}</code></li>"
-
-
 def _parameters(calibration: Calibration, log: SensorLog) -> str:
-    rows = "\n".join(
-        f'<tr><td class="w"><code>{row.name}</code></td><td class="n">{row.value}</td>'
-        f'<td class="w">{row.interval_text}</td><td class="w">{row.unit or "-"}</td>'
-        f'<td class="meaning">{row.meaning}</td></tr>'
-        for row in parameter_rows(calibration)
-    )
-    head = '<th>parameter</th><th class="n">value</th><th>95 % interval</th><th>unit</th><th>meaning</th>'
+    rows = [
+        (row.name, row.value, row.interval_text, row.unit or "-", row.meaning) for row in parameter_rows(calibration)
+    ]
+    header = ("parameter", "value", "95 % interval", "unit", "meaning")
     return (
-        '<h2 id="parameters">Parameters</h2>\n'
-        f'<table class="parameters"><thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table>\n'
+        f'<h2 id="parameters">Parameters</h2>\n{table(header, rows, right=(1,), css="parameters")}\n'
         f"<p>{_interval_line(calibration)}</p>\n{_snippets(calibration, log)}"
     )
 
@@ -189,13 +190,13 @@ def _interval_line(calibration: Calibration) -> str:
 
 
 def _snippets(calibration: Calibration, log: SensorLog) -> str:
-    """The parameters to copy; those of the chapter's form as well, for programs that know no other."""
+    """The parameters to copy; those of the book's form as well, for programs that know no other."""
     parts = [_snippet("The result, to copy:", calibration.parameters, log)]
-    plain_form = next((c for c in calibration.candidates if c.name == "chapter"), None)
+    plain_form = next((c for c in calibration.candidates if c.is_chapter), None)
     if plain_form is not None and not plain_form.chosen:
         parts.append(
             _snippet(
-                "For programs that know only the chapter's six parameters, the best fit of that form (it scores "
+                "For programs that know only the book's six parameters, the best fit of that form (it scores "
                 f"{_less(calibration, plain_form.gain)} nats less per held-out beam):",
                 plain_form.result.parameters,
                 log,
@@ -220,17 +221,19 @@ def _snippet(head: str, parameters: BeamParameters, log: SensorLog) -> str:
 
 
 def _score(calibration: Calibration) -> str:
-    rows = "\n".join(
-        f'<tr class="{"fit" if i == 0 else "rival"}"><td>{escaped(s.name)}</td>'
-        f'<td class="n">{plus_minus(s.log_likelihood, s.standard_error)}</td>'
-        f'<td class="n">{"" if i == 0 else plus_minus(s.behind_fit, s.behind_fit_se, sign=True)}</td></tr>'
-        for i, s in enumerate(calibration.scores)
-    )
+    rows = [
+        (
+            score.name,
+            plus_minus(score.log_likelihood, score.standard_error),
+            plus_minus(score.behind_fit, score.behind_fit_se, sign=True) if i else "",
+        )
+        for i, score in enumerate(calibration.scores)
+    ]
+    header = ("model", "nats per beam", "gain of the fit")
     return (
-        '<h2 id="score">Held-out score</h2>\n<div class="scroll"><table><thead><tr><th>model</th>'
-        '<th class="n">nats per beam</th><th class="n">the fit is ahead by</th></tr></thead>\n'
-        f"<tbody>{rows}</tbody></table></div>\n<p>The defaults' weights sum to more than 1 and are scaled to sum 1; "
-        f"± is one standard error. {escaped(form_line(calibration))}</p>\n{_figure(score_plot(calibration))}"
+        f'<h2 id="score">Held-out score</h2>\n{table(header, rows, right=(1, 2), bold=(0,))}\n'
+        "<p>The defaults' weights sum to more than 1 and are scaled to sum 1; ± is one standard error. "
+        f"{escaped(form_line(calibration))}</p>\n{figure(score_plot(calibration))}"
     )
 
 
@@ -250,7 +253,7 @@ def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -
         (f"left out: the ray hits nothing within {table.max_range:g} m", nothing),
     ]
     policy = log.no_return
-    tables = "".join(f'<div class="scroll">{_counts(rows)}</div>' for rows in (scans, beams))
+    tables = _counts(scans) + _counts(beams)
     return (
         f'<h2 id="data">Data used</h2>\n<div class="panels">{tables}</div>\n'
         f"<p>No return: {policy.share:.2%} of the log's readings were converted ({escaped(policy.origin)}: "
@@ -276,27 +279,7 @@ def _duration(calibration: Calibration) -> str:
 
 def _counts(rows: list[tuple[str, int]]) -> str:
     total = max(rows[0][1], 1)
-    cells = "".join(
-        f'<tr><td>{escaped(name)}</td><td class="n">{n:,}</td><td class="n">{n / total:.1%}</td></tr>'
-        for name, n in rows
-    )
-    return f"<table><tbody>{cells}</tbody></table>"
-
-
-def _figures(figures: list[ReportFigure]) -> str:
-    return '<h2 id="figures">Figures</h2>\n' + "\n".join(_figure(figure) for figure in figures)
-
-
-def _figure(figure: ReportFigure) -> str:
-    panels = "\n".join(
-        f'<div class="{"wide" if panel.wide else "narrow"}">{panel.markup}</div>' for panel in figure.panels
-    )
-    caption = f'{escaped(figure.caption)} <span class="source">[{escaped(figure.source)}]</span>'
-    pictures = f'<div class="panels">{panels}</div>\n' if panels else ""
-    return (
-        f'<figure id="{figure.name}">\n<h3>{escaped(figure.title)}</h3>\n{pictures}'
-        f"<figcaption>{caption}</figcaption>\n</figure>"
-    )
+    return table((), [(name, f"{n:,}", f"{n / total:.1%}") for name, n in rows], right=(1, 2))
 
 
 def _origin(calibration: Calibration, origin: Mapping[str, Any]) -> str:
@@ -310,17 +293,16 @@ def _origin(calibration: Calibration, origin: Mapping[str, Any]) -> str:
 
 
 def _tree(value: Any) -> str:
-    """A nested mapping as a table of dotted names."""
-    rows = "".join(
-        f'<tr><td class="w"><code>{escaped(name)}</code></td><td class="hash">{escaped(item)}</td></tr>'
-        for name, item in _leaves("", value)
-    )
-    return f'<div class="scroll"><table><tbody>{rows}</tbody></table></div>'
+    """A nested mapping as a table of dotted names; what was not given is named in one line."""
+    leaves = _leaves("", value)
+    missing = [name for name, item in leaves if item is None]
+    rest = f"<p>Not given: {escaped(', '.join(missing))}.</p>" if missing else ""
+    return table((), [(name, item) for name, item in leaves if item is not None], css="origin") + rest
 
 
-def _leaves(prefix: str, value: Any) -> list[tuple[str, str]]:
+def _leaves(prefix: str, value: Any) -> list[tuple[str, str | None]]:
     if isinstance(value, Mapping):
         return [leaf for k, v in value.items() for leaf in _leaves(f"{prefix}.{k}" if prefix else str(k), v)]
     if isinstance(value, list):
-        return [(prefix, ", ".join(str(item) for item in value) or "none")]
-    return [(prefix, "not given" if value is None else str(value))]
+        return [(prefix, ", ".join(str(item) for item in value) or None)]
+    return [(prefix, None if value is None else str(value))]

@@ -45,9 +45,9 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     shares = np.bincount(calibration.causes[~table.hits_nothing], minlength=4) / max(
         int((~table.hits_nothing).sum()), 1
     )
-    sizes, alphas, markers = (1.2, 4.0, 3.0, 4.0), (0.6, 0.7, 0.6, 0.8), ("o", "o", "^", "s")
-    # From below to above.
-    for order, cause in enumerate((0, 2, 3, 1)):
+    sizes, alphas, markers = (2.5, 4.0, 3.0, 4.0), (0.8, 0.7, 0.5, 0.8), ("o", "o", "^", "s")
+    # From below to above. Every wall has some readings without return: they show where hits do not cover them.
+    for order, cause in enumerate((2, 0, 3, 1)):
         mine = causes == cause
         axes.scatter(
             points[mine, 0],
@@ -72,9 +72,10 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
         "Where each cause occurs",
         (png_panel(figure, alt + ".", wide=True),),
         f"End points of {len(rows)} beams by their most likely cause, over the map, with the robot's path (circle: "
-        "start, cross: end). Beams without return are drawn where the map expects the obstacle, as triangles: glass, "
-        "black or distant surfaces collect them. A dense group of short points is an object that the map lacks; "
-        "random points in rows behind a wall are an opened door, a moved wall, or poses that are off.",
+        "start, cross: end). Beams without return are triangles where the map expects the obstacle, below the hits: "
+        "they show where most beams do not return, as on glass, black or distant surfaces. A dense group of short "
+        "points is an object that the map lacks; random points in rows behind a wall are an opened door, a moved "
+        "wall, or poses that are off.",
         "Section 6.3.3 (the correspondence c_i of a reading); (6.32) projects the end points",
     )
 

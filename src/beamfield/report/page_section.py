@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Level = Literal["good", "care", "bad"]
 
 
 @dataclass(frozen=True)
@@ -17,8 +20,12 @@ class PageSection:
         Its heading; plain text.
     markup
         HTML below the heading.
+    verdict, level
+        The answer, if this is the part that was asked for: it then opens the page. Empty for other parts.
     """
 
     anchor: str
     title: str
     markup: str
+    verdict: str = ""
+    level: Level = "good"

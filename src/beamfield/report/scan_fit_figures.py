@@ -9,20 +9,17 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from beamfield.calibration.calibrate import Calibration
-from beamfield.calibration.cross_fit import CrossFitMaps
-from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam import BeamModel
 from beamfield.models.range_mixture import RangeMixtureModel
-from beamfield.models.sonar import SonarModel
+from beamfield.report.as_json import LEVEL
 from beamfield.report.drawing import (
     CAUSE_COLOURS,
     FIT,
     HELD_OUT,
     MODEL,
     NARROW,
+    THROUGH,
     WIDE,
     Panel,
     ReportFigure,
@@ -33,21 +30,20 @@ from beamfield.report.drawing import (
     svg_panel,
 )
 from beamfield.report.map_figures import MARGIN, draw_map
-from beamfield.scan_fit.cross_fit_statistics import cross_fit_statistics
-from beamfield.scan_fit.reference import ScanFitReference, calibrate_scan_fit
-from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits, judge_log
-from beamfield.scan_fit.statistics import fit_statistics, known_expected_ranges, stopping_rays
+from beamfield.scan_fit.calibration_fit import CalibrationFit
+from beamfield.scan_fit.reference import ScanFitReference
+from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
+from beamfield.scan_fit.statistics import known_expected_ranges, stopping_rays
 from beamfield.scan_fit.surprise import beam_side
 from beamfield.sensors import SensorLog, usable_ranges
 
 FIT_NAME, FIT_TITLE = "scan-fit", "Does each scan fit the map, and is the robot lost?"
 FIT_SOURCE = "Section 6.3.1, (6.2)"
-LEVEL = 0.05
 # Length of the arrow for the robot's heading, as a share of the picture's side.
 ARROW = 0.09
 # How a beam disagrees, in the order of `beam_side`: hit, short, through the wall, no return.
 SIDE_NAMES = ("as mapped", "short", "through the wall", "no return")
-SIDE_COLOURS = (CAUSE_COLOURS[0], CAUSE_COLOURS[1], "#7A0177", CAUSE_COLOURS[2])
+SIDE_COLOURS = (CAUSE_COLOURS[0], CAUSE_COLOURS[1], THROUGH, CAUSE_COLOURS[2])
 
 
 def fit_over_time(
@@ -127,54 +123,26 @@ def draw_fit(figure: Figure | SubFigure, fits: ScanFits, smallest: float) -> Non
     style(below, x="time since the first scan [s]", y="lost probability [1]")
 
 
-def calibration_fit(calibration: Calibration, grid: OccupancyGrid | CrossFitMaps, log: SensorLog) -> ReportFigure:
+def fit_of_own_log(fit: CalibrationFit, *, map_from_log: bool) -> ReportFigure:
     """Draw p-value and lost probability over the log of a calibration; a caption without picture says why it cannot.
 
     Parameters
     ----------
-    calibration
-        The result of `calibrate`.
-    grid, log
-        The map, or the two maps that the log drew itself, and the log it was made from.
+    fit
+        The result of `fit_of_calibration`.
+    map_from_log
+        Whether the map is the log's own.
     """
-    crossed = any(finding.name == "cross-fitted-map" for finding in calibration.findings)
-    if crossed and not isinstance(grid, CrossFitMaps):
-        return _not_drawn("a map that the scans drew themselves fits them whatever happens, and the two maps of the "
-                          "halves were not given")  # fmt: skip
-    kind = SonarModel if log.finder.opening_angle > 0.0 else BeamModel
-
-    def model_on(grid: OccupancyGrid) -> RangeMixtureModel:
-        return kind(grid, calibration.parameters)
-
-    if isinstance(grid, CrossFitMaps):
-        # Wrong poses are scored in the map of all scans: what a scan drew itself is not where they are.
-        model, statistics = model_on(grid.whole), cross_fit_statistics(model_on, grid, log)
-    else:
-        model = model_on(grid)
-        statistics = fit_statistics(model, log.ranges, log.finder, log.poses)
-    selection = calibration.options.selection
-    try:
-        reference = calibrate_scan_fit(
-            model, log, selection=selection, block_s=calibration.options.block_s, statistics=statistics
-        )
-    except (TooLittleDataError, InvalidInputError) as error:
-        # The calibration itself is sound with ten scans, and a map without free cells is no error there.
-        return _not_drawn(str(error))
-    fits = judge_log(model, log, reference, is_own=True, statistics=statistics)
-    figure = fit_over_time(fits, reference, own=True)
-    if figure is None:
-        return _not_drawn("no scan could be judged")
-    if not crossed:
-        return figure
+    drawn = None if fit.fits is None or fit.reference is None else fit_over_time(fit.fits, fit.reference, own=True)
+    if drawn is None:
+        return ReportFigure(FIT_NAME, FIT_TITLE, (), f"Not drawn: {fit.missing}.", FIT_SOURCE)
+    if not map_from_log:
+        return drawn
     note = (
         " The map is the log's own: each scan is judged by what the other half of the scans drew, so that an error of "
         "the poses shows where single scans are off or where a place is seen again, and not where both halves share it."
     )
-    return replace(figure, caption=figure.caption + note)
-
-
-def _not_drawn(reason: str) -> ReportFigure:
-    return ReportFigure(FIT_NAME, FIT_TITLE, (), f"Not drawn: {reason}.", FIT_SOURCE)
+    return replace(drawn, caption=drawn.caption + note)
 
 
 def worst_scans(

@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield import __version__
-from beamfield.report.as_json import plain
+from beamfield.report.as_json import LEVEL, plain, scan_fits_as_dict
 from beamfield.report.drawing import ReportFigure
 from beamfield.report.escape import escaped
-from beamfield.report.page_style import STYLE
-from beamfield.report.scan_fit_figures import LEVEL
+from beamfield.report.page import document, figure, table, verdict_box
 from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
 
 SCHEMA = "beamfield-fit/1"
+RELIABILITY = "Can the lost probability be trusted?"
+SOURCE = "Sections and equations are those of chapter 6 of Probabilistic Robotics (Thrun, Burgard and Fox, 2005)."
 COLUMNS = ("stamp", "statistic", "p_value", "lost_probability", "surprise", "through", "short", "beams", "problem")
 
 
@@ -95,20 +96,10 @@ def fit_as_dict(fits: ScanFits, reference: ScanFitReference, worst: NDArray[np.i
     own
         Whether the reference is learned from the same log.
     """
-    span = fits.longest_lost()
-    problems = {
-        name: int((fits.problem == i).sum()) for i, name in enumerate(PROBLEMS) if i and (fits.problem == i).any()
-    }
     return {
         "schema": SCHEMA,
         "program": f"beamfield {__version__}",
-        "n_scans": len(fits),
-        "n_judged": int((~np.isnan(fits.p_value)).sum()),
-        "level": LEVEL,
-        "share_that_fits": plain(fits.share_that_fits(LEVEL)),
-        "longest_lost": None if span is None else {"from": span[0], "to": span[1], "seconds": span[1] - span[0]},
-        "highest_lost_probability": plain(float(fits.lost.max())) if len(fits) else None,
-        "problems": problems,
+        **scan_fits_as_dict(fits, reference, own=own),
         "worst": [
             {
                 "scan": int(i),
@@ -120,16 +111,6 @@ def fit_as_dict(fits: ScanFits, reference: ScanFitReference, worst: NDArray[np.i
             }
             for i in worst
         ],
-        "reference": {
-            "own_log": own,
-            "n_scans": len(reference),
-            "n_effective": reference.n_effective,
-            "smallest_p_value": reference.smallest_p_value,
-            "correlation_s": reference.correlation_s,
-            "evidence_correlation_s": reference.evidence.correlation_s,
-            "gap_s": reference.gap_s,
-            "reliability": plain(reference.reliability),
-        },
     }
 
 
@@ -149,44 +130,24 @@ def render_fit_page(
     origin
         Inputs, options and program; see `cli.provenance`.
     """
-    good = fits.longest_lost() is None
     judged = int((~np.isnan(fits.p_value)).sum())
     share = f"{fits.share_that_fits(LEVEL):.1%} of {judged} scans fit the map at {LEVEL:.0%}; of good scans 95 % do."
     sentence = f"{share} {lost_line(fits).capitalize()}." if judged else "No scan could be judged."
-    rows = "".join(
-        f'<tr><td class="n">{r.predicted:.3f}</td><td class="n">{r.observed:.3f}</td><td class="n">{r.n:,}</td></tr>'
-        for r in reference.reliability
-    )
-    reliability = (
-        '<h2 id="reliability">Can the lost probability be trusted?</h2>\n<table><thead><tr><th class="n">predicted</th>'
-        f'<th class="n">was lost</th><th class="n">scans</th></tr></thead><tbody>{rows}</tbody></table>\n'
-        "<p>Simulated kidnappings (scored at wrong poses for stretches of 20 s on average) in blocks of time that the "
-        "evidence was not learned from: where the filter said about the first number, the robot was lost in the "
-        "second.</p>"
-        if rows
-        else ""
-    )
-    table = "".join(
-        f'<tr><td class="w">{escaped(role)}</td><td class="w">{escaped(entry["name"])}</td>'
-        f'<td class="hash">{entry["sha256"]}</td></tr>'
-        for role, entry in origin.get("inputs", {}).items()
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escaped(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{escaped(title)}</h1>\n"
-        f'<p class="verdict{"" if good else " bad"}">{escaped(sentence)}</p>\n'
-        + "\n".join(_figure(figure) for figure in figures)
-        + f'\n{reliability}\n<h2 id="origin">Origin</h2>\n'
-        f'<div class="scroll"><table><tbody>{table}</tbody></table></div>\n'
-        f"<footer>Made by {escaped(origin.get('program', f'beamfield {__version__}'))}.</footer>\n"
-        "</body>\n</html>\n"
-    )
-
-
-def _figure(figure: ReportFigure) -> str:
-    panels = "\n".join(f'<div class="{"wide" if p.wide else "narrow"}">{p.markup}</div>' for p in figure.panels)
-    return (
-        f'<figure id="{figure.name}">\n<h3>{escaped(figure.title)}</h3>\n<div class="panels">{panels}</div>\n'
-        f"<figcaption>{escaped(figure.caption)}</figcaption>\n</figure>"
-    )
+    lost = fits.longest_lost() is not None
+    contents = [*((drawn.name, drawn.title) for drawn in figures), ("origin", "Origin")]
+    parts = [f"<h1>{escaped(title)}</h1>", verdict_box("bad" if lost else "good" if judged else "care", sentence)]
+    parts += map(figure, figures)
+    if reference.reliability:
+        rows = [(f"{r.predicted:.3f}", f"{r.observed:.3f}", f"{r.n:,}") for r in reference.reliability]
+        contents.insert(-1, ("reliability", RELIABILITY))
+        parts.append(
+            f'<h2 id="reliability">{RELIABILITY}</h2>\n'
+            f"{table(('predicted', 'was lost', 'scans'), rows, right=(0, 1, 2))}\n"
+            "<p>Simulated kidnappings (scored at wrong poses for stretches of 20 s on average) in blocks of time that "
+            "the evidence was not learned from: where the filter said about the first number, the robot was lost in "
+            "the second.</p>"
+        )
+    inputs = [(role, entry["name"], entry["sha256"]) for role, entry in origin.get("inputs", {}).items()]
+    parts.append(f'<h2 id="origin">Origin</h2>\n{table((), inputs, css="origin")}')
+    program = origin.get("program", f"beamfield {__version__}")
+    return document(title, "\n".join(parts), contents, f"{SOURCE} Made by {program}.")

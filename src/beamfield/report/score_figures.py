@@ -25,7 +25,7 @@ from beamfield.report.drawing import (
     style,
     svg_panel,
 )
-from beamfield.report.text_table import form_line, plus_minus
+from beamfield.report.text_table import form_line, form_name, plus_minus
 
 PIT_BINS = 20
 # Half the width of a 95 % interval in standard errors.
@@ -62,7 +62,12 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
         return None
     figure = new_figure(WIDE, 0.55 + 0.42 * len(candidates))
     axes = figure.add_subplot()
-    _dots(axes, [(c.name, c.gain, c.gain_se) for c in candidates], highlight=[c.chosen for c in candidates], decimals=4)
+    _dots(
+        axes,
+        [(form_name(c), c.gain, c.gain_se) for c in candidates],
+        highlight=[c.chosen for c in candidates],
+        decimals=4,
+    )
     # A span of less than the least gain that counts would blow noise up.
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, -LEAST_GAIN), max(high, 1.5 * LEAST_GAIN))
@@ -70,8 +75,10 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
         axes.axvline(LEAST_GAIN, color=HELD_OUT, linewidth=1.0, linestyle="--", label="least gain worth a parameter")
         legend_above(axes)
     axes.axvline(0.0, color=QUIET, linewidth=0.8)
-    style(axes, x=f"gain over {candidates[0].name!r} per held-out beam [nats]", grid="x")
-    alt = "Dot plot of held-out gains: " + "; ".join(f"{c.name} {plus_minus(c.gain, c.gain_se)}" for c in candidates)
+    style(axes, x=f"gain over {form_name(candidates[0])} per held-out beam [nats]", grid="x")
+    alt = "Dot plot of held-out gains: " + "; ".join(
+        f"{form_name(c)} {plus_minus(c.gain, c.gain_se)}" for c in candidates
+    )
     return ReportFigure(
         "candidates",
         "Which form of the hit component",
@@ -126,7 +133,7 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
         "expected range; a peak at the left end only, more short readings than modelled; at the right end only, "
         f"readings beyond the mapped wall. {outside} of {PIT_BINS} bars lie outside the band; the largest distance "
         f"between the distributions is {calibration.pit_deviation:.3f}. {why}",
-        "Not in the chapter; judges the mixture (6.12) as a whole",
+        "Not in the book; judges the mixture (6.12) as a whole",
     )
 
 

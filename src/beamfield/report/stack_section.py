@@ -8,19 +8,34 @@ from typing import Any
 
 import numpy as np
 
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
-from beamfield.report.drawing import DATA, FIT, HELD_OUT, NARROW, QUIET, legend_above, new_figure, style, svg_panel
+from beamfield.report.as_json import plain
+from beamfield.report.drawing import (
+    DATA,
+    FIT,
+    HELD_OUT,
+    NARROW,
+    QUIET,
+    Panel,
+    ReportFigure,
+    legend_above,
+    new_figure,
+    style,
+    svg_panel,
+)
 from beamfield.report.escape import escaped
-from beamfield.report.page_section import PageSection
+from beamfield.report.page import figure, finding_list, table
+from beamfield.report.page_section import Level, PageSection
 from beamfield.report.text_table import aligned
 from beamfield.stacks.fit.fit import StackFit, Trial, net_score
 from beamfield.stacks.fit.particle_update import ParticleUpdate
 from beamfield.stacks.registry import model_named
 
 HOW = {
-    "maximum likelihood": "Factors, sigma and rates are those of the chapter's beam model by maximum likelihood, "
+    "maximum likelihood": "Factors, sigma and rates are those of the book's beam model by maximum likelihood, "
     "translated; the number of beams is chosen on windows of the log.",
-    "posterior": "All values are chosen by the posterior they make on windows of the log.",
+    "posterior": "Values were chosen for the best pose posterior on short windows of the log.",
 }
 
 
@@ -32,13 +47,15 @@ def stack_tables(fits: Sequence[StackFit], chosen: StackFit) -> str:
         aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, fit is chosen)], right=(2, 3, 4, 5)),
         f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
-    if not chosen.covers:
-        parts.append(f"warning (stack-coverage): {_coverage_text(chosen)}")
+    parts += [
+        f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.text} {item.why} {item.do}"
+        for item in stack_findings(chosen)
+    ]
     return "\n\n".join(parts)
 
 
 def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) -> PageSection:
-    """Return the section of the report.
+    """Return the section of the report, which answers what was asked for: it opens the page.
 
     Parameters
     ----------
@@ -50,40 +67,83 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
         The parameter file.
     """
     stack, model = chosen.model.stack, chosen.model.model
-    scores = "".join(
-        _row(cells, "fit" if cells[0] == "*" else "rival", numbers_from=2)
-        for fit in fits
-        for cells in _score_rows(fit, fit is chosen)
+    rows = [row for fit in fits for row in _score_rows(fit, fit is chosen)]
+    scores = table(
+        _SCORE_HEADER[1:],
+        [row[1:] for row in rows],
+        right=(1, 2, 3, 4),
+        bold=[number for number, row in enumerate(rows) if row[0]],
     )
-    head = "".join(f"<th{_class(i, 2)}>{escaped(cell)}</th>" for i, cell in enumerate(_SCORE_HEADER))
-    values = "".join(_row(cells, "", numbers_from=1) for cells in _parameter_rows(chosen))
-    warning = "" if chosen.covers else f'<ul class="findings"><li>{escaped(_coverage_text(chosen))}</li></ul>'
-    panels = "".join(
-        f'<div class="narrow">{panel.markup}</div>' for panel in (_beams_panel(chosen), _error_panel(chosen))
-    )
+    values = table(("parameter", "before", "calibrated"), _parameter_rows(chosen), right=(1, 2), css="stack")
+    found = stack_findings(chosen)
     options = chosen.options
+    choice = ReportFigure(
+        "stack-choice",
+        "What was chosen, and what one scan does to particles",
+        (_beams_panel(chosen), _error_panel(chosen)),
+        "Left: the score of each setting on windows that its values were not fitted to, and the same minus a penalty "
+        "for 95 % regions that miss the reference; the circle is the setting taken. Right: the mean distance of "
+        "particles from the reference after one scan, over held-out scans; left of the dashed line the scan helped.",
+        "",
+    )
     markup = (
-        f"<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
-        f"{escaped(model_named(stack, model).formula)}.</p>{warning}"
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{scores}</tbody></table></div>'
+        f"{finding_list(found) if found else ''}{values}\n<p>The file:</p><pre>{escaped(file_text)}</pre>\n{scores}"
         f"<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the mean "
         "logarithm of the posterior's density at the reference over the prior's, in "
         "nats: 0 for weights that say nothing, far below 0 for weights that are certain and wrong. Coverage: share of "
         "those windows whose 95 % region holds the reference, which itself may be "
         f"{options.reference_error * 100:g} cm off. Effective particles and error: {chosen.update.n_particles} "
         f"particles, {chosen.update.error_before[0] * 100:.0f} cm from the reference in the mean, weighed by one "
-        "scan.</p>"
-        '<figure id="stack-choice"><h3>What was chosen, and what one scan does to particles</h3>'
-        f'<div class="panels">{panels}'
-        "</div><figcaption>Left: the score of each setting on windows that its values were not fitted to, and the same "
-        "less a price for 95 % regions that miss the reference; the circle is the setting taken. Right: the mean "
-        "distance of particles from the reference after one scan, over held-out scans; left of the dashed line the "
-        "scan helped.</figcaption></figure>"
-        '<div class="scroll"><table><thead><tr><th>parameter</th><th class="n">before</th><th class="n">calibrated</th>'
-        f"</tr></thead><tbody>{values}</tbody></table></div>"
-        f"<p>The file:</p><pre>{escaped(file_text)}</pre>"
-    )  # fmt: skip
-    return PageSection("stack", f"For {stack}: {model}", markup)
+        f"scan.</p>\n<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
+        f"{escaped(model_named(stack, model).formula)}.</p>\n{figure(choice)}"
+    )
+    level: Level = "good" if chosen.covers and chosen.chosen is not chosen.before else "care"
+    return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(chosen), level)
+
+
+def stack_verdict(fit: StackFit) -> str:
+    """Return what the fitted values do, before and after, and whether to use them."""
+    before, after = fit.update_before.error_after.mean(), fit.update.error_after.mean()
+    held_out = fit.chosen.held_out
+    covered = (
+        f"95 % regions hold the reference in {held_out.coverage:.0%} of {len(held_out.log_score)} held-out windows"
+    )
+    name = f"{fit.model.stack}'s {fit.model.model}"
+    if fit.chosen is fit.before:
+        return f"Keep the values you have for {name}: none that was tried does better on this log; {covered}."
+    text = (
+        f"With the calibrated values one scan of {name} leaves particles {after:.3f} m from the reference in the mean, "
+        f"{before:.3f} m with the values before; {covered}."
+    )
+    return text if fit.covers else f"{text} That is too few: the weights are still too sure."
+
+
+def stack_findings(fit: StackFit) -> list[Finding]:
+    """Return what to know before using the fitted values: coverage, and choices at the end of what was tried."""
+    found = [] if fit.covers else [_coverage_finding(fit)]
+    if fit.chosen is not fit.before and len(fit.trials) > 1 and fit.chosen.setting == fit.trials[-1].setting:
+        setting = ", ".join(f"{name} = {value}" for name, value in fit.chosen.setting.items())
+        found.append(
+            Finding(
+                "stack-most-beams",
+                "info",
+                f"{setting} is the setting with the most beams that was tried.",
+                why="More beams may do better still, but cost time in every update.",
+                do="Check that your computer keeps up with this many beams; fewer lose what the figure below shows.",
+            )
+        )
+    if fit.at_edge:
+        found.append(
+            Finding(
+                "stack-at-edge",
+                "info",
+                f"At the end of what is searched: {', '.join(fit.at_edge)}.",
+                why="The log alone asks for an even more extreme value, which a robot elsewhere may regret: a short "
+                "log lacks rare readings.",
+                do="Use the value; calibrate again with a longer log, with people in it if there will be people.",
+            )
+        )
+    return found
 
 
 def stack_as_dict(fits: Sequence[StackFit], chosen: StackFit) -> dict[str, Any]:
@@ -94,6 +154,8 @@ def stack_as_dict(fits: Sequence[StackFit], chosen: StackFit) -> dict[str, Any]:
         "parameters": asdict(chosen.parameters),
         "how": chosen.how,
         "covers": chosen.covers,
+        "verdict": stack_verdict(chosen),
+        "findings": plain(stack_findings(chosen)),
         "options": asdict(chosen.options),
         "models": [
             {
@@ -145,20 +207,15 @@ def _value(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _row(cells: tuple[str, ...], css: str, numbers_from: int) -> str:
-    """Return a row of a table, its numbers to the right."""
-    inside = "".join(f"<td{_class(i, numbers_from)}>{escaped(cell)}</td>" for i, cell in enumerate(cells))
-    return f'<tr class="{css}">{inside}</tr>'
-
-
-def _class(column: int, numbers_from: int) -> str:
-    return ' class="n"' if column >= numbers_from else ""
-
-
-def _coverage_text(fit: StackFit) -> str:
-    return (
-        f"only {fit.chosen.held_out.coverage:.0%} of the held-out windows have the truth in their 95 % region: the "
-        "weights are still too sure here; map, reference poses or too few data may be the reason"
+def _coverage_finding(fit: StackFit) -> Finding:
+    coverage = fit.chosen.held_out.coverage
+    return Finding(
+        "stack-coverage",
+        "warning",
+        f"Only {coverage:.0%} of the held-out windows have the truth in their 95 % region.",
+        {"coverage": coverage},
+        why="The weights are still too sure here: a filter may drop the right pose.",
+        do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",
     )
 
 
@@ -174,15 +231,15 @@ def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:
     }
 
 
-def _beams_panel(fit: StackFit) -> Any:
-    figure = new_figure(NARROW, 2.9)
-    axes = figure.add_subplot()
+def _beams_panel(fit: StackFit) -> Panel:
+    drawn = new_figure(NARROW, 2.9)
+    axes = drawn.add_subplot()
     labels = [", ".join(str(value) for value in trial.setting.values()) for trial in fit.trials]
     name = ", ".join(fit.trials[0].setting) or "setting"
     places = np.arange(len(fit.trials))
     axes.axhline(0.0, color=QUIET, linewidth=0.8)
     axes.plot(places, [trial.crossed.mean for trial in fit.trials], "o-", color=DATA, label="score")
-    axes.plot(places, [net_score(trial.crossed) for trial in fit.trials], "o-", color=FIT, label="less the price")
+    axes.plot(places, [net_score(trial.crossed) for trial in fit.trials], "o-", color=FIT, label="minus penalty")
     for place, trial in zip(places, fit.trials, strict=True):
         if dict(trial.setting) == dict(fit.chosen.setting):
             axes.plot(place, net_score(trial.crossed), "o", ms=11, mfc="none", mec=HELD_OUT, label="taken")
@@ -192,12 +249,12 @@ def _beams_panel(fit: StackFit) -> Any:
     alt = f"Score by {name}: " + "; ".join(
         f"{label} {net_score(trial.crossed):.2f}" for label, trial in zip(labels, fit.trials, strict=True)
     )
-    return svg_panel(figure, "stack-settings", alt)
+    return svg_panel(drawn, "stack-settings", alt)
 
 
-def _error_panel(fit: StackFit) -> Any:
-    figure = new_figure(NARROW, 2.9)
-    axes = figure.add_subplot()
+def _error_panel(fit: StackFit) -> Panel:
+    drawn = new_figure(NARROW, 2.9)
+    axes = drawn.add_subplot()
     for update, colour, label in ((fit.update_before, DATA, "before"), (fit.update, FIT, "calibrated")):
         errors, share = _steps(update.error_after)
         axes.step(errors * 100.0, share, where="post", color=colour, linewidth=1.8, label=label)
@@ -211,7 +268,7 @@ def _error_panel(fit: StackFit) -> Any:
         f"Share of scans by error after one update: before in the mean {fit.update_before.error_after.mean():.3f} m, "
         f"calibrated {fit.update.error_after.mean():.3f} m"
     )
-    return svg_panel(figure, "stack-update", alt)
+    return svg_panel(drawn, "stack-update", alt)
 
 
 def _steps(values: FloatArray) -> tuple[FloatArray, FloatArray]:

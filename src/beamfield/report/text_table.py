@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 
 from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.hit_forms import Candidate
 from beamfield.finding import Finding
 from beamfield.report.parameter_rows import parameter_rows
 
@@ -66,7 +67,7 @@ def score_table(calibration: Calibration) -> str:
         )
         for i, score in enumerate(calibration.scores)
     ]
-    table = aligned(("held-out beams", "nats per beam ± s.e.", "the fit is ahead by"), rows, right=(1, 2))
+    table = aligned(("held-out beams", "nats per beam ± s.e.", "gain of the fit"), rows, right=(1, 2))
     return f"{table}\n{form_line(calibration)}"
 
 
@@ -84,7 +85,7 @@ def warning_lines(
     wording
         What turns the names of arguments in a text into those of the reader.
     """
-    texts = [f"warning ({f.name}): {wording(f.text)}" for f in findings if f.severity == "warning"]
+    texts = [f"warning ({f.name}): {wording(f.full_text)}" for f in findings if f.severity == "warning"]
     return texts if width is None else [textwrap.fill(text, width, subsequent_indent="  ") for text in texts]
 
 
@@ -92,17 +93,20 @@ def form_line(calibration: Calibration) -> str:
     """Return one sentence: which form of the hit component was chosen, from which, and for what gain."""
     chosen = next(c for c in calibration.candidates if c.chosen)
     others = len(calibration.candidates) - 1
-    name = "the chapter's" if chosen.name == "chapter" else chosen.name
+    name = form_name(chosen)
     if others == 0:
-        return f"Form of the hits: {name} (the only one allowed)."
+        return f"Hit model: {name} (the only one allowed)."
     simplest = calibration.candidates[0]
     if chosen is simplest:
-        return f"Form of the hits: {name}; {others} more tried, none worth an extra parameter on held-out beams."
-    return (
-        f"Form of the hits: {name}, one of {others + 1} tried; "
-        f"{plus_minus(chosen.gain, chosen.gain_se, sign=True)} nats per held-out beam over "
-        f"{'the chapter' if simplest.name == 'chapter' else simplest.name}."
-    )
+        tried = "1 extension" if others == 1 else f"{others} extensions"
+        return f"Hit model: {name}. {tried} did not improve held-out likelihood enough."
+    gain = plus_minus(chosen.gain, chosen.gain_se, sign=True)
+    return f"Hit model: {name}, {gain} nats per held-out beam over {form_name(simplest)}."
+
+
+def form_name(candidate: Candidate) -> str:
+    """Return what to call a form of the hit component."""
+    return "plain Gaussian" if candidate.is_chapter else candidate.name
 
 
 def plus_minus(value: float, standard_error: float, *, sign: bool = False) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from beamfield.calibration.calibrate import Calibration
+from beamfield.report.page_section import Level
 from beamfield.report.parameter_rows import noise_at_ranges, parameter_rows
 
 # Rivals that the verdict names, and what to call them; the uniform is in the table.
@@ -26,26 +27,27 @@ VAGUE = 10.0
 
 def verdict(calibration: Calibration) -> str:
     """Return whether to use the fit: why not, or by how much it beats the defaults and how noisy hits are."""
-    doubts = _doubts(calibration)
-    if doubts:
-        sentences = [f"Do not use these values yet: {'; '.join(doubts)}."]
-    else:
-        sentences = [_against_defaults(calibration), _noise(calibration)]
+    doubt = doubts(calibration)
+    sentences = [doubt] if doubt else [_against_defaults(calibration), _noise(calibration)]
     sentences.append(_warnings(calibration))
     if not calibration.converged:
         sentences.append("The fit did not converge: do not use it as it is.")
     return " ".join(sentence for sentence in sentences if sentence)
 
 
-def is_good(calibration: Calibration) -> bool:
-    """Return whether the fit converged, beats every other model on held-out beams, and map and poses can be trusted."""
-    beats_all = all(score.behind_fit > 0 for score in calibration.scores[1:])
-    return calibration.converged and beats_all and not _doubts(calibration)
+def verdict_level(calibration: Calibration) -> Level:
+    """Return "bad" if map, poses or fit cannot be trusted, "care" with warnings or a better rival, else "good"."""
+    if doubts(calibration) or not calibration.converged:
+        return "bad"
+    warned = any(finding.severity != "info" for finding in calibration.findings)
+    return "care" if warned or any(not score.behind_fit > 0 for score in calibration.scores[1:]) else "good"
 
 
-def _doubts(calibration: Calibration) -> list[str]:
+def doubts(calibration: Calibration) -> str:
+    """Return why no value may be used yet: map or poses cannot be trusted; empty if they can."""
     found = {finding.name for finding in calibration.findings}
-    return [words for name, words in DOUBTS.items() if name in found]
+    reasons = [words for name, words in DOUBTS.items() if name in found]
+    return f"Do not use these values yet: {'; '.join(reasons)}." if reasons else ""
 
 
 def _against_defaults(calibration: Calibration) -> str:

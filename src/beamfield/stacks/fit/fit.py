@@ -34,6 +34,8 @@ LEAST_COVERAGE = 0.85
 COVERAGE_PRICE = 3.0
 # A choice of more beams must gain so many nats per window over fewer.
 LEAST_GAIN = 0.02
+# The optimiser stops where its coordinates (logarithms and log odds) move less.
+TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,8 @@ class StackFit:
         "maximum likelihood" or "posterior": where the continuous parameters come from.
     options
         How windows were cut.
+    at_edge
+        What ended at a bound of the search: the log might ask for more.
     """
 
     model: StackModel[Any, Any]
@@ -89,6 +93,7 @@ class StackFit:
     update_before: ParticleUpdate
     how: str
     options: WindowOptions = field(default_factory=WindowOptions)
+    at_edge: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> Any:
@@ -180,6 +185,7 @@ def fit_stack(
         final, start, chosen, before, tuple(trials),
         update_particles(final, log, judged), update_particles(before_model, log, judged),
         "maximum likelihood" if space.from_likelihood else "posterior", options,
+        () if chosen is before else _at_edge(space, chosen.parameters),
     )  # fmt: skip
 
 
@@ -242,9 +248,18 @@ def _polish(
     first = space.point(model.parameters)
     result = minimize(
         loss, first, method="Nelder-Mead",
-        options={"maxfev": 30 * len(first), "xatol": 0.02, "fatol": 0.002, "initial_simplex": space.simplex(first)},
+        options={
+            "maxfev": 30 * len(first), "xatol": TOLERANCE, "fatol": 0.002, "initial_simplex": space.simplex(first)
+        },
     )  # fmt: skip
     return space.parameters(model.parameters, np.asarray(result.x))
+
+
+def _at_edge(space: FitSpace, parameters: Any) -> tuple[str, ...]:
+    """Return the names of coordinates at a bound, as near as the optimiser comes."""
+    point = space.point(parameters).tolist()
+    places = zip(space.coordinates, point, strict=True)
+    return tuple(item.name for item, value in places if min(value - item.low, item.high - value) < 2.0 * TOLERANCE)
 
 
 def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:

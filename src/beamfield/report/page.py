@@ -1,0 +1,116 @@
+"""The parts that pages are made of: the document around them, verdicts, findings, tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from beamfield.finding import Finding, Severity
+from beamfield.report.drawing import ReportFigure
+from beamfield.report.escape import escaped
+from beamfield.report.page_section import Level
+from beamfield.report.page_style import STYLE
+
+# Colours alone tell nothing to many readers: each box begins with its word.
+LEVELS: Mapping[Level, str] = {"good": "Good", "care": "Use with care", "bad": "Do not use"}
+SEVERITIES: Mapping[Severity, str] = {"error": "Error", "warning": "Warning", "info": "Note"}
+
+
+def document(
+    title: str, main: str, contents: Iterable[tuple[str, str]], footer: str, figures: Iterable[ReportFigure] = ()
+) -> str:
+    """Return a page that needs nothing else: no script, no network, no other file.
+
+    Parameters
+    ----------
+    title
+        Of the browser's window; plain text.
+    main
+        The page; HTML.
+    contents
+        Anchor and name of each part.
+    footer
+        Last line; plain text.
+    figures
+        Named in the contents where there is room for them.
+    """
+    links = "".join(f'<li><a href="#{anchor}">{escaped(name)}</a></li>' for anchor, name in contents)
+    links += "".join(f'<li class="more"><a href="#{part.name}">{escaped(part.title)}</a></li>' for part in figures)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escaped(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f'<a class="skip" href="#main">Skip to the result</a>\n<nav aria-label="Contents"><ul>{links}</ul></nav>\n'
+        f'<main id="main">\n{main}\n<footer>{escaped(footer)}</footer>\n</main>\n</body>\n</html>\n'
+    )
+
+
+def verdict_box(level: Level, text: str) -> str:
+    """Return the answer in a box of its level's colour, which begins with the level's word."""
+    return f'<p class="verdict {level}"><b class="label">{LEVELS[level]}</b> {escaped(text)}</p>'
+
+
+def finding_list(findings: Iterable[Finding]) -> str:
+    """Return findings, each with what was seen, why it matters and what to do."""
+    items = "\n".join(map(_finding, findings))
+    return f'<ul class="findings">\n{items}\n</ul>'
+
+
+def _finding(finding: Finding) -> str:
+    why = f"\n<p>{escaped(finding.why)}</p>" if finding.why else ""
+    do = f'\n<p class="do"><b>What to do:</b> {escaped(finding.do)}</p>' if finding.do else ""
+    return (
+        f'<li class="{finding.severity}"><p><b class="label">{SEVERITIES[finding.severity]}</b> '
+        f"{escaped(finding.text)} <code>{escaped(finding.name)}</code></p>{why}{do}</li>"
+    )
+
+
+def table(
+    header: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    *,
+    right: Collection[int] = (),
+    bold: Collection[int] = (),
+    css: str = "",
+) -> str:
+    """Return a table whose first column heads its rows.
+
+    Parameters
+    ----------
+    header
+        Of the columns; empty for a table without.
+    rows
+        Cells of plain text.
+    right
+        Columns that are aligned to the right.
+    bold
+        Rows that stand out.
+    css
+        Class of the table.
+    """
+
+    def cell(tag: str, i: int, value: object) -> str:
+        kind = ' class="n"' if i in right else ""
+        return f"<{tag}{kind}>{escaped(value)}</{tag.split()[0]}>"
+
+    head = "".join(cell('th scope="col"', i, name) for i, name in enumerate(header))
+    body = ""
+    for number, row in enumerate(rows):
+        cells = "".join(cell("td" if i else 'th scope="row"', i, value) for i, value in enumerate(row))
+        body += f'<tr class="fit">{cells}</tr>\n' if number in bold else f"<tr>{cells}</tr>\n"
+    thead = f"<thead><tr>{head}</tr></thead>\n" if head else ""
+    kind = f' class="{css}"' if css else ""
+    return f'<div class="scroll"><table{kind}>{thead}<tbody>{body}</tbody></table></div>'
+
+
+def figure(drawn: ReportFigure) -> str:
+    """Return a figure with its caption; without pictures, the caption alone."""
+    panels = "\n".join(
+        f'<div class="{"wide" if panel.wide else "narrow"}">{panel.markup}</div>' for panel in drawn.panels
+    )
+    pictures = f'<div class="panels">{panels}</div>\n' if panels else ""
+    source = f' <span class="source">[{escaped(drawn.source)}]</span>' if drawn.source else ""
+    return (
+        f'<figure id="{drawn.name}">\n<h3>{escaped(drawn.title)}</h3>\n{pictures}'
+        f"<figcaption>{escaped(drawn.caption)}{source}</figcaption>\n</figure>"
+    )

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import beamfield
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.findings import blind_findings, left_out_findings
 from beamfield.sensors import RangeFinder, SensorLog
@@ -37,7 +41,7 @@ def test_beams_that_never_return_are_named_with_the_mask_that_leaves_them_out(rn
     (finding,) = blind_findings(table, log)
     assert finding.name == "blind-beams"
     assert "2..4 (bearings -160.1 to -139.9 degrees), 35..35 (bearings 169.9 to 170.1 degrees)" in finding.text
-    assert "(--mask=-160.1:-139.9 --mask=169.9:170.1)" in finding.text
+    assert "(--mask=-160.1:-139.9 --mask=169.9:170.1)" in finding.do
     assert finding.values == {"n_beams": 4.0, "share": pytest.approx(4 / 36)}
 
 
@@ -60,3 +64,20 @@ def test_masked_beams_are_not_taken_for_lost_measurements(rng):
     (finding,) = left_out_findings(*reversed(log_and_table(ranges)))
     assert finding.name == "nan-readings"
     assert finding.values["share"] == pytest.approx(30 / 36 / 5)
+
+
+def test_every_warning_says_why_it_matters_and_what_to_do():
+    """Findings are made by literal calls: those in the source are all that a user can meet."""
+    root = Path(beamfield.__file__).parent
+    sources = [path for part in ("calibration", "scan_fit") for path in (root / part).rglob("*.py")]
+    calls = [
+        node
+        for path in [*sources, root / "report" / "stack_section.py"]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Finding"
+    ]
+    severe = [call for call in calls if not isinstance(call.args[1], ast.Constant) or call.args[1].value != "info"]
+    assert len(severe) > 25
+    for call in severe:
+        given = {keyword.arg for keyword in call.keywords}
+        assert {"why", "do"} <= given, ast.unparse(call.args[0])

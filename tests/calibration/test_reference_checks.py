@@ -57,7 +57,7 @@ def test_a_map_at_the_wrong_scale_is_found_and_not_taken_for_thick_walls(rng):
     (finding,) = map_findings(pairs, 0.05)
     assert finding.name == "map-scale"
     assert finding.values["scale"] == pytest.approx(1.03, abs=0.004)
-    assert "0.051" in finding.text
+    assert "0.051" in finding.do
 
 
 def test_people_beside_the_robot_do_not_move_the_estimate(rng):

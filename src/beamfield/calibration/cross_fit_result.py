@@ -215,9 +215,10 @@ def cross_fit_findings(
                 "few-walls-drawn",
                 "warning",
                 f"Only {used:.0%} of the beams meet something that the other half of the scans has drawn with "
-                "certainty, and the parameters are those of these beams. Give a map, or a log that sees each place "
-                "more often.",
+                "certainty.",
                 {"share_used": used},
+                why="The parameters are those of these beams.",
+                do="Give a map, or a log that sees each place more often.",
             )
         )
     low = intervals.intervals.get("sigma_hit", (parameters.sigma_hit,))[0]
@@ -227,9 +228,10 @@ def cross_fit_findings(
                 "sigma-includes-map-error",
                 "warning",
                 "The walls that the two halves drew differ. What that shows of their error is taken out of sigma_hit, "
-                f"but there may be more: sigma_hit may be as low as {low:.3f} m. A map, or a log that sees each wall "
-                "more often, would tell.",
+                "but there may be more.",
                 {"low": low},
+                why=f"sigma_hit may be as low as {low:.3f} m.",
+                do="Give a map, or a log that sees each wall more often.",
             )
         )
     return findings

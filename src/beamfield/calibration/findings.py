@@ -34,9 +34,10 @@ def selection_findings(selection: Selection) -> list[Finding]:
         Finding(
             "poses-off-map",
             "warning",
-            f"{off} of {len(selection.used)} reference poses ({share:.0%}) lie off the map: it does not cover the log, "
-            "or the poses are not in its frame.",
+            f"{off} of {len(selection.used)} reference poses ({share:.0%}) lie off the map.",
             {"n": float(off), "share": share},
+            why="The map does not cover the log, or the poses are not in its frame.",
+            do="Check the frame of the poses, and that the map is that of this drive.",
         )
     ]
 
@@ -47,9 +48,10 @@ def score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
         Finding(
             "fit-not-better",
             "warning",
-            f"On held-out beams the fit is not better than {score.name}: {score.behind_fit:+.4f} nats per beam. "
-            "Fit and held-out blocks differ too much, or there is too little data.",
+            f"On held-out beams the fit is not better than {score.name}: {score.behind_fit:+.4f} nats per beam.",
             {"behind_fit": score.behind_fit},
+            why="Fit and held-out blocks differ too much, or there is too little data.",
+            do="Calibrate with a longer log of the places where the robot will drive.",
         )
         for score in scores[1:]
         if score.behind_fit <= 0
@@ -59,8 +61,10 @@ def score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
             "map-says-nothing",
             "warning",
             f"The fit is hardly better than a uniform that knows nothing of the map ({score.behind_fit:+.2f} nats per "
-            "held-out beam): most likely it is the wrong map, or the poses are not in its frame.",
+            "held-out beam).",
             {"behind_fit": score.behind_fit},
+            why="Most likely it is the wrong map, or the poses are not in its frame.",
+            do="Look at the figure of causes on the map: the hits should lie on its walls. Then correct map or poses.",
         )
         for score in scores[1:]
         if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM
@@ -92,11 +96,17 @@ def left_out_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
     nan, close = table.n_nan / total - masked, table.n_too_close / total
     found = []
     if nan > NOTABLE_SHARE_LEFT_OUT:
-        text = (
-            f"{nan:.1%} of the readings are NaN (no measurement) and were left out. If that is how this sensor says "
-            "that nothing came back, they are missing from z_max: read the log with no_return='nan'."
+        text = f"{nan:.1%} of the readings are NaN (no measurement) and were left out."
+        found.append(
+            Finding(
+                "nan-readings",
+                "warning",
+                text,
+                {"n": float(table.n_nan), "share": nan},
+                why="If that is how this sensor says that nothing came back, they are missing from z_max.",
+                do="Then read the log with no_return='nan'.",
+            )
         )
-        found.append(Finding("nan-readings", "warning", text, {"n": float(table.n_nan), "share": nan}))
     if close > NOTABLE_SHARE_LEFT_OUT:
         text = (
             f"{close:.1%} of the readings are nearer than min_range = {table.min_range:.6g} m and were left out: parts "
@@ -128,9 +138,10 @@ def blind_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
         Finding(
             "blind-beams",
             "warning",
-            f"Beams {shown} never return although the map has something there: parts of the robot, most likely. They "
-            f"are {share:.1%} of the readings and count in z_max: mask them ({options}).",
+            f"Beams {shown} never return although the map has something there: parts of the robot, most likely.",
             {"n_beams": float(blind.sum()), "share": share},
+            why=f"They are {share:.1%} of the readings and count in z_max.",
+            do=f"Mask them ({options}).",
         )
     ]
 
@@ -153,8 +164,9 @@ def table_findings(table: BeamTable) -> list[Finding]:
             "few-expected-ranges",
             "warning",
             f"Only {1 - (nothing + table.n_unknown) / total:.0%} of the readings have an expected range: "
-            f"{table.n_unknown} rays cross unknown space, {nothing} hit nothing within {table.max_range:.1f} m. "
-            "Is the map complete, and are the poses in its frame?",
+            f"{table.n_unknown} rays cross unknown space, {nothing} hit nothing within {table.max_range:.1f} m.",
             {"n_unknown": float(table.n_unknown), "n_nothing": float(nothing)},
+            why="The parameters rest on the other readings alone.",
+            do="Check that the map is complete and the poses are in its frame.",
         )
     ]

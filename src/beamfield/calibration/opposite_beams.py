@@ -186,9 +186,11 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
                 "map-scale",
                 "warning",
                 f"The map seems to have the wrong scale: distances between opposite walls measure {pairs.scale:.3f} "
-                f"times the mapped ones (standard error {pairs.scale_se:.3f}). Check the map's resolution: "
-                f"{resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would fit.",
+                f"times the mapped ones (standard error {pairs.scale_se:.3f}).",
                 values,
+                why="Every expected range is wrong by this factor, far ones most.",
+                do=f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would "
+                "fit.",
             )
         )
     elif abs(pairs.median_difference) > max(1.5 * resolution, 0.06):
@@ -200,9 +202,10 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
                 f"The lidar measures {abs(pairs.median_difference):.2f} m {'more' if narrow else 'less'} between "
                 f"opposite walls than the map shows ({pairs.n_pairs} pairs of opposite beams; this hardly depends on "
                 f"the pose). The map's walls are drawn too {'thick' if narrow else 'thin'}, by "
-                f"{abs(pairs.median_difference) / 2:.2f} m on each side; "
-                "sigma_hit and range_offset then describe the map, not the sensor.",
+                f"{abs(pairs.median_difference) / 2:.2f} m on each side.",
                 values,
+                why="sigma_hit and range_offset then describe the map, not the sensor.",
+                do="For the sensor's own noise redraw the map with finer cells; to localize in this map, go on.",
             )
         )
     return found

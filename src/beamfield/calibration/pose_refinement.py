@@ -192,8 +192,10 @@ def refinement_findings(refinement: PoseRefinement | None) -> list[Finding]:
         Finding(
             "pose-error-in-sigma",
             "warning",
-            text + " Part of sigma_hit is error of the reference poses, not of the sensor.",
+            text,
             values,
+            why="Part of sigma_hit is error of the reference poses, not of the sensor.",
+            do="Use the smaller sigma_hit for a sensor with exact poses; else localize better and calibrate again.",
         )
     ]
     if abs(refinement.delay) > LEAST_DELAY and refinement.delay_share > 0.5:
@@ -206,6 +208,8 @@ def refinement_findings(refinement: PoseRefinement | None) -> list[Finding]:
                 f"{abs(refinement.delay):.2f} s {late} than the scans with the same stamp "
                 f"({refinement.delay_share:.0%} of the shifts along the path).",
                 values,
+                why="While the robot moves, each scan is compared with the map at a wrong place.",
+                do="Correct the clock offset between the laser and the localizer, or the stamps of the poses.",
             )
         )
     return found

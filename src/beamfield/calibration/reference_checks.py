@@ -44,8 +44,10 @@ def _inside_walls(log: SensorLog, grid: OccupancyGrid) -> list[Finding]:
             "pose-in-wall",
             "warning",
             f"{int(inside.sum())} reference poses ({share:.1%}) lie inside occupied cells, first {first:.1f} s after "
-            "the start. Either the reference is off or the map has obstacles that were not there.",
+            "the start.",
             {"n": float(inside.sum()), "share": share, "first_s": float(first)},
+            why="Either the reference is off or the map has obstacles that were not there.",
+            do="Look at the path on the map there; correct the poses, or clear those cells in the map.",
         )
     ]
 
@@ -73,9 +75,10 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
                 "reference-stands-still",
                 "warning",
                 f"The reference stands still while the odometry moves in {int(stands.sum())} of {len(starts)} windows "
-                f"of {WINDOW_S:.0f} s, first at {begin[stands][0]:.1f} s. These poses are not where the robot was; the "
-                "likelihood alone does not show it.",
+                f"of {WINDOW_S:.0f} s, first at {begin[stands][0]:.1f} s.",
                 {"n_windows": float(stands.sum()), "first_s": float(begin[stands][0])},
+                why="These poses are not where the robot was; the likelihood alone does not show it.",
+                do="Localize again, or cut this part out of the log.",
             )
         )
     # Wheels that measure 25 % too far are seen; sideways a robot hardly moves without its odometry noticing.
@@ -91,14 +94,16 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
             Finding(
                 "reference-slides",
                 "warning",
-                f"The reference moves otherwise than the odometry in {int(slides.sum())} of {len(starts)} windows of "
+                f"Reference poses and odometry disagree in {int(slides.sum())} of {len(starts)} windows of "
                 f"{WINDOW_S:.0f} s (median difference there {np.median(slip[slides]):.2f} m), first at "
-                f"{begin[slides][0]:.1f} s. The reference slides, or the odometry slips.",
+                f"{begin[slides][0]:.1f} s.",
                 {
                     "n_windows": float(slides.sum()),
                     "median_difference": float(np.median(slip[slides])),
                     "first_s": float(begin[slides][0]),
                 },
+                why="The reference slides, as a localizer does that has lost its place, or the odometry slips.",
+                do="Look at the log there. If the wheels slipped, go on; else localize again or cut this part out.",
             )
         )
     turns = turn_error > 0.2
@@ -108,8 +113,10 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
                 "reference-turns",
                 "warning",
                 f"The heading of the reference and of the odometry differ by more than 0.2 rad within {WINDOW_S:.0f} s "
-                f"in {turns.mean():.0%} of the windows: stamps may be skewed, or the odometry's turns poor.",
+                f"in {turns.mean():.0%} of the windows.",
                 {"share": float(turns.mean())},
+                why="Stamps may be skewed, or the odometry's turns poor; wrong headings widen sigma_hit.",
+                do="Compare the clocks of laser and localizer; with poor odometry, go on.",
             )
         )
     return found

@@ -37,8 +37,10 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
                 "field-no-hits",
                 "warning",
                 f"The readings end near obstacles no more often than chance would ({fit.n_hits:.0f} of {len(table)} "
-                "look like hits): sigma_hit is undetermined. Is it the right map, and are the poses in its frame?",
+                "look like hits).",
                 {"n_hits": fit.n_hits, "n": float(len(table))},
+                why="sigma_hit is undetermined.",
+                do="Check that it is the map of this place and that the poses are in its frame.",
             )
         )
     elif sigma <= low * 1.001:
@@ -47,8 +49,10 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
                 "field-sigma-at-floor",
                 "warning",
                 f"All hits end in occupied cells: sigma_hit stops at {low:.4g} m, a quarter of a cell, and could be "
-                "less. Walls drawn too thick hide the sensor's noise.",
+                "less.",
                 {"sigma_hit": sigma, "resolution": table.resolution},
+                why="Walls drawn too thick hide the sensor's noise.",
+                do="Use the value with this map; for the sensor's own noise draw a map with finer cells.",
             )
         )
     elif sigma >= high / 1.001:
@@ -56,8 +60,10 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
             Finding(
                 "field-sigma-at-ceiling",
                 "warning",
-                f"sigma_hit stops at {high:.3g} m, the largest that is searched: the readings hardly follow the map.",
+                f"sigma_hit stops at {high:.3g} m, the largest that is searched.",
                 {"sigma_hit": sigma},
+                why="The readings hardly follow the map.",
+                do="Check that it is the map of this place and that the poses are in its frame.",
             )
         )
     if share >= share_bounds(len(table))[1]:
@@ -72,7 +78,13 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
         )
     if not fit.converged:
         found.append(
-            Finding("field-not-converged", "warning", "Learning the likelihood field stopped before it converged.", {})
+            Finding(
+                "field-not-converged",
+                "warning",
+                "Learning the likelihood field stopped before it converged.",
+                why="Other values may explain the readings better.",
+                do="Do not use its values; calibrate with a longer log.",
+            )
         )
     if n_blocks < FEWEST_TRUSTED_BLOCKS:
         found.append(
@@ -80,8 +92,10 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
                 "field-few-blocks",
                 "warning",
                 f"The likelihood field's intervals rest on {n_blocks} blocks of time, fewer than "
-                f"{FEWEST_TRUSTED_BLOCKS}, and are rough: a longer log would settle them.",
+                f"{FEWEST_TRUSTED_BLOCKS}.",
                 {"n_blocks": float(n_blocks)},
+                why="The intervals are rough.",
+                do="Record a longer log.",
             )
         )
     return found
@@ -102,9 +116,9 @@ def exponent_findings(reason: str, score: float | None, standard_error: float | 
             Finding(
                 "field-exponent-not-learned",
                 "warning",
-                f"The field's exponent was not learned: {reason}. It is 1, which takes beams for independent: a field "
-                "with many beams is then far too certain.",
-                {},
+                f"The field's exponent was not learned: {reason}. It is 1.",
+                why="That takes beams for independent: a field with many beams is then far too certain.",
+                do="Use few beams of each scan (10 to 20), or calibrate with a longer log.",
             )
         ]
     if score is not None and standard_error is not None and score <= 2.0 * standard_error:
@@ -113,8 +127,10 @@ def exponent_findings(reason: str, score: float | None, standard_error: float | 
                 "field-says-nothing",
                 "warning",
                 f"On held-out windows the likelihood field's posterior is no better than knowing nothing ({score:+.2f} "
-                "nats): most likely the map, the poses or their frame are wrong.",
+                "nats).",
                 {"score": score},
+                why="Most likely the map, the poses or their frame are wrong.",
+                do="Correct them and calibrate again.",
             )
         ]
     return []

@@ -416,8 +416,10 @@ def _findings(n_blocks: int, length: float) -> tuple[Finding, ...]:
             Finding(
                 "no-intervals",
                 "warning",
-                "All beams lie in one block of time, so there are no intervals: a longer log is needed.",
+                "All beams lie in one block of time, so there are no intervals.",
                 {"n_blocks": 1.0},
+                why="Nothing says how much the values would change with another drive.",
+                do="Record a longer log.",
             ),
         )
     covered = n_blocks * length
@@ -426,10 +428,11 @@ def _findings(n_blocks: int, length: float) -> tuple[Finding, ...]:
             Finding(
                 "few-blocks",
                 "warning",
-                f"The intervals rest on {n_blocks} blocks of {length:.3g} s. What comes seldom, such as people walking "
-                f"by every half minute, is hardly in them; {LEAST_TIME_S:.0f} s of fitted beams (a log of "
-                f"{1.5 * LEAST_TIME_S / 60.0:.0f} minutes in motion) would do.",
+                f"The intervals rest on {n_blocks} blocks of {length:.3g} s.",
                 {"n_blocks": float(n_blocks), "block_s": length},
+                why="What comes seldom, such as people walking by every half minute, is hardly in them.",
+                do=f"Record a log of {1.5 * LEAST_TIME_S / 60.0:.0f} minutes in motion ({LEAST_TIME_S:.0f} s of fitted "
+                "beams).",
             ),
         )
     return ()

@@ -349,5 +349,14 @@ def _convergence_findings(best: Climb) -> list[Finding]:
     if best.converged:
         return []
     steps = best.em_steps + best.newton_steps
-    text = f"Learning stopped after {steps} iterations before it converged; raise max_iterations."
-    return [Finding("not-converged", "warning", text, {"iterations": float(steps)})]
+    text = f"Learning stopped after {steps} iterations before it converged."
+    return [
+        Finding(
+            "not-converged",
+            "warning",
+            text,
+            {"iterations": float(steps)},
+            why="Other values may explain the beams better.",
+            do="Raise max_iterations.",
+        )
+    ]

@@ -89,8 +89,10 @@ def identifiability_findings(
             Finding(
                 "no-returns",
                 "warning",
-                "All readings are at the maximum range: nothing but z_max can be learned.",
+                "All readings are at the maximum range.",
                 {"n_beams": likelihood.n_beams},
+                why="Nothing but z_max can be learned.",
+                do="Check how the log says that nothing came back (no_return) and the sensor's max_range.",
             ),
         )
     counts = likelihood.expected_statistics(theta).counts
@@ -108,16 +110,25 @@ def identifiability_findings(
 
 def _absent_causes(counts: FloatArray, problem: LearningProblem) -> list[Finding]:
     absent = (
-        (W_HIT, "no-hits", "warning", "No reading looks like a hit: check the map, the poses and the sensor's mount."),
-        (W_SHORT, "no-shorts", "info", "No reading looks like an unexpected object: z_short is (nearly) 0."),
-        (W_MAX, "no-max-readings", "info", "No reading is at the maximum range: z_max is 0 in this log."),
-        (W_RAND, "no-random", "info", "No reading is unexplained: z_rand is (nearly) 0."),
+        (W_SHORT, "no-shorts", "No reading looks like an unexpected object: z_short is (nearly) 0."),
+        (W_MAX, "no-max-readings", "No reading is at the maximum range: z_max is 0 in this log."),
+        (W_RAND, "no-random", "No reading is unexplained: z_rand is (nearly) 0."),
     )
-    return [
-        Finding(name, "warning" if severity == "warning" else "info", text, {"expected_beams": float(counts[cause])})
-        for cause, name, severity, text in absent
-        if counts[cause] < FEWEST_BEAMS_OF_A_CAUSE and problem.free[cause]
+    few = (counts < FEWEST_BEAMS_OF_A_CAUSE) & problem.free[: len(counts)]
+    no_hits = Finding(
+        "no-hits",
+        "warning",
+        "No reading looks like a hit.",
+        {"expected_beams": float(counts[W_HIT])},
+        why="The readings do not follow the map, so that sigma_hit means nothing.",
+        do="Check the map, the poses and the sensor's mount.",
+    )
+    others = [
+        Finding(name, "info", text, {"expected_beams": float(counts[cause])})
+        for cause, name, text in absent
+        if few[cause]
     ]
+    return [no_hits, *others] if few[W_HIT] else others
 
 
 def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProblem) -> list[Finding]:
@@ -128,10 +139,19 @@ def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProbl
         return []
     text = (
         f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, as sensors write that have no "
-        "valid one. They pose as unexpected objects and raise z_short and lambda_short: set a min_range above that "
-        "value to drop them, or name it as no_return if it means that nothing came back."
+        "valid one."
     )
-    return [Finding("readings-at-near-limit", "warning", text, {"n": n, "share": share})]
+    return [
+        Finding(
+            "readings-at-near-limit",
+            "warning",
+            text,
+            {"n": n, "share": share},
+            why="They pose as unexpected objects and raise z_short and lambda_short.",
+            do="Set a min_range above that value to drop them, or name it as no_return if it means that nothing came "
+            "back.",
+        )
+    ]
 
 
 def _rate_findings(
@@ -145,20 +165,39 @@ def _rate_findings(
         return []
     rate = float(theta[RATE])
     if counts[W_SHORT] < FEWEST_BEAMS_OF_A_CAUSE:
-        text = "lambda_short cannot be learned because there are (nearly) no shorts; its value means nothing."
-        return [Finding("lambda-undetermined", "warning", text, {"lambda_short": rate})]
+        text = "lambda_short cannot be learned because there are (nearly) no shorts."
+        return [_undetermined_rate(text, {"lambda_short": rate})]
     if rate == 0.0:
         text = "lambda_short is 0: unexpected objects are as frequent at any range up to the map's (uniform)."
         return [Finding("shorts-uniform", "info", text, {"lambda_short": 0.0})]
     if rate >= problem.upper[RATE]:
-        text = "lambda_short is at its ceiling: readings very near 0 pose as shorts; does the sensor mean 'invalid'?"
-        return [Finding("lambda-at-ceiling", "warning", text, {"lambda_short": rate})]
+        return [
+            Finding(
+                "lambda-at-ceiling",
+                "warning",
+                "lambda_short is at its ceiling.",
+                {"lambda_short": rate},
+                why="Readings very near 0 pose as shorts; the sensor may mean 'invalid' by them.",
+                do="Set a min_range above them, or name them as no_return.",
+            )
+        ]
     error = DEPENDENCE * float(np.sqrt(covariance[RATE, RATE]))
     reach = float(likelihood.expected.mean())
     if error * reach > 1.0 and error > 0.5 * rate:
         text = f"lambda_short = {rate:.3g}/m is hardly determined: its error is about {error:.2g}/m."
-        return [Finding("lambda-undetermined", "warning", text, {"lambda_short": rate, "standard_error": error})]
+        return [_undetermined_rate(text, {"lambda_short": rate, "standard_error": error})]
     return []
+
+
+def _undetermined_rate(text: str, values: dict[str, float]) -> Finding:
+    return Finding(
+        "lambda-undetermined",
+        "warning",
+        text,
+        values,
+        why="Its value means little; with few shorts it matters little, too.",
+        do="Hold it (lambda_short = 0 is uniform), or record a log with people.",
+    )
 
 
 def _sigma_findings(
@@ -178,9 +217,18 @@ def _sigma_findings(
             return [Finding("noise-all-slope", "info", text, {"sigma_hit": sigma, "sigma_slope": slope})]
         text = (
             f"sigma_hit is at its floor of {sigma:.3g} m: many readings equal the expected range exactly, as in a "
-            "simulation without noise, and the likelihood grows without bound as sigma_hit shrinks."
+            "simulation without noise."
         )
-        return [Finding("sigma-at-floor", "warning", text, {"sigma_hit": sigma})]
+        return [
+            Finding(
+                "sigma-at-floor",
+                "warning",
+                text,
+                {"sigma_hit": sigma},
+                why="The likelihood grows without bound as sigma_hit shrinks.",
+                do="Hold sigma_hit at the sensor's noise, or use readings with noise.",
+            )
+        ]
     relative_variance = float(covariance[VARIANCE, VARIANCE]) / (4.0 * variance**2)
     share = 1.0 / (2.0 * counts[W_HIT] * max(relative_variance, 1e-300))
     error = DEPENDENCE * float(np.sqrt(relative_variance))
@@ -188,7 +236,16 @@ def _sigma_findings(
         percent = f"{100 * error:.0f} %"
         text = f"sigma_hit = {sigma:.3g} m is {percent} uncertain: hits trade places with shorts or random readings."
         values = {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)}
-        return [Finding("sigma-confounded", "warning", text, values)]
+        return [
+            Finding(
+                "sigma-confounded",
+                "warning",
+                text,
+                values,
+                why="A quite different sigma_hit explains the log nearly as well.",
+                do="Record a longer log, or hold what you know (sigma_hit from the data sheet).",
+            )
+        ]
     return []
 
 
@@ -196,8 +253,16 @@ def _offset_findings(problem: LearningProblem, theta: FloatArray) -> list[Findin
     offset = float(theta[OFFSET])
     if not problem.free[OFFSET] or problem.lower[OFFSET] < offset < problem.upper[OFFSET]:
         return []
-    text = f"range_offset is at its limit of {offset:.3g} m: hits are not near the map's walls; check map and poses."
-    return [Finding("offset-at-limit", "warning", text, {"range_offset": offset})]
+    return [
+        Finding(
+            "offset-at-limit",
+            "warning",
+            f"range_offset is at its limit of {offset:.3g} m.",
+            {"range_offset": offset},
+            why="Hits are not near the map's walls.",
+            do="Check the map, the poses and the sensor's mount.",
+        )
+    ]
 
 
 def _confounded_causes(
@@ -223,7 +288,16 @@ def _confounded_causes(
         error = DEPENDENCE * 0.5 * float(np.sqrt(variance))
         if (share < SMALL_SHARE and error > 0.5 * min(theta[a], theta[b])) or (flat and b == W_RAND and a == W_HIT):
             text = f"The data hardly tell {label} apart: weight may move between them by about {error:.2g}."
-            findings.append(Finding(name, "warning", text, {"standard_error": error, "share_of_information": share}))
+            findings.append(
+                Finding(
+                    name,
+                    "warning",
+                    text,
+                    {"standard_error": error, "share_of_information": share},
+                    why="Either weight alone is uncertain; their sum is not.",
+                    do="Record a longer log, or hold one of the two.",
+                )
+            )
     return findings
 
 
@@ -239,4 +313,13 @@ def _mode_findings(likelihood: IntrinsicLikelihood, modes: tuple[Mode, ...]) -> 
         f"{other.sigma_hit:.3g} m, z_hit {other.z_hit:.3g}, z_short {other.z_short:.3g}, z_rand {other.z_rand:.3g}."
     )
     values = {"gap": gap, "sigma_hit": other.sigma_hit, "z_hit": other.z_hit, "z_short": other.z_short}
-    return [Finding("several-modes", "warning", text, values)]
+    return [
+        Finding(
+            "several-modes",
+            "warning",
+            text,
+            values,
+            why="The log does not tell which of the two is right.",
+            do="Take the set that fits what you know of the sensor, or hold sigma_hit; a longer log may tell.",
+        )
+    ]

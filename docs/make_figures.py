@@ -7,11 +7,12 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
-from beamfield.calibration.evaluation import likely_causes
 from beamfield.cli.main import main as beamfield
 from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
 from beamfield.figures.world import simulated_world
@@ -22,15 +23,28 @@ from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam import BeamModel, beam_log_density
+from beamfield.report.drawing import (
+    CAUSE_COLOURS,
+    CAUSE_NAMES,
+    DATA,
+    FIT,
+    HELD_OUT,
+    MODEL,
+    QUIET,
+    legend_above,
+    log_scale,
+    new_figure,
+    style,
+)
+from beamfield.report.map_figures import beam_ends, draw_map, frame
+from beamfield.report.scan_fit_figures import draw_sides
 from beamfield.scan_fit.reference import calibrate_scan_fit
 from beamfield.scan_fit.scan_fit import judge_log
-from beamfield.scan_fit.surprise import beam_side
-from beamfield.sensors import RangeFinder, SensorLog, usable_ranges
+from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.log import simulate_log
 
 HERE = Path(__file__).parent
-CAUSES = (("hit", "#0072b2"), ("short", "#d55e00"), ("max", "#009e73"), ("rand", "#cc79a7"))
 EXPECTED = 3.0
 
 
@@ -43,11 +57,8 @@ def main() -> None:
         log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
     result = calibrate(log, grid, CalibrationOptions(refine=False))
     (HERE / "images").mkdir(exist_ok=True)
-    figure = readme_picture(result, grid, log)
-    figure.savefig(HERE / "images" / "demo.svg", metadata={"Date": None}, bbox_inches="tight")
-    cones_picture(simulated_world().grid).savefig(
-        HERE / "images" / "cones.svg", metadata={"Date": None}, bbox_inches="tight"
-    )
+    save(readme_picture(result, grid, log), "demo")
+    save(cones_picture(simulated_world().grid), "cones")
     draw_scan_fit(result, grid, log)
     draw_gallery()
 
@@ -63,47 +74,28 @@ def draw_scan_fit(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> N
     away = (seconds >= 40.0) & (seconds < 65.0)
     believed = np.where(away[:, None], drive.poses + np.array([1.9, -1.3, 0.0]), drive.poses)
     fits = judge_log(model, drive.with_poses(believed), reference)
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    axes = figure.subplot_mosaic([["p", "map"], ["lost", "map"]], width_ratios=(1.5, 1))
+    figure = new_figure(11, 4.8)
+    axes = figure.subplot_mosaic([["p", "map"], ["lost", "map"]], width_ratios=(1.4, 1))
     low = fits.p_value <= 0.05
-    for mask, color, name in ((~low, "#0072b2", "fits at 5 %"), (low, "#d55e00", "does not")):
-        axes["p"].plot(seconds[mask], fits.p_value[mask], ".", ms=3, color=color, label=name)
-    axes["p"].axhline(0.05, color="0.4", lw=0.8, ls="--")
-    axes["p"].set(yscale="log", ylabel="p-value", title="does each scan fit the map?")
-    axes["p"].legend(loc="lower left", fontsize=8)
-    axes["lost"].fill_between(seconds, fits.lost, step="post", color="#d55e00", alpha=0.4)
-    axes["lost"].set(xlabel="time [s]", ylabel="lost probability", ylim=(-0.03, 1.03))
+    for mask, color, name in ((~low, FIT, "fits at 5 %"), (low, HELD_OUT, "does not fit")):
+        axes["p"].scatter(seconds[mask], fits.p_value[mask], s=9, linewidths=0, color=color, label=name)
+    axes["p"].axhline(0.05, color=QUIET, lw=0.9, ls="--")
+    log_scale(axes["p"])
+    style(axes["p"], y="p-value [1]")
+    legend_above(axes["p"])
+    axes["lost"].fill_between(seconds, fits.lost, step="post", color=HELD_OUT, alpha=0.4, linewidth=0)
+    axes["lost"].set_ylim(-0.03, 1.03)
+    style(axes["lost"], x="time [s]; grey: the pose is 2.3 m off", y="lost probability [1]")
     for name in ("p", "lost"):
         axes[name].axvspan(40.0, 65.0, color="0.9", zorder=0)
         axes[name].set_xlim(0.0, seconds[-1])
-    draw_disagreement(axes["map"], model, drive, believed, int(np.flatnonzero(away)[60]))
-    figure.savefig(HERE / "images" / "scan_fit.svg", metadata={"Date": None}, bbox_inches="tight")
+    draw_sides(axes["map"], model, drive.with_poses(believed), grid, int(np.flatnonzero(away)[60]))
+    axes["map"].set_title("A scan at the wrong pose", fontsize=10, loc="left", fontweight="bold", pad=32)
+    save(figure, "scan_fit")
 
 
-def draw_disagreement(axes, model: BeamModel, log: SensorLog, poses: np.ndarray, scan: int) -> None:
-    grid, pose = model.grid, poses[scan]
-    (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
-    shade = np.full(grid.shape, 0.86)
-    shade[grid.free], shade[grid.occupied] = 1.0, 0.25
-    axes.imshow(shade, origin="lower", extent=(x0, x1, y0, y1), cmap="gray", vmin=0, vmax=1, interpolation="none")
-    limit = log.finder.max_range
-    ranges, expected = usable_ranges(log.ranges[scan], log.finder), model.expected(pose, log.finder)
-    side = beam_side(ranges, expected, limit, model.parameters)
-    rays = compose(pose, log.finder.mounts)
-    drawn = np.where(ranges >= limit, expected, ranges)
-    ends = transform_points(rays, np.column_stack([drawn, np.zeros(len(drawn))]))
-    colors = ("#0072b2", "#d55e00", "#7a0177", "#009e73")
-    for number, name in enumerate(("as mapped", "short", "through a wall", "no return")):
-        chosen = side == number
-        for start, end in zip(rays[chosen, :2], ends[chosen], strict=True):
-            axes.plot([start[0], end[0]], [start[1], end[1]], color=colors[number], lw=0.4, alpha=0.35)
-        axes.plot(ends[chosen, 0], ends[chosen, 1], "o", ms=2, color=colors[number], label=f"{name} ({chosen.sum()})")
-    axes.plot(*pose[:2], "k^", ms=5)
-    middle, half = 0.5 * (ends.min(axis=0) + ends.max(axis=0)), 0.5 * np.ptp(ends, axis=0).max() + 1.0
-    axes.set(xlabel="x [m]", ylabel="y [m]", title="a scan at the wrong pose")
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.legend(loc="upper right", fontsize=7, framealpha=0.95)
+def save(figure: Figure, name: str) -> None:
+    figure.savefig(HERE / "images" / f"{name}.svg", metadata={"Date": None}, bbox_inches="tight")
 
 
 def draw_gallery() -> None:
@@ -116,75 +108,60 @@ def draw_gallery() -> None:
 
 def readme_picture(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> Figure:
     """Draw what the demo finds: one scan in the map by cause, and readings with the fitted density."""
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.75, 1))
+    figure = new_figure(11, 4.6)
+    left, right = figure.subplots(1, 2, width_ratios=(1.6, 1))
     draw_scan_in_map(left, result, grid, log)
     draw_readings(right, result)
     return figure
 
 
-def draw_scan_in_map(axes, result: Calibration, grid: OccupancyGrid, log: SensorLog) -> None:
-    rows, cols = grid.shape
-    (x0, y0), (x1, y1) = grid.to_map([[0, 0], [cols, rows]])
-    shade = np.full((rows, cols), 0.86)
-    shade[grid.free], shade[grid.occupied] = 1.0, 0.25
-    axes.imshow(shade, origin="lower", extent=(x0, x1, y0, y1), cmap="gray", vmin=0, vmax=1, interpolation="none")
-    axes.plot(log.poses[:, 0], log.poses[:, 1], color="0.55", lw=0.8)
+def draw_scan_in_map(axes: Axes, result: Calibration, grid: OccupancyGrid, log: SensorLog) -> None:
     # The scan that sees most of the building.
     scan = int(np.argmax(np.bincount(result.table.scan, weights=result.table.expected_ranges)))
-    table = result.table.select(result.table.scan == scan)
-    cause = likely_causes(table, result.parameters)
-    rays = compose(log.poses[scan], log.finder.mounts[table.beam])
-    drawn = np.where(cause == 2, table.expected_ranges, table.ranges)
-    ends = transform_points(rays, np.column_stack([drawn, np.zeros(len(drawn))]))
-    for number, (name, color) in enumerate(CAUSES):
-        chosen = cause == number
-        for start, end in zip(rays[chosen, :2], ends[chosen], strict=True):
-            axes.plot([start[0], end[0]], [start[1], end[1]], color=color, lw=0.4, alpha=0.35)
-        axes.plot(ends[chosen, 0], ends[chosen, 1], "o", ms=2.5, color=color, label=f"{name} ({chosen.sum()})")
-    axes.plot(*log.poses[scan, :2], "k^", ms=5)
-    axes.set(xlabel="x [m]", ylabel="y [m]", title="one scan in the map: each beam's most likely cause")
-    axes.legend(loc="upper right", fontsize=8, framealpha=0.95)
-    axes.set_xlim(x0 + 0.5, x1 - 0.5)
-    axes.set_ylim(y0 + 0.5, y1 - 0.5)
+    rows = np.flatnonzero((result.table.scan == scan) & ~result.table.hits_nothing)
+    ends, causes = beam_ends(result, log, rows), result.causes[rows]
+    start = log.poses[scan, :2]
+    low, high = np.minimum(ends.min(axis=0), start) - 1.0, np.maximum(ends.max(axis=0), start) + 1.0
+    limits = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    draw_map(axes, grid, limits)
+    for cause, name in enumerate(CAUSE_NAMES):
+        mine, color = ends[causes == cause], CAUSE_COLOURS[cause]
+        lines = [(start, end) for end in mine]
+        axes.add_collection(LineCollection(lines, colors=color, linewidths=1.0, alpha=0.6))
+        axes.scatter(*mine.T, s=14, linewidths=0, color=color, zorder=3, label=f"{name} {len(mine)}")
+    axes.plot(*start, "^", color=MODEL, ms=7, zorder=4)
+    frame(axes, limits)
+    axes.set_title("One scan in the map: each beam's most likely cause", fontsize=10, loc="left", fontweight="bold",
+                   pad=20)  # fmt: skip
 
 
-def draw_readings(axes, result: Calibration) -> None:
+def draw_readings(axes: Axes, result: Calibration) -> None:
     table, limit = result.table, result.table.max_range
     near = np.abs(table.expected_ranges - EXPECTED) < 0.1
     z, expected = table.ranges[near], table.expected_ranges[near]
     edges = np.concatenate([np.arange(0.0, 2.6, 0.2), np.arange(2.6, 3.4, 0.02), np.arange(3.4, limit + 0.1, 0.2)])
     counts, _ = np.histogram(z[z < limit], edges)
-    axes.stairs(counts / len(z) / np.diff(edges), edges, fill=True, color="0.8", label=f"{len(z)} readings")
+    axes.stairs(counts / len(z) / np.diff(edges), edges, fill=True, color=DATA, label=f"{len(z)} readings")
     grid_z = np.concatenate([np.linspace(0.01, 2.5, 120), np.linspace(2.5, 3.5, 250), np.linspace(3.5, limit, 90)[:-1]])
     sample = expected[:: max(1, len(expected) // 400)]
     log_density = beam_log_density(
         grid_z[None, :], sample[:, None], limit, result.parameters, min_range=table.min_range
     )
     density = np.where(grid_z < table.min_range, np.nan, np.exp(log_density).mean(axis=0))
-    axes.plot(grid_z, density, color="#0072b2", lw=1.5, label="fitted density")
+    axes.plot(grid_z, density, color=MODEL, lw=1.5, label="fitted density")
     share = (z >= limit).mean()
-    axes.plot(
-        [limit],
-        [share],
-        "D",
-        color="#009e73",
-        ms=5,
-        label=f"no return: {share:.1%} (fit {result.parameters.z_max:.1%})",
-    )
-    axes.set(
-        yscale="log",
-        xlabel="measured range z [m]",
-        ylabel="density [1/m]",
-        title=f"readings where z* is {EXPECTED:g} m",
-    )
+    text = f"no return: {share:.1%} (fit {result.parameters.z_max:.1%})"
+    axes.plot([limit], [share], "D", color=CAUSE_COLOURS[2], ms=6, label=text)
+    log_scale(axes)
     axes.set_ylim(2e-3, 30)
-    axes.legend(fontsize=8)
+    style(axes, x="measured range z [m]", y="density [1/m]")
+    legend_above(axes, ncols=2)
+    axes.set_title(f"Readings where z* is {EXPECTED:g} m", fontsize=10, loc="left", fontweight="bold", pad=34)
 
 
 def cones_picture(grid: OccupancyGrid) -> Figure:
     """Draw what a ring of sonars is expected to measure in a map, and how the range changes as one sonar turns."""
-    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    figure = new_figure(11, 4.8)
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1))
     ring = RangeFinder.from_bearings(np.radians(np.arange(0, 360, 30)), 4.0, opening_angle=np.radians(30.0))
     pose = np.array([2.6, 7.4, 0.2])
@@ -194,11 +171,8 @@ def cones_picture(grid: OccupancyGrid) -> Figure:
 
 
 def draw_ring_in_map(axes, grid: OccupancyGrid, ring: RangeFinder, pose) -> None:
-    rows, cols = grid.shape
-    (x0, y0), (x1, y1) = grid.to_map([[0, 0], [cols, rows]])
-    shade = np.full((rows, cols), 0.86)
-    shade[grid.free], shade[grid.occupied] = 1.0, 0.25
-    axes.imshow(shade, origin="lower", extent=(x0, x1, y0, y1), cmap="gray", vmin=0, vmax=1, interpolation="none")
+    limits = (pose[0] - 4.3, pose[0] + 4.3, pose[1] - 4.0, pose[1] + 4.0)
+    draw_map(axes, grid, limits)
     cones, rays = ConeCaster(grid), RayCaster(grid)
     ranges, beams = cones.expected_ranges(pose, ring), rays.expected_ranges(pose, ring)
     points, _ = cones.expected_points(pose, ring)
@@ -211,10 +185,9 @@ def draw_ring_in_map(axes, grid: OccupancyGrid, ring: RangeFinder, pose) -> None
     axes.plot(*ends.T, "x", color="#d55e00", ms=5, label="end of the axis, as a beam")
     axes.plot(*points.T, "o", color="#0072b2", ms=5, label="nearest point in the cone")
     axes.plot(*pose[:2], "k^", ms=6)
-    axes.set(xlabel="x [m]", ylabel="y [m]", title="expected ranges of a ring of twelve cones of 30 degrees")
-    axes.set_xlim(pose[0] - 4.3, pose[0] + 4.3)
-    axes.set_ylim(pose[1] - 4.0, pose[1] + 4.0)
-    axes.legend(loc="upper right", fontsize=8, framealpha=0.95)
+    frame(axes, limits)
+    axes.set_title("Expected ranges of a ring of twelve cones of 30 degrees", fontsize=10, loc="left",
+                   fontweight="bold", pad=20)  # fmt: skip
 
 
 def draw_turning_sonar(axes, grid: OccupancyGrid, pose) -> None:
@@ -225,10 +198,11 @@ def draw_turning_sonar(axes, grid: OccupancyGrid, pose) -> None:
     for width, color in ((10.0, "#56b4e9"), (30.0, "#0072b2")):
         found = cones.cast(origins, np.radians(width), 4.0)
         axes.plot(np.degrees(turn), found, color=color, lw=1.5, label=f"cone of {width:g} degrees")
-    axes.set(xlabel="direction [degrees]", ylabel="expected range [m]", title="one sonar turning at the same place")
     axes.set_xlim(0, 360)
     axes.set_ylim(0, 4.15)
-    axes.legend(loc="lower right", fontsize=8, framealpha=0.95)
+    style(axes, x="direction [deg]", y="expected range [m]")
+    legend_above(axes)
+    axes.set_title("One sonar turning at the same place", fontsize=10, loc="left", fontweight="bold", pad=20)
 
 
 if __name__ == "__main__":

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from beamfield.errors import InvalidInputError
+from beamfield.figures import scan_figures
+from beamfield.figures.beam_model_figures import _groups_at_one_range
 from beamfield.figures.gallery import FIGURES, chosen_figures, gallery_page, save_figure
 from beamfield.figures.likelihood_over_map import draw_likelihood_map
 from beamfield.figures.sonar_figures import RIGHT, kinds_of, sonar_readings, telling_readings
@@ -78,10 +81,35 @@ def test_the_page_shows_every_picture_with_its_caption():
     assert "z*" not in page
 
 
+def test_figure_6_7_shows_the_first_scan_whose_maximum_is_at_its_pose(world, monkeypatch):
+    poses = world.log.poses[[world.index, *world.others]]
+    assert len(poses) > 2
+    apart = np.hypot(*(poses[:, None, :2] - poses[None, :, :2]).transpose(2, 0, 1))
+    assert apart[~np.eye(len(poses), dtype=bool)].min() > 1.5
+    places = {"wrong, right": [poses[0] + 5.0, poses[1]], "all wrong": list(poses + 5.0)}
+    for name, best in places.items():
+        waiting, shown = iter(best), []
+        monkeypatch.setattr(
+            scan_figures, "likelihood_map", lambda *_, waiting=waiting, **__: SimpleNamespace(best_pose=next(waiting))
+        )
+        monkeypatch.setattr(scan_figures, "likelihood_figure", lambda *drawn, shown=shown, **_: shown.append(drawn[3]))
+        scan_figures.likelihood_over_map_figure(world)
+        np.testing.assert_array_equal(shown[0], poses[1] if name == "wrong, right" else poses[0])
+
+
 def test_the_maximum_of_figure_6_7_is_at_the_reference_pose(world):
     ax = next(ax for ax in all_axes(FIGURES["6.7"].draw(world)) if ax.get_title(loc="left").startswith("(b)"))
     maximum = next(line for line in ax.lines if line.get_label() == "maximum")
-    assert np.hypot(maximum.get_xdata()[0] - world.pose[0], maximum.get_ydata()[0] - world.pose[1]) < 0.5
+    there = np.array([maximum.get_xdata()[0], maximum.get_ydata()[0]])
+    assert np.hypot(*(world.log.poses[[world.index, *world.others], :2] - there).T).min() < 0.5
+
+
+def test_the_sensors_of_figure_6_5_are_compared_at_one_expected_range(world):
+    groups = _groups_at_one_range(list(world.calibrations.values()))
+    assert [group.centre for group in groups] == [3.0, 3.0]
+    for group, calibration in zip(groups, world.calibrations.values(), strict=True):
+        assert np.abs(calibration.table.expected_ranges[group.rows] - 3.0).max() <= 0.1 + 1e-9
+        assert len(group.rows) >= 30
 
 
 @pytest.mark.parametrize("spread", [2.0, 300.0])

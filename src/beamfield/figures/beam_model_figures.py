@@ -9,9 +9,11 @@ from beamfield.figures.world import FigureWorld
 from beamfield.report.density_figures import draw_histogram, draw_readings
 from beamfield.report.drawing import NARROW, WIDE, new_figure
 from beamfield.report.mixture_figure import draw_components, draw_mixture
-from beamfield.report.range_bins import RangeBin, telling_bin, typical_bins
+from beamfield.report.range_bins import FEWEST_READINGS, RangeBin, bin_at, telling_bin, typical_bins
 
 LETTERS = "abcdefgh"
+# The expected range of Figure 6.5, metres.
+CHAPTER_RANGE = 3.0
 
 
 def components_figure(world: FigureWorld) -> Figure:
@@ -35,12 +37,14 @@ def mixture_figure(world: FigureWorld) -> Figure:
 
 
 def readings_figure(world: FigureWorld) -> Figure:
-    """Draw Figure 6.5: readings one after the other for one expected range, for each sensor."""
+    """Draw Figure 6.5: readings one after the other for one expected range, the same for each sensor."""
+    groups = _groups_at_one_range(list(world.calibrations.values()))
     figure = new_figure(WIDE, 3.2 * len(world.calibrations))
     parts = figure.subfigures(len(world.calibrations), 1, squeeze=False)[:, 0]
-    for letter, part, (name, calibration) in zip(LETTERS, parts, world.calibrations.items(), strict=False):
+    sensors = zip(LETTERS, parts, world.calibrations.items(), groups, strict=False)
+    for letter, part, (name, calibration), group in sensors:
         part.suptitle(_panel_name(letter, name, world), fontsize=11, fontweight="bold", x=0.01, ha="left")
-        draw_readings(part.add_subplot(), calibration, _group(calibration))
+        draw_readings(part.add_subplot(), calibration, group)
     return figure
 
 
@@ -66,6 +70,17 @@ def _first(world: FigureWorld) -> Calibration:
 
 def _group(calibration: Calibration) -> RangeBin:
     return telling_bin(typical_bins(calibration.table))
+
+
+def _groups_at_one_range(calibrations: list[Calibration]) -> list[RangeBin]:
+    """Return a group of each sensor at one expected range, as near 3 m as all have readings; else each its own."""
+    own = [_group(calibration) for calibration in calibrations]
+    centres = {CHAPTER_RANGE, *(group.centre for group in own)}
+    for centre in sorted(centres, key=lambda centre: abs(centre - CHAPTER_RANGE)):
+        groups = [bin_at(calibration.table, centre) for calibration in calibrations]
+        if all(len(group.rows) >= FEWEST_READINGS for group in groups):
+            return groups
+    return own
 
 
 def _near_and_far(calibration: Calibration) -> list[RangeBin]:

@@ -98,9 +98,9 @@ _ALL = (
     ChapterFigure(
         "6.5",
         "Readings for one expected range",
-        "Every reading whose expected range lies near one value (dashed), in the order of the log, coloured by "
-        "its most likely cause. Where a sonar is beside a laser scanner, it has much more noise and far more readings "
-        "without return.",
+        "Every reading whose expected range lies near one value (dashed; 3 m as in the chapter if the log has such "
+        "readings), in the order of the log, coloured by its most likely cause. Where a sonar is beside a laser "
+        "scanner, it has much more noise and far more readings without return.",
         "6.3.2",
         _drawn_by("beam_model_figures.readings_figure"),
     ),
@@ -117,7 +117,7 @@ _ALL = (
         "A scan, and its likelihood over the map",
         "(a) A range scan at its reference pose in the map. (b) The likelihood of this scan at every free place, "
         "with the heading that suits it best: the darker, the more likely. The scan alone leaves several places "
-        "possible.",
+        "possible. Of four scans with far and near readings, the first whose maximum is at the robot's pose.",
         "6.3.2",
         _drawn_by("scan_figures.likelihood_over_map_figure"),
     ),

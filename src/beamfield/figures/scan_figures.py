@@ -26,6 +26,8 @@ Progress = Callable[[int, int], None]
 RESOLUTION, HEADINGS = 0.10, 72
 # Of each scan in Figure 6.7: neighbouring beams are dependent (6.3.4).
 N_BEAMS = 12
+# A maximum this near to the reference pose is the right place, metres.
+AT_POSE = 0.5
 LOCAL_SCANS = 10
 # Positions around the reference pose in Figure 6.12b: +- metres, and the step.
 OFFSET, OFFSET_STEP = 1.5, 0.05
@@ -33,11 +35,22 @@ SCAN_COLOUR, ROBOT_COLOUR = "#D55E00", "#0072B2"
 
 
 def likelihood_over_map_figure(world: FigureWorld, progress: Progress | None = None) -> Figure:
-    """Draw Figure 6.7: a scan in the map and its likelihood by the learned beam model."""
+    """Draw Figure 6.7: a scan in the map and its likelihood by the learned beam model.
+
+    Of the world's scans with far readings the first is shown whose maximum is at its pose; the first if none is.
+    """
     wide = widened_for_lattice(world.parameters, resolution=RESOLUTION, headings=HEADINGS)
     model = BeamModel(world.grid, wide, n_beams=N_BEAMS)
-    result = likelihood_map(model, world.scan, world.grid, resolution=RESOLUTION, headings=HEADINGS, progress=progress)
-    return likelihood_figure(world.scan, world.grid, result, world.pose, model_name=f"beam model, {N_BEAMS} beams")
+    tried = []
+    for index in (world.index, *world.others):
+        scan, pose = world.log.scan(index), np.asarray(world.log.poses[index])
+        result = likelihood_map(model, scan, world.grid, resolution=RESOLUTION, headings=HEADINGS, progress=progress)
+        tried.append((scan, pose, result))
+        if np.hypot(*(pose[:2] - np.asarray(result.best_pose)[:2])) < AT_POSE:
+            break
+    else:
+        scan, pose, result = tried[0]
+    return likelihood_figure(scan, world.grid, result, pose, model_name=f"beam model, {N_BEAMS} beams")
 
 
 def scan_field_figure(world: FigureWorld) -> Figure:

@@ -34,7 +34,8 @@ KINDS = (
     ("too short: a person, another's pulse", "#CC79A7"),
     ("no echo: mirrored away", "#7A8793"),
 )
-SCAN_COLOUR, ROBOT_COLOUR, WALL_COLOUR = "#D55E00", "#0072B2", "#3C444D"
+# The legend names the colours of the cones: the scanner and the robot have others.
+SCAN_COLOUR, ROBOT_COLOUR, WALL_COLOUR = "#009E73", "#111111", "#3C444D"
 # Of the sonars, and the share of pulses that walls scatter.
 SONAR = BeamParameters(z_hit=0.8, z_short=0.08, z_max=0.02, z_rand=0.1, sigma_hit=0.03, lambda_short=0.5)
 ROUGHNESS = 0.3
@@ -62,6 +63,7 @@ def sonar_figure(world: FigureWorld) -> Figure:
         ax.set_xlim(pose[0] - REACH, pose[0] + REACH)
         ax.set_ylim(pose[1] - REACH, pose[1] + REACH)
         ax.set_aspect("equal", adjustable="box")
+        ax.set_anchor("N")
         style(ax, title=title, x="x [m]", y="y [m]", grid="none")
     handles = [Patch(facecolor=colour, alpha=0.6, label=label) for label, colour in KINDS]
     # Axes of equal scales move after the layout has made room, so the room for the legend is given.

@@ -24,6 +24,8 @@ from beamfield.simulation.log import simulate_log
 LASER = BeamParameters(z_hit=0.9, z_short=0.06, z_max=0.02, z_rand=0.02, sigma_hit=0.05, lambda_short=0.5)
 SONAR = BeamParameters(z_hit=0.62, z_short=0.16, z_max=0.13, z_rand=0.09, sigma_hit=0.14, lambda_short=0.45)
 DURATION, SCAN_RATE = 240.0, 5.0
+# Scans with far and near readings, so far apart in metres, of which Figure 6.7 shows one.
+N_FAR, FAR_APART = 4, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ class FigureWorld:
         The situation of Figures 6.8 and 6.9.
     open_index
         Index of a scan that sees space on all sides, for Figures 6.11 and 6.12.
+    others
+        Indices of scans like the first, at other places: Figure 6.7 may show one of them instead.
 
     Raises
     ------
@@ -57,6 +61,7 @@ class FigureWorld:
     index: int
     scene: ObstacleScene
     open_index: int
+    others: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.sensors:
@@ -119,7 +124,9 @@ def simulated_world(seed: int = 1, *, duration: float = DURATION) -> FigureWorld
         log = simulate_log(grid, finder, truth, duration=duration, scan_rate=rate, seed=seed)
         sensors[finder.name] = log.only_sensor()
     shown = sensors["laser"]
-    return FigureWorld("simulated office", grid, sensors, _far_scan(shown), three_obstacles(), _open_scan(shown))
+    first, *others = _far_scans(shown)
+    scenes = three_obstacles(), _open_scan(shown)
+    return FigureWorld("simulated office", grid, sensors, first, *scenes, tuple(others))
 
 
 def world_of_log(
@@ -148,7 +155,7 @@ def world_of_log(
     shown = log.only_sensor(sensor)
     if not shown.has_poses:
         raise InvalidInputError(f"{log.source}: no scan has a reference pose; the figures need them")
-    chosen = _far_scan(shown) if index is None else index
+    chosen, *more = _far_scans(shown) if index is None else [index]
     check_scan(shown, chosen)
     others = {name: other for name, other in log.sensors.items() if other is not shown and other.has_poses}
     name = next(name for name, other in log.sensors.items() if other is shown)
@@ -160,6 +167,7 @@ def world_of_log(
         chosen,
         scene,
         _open_scan(shown) if index is None else index,
+        tuple(more),
     )
 
 
@@ -180,11 +188,16 @@ def check_scan(log: SensorLog, index: int) -> None:
         raise InvalidInputError(f"scan: scan {index} has no measured range")
 
 
-def _far_scan(log: SensorLog) -> int:
-    """Return a scan in a corridor: half of its ranges short, some long."""
+def _far_scans(log: SensorLog) -> list[int]:
+    """Return scans of corridors, half of their ranges short, some long: at different places, the best first."""
     z, candidates = _measured(log)
     near, far = np.nanquantile(z[candidates], (0.5, 0.95), axis=1)
-    return int(candidates[np.argmax(far - near)])
+    chosen: list[int] = []
+    for index in candidates[np.argsort(near - far, kind="stable")].tolist():
+        away = np.hypot(*(log.poses[chosen, :2] - log.poses[index, :2]).T)
+        if len(chosen) < N_FAR and (away > FAR_APART).all():
+            chosen.append(index)
+    return chosen
 
 
 def _open_scan(log: SensorLog) -> int:

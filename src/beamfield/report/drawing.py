@@ -141,12 +141,12 @@ def legend(axes: Axes, **where: Any) -> None:
         )
 
 
-def legend_above(axes: Axes) -> None:
-    """Add a legend in one line above the axes, where it hides nothing."""
+def legend_above(axes: Axes, ncols: int = 6) -> None:
+    """Add a legend in one line, or in so many columns, above the axes, where it hides nothing."""
     axes.legend(
         fontsize=8.5,
         frameon=False,
-        ncols=6,
+        ncols=ncols,
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),
         handletextpad=0.4,

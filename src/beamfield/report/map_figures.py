@@ -63,7 +63,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
         label = f"{name} {shares[cause]:.1%}"
         axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause], label=label)
     _draw_path(axes, path)
-    _frame(axes, limits)
+    frame(axes, limits)
     alt = "Map with the end points of the beams, by most likely cause: " + ", ".join(
         f"{name} {share:.1%}" for name, share in zip(CAUSE_NAMES, shares, strict=True)
     )
@@ -96,7 +96,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         poses[order, 0], poses[order, 1], c=line.log_likelihood[order], s=22, cmap="cividis", vmin=low, vmax=high,
         edgecolors=MODEL, linewidths=0.2,
     )  # fmt: skip
-    _frame(axes, limits, with_legend=False)
+    frame(axes, limits, with_legend=False)
     bar = figure.colorbar(dots, ax=axes, location="top", shrink=0.5, aspect=35, pad=0.01, anchor=(0.0, 0.0))
     bar.set_label("log-likelihood per beam [nats]", fontsize=9, color="#222222")
     bar.ax.tick_params(labelsize=9)
@@ -173,7 +173,8 @@ def _draw_path(axes: Axes, path: FloatArray) -> None:
     axes.plot(*path[-1], "X", color=MODEL, markersize=6.5, markeredgecolor="white", markeredgewidth=0.6)
 
 
-def _frame(axes: Axes, limits: tuple[float, float, float, float], *, with_legend: bool = True) -> None:
+def frame(axes: Axes, limits: tuple[float, float, float, float], *, with_legend: bool = True) -> None:
+    """Show the part of the map within the limits (x low, x high, y low, y high), with the legend above it."""
     axes.set_xlim(limits[0], limits[1])
     axes.set_ylim(limits[2], limits[3])
     axes.set_aspect("equal")

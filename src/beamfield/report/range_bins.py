@@ -60,6 +60,13 @@ def typical_bins(table: BeamTable) -> list[RangeBin]:
     return bins
 
 
+def bin_at(table: BeamTable, centre: float) -> RangeBin:
+    """Return the beams near one expected range, metres."""
+    half_width = max(HALF_WIDTH, HALF_WIDTH_SHARE * centre)
+    near = np.abs(table.expected_ranges - centre) <= half_width
+    return RangeBin(centre, half_width, np.flatnonzero(near & ~table.hits_nothing))
+
+
 def telling_bin(bins: list[RangeBin]) -> RangeBin:
     """Return the farthest group with many readings: far from zero, short readings have room to show."""
     most = max(len(group.rows) for group in bins)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
@@ -24,12 +25,13 @@ from beamfield.report.drawing import (
     Panel,
     ReportFigure,
     legend,
+    legend_above,
     new_figure,
     png_panel,
     style,
     svg_panel,
 )
-from beamfield.report.map_figures import MARGIN, draw_map
+from beamfield.report.map_figures import MARGIN, draw_map, frame
 from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
@@ -175,6 +177,30 @@ def worst_scans(
 
 
 def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scan: int) -> Panel:
+    figure = new_figure(NARROW, 4.6)
+    axes = figure.add_subplot()
+    draw_sides(axes, model, log, grid, scan)
+    where = PROBLEMS[int(fits.problem[scan])]
+    name = f"scan {scan}, stamp {log.stamps[scan]:.2f} s"
+    text = f"p-value {fits.p_value[scan]:.2g}, lost probability {fits.lost[scan]:.2f}" + (
+        f" ({where})" if where else ""
+    )
+    axes.set_title(f"{name}\n{text}", fontsize=8.5, loc="left", pad=30)
+    return png_panel(figure, f"{name}: {text}", dpi=120)
+
+
+def draw_sides(axes: Axes, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scan: int) -> None:
+    """Draw a scan on the map at its pose, each beam coloured by how it disagrees.
+
+    Parameters
+    ----------
+    axes
+        Where to draw.
+    model, grid
+        The model that expects ranges, and the map.
+    log, scan
+        The log, and the index of the scan.
+    """
     pose, finder = log.poses[scan], log.finder
     expected = known_expected_ranges(model, stopping_rays(model), pose[None, :], finder)[0]
     ranges = usable_ranges(log.ranges[scan], finder)
@@ -186,34 +212,19 @@ def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: 
     # Where the ray hits nothing and nothing returned, there is nothing to show.
     drawn &= ~((ranges >= finder.max_range) & (np.nan_to_num(expected) >= finder.max_range))
     limits = _limits(np.vstack([pose[None, :2], ends[drawn]]))
-    figure = new_figure(NARROW, 4.6)
-    axes = figure.add_subplot()
     draw_map(axes, grid, limits)
     for number, (name, colour) in enumerate(zip(SIDE_NAMES, SIDE_COLOURS, strict=True)):
         mine = drawn & (side == number)
         lines = np.stack([rays[mine, :2], ends[mine]], axis=1)
-        axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.5, alpha=0.35))
-        axes.scatter(ends[mine, 0], ends[mine, 1], s=7, color=colour, linewidths=0, label=f"{name} {mine.sum()}")
+        axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.6, alpha=0.45))
+        axes.scatter(ends[mine, 0], ends[mine, 1], s=9, color=colour, linewidths=0, label=f"{name} {mine.sum()}")
     # As long on every picture, whatever the scan sees: of 0.4 m a scan along a corridor leaves a blot.
     tip = pose[:2] + ARROW * (limits[1] - limits[0]) * np.array([np.cos(pose[2]), np.sin(pose[2])])
     arrow = {"arrowstyle": "-|>", "color": MODEL, "linewidth": 1.6, "shrinkA": 0.0, "shrinkB": 0.0}
     axes.annotate("", tip, pose[:2], arrowprops=arrow)
     axes.plot(*pose[:2], "o", color=MODEL, markersize=4)
-    axes.set_xlim(limits[0], limits[1])
-    axes.set_ylim(limits[2], limits[3])
-    axes.set_aspect("equal")
-    style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")
-    where = PROBLEMS[int(fits.problem[scan])]
-    text = (
-        f"scan {scan}, stamp {log.stamps[scan]:.2f} s: p-value {fits.p_value[scan]:.2g}, "
-        f"lost probability {fits.lost[scan]:.2f}" + (f" ({where})" if where else "")
-    )
-    axes.set_title(text.replace(": ", "\n"), fontsize=8.5, loc="left", pad=30)
-    axes.legend(
-        fontsize=8, frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0), handletextpad=0.1,
-        columnspacing=0.9, borderaxespad=0.2,
-    )  # fmt: skip
-    return png_panel(figure, text, dpi=120)
+    frame(axes, limits, with_legend=False)
+    legend_above(axes, ncols=2)
 
 
 def _limits(points: FloatArray) -> tuple[float, float, float, float]:

@@ -121,8 +121,8 @@ def draw_scan_in_map(axes: Axes, result: Calibration, grid: OccupancyGrid, log: 
     rows = np.flatnonzero((result.table.scan == scan) & ~result.table.hits_nothing)
     ends, causes = beam_ends(result, log, rows), result.causes[rows]
     start = log.poses[scan, :2]
-    low, high = np.minimum(ends.min(axis=0), start) - 1.0, np.maximum(ends.max(axis=0), start) + 1.0
-    limits = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
+    limits = (x0 + 0.5, x1 - 0.5, y0 + 0.5, y1 - 0.5)
     draw_map(axes, grid, limits)
     for cause, name in enumerate(CAUSE_NAMES):
         mine, color = ends[causes == cause], CAUSE_COLOURS[cause]

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from PIL import Image
 
 from beamfield.calibration.opposite_beams import opposite_pairs
 from beamfield.calibration.time_split import time_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.check_figures import noise_points
 from beamfield.report.density_figures import averaged_cdf
+from beamfield.report.drawing import CAUSE_COLOURS, THROUGH, png_panel
 from beamfield.report.map_figures import beam_ends
 from beamfield.report.range_bins import range_step, telling_bin, thinned, typical_bins
 from beamfield.report.score_figures import PIT_BINS, pit_band
@@ -28,6 +33,23 @@ def test_bins_hold_exactly_the_beams_near_their_centre(case):
     for near_bin, far_bin in pairwise(bins):
         assert near_bin.centre + near_bin.half_width <= far_bin.centre - far_bin.half_width
     assert telling_bin(bins) in bins
+
+
+def test_a_rare_cause_keeps_its_colour_in_a_busy_picture():
+    figure = Figure(figsize=(4.7, 4.6), facecolor="white")
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.imshow(np.random.default_rng(0).random((120, 120, 3)), extent=(0, 1, 0, 0.7), aspect="auto")
+    colours = (*CAUSE_COLOURS, THROUGH)
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    for number, colour in enumerate(colours):
+        axes.scatter([0.1 + 0.2 * number], [0.9], s=7, color=colour, linewidths=0)
+    data = png_panel(figure, "dots", dpi=120).markup.split("base64,")[1].split('"')[0]
+    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"))
+    for number, colour in enumerate(colours):
+        row, col = 0.1 * pixels.shape[0], (0.1 + 0.2 * number) * pixels.shape[1]
+        wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        np.testing.assert_array_equal(pixels[int(row), int(col)], wanted)
+    np.testing.assert_array_equal(pixels[2, 2], 255)
 
 
 def test_thinning_keeps_the_order_and_is_the_same_every_time():

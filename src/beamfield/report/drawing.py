@@ -41,7 +41,7 @@ WIDE = 9.4
 # What a palette of 256 colours must keep, also as thin and as faint as figures draw it: median cut would give a few
 # pixels of one cause the colour of another.
 KEPT_COLOURS = (*CAUSE_COLOURS, THROUGH, MODEL)
-KEPT_SHARES = (1.0, 0.8, 0.6, 0.45, 0.35, 0.25, 0.15)
+KEPT_SHARES = (1.0, 0.8, 0.6, 0.45, 0.35, 0.25, 0.15, 0.0)
 
 # Matplotlib's text layout shares caches between figures.
 _DRAWING = threading.Lock()
@@ -207,6 +207,7 @@ def _palette(image: Image.Image) -> Image.Image:
     """Return an image with the palette to draw in: the kept colours over white, and the most frequent of the image."""
     kept = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in KEPT_COLOURS])
     shades = np.concatenate([255 + share * (kept - 255) for share in KEPT_SHARES]).round().astype(np.uint8)
+    shades = np.unique(shades, axis=0)
     rest = image.quantize(256 - len(shades), method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).getpalette()
     palette = Image.new("P", (1, 1))
     palette.putpalette([*shades.ravel().tolist(), *(rest or [])])

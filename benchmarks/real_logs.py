@@ -52,7 +52,7 @@ def main(folder: Path) -> None:
         print(f"```\n{parameter_table(result)}\n\n{score_table(result)}\n```\n")
         for finding in result.findings:
             if finding.severity == "warning":
-                print(f"- **{finding.name}**: {finding.text}")
+                print(f"- **{finding.name}**: {finding.full_text}")
         print()
 
 

@@ -22,6 +22,7 @@ from beamfield.report.drawing import (
     Panel,
     ReportFigure,
     legend,
+    new_axes,
     new_figure,
     png_panel,
     style,
@@ -105,8 +106,7 @@ def causes_by_bearing(calibration: Calibration, log: SensorLog) -> ReportFigure:
     index = np.clip(np.searchsorted(edges, bearings, side="right") - 1, 0, n_bins - 1)
     counts = np.array([np.bincount(index[calibration.causes[rows] == c], minlength=n_bins) for c in range(4)])
     shares = np.divide(counts, counts.sum(axis=0), out=np.zeros(counts.shape), where=counts.sum(axis=0) > 0)
-    figure = new_figure(WIDE, 3.0)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, 3.0)
     base: FloatArray = np.zeros(n_bins)
     # Hits fill the rest, so that the axis can show the others large.
     for cause in (3, 1, 2):
@@ -154,8 +154,7 @@ def opposite_widths(calibration: Calibration, log: SensorLog) -> ReportFigure | 
     first, second = first[chosen], second[chosen]
     mapped = table.expected_ranges[first] + table.expected_ranges[second]
     difference = table.ranges[first] + table.ranges[second] - mapped
-    figure = new_figure(WIDE, 3.6)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, 3.6)
     axes.scatter(mapped, difference, s=4, color=FIT, alpha=0.35, linewidths=0, label="pair of opposite beams")
     ends = np.array([mapped.min(), mapped.max()]) if len(mapped) else np.array([0.0, 1.0])
     axes.plot(ends, (fit.scale - 1) * ends + fit.widening, color=MODEL, linewidth=1.4, label="robust line")
@@ -190,8 +189,7 @@ def pose_shifts(calibration: Calibration) -> ReportFigure | None:
     if refinement is None or len(refinement.scans) == 0:
         return None
     shifts = refinement.shifts
-    figure = new_figure(NARROW, 3.6)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(NARROW, 3.6)
     axes.axhline(0, color=QUIET, linewidth=0.8)
     axes.axvline(0, color=QUIET, linewidth=0.8)
     axes.scatter(shifts[:, 0], shifts[:, 1], s=14, color=FIT, alpha=0.8, linewidths=0)
@@ -256,8 +254,7 @@ def _line_panel(
     name: str, title: str, points: FloatArray, z: FloatArray, line: FloatArray, y: str, label: str, least: float = 0.0
 ) -> Panel:
     """Dots with whiskers and the model's line."""
-    figure = new_figure(NARROW, 3.2)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(NARROW, 3.2)
     whisker = Z95 * np.nan_to_num(points[:, 2])
     axes.vlines(points[:, 0], points[:, 1] - whisker, points[:, 1] + whisker, color=FIT, linewidth=1.2)
     axes.plot(points[:, 0], points[:, 1], "o", color=FIT, markersize=5, label="readings")

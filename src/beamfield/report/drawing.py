@@ -93,6 +93,12 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained", facecolor="white", edgecolor="white")
 
 
+def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return a new figure of this size in inches and its only axes."""
+    figure = new_figure(width, height)
+    return figure, figure.add_subplot()
+
+
 def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = "both") -> None:
     """Give axes the report's look.
 

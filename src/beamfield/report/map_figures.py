@@ -17,7 +17,7 @@ from beamfield.report.drawing import (
     WIDE,
     ReportFigure,
     legend_above,
-    new_figure,
+    new_axes,
     png_panel,
     style,
 )
@@ -39,8 +39,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     causes = calibration.causes[rows]
     path = log.poses[calibration.selection.used, :2]
     limits = _limits(points[causes != 3], path)
-    figure = new_figure(WIDE, _height(limits))
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, _height(limits))
     draw_map(axes, grid, limits)
     shares = np.bincount(calibration.causes[~table.hits_nothing], minlength=4) / max(
         int((~table.hits_nothing).sum()), 1
@@ -87,8 +86,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         return None
     poses = log.poses[line.scan]
     limits = _limits(poses[:, :2], poses[:, :2], margin=3 * MARGIN)
-    figure = new_figure(WIDE, _height(limits) + 0.6)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, _height(limits) + 0.6)
     draw_map(axes, grid, limits)
     low, high = np.quantile(line.log_likelihood, [0.02, 0.98])
     order = np.argsort(-line.log_likelihood)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from importlib.resources import files
 
 from beamfield.finding import Finding, Severity
 from beamfield.report.drawing import ReportFigure
 from beamfield.report.escape import escaped
 from beamfield.report.page_section import Level
-from beamfield.report.page_style import STYLE
 
 # Colours alone tell nothing to many readers: each box begins with its word.
 LEVELS: Mapping[Level, str] = {"good": "Good", "care": "Use with care", "bad": "Do not use"}
@@ -33,13 +33,14 @@ def document(
     figures
         Named in the contents where there is room for them.
     """
+    style = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
     links = "".join(f'<li><a href="#{anchor}">{escaped(name)}</a></li>' for anchor, name in contents)
     links += "".join(f'<li class="more"><a href="#{part.name}">{escaped(part.title)}</a></li>' for part in figures)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escaped(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"<title>{escaped(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f'<a class="skip" href="#main">Skip to the result</a>\n<nav aria-label="Contents"><ul>{links}</ul></nav>\n'
         f'<main id="main">\n{main}\n<footer>{escaped(footer)}</footer>\n</main>\n</body>\n</html>\n'
     )

@@ -26,6 +26,7 @@ from beamfield.report.drawing import (
     ReportFigure,
     legend,
     legend_above,
+    new_axes,
     new_figure,
     png_panel,
     style,
@@ -177,8 +178,7 @@ def worst_scans(
 
 
 def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scan: int) -> Panel:
-    figure = new_figure(NARROW, 4.6)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(NARROW, 4.6)
     draw_sides(axes, model, log, grid, scan)
     where = PROBLEMS[int(fits.problem[scan])]
     name = f"scan {scan}, stamp {log.stamps[scan]:.2f} s"

@@ -20,7 +20,7 @@ from beamfield.report.drawing import (
     legend,
     legend_above,
     log_scale,
-    new_figure,
+    new_axes,
     png_panel,
     style,
     svg_panel,
@@ -35,8 +35,7 @@ Z95 = 1.96
 def score_plot(calibration: Calibration) -> ReportFigure:
     """Held-out log-likelihood per beam of the fit, the defaults and a uniform."""
     scores = calibration.scores
-    figure = new_figure(WIDE, 0.55 + 0.42 * len(scores))
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, 0.55 + 0.42 * len(scores))
     values = [(s.name, s.log_likelihood, s.standard_error) for s in scores]
     _dots(axes, values, highlight=[i == 0 for i in range(len(scores))])
     style(axes, x="log-likelihood per held-out beam [nats], more is better", grid="x")
@@ -60,8 +59,7 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
     candidates = calibration.candidates
     if len(candidates) < 2:
         return None
-    figure = new_figure(WIDE, 0.55 + 0.42 * len(candidates))
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, 0.55 + 0.42 * len(candidates))
     _dots(
         axes,
         [(form_name(c), c.gain, c.gain_se) for c in candidates],
@@ -96,8 +94,7 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
     edges = np.linspace(0.0, 1.0, PIT_BINS + 1)
     density = np.histogram(pit, edges)[0] / max(len(pit), 1) * PIT_BINS
     band, from_blocks = pit_band(calibration)
-    figure = new_figure(WIDE, 3.2)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, 3.2)
     axes.stairs(density, edges, fill=True, color=DATA, label="held-out beams")
     axes.stairs(density, edges, color=QUIET, linewidth=0.8)
     axes.axhspan(max(1 - band, 0.0), 1 + band, color=FIT, alpha=0.22, linewidth=0, label="95 % band of a right model")
@@ -159,8 +156,7 @@ def likelihood_over_time(calibration: Calibration) -> ReportFigure:
     """Mean log-likelihood per beam, scan by scan."""
     line = calibration.timeline
     seconds = line.stamps - line.stamps.min() if len(line.stamps) else line.stamps
-    figure = new_figure(WIDE, 3.4)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, 3.4)
     for held_out, colour, name in ((False, FIT, "fit blocks"), (True, HELD_OUT, "held-out blocks")):
         mine = line.held_out == held_out
         axes.scatter(seconds[mine], line.log_likelihood[mine], s=7, color=colour, linewidths=0, label=name)
@@ -194,8 +190,7 @@ def likelihood_trace(calibration: Calibration) -> ReportFigure | None:
     if len(trace) < 2 or not np.isfinite(trace[-1]):
         return None
     missing = trace[-1] - trace
-    figure = new_figure(WIDE, 2.8)
-    axes = figure.add_subplot()
+    figure, axes = new_axes(WIDE, 2.8)
     shown = np.where(np.isfinite(missing) & (missing > 0), missing, np.nan)
     axes.plot(np.arange(len(trace)), shown, color=FIT, linewidth=1.2, marker="o", markersize=3.5)
     if np.isfinite(shown).any():

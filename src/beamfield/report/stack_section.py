@@ -20,7 +20,7 @@ from beamfield.report.drawing import (
     Panel,
     ReportFigure,
     legend_above,
-    new_figure,
+    new_axes,
     style,
     svg_panel,
 )
@@ -232,8 +232,7 @@ def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:
 
 
 def _beams_panel(fit: StackFit) -> Panel:
-    drawn = new_figure(NARROW, 2.9)
-    axes = drawn.add_subplot()
+    drawn, axes = new_axes(NARROW, 2.9)
     labels = [", ".join(str(value) for value in trial.setting.values()) for trial in fit.trials]
     name = ", ".join(fit.trials[0].setting) or "setting"
     places = np.arange(len(fit.trials))
@@ -253,8 +252,7 @@ def _beams_panel(fit: StackFit) -> Panel:
 
 
 def _error_panel(fit: StackFit) -> Panel:
-    drawn = new_figure(NARROW, 2.9)
-    axes = drawn.add_subplot()
+    drawn, axes = new_axes(NARROW, 2.9)
     for update, colour, label in ((fit.update_before, DATA, "before"), (fit.update, FIT, "calibrated")):
         errors, share = _steps(update.error_after)
         axes.step(errors * 100.0, share, where="post", color=colour, linewidth=1.8, label=label)

@@ -31,11 +31,14 @@ def document(
     footer
         Last line; plain text.
     figures
-        Named in the contents where there is room for them.
+        Named in the contents, below the part "figures", where there is room for them.
     """
     style = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
-    links = "".join(f'<li><a href="#{anchor}">{escaped(name)}</a></li>' for anchor, name in contents)
-    links += "".join(f'<li class="more"><a href="#{part.name}">{escaped(part.title)}</a></li>' for part in figures)
+    more = "".join(f'<li class="more"><a href="#{part.name}">{escaped(part.title)}</a></li>' for part in figures)
+    links = "".join(
+        f'<li><a href="#{anchor}">{escaped(name)}</a></li>{more if anchor == "figures" else ""}'
+        for anchor, name in contents
+    )
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -14,6 +14,7 @@ from beamfield.report.drawing import (
     DATA,
     FIT,
     HELD_OUT,
+    NARROW,
     QUIET,
     WIDE,
     ReportFigure,
@@ -35,7 +36,7 @@ Z95 = 1.96
 def score_plot(calibration: Calibration) -> ReportFigure:
     """Held-out log-likelihood per beam of the fit, the defaults and a uniform."""
     scores = calibration.scores
-    figure, axes = new_axes(WIDE, 0.55 + 0.42 * len(scores))
+    figure, axes = new_axes(NARROW, 0.55 + 0.42 * len(scores))
     values = [(s.name, s.log_likelihood, s.standard_error) for s in scores]
     _dots(axes, values, highlight=[i == 0 for i in range(len(scores))])
     style(axes, x="log-likelihood per held-out beam [nats], more is better", grid="x")
@@ -45,7 +46,7 @@ def score_plot(calibration: Calibration) -> ReportFigure:
     return ReportFigure(
         "scores",
         "Log-likelihood per beam",
-        (svg_panel(figure, "scores", alt, wide=True),),
+        (svg_panel(figure, "scores", alt),),
         "Mean log-likelihood of beams from blocks of time that the fit has not seen, with 95 % intervals from these "
         "blocks. The intervals of two models overlap more than their difference is uncertain, because both are scored "
         "on the same beams: the table gives the uncertainty of the differences. One nat more makes a beam 2.7 times as "
@@ -59,7 +60,7 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
     candidates = calibration.candidates
     if len(candidates) < 2:
         return None
-    figure, axes = new_axes(WIDE, 0.55 + 0.42 * len(candidates))
+    figure, axes = new_axes(NARROW, 0.55 + 0.42 * len(candidates))
     _dots(
         axes,
         [(form_name(c), c.gain, c.gain_se) for c in candidates],
@@ -80,7 +81,7 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
     return ReportFigure(
         "candidates",
         "Which form of the hit component",
-        (svg_panel(figure, "candidates", alt, wide=True),),
+        (svg_panel(figure, "candidates", alt),),
         f"{form_line(calibration)} A range offset lets hits lie beside the expected range (walls drawn too thick or "
         "too thin); a sigma slope lets the noise grow with range. The filled dot is the form that was kept: a "
         f"further parameter must gain {LEAST_GAIN:g} nats per held-out beam and twice the standard error.",

@@ -138,9 +138,9 @@ def stack_findings(fit: StackFit) -> list[Finding]:
                 "stack-at-edge",
                 "info",
                 f"At the end of what is searched: {', '.join(fit.at_edge)}.",
-                why="The log alone asks for an even more extreme value, which a robot elsewhere may regret: a short "
-                "log lacks rare readings.",
-                do="Use the value; calibrate again with a longer log, with people in it if there will be people.",
+                why="The best value on this log may lie beyond. The search is bounded because no log shows all that a "
+                "robot will meet.",
+                do="Use the values; they hold for places and crowds like those of this log.",
             )
         )
     return found

@@ -79,8 +79,8 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     assert "info: calibrated" not in capsys.readouterr().out
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<title>nav2: likelihood_field_prob for FLASER</title>" in page
-    assert page.index("With the calibrated values one scan") < page.index("beats nav2")
-    assert document["verdict"].startswith("With the calibrated values one scan of nav2's likelihood_field_prob leaves")
+    assert page.index("With the calibrated values of nav2") < page.index("beats nav2")
+    assert document["verdict"].startswith("With the calibrated values of nav2's likelihood_field_prob, 95 % regions")
     assert 'id="stack-choice"' in page
 
 

@@ -25,6 +25,7 @@ from beamfield.report.drawing import WIDE, new_figure, svg_panel
 from beamfield.report.escape import escaped
 from beamfield.report.field_section import field_tables
 from beamfield.report.landmark_table import landmark_parameter_table
+from beamfield.report.page import table
 from beamfield.report.parameter_rows import parameter_rows
 from beamfield.report.range_bins import telling_bin, typical_bins
 from beamfield.report.scan_fit_figures import draw_fit
@@ -73,18 +74,11 @@ def calibration_markup(result: Calibration) -> str:
     result
         The result of `calibrate`.
     """
-    rows = "".join(
-        f"<tr><td>{escaped(row.name)}</td><td>{row.value}</td><td>{escaped(row.interval_text)}</td>"
-        f"<td>{row.unit}</td><td>{row.meaning}</td></tr>"
-        for row in parameter_rows(result)
-    )
-    head = "<th>parameter</th><th>value</th><th>95 % interval</th><th>unit</th><th>meaning</th>"
+    rows = [(row.name, row.value, row.interval_text, row.unit, row.meaning) for row in parameter_rows(result)]
+    head = ("parameter", "value", "95 % interval", "unit", "meaning")
     warnings = "".join(f"<p>{escaped(line)}</p>" for line in warning_lines(result.findings))
     picture = svg_panel(plot_calibration(result), "readings", "Measured ranges and the fitted density").markup
-    return (
-        f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{warnings}"
-        f'<div style="max-width: 700px; background: white">{picture}</div>'
-    )
+    return f'{table(head, rows, right=(1,))}{warnings}<div style="max-width: 700px; background: white">{picture}</div>'
 
 
 def save_calibration(result: Calibration, path: str | Path) -> None:

@@ -103,19 +103,21 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
 
 def stack_verdict(fit: StackFit) -> str:
     """Return what the fitted values do, before and after, and whether to use them."""
-    before, after = fit.update_before.error_after.mean(), fit.update.error_after.mean()
-    held_out = fit.chosen.held_out
+    name, held_out, before = f"{fit.model.stack}'s {fit.model.model}", fit.chosen.held_out, fit.before.held_out
     covered = (
         f"95 % regions hold the reference in {held_out.coverage:.0%} of {len(held_out.log_score)} held-out windows"
     )
-    name = f"{fit.model.stack}'s {fit.model.model}"
     if fit.chosen is fit.before:
         return f"Keep the values you have for {name}: none that was tried does better on this log; {covered}."
+    errors = fit.update.error_after.mean(), fit.update_before.error_after.mean()
     text = (
-        f"With the calibrated values one scan of {name} leaves particles {after:.3f} m from the reference in the mean, "
-        f"{before:.3f} m with the values before; {covered}."
+        f"With the calibrated values of {name}, {covered}, with the values before in {before.coverage:.0%}; the score "
+        f"is {held_out.mean:.2f} nats, before {before.mean:.2f}. One scan leaves particles {errors[0]:.3f} m from the "
+        f"reference in the mean, before {errors[1]:.3f} m"
     )
-    return text if fit.covers else f"{text} That is too few: the weights are still too sure."
+    if errors[0] > errors[1] and held_out.coverage > before.coverage:
+        text += ": the values before were surer than they had a right to be"
+    return f"{text}." if fit.covers else f"{text}. The coverage is too low: the weights are still too sure."
 
 
 def stack_findings(fit: StackFit) -> list[Finding]:

@@ -10,6 +10,7 @@ import pytest
 
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.as_json import calibration_as_dict, plain
+from beamfield.scan_fit.calibration_fit import fit_of_calibration
 
 
 def strict(document):
@@ -91,3 +92,22 @@ def test_what_is_not_known_is_null(case):
 )
 def test_plain_values(value, expected):
     assert plain(value) == expected
+
+
+def test_the_fit_of_each_scan_is_in_the_document_or_why_it_is_not(case):
+    fit = fit_of_calibration(case.calibration, case.grid, case.log)
+    document = strict(calibration_as_dict(case.calibration, fit))["scan_fit"]
+    assert document["n_judged"] == np.isfinite(document["p_value"]).sum() == len(case.log)
+    assert document["share_that_fits"] == np.mean(np.array(document["p_value"]) > document["level"])
+    assert document["reference"]["own_log"] is True
+    assert strict(calibration_as_dict(case.calibration))["scan_fit"] is None
+
+
+def test_a_map_that_the_log_drew_is_not_judged_by_the_scans_that_drew_it(case):
+    drawn = replace(case.calibration, map_from_log=True)
+    fit = fit_of_calibration(drawn, case.grid, case.log)
+    assert (fit.fits, fit.reference) == (None, None)
+    document = strict(calibration_as_dict(drawn, fit))
+    assert document["scan_fit"] == {"missing": fit.missing}
+    assert "fits them whatever happens" in fit.missing
+    assert document["map_from_log"] is True

@@ -31,7 +31,7 @@ class TestCalibration:
         text = case.calibration.summary()
         assert parameter_table(case.calibration) in text
         assert score_table(case.calibration) in text
-        assert text.endswith("warning (poor-map): The map is poor.")
+        assert text.endswith("warning (poor-map): The map is poor. It matters. Draw a better one.")
 
     def test_its_picture_has_the_readings_and_the_fit(self, case):
         figure = case.calibration.plot()
@@ -40,7 +40,7 @@ class TestCalibration:
 
     def test_a_notebook_shows_table_warnings_and_picture(self, case):
         markup = case.calibration._repr_html_()
-        assert markup.index("<td>sigma_hit</td>") < markup.index("The map is poor.") < markup.index("<svg")
+        assert markup.index(">sigma_hit</th>") < markup.index("The map is poor.") < markup.index("<svg")
         assert "The poses are good" not in markup
 
     def test_it_saves_what_a_model_takes(self, case, tmp_path):

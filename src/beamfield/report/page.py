@@ -49,9 +49,9 @@ def document(
     )
 
 
-def verdict_box(level: Level, text: str) -> str:
-    """Return the answer in a box of its level's colour, which begins with the level's word."""
-    return f'<p class="verdict {level}"><b class="label">{LEVELS[level]}</b> {escaped(text)}</p>'
+def verdict_box(level: Level, text: str, word: str = "") -> str:
+    """Return the answer in a box of its level's colour, which begins with a word, the level's if it is empty."""
+    return f'<p class="verdict {level}"><b class="label">{word or LEVELS[level]}</b> {escaped(text)}</p>'
 
 
 def finding_list(findings: Iterable[Finding]) -> str:

@@ -185,7 +185,7 @@ def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: 
     text = f"p-value {fits.p_value[scan]:.2g}, lost probability {fits.lost[scan]:.2f}" + (
         f" ({where})" if where else ""
     )
-    axes.set_title(f"{name}\n{text}", fontsize=8.5, loc="left", pad=30)
+    axes.set_title(f"{name}\n{text}", fontsize=8.5, loc="left", pad=34)
     return png_panel(figure, f"{name}: {text}", dpi=120)
 
 

@@ -15,6 +15,7 @@ from beamfield.report.as_json import LEVEL, plain, scan_fits_as_dict
 from beamfield.report.drawing import ReportFigure
 from beamfield.report.escape import escaped
 from beamfield.report.page import document, figure, table, verdict_box
+from beamfield.report.page_section import Level
 from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
 
@@ -133,9 +134,12 @@ def render_fit_page(
     judged = int((~np.isnan(fits.p_value)).sum())
     share = f"{fits.share_that_fits(LEVEL):.1%} of {judged} scans fit the map at {LEVEL:.0%}; of good scans 95 % do."
     sentence = f"{share} {lost_line(fits).capitalize()}." if judged else "No scan could be judged."
-    lost = fits.longest_lost() is not None
+    answers: dict[bool | None, tuple[Level, str]] = {
+        None: ("care", "Not judged"), True: ("bad", "Lost"), False: ("good", "Not lost")
+    }  # fmt: skip
+    level, word = answers[fits.longest_lost() is not None if judged else None]
     contents = [*((drawn.name, drawn.title) for drawn in figures), ("origin", "Origin")]
-    parts = [f"<h1>{escaped(title)}</h1>", verdict_box("bad" if lost else "good" if judged else "care", sentence)]
+    parts = [f"<h1>{escaped(title)}</h1>", verdict_box(level, sentence, word)]
     parts += map(figure, figures)
     if reference.reliability:
         rows = [(f"{r.predicted:.3f}", f"{r.observed:.3f}", f"{r.n:,}") for r in reference.reliability]

@@ -16,7 +16,7 @@ from beamfield.geometry import between, compose, interpolate_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.report.text_table import readings_line
-from beamfield.report.verdict import is_good, verdict
+from beamfield.report.verdict import verdict, verdict_level
 from beamfield.simulation.floor_plan import draw_floor_plan
 from tests.threads import forced_threads
 
@@ -136,11 +136,11 @@ def test_a_map_of_another_place_is_said_to_be_useless(drive):
     found = calibrate(drive.with_poses(turned), elsewhere, replace(OPTIONS, refine=False))
     assert {"map-says-nothing", "poses-off-map"} <= set(names(found))
     assert verdict(found).startswith("Do not use these values yet: the readings do not fit this map")
-    assert not is_good(found)
+    assert verdict_level(found) == "bad"
 
 
 def test_the_verdict_on_a_good_fit_is_good(result):
-    assert is_good(result)
+    assert verdict_level(result) in ("good", "care")
     assert verdict(result).startswith("The fit beats nav2's defaults")
 
 
@@ -180,7 +180,7 @@ def test_readings_without_a_measurement_do_not_vanish_from_z_max_in_silence(driv
     (nan,) = (finding for finding in found.findings if finding.name == "nan-readings")
     assert nan.severity == "warning"
     assert nan.values["share"] == pytest.approx(0.26, abs=0.01)
-    assert "z_max" in nan.text
+    assert "z_max" in nan.why
     assert found.table.n_nan == np.isnan(ranges[found.selection.used]).sum()
     assert found.table.n_too_close == (ranges[found.selection.used] < 0.6).sum() > 0
     assert found.table.n_readings == ranges[found.selection.used].size

@@ -137,7 +137,7 @@ def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdic
     assert text.count("warning (field-says-nothing): No better.") == 1
     head = (tmp_path / "out" / "report.html").read_text().split('id="parameters"')[0]
     assert "<code>field-says-nothing</code>" in head
-    assert 'class="verdict bad"><b class="label">Do not use</b> Do not use these values yet' in head
+    assert 'class="verdict bad"><b class="label">Do not trust</b> Do not use these values yet' in head
 
 
 def test_masked_beams_count_as_no_measurement_and_the_mask_is_recorded(world: Path, tmp_path: Path):

@@ -11,7 +11,7 @@ from beamfield.report.escape import escaped
 from beamfield.report.page_section import Level
 
 # Colours alone tell nothing to many readers: each box begins with its word.
-LEVELS: Mapping[Level, str] = {"good": "Good", "care": "Use with care", "bad": "Do not use"}
+LEVELS: Mapping[Level, str] = {"good": "Good", "care": "Use with care", "bad": "Do not trust"}
 SEVERITIES: Mapping[Severity, str] = {"error": "Error", "warning": "Warning", "info": "Note"}
 
 

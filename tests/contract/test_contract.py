@@ -13,6 +13,7 @@ from scipy import stats
 from beamfield.detections import UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
+from beamfield.models.base import BeamwiseModel, ExpectingModel, GenerativeModel
 from tests.threads import forced_threads
 
 
@@ -152,6 +153,19 @@ def test_samples_follow_the_density(generative, rng):
     ratio = np.exp(log_ratio)
     assert ratio.mean() == pytest.approx(1.0, abs=4.0 * ratio.std() / np.sqrt(len(ratio)))
     assert 4.0 * ratio.std() / np.sqrt(len(ratio)) < 0.05
+
+
+def test_what_a_model_can_do_is_seen_from_its_methods(case):
+    model = case.build()
+    if case.transform is not None:
+        assert isinstance(model, GenerativeModel)
+    if "match" in case.name or "field" in case.name:
+        assert not isinstance(model, GenerativeModel | ExpectingModel)
+    if isinstance(model, BeamwiseModel):
+        z, poses = case.measurements[0], case.poses
+        assert model.beam_log_likelihood(z, poses).shape[:-1] == (len(poses),)
+    if isinstance(model, ExpectingModel):
+        assert len(model.expected(case.poses)) == len(case.poses)
 
 
 def test_samples_repeat_with_the_seed(generative):

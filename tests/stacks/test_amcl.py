@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError
+from beamfield.localization.likelihood_map import likelihood_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.stacks.emulation.emulator import KNOWN, OFF_MAP, UNKNOWN
@@ -120,6 +121,9 @@ def test_beams_disagree_off_the_map_and_a_beam_that_most_poses_disagree_with_is_
     assert model.with_parameters(strict).log_likelihood(scan, poses) == pytest.approx(np.log(p).sum(axis=1))
     assert plain.takes_poses_alone()
     assert not model.takes_poses_alone()
+    likelihood_map(plain, scan, corridor, headings=2)
+    with pytest.raises(InvalidInputError, match="switch beam skipping off"):
+        likelihood_map(model, scan, corridor, headings=2)
 
 
 def test_a_beam_is_skipped_by_the_share_of_poses_that_it_agrees_with():

@@ -13,7 +13,7 @@ from beamfield.arguments import check_magnitude, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
-from beamfield.models.base import MeasurementModel
+from beamfield.models.base import MeasurementModel, check_takes_poses_alone
 from beamfield.models.local_map_cells import LocalMap
 from beamfield.short_repr import short_repr
 
@@ -169,7 +169,8 @@ def likelihood_map(
     Raises
     ------
     InvalidInputError
-        If a number is out of range, the mask does not fit, or no cell is to be evaluated.
+        If a number is out of range, the mask does not fit, no cell is to be evaluated, or the model weighs poses
+        together.
 
     Notes
     -----
@@ -179,6 +180,7 @@ def likelihood_map(
     ----------
     Probabilistic Robotics, section 6.3.2, Figure 6.7b.
     """
+    check_takes_poses_alone(model)
     shape = _lattice_shape(grid, resolution)
     if not 1 <= headings <= MAX_HEADINGS:
         raise InvalidInputError(f"headings: expected 1 to {MAX_HEADINGS}, got {headings}")

@@ -13,7 +13,7 @@ from beamfield.arguments import as_count, check_fields, check_magnitude, checked
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
-from beamfield.models.base import MeasurementModel
+from beamfield.models.base import MeasurementModel, check_takes_poses_alone
 from beamfield.short_repr import short_repr
 
 Progress = Callable[[int, int], None]
@@ -327,6 +327,8 @@ def pose_posterior(
     ------
     TooLittleDataError
         If the measurement is impossible at every pose of the lattice: there is no posterior.
+    InvalidInputError
+        If the model weighs poses together.
 
     Examples
     --------
@@ -345,6 +347,7 @@ def pose_posterior(
     >>> 0.0 < posterior.entropy < posterior.prior_entropy
     True
     """
+    check_takes_poses_alone(model)
     centres, h = lattice.centres(), len(lattice.headings)
     values: FloatArray = np.empty((len(centres), h))
     step = max(1, POSES_PER_CHUNK // h)

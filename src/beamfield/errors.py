@@ -75,7 +75,3 @@ class MissingDependencyError(BeamfieldError, ImportError):
     def __init__(self, package: str, extra: str | None, purpose: str) -> None:
         where = "" if extra is None else f", which is in the extra beamfield[{extra}]"
         super().__init__(f"{purpose} needs the package {package!r}: pip install {package}{where}")
-
-
-class BeamfieldWarning(UserWarning):
-    """Something finished, but its result needs care; the text says which and why."""

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from beamfield.errors import (
-    BeamfieldWarning,
     FormatError,
     InvalidInputError,
     MissingDependencyError,
@@ -121,12 +120,11 @@ def _read(target: Target, entry: Path, memory: PeakMemory | None) -> Outcome:
         kind, text, place, result = _attempt(target, entry)
     seconds = time.process_time() - start
     grown = memory.peak() - before if memory is not None else 0
-    foreign = [item for item in caught if not issubclass(item.category, BeamfieldWarning)]
     if kind == "ok":
         kind, text, place = _checked(target, result)
     if kind in ("ok", "refused", "system"):
-        if foreign:
-            found = foreign[0]
+        if caught:
+            found = caught[0]
             kind, place = "warning", f"{Path(found.filename).name}:{found.lineno}"
             text = f"{found.category.__name__}: {found.message} ({found.filename}:{found.lineno})"
         elif seconds > MAX_SECONDS:

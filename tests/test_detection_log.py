@@ -54,7 +54,7 @@ def test_columns_become_observations_and_features_keep_their_order():
             r"poses: expected numbers or a row of NaN, got \[0.0, nan, 0.0\] at index 0",
         ),
         ([[0.0, np.inf, 0.0]], (1.0,), {}, "poses: expected finite numbers or NaN, got inf"),
-        (POSES[:2], (1.0, 0.5), {}, "stamps: expected no step back, got 0.5 after 1.0"),
+        (POSES[:2], (1.0, 0.5), {}, "stamps: expected numbers that do not decrease, got 0.5 after 1.0"),
         (POSES[:1], (np.nan,), {}, "stamps: expected finite numbers, got nan"),
         (POSES[:1], (1.0,), {"places": [-1]}, "ids: expected at least 0, got -1"),
     ],

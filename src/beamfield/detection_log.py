@@ -71,7 +71,9 @@ class DetectionLog:
             raise InvalidInputError(f"stamps: expected finite numbers, got {stamps[~np.isfinite(stamps)][0]}")
         if (np.diff(stamps) < 0.0).any():
             i = int((np.diff(stamps) < 0.0).argmax())
-            raise InvalidInputError(f"stamps: expected no step back, got {stamps[i + 1]} after {stamps[i]}")
+            raise InvalidInputError(
+                f"stamps: expected numbers that do not decrease, got {stamps[i + 1]} after {stamps[i]}"
+            )
         if self.places is not None:
             object.__setattr__(self, "places", as_ids(self.places, len(self), 0))
 

@@ -213,7 +213,7 @@ def draw_scan(
         Of the points; the size is an area in points squared, as in matplotlib.
     rays
         Also draw each beam: to its end point if it measured something, and as a dotted stub of a tenth of max_range
-        if nothing came back.
+        if there was no return.
 
     Returns
     -------

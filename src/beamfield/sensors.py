@@ -254,7 +254,7 @@ def _require_radians(name: str, angles: FloatArray) -> None:
     farthest = np.max(np.abs(angles), initial=0.0)
     if 2.0 * np.pi + TURN_TOLERANCE < farthest < np.inf:
         raise InvalidInputError(
-            f"{name}: expected radians, at most a full turn, got {farthest:g}; np.radians(...) makes them of degrees"
+            f"{name}: expected radians, at most a full turn, got {farthest:g}; np.radians(...) converts degrees"
         )
 
 
@@ -271,7 +271,7 @@ def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
 
     Returns
     -------
-    (..., k) metres: max_range where nothing came back (+inf, or z >= max_range); NaN where there is no measurement
+    (..., k) metres: max_range where there was no return (+inf, or z >= max_range); NaN where there is no measurement
     (NaN, -inf, or z < min_range).
 
     Examples

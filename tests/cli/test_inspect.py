@@ -343,7 +343,7 @@ def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_pat
     picture = ("--out", tmp_path / "a.png")
     assert "--map: goes with a log" in refused(capsys, map_path, "--map", map_path, *picture, code=2)
     assert "--poses: goes with a log" in refused(capsys, map_path, "--poses", log_path, code=2)
-    assert "a topic is chosen in a bag" in refused(capsys, map_path, "--map-topic", "/map", code=2)
+    assert "topic applies to bags only" in refused(capsys, map_path, "--map-topic", "/map", code=2)
     error = refused(capsys, raw_log_path, "--map", map_path, *picture)
     assert "no scan has a reference pose to draw it on a map; give --poses FILE" in error
     assert not (tmp_path / "a.png").exists()

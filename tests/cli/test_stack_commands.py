@@ -124,7 +124,7 @@ def test_what_cannot_be_translated_is_one_line(good, tmp_path, capsys):
     out = tmp_path / "new.yaml"
     assert main(["translate", str(good), "--to", "f1tenth", "--out", str(out)]) == 2
     err = capsys.readouterr().err
-    assert "f1tenth has no model that can weigh as beluga's likelihood_field_prob does" in err
+    assert "f1tenth has no model that weighs as beluga's likelihood_field_prob does" in err
     assert err.count("\n") == 1
     assert not out.exists()
 
@@ -179,7 +179,7 @@ def test_one_section_of_several_is_patched(good, tmp_path, capsys):
     words = ["translate", str(good), "--to", "nav2", "--patch", str(target)]
     assert main(words) == 1
     assert target.read_text() == TWO
-    assert "choose by label or line" in capsys.readouterr().err
+    assert "choose one by label or line" in capsys.readouterr().err
     assert main([*words, "--patch-section", "/r2/amcl.ros__parameters"]) == 0
     assert target.read_text().startswith(TWO.replace("0.6", "0.947236"))
     assert main(["translate", str(good), "--to", "nav2", "--patch-section", "x"]) == 2

@@ -10,7 +10,7 @@ from beamfield.cli.wording import in_options
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("read it with lone_poses='odometry' and bring poses", "read it with --lone-poses odometry and bring poses"),
+        ("read it with lone_poses='odometry' and supply poses", "read it with --lone-poses odometry and supply poses"),
         ("read with stamps='order' if", "read with --stamps order if"),
         ("(give max_range if it measures that far)", "(give --max-range if it measures that far)"),
         ("unless no_return names NaN", "unless --no-return names NaN"),

@@ -102,7 +102,7 @@ def test_another_number_of_beams_spans_what_the_log_says_or_half_a_turn(tmp_path
     lines = [flaser(i) for i in range(3)]
     log = read_carmen(write(tmp_path, *lines))
     np.testing.assert_allclose(np.degrees(log.only_sensor().finder.bearings), [-90, -30, 30, 90])
-    assert any("4 beams are no usual number" in note for note in log.notes)
+    assert any("4 beams is an unusual number" in note for note in log.notes)
     sensor = read_one(tmp_path, "PARAM laser_front_laser_fov 1.5 host 0", *lines)
     np.testing.assert_allclose(sensor.finder.bearings, [-0.75, -0.25, 0.25, 0.75])
 
@@ -196,9 +196,9 @@ def test_scans_without_any_number_are_counted(tmp_path):
 
 
 BAD = {
-    "cut off": (flaser(2).rsplit(" ", 1)[0], "expected 15 words .*got 14: the line is cut off"),
+    "cut off": (flaser(2).rsplit(" ", 1)[0], "expected 15 words .*got 14: the line is truncated"),
     "cut off in the ranges": ("FLASER 4 1 2", "expected 15 words .*got 4"),
-    "cut off before the count": ("FLASER", "cut off after 1 words"),
+    "cut off before the count": ("FLASER", "truncated after 1 words"),
     "count too large": (flaser(2).replace("FLASER 4", "FLASER 5"), "expected 16 words .*got 15"),
     "count too small": (flaser(2).replace("FLASER 4", "FLASER 3"), "expected 14 words .*got 15"),
     "count absurd": (flaser(2).replace("FLASER 4", "FLASER 999999999999"), "expected a number of readings"),

@@ -35,7 +35,7 @@ def test_a_file_by_hand_needs_only_the_sigmas(tmp_path):
         ("other: 1\n", "the key 'landmark_model' is missing"),
         ("landmark_model: 3\n", "a.yaml:1: landmark_model: expected the parameters' names and values, got 3"),
         ("landmark_model:\n  sigma_range: 0.1\n", "the key 'sigma_bearing' is missing in 'landmark_model'"),
-        ("landmark_model:\n  sigma: 1\n", "a.yaml:2: .* unknown parameter 'sigma'; known are sigma_range"),
+        ("landmark_model:\n  sigma: 1\n", "a.yaml:2: .* unknown parameter 'sigma'; known parameters are sigma_range"),
         ("landmark_model:\n  sigma_range: wide\n  sigma_bearing: 1\n", "a.yaml:2: .* expected a number, got 'wide'"),
         ("landmark_model: {sigma_range: 1, sigma_bearing: 1, range_bias: null}\n", "range_bias: expected a number"),
         ("landmark_model: {sigma_range: -1, sigma_bearing: 1}\n", "landmark_model: sigma_range: expected a positive"),
@@ -49,5 +49,5 @@ def test_what_is_no_landmark_model_is_refused(text, message, tmp_path):
 
 
 def test_matrices_have_no_place_in_the_file():
-    with pytest.raises(InvalidInputError, match="a signature covariance or confusion matrix has no place"):
+    with pytest.raises(InvalidInputError, match="a signature covariance or confusion matrix cannot be written"):
         landmark_model_text(LandmarkParameters(0.1, 0.1, confusion=np.eye(2)))

@@ -171,14 +171,14 @@ def test_a_damaged_pgm_is_named_with_what_is_wrong(write, content, message):
 @pytest.mark.parametrize("magic", [b"P2", b"P5"])
 def test_a_pgm_bomb_is_refused_by_its_header(write, magic):
     path = write(magic + b"\n999999999 999999999\n255\n0")
-    with pytest.raises(FormatError, match="more than the limit of 400000000: not decoded"):
+    with pytest.raises(FormatError, match="exceed the limit of 400000000"):
         read_map_image(path)
 
 
 def test_the_limit_of_pixels_can_be_set(write):
     path = write(b"P5 3 2 255\n" + GREY.tobytes())
     assert read_map_image(path, max_pixels=6).grey.shape == (2, 3)
-    with pytest.raises(FormatError, match="3 x 2 pixels are more than the limit of 5"):
+    with pytest.raises(FormatError, match="3 x 2 pixels exceed the limit of 5"):
         read_map_image(path, max_pixels=5)
     with pytest.raises(InvalidInputError, match="max_pixels"):
         read_map_image(path, max_pixels=0)
@@ -263,7 +263,7 @@ def test_bmp_is_read_because_map_server_reads_it(tmp_path):
 
 def test_a_png_bomb_is_refused_by_its_header(write):
     path = write(png_with_header(40_000, 40_000, 8, 0, b"\0" * 10))
-    with pytest.raises(FormatError, match="40000 x 40000 pixels are more than the limit of 400000000: not decoded"):
+    with pytest.raises(FormatError, match="40000 x 40000 pixels exceed the limit of 400000000"):
         read_map_image(path)
 
 
@@ -356,7 +356,7 @@ def test_a_png_without_pixel_data_or_with_those_of_a_part_only_is_an_error(write
     with pytest.raises(FormatError, match="damaged picture"):
         read_map_image(write(head + rest[-12:]))
     frame = b"fcTL" + struct.pack(">IIIIIHHBB", 0, 1, 1, 0, 0, 1, 1, 0, 0)
-    with pytest.raises(FormatError, match="no data for some of its pixels"):
+    with pytest.raises(FormatError, match="some pixels have no data"):
         read_map_image(write(head + struct.pack(">I", 26) + frame + struct.pack(">I", zlib.crc32(frame)) + rest))
 
 
@@ -380,7 +380,7 @@ def test_a_bmp_with_missing_pixels_is_refused_before_room_is_made_for_it(write, 
 
 def test_a_bmp_with_run_length_codes_is_refused_because_they_may_leave_pixels_out(write):
     # Two pixels, then the end of the line: the other three would be black.
-    with pytest.raises(FormatError, match="run-length codes are not read: save it without, or as PNG"):
+    with pytest.raises(FormatError, match="run-length encoded BMP is not supported: save it uncompressed, or as PNG"):
         read_map_image(write(bmp(5, 1, 8, b"\2\7\0\0\0\1", compression=1)))
 
 

@@ -73,8 +73,8 @@ def test_sensors_are_chosen_by_name(tmp_path):
     [
         (b"", "no scans: the file is empty"),
         (b"# only\n\n# comments\n", "no scans: the file is empty"),
-        (b"t,x,y,theta\n0,1,2,3\n", r":1: unknown format, the text begins 't,x,y,theta'; supported: CARMEN"),
-        (b"hello world\n" * 500, "unknown format, the text begins 'hello world'"),
+        (b"t,x,y,theta\n0,1,2,3\n", r":1: unknown format, the text starts with 't,x,y,theta'; supported: CARMEN"),
+        (b"hello world\n" * 500, "unknown format, the text starts with 'hello world'"),
         (b"\x7fELF\x02\x01\x01\x00\x00\x00", "expected text, got binary data"),
         (gzip.compress(b"FLASER 3 1 2 3\n", mtime=0)[:-6], "gzip stream is damaged or ends early"),
         (b"ODOM 1 2 3 0 0 0 1 host 1\n", "no scans"),

@@ -42,7 +42,7 @@ def test_bags_are_given_to_their_reader_with_the_topic(tmp_path, monkeypatch, na
 
 
 def test_a_topic_for_a_file_that_is_no_bag_is_refused(tmp_path):
-    with pytest.raises(InvalidInputError, match=r"a\.yaml: a topic is chosen in a bag"):
+    with pytest.raises(InvalidInputError, match=r"a\.yaml: topic applies to bags only"):
         read_map(tmp_path / "a.yaml", topic="/map")
 
 
@@ -66,5 +66,5 @@ def test_the_limit_of_pixels_is_passed_on(tmp_path):
     (tmp_path / "a.dat").write_bytes(WEAN)
     with pytest.raises(FormatError, match="limit of 11"):
         read_map(tmp_path / "a.yaml", max_pixels=11)
-    with pytest.raises(FormatError, match="limit of 1:"):
+    with pytest.raises(FormatError, match=r"limit of 1$"):
         read_map(tmp_path / "a.dat", max_pixels=1)

@@ -44,7 +44,7 @@ def test_a_missing_file_passes_through(tmp_path):
 
 def test_a_folder_that_is_no_bag(tmp_path):
     (tmp_path / "photos").mkdir()
-    refuse(tmp_path / "photos", "no ROS 2 bag.*metadata.yaml")
+    refuse(tmp_path / "photos", "not a ROS 2 bag.*metadata.yaml")
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
@@ -65,12 +65,12 @@ def test_a_pickle_renamed_to_bag_is_not_opened(tmp_path):
             return (pytest.fail, ("the pickle was loaded",))
 
     (tmp_path / "x.bag").write_bytes(pickle.dumps(Bomb()))
-    refuse(tmp_path / "x.bag", "no ROS 1 bag")
+    refuse(tmp_path / "x.bag", "not a ROS 1 bag")
 
 
 def test_an_mcap_renamed_to_bag(tmp_path):
     path = storage_file(MiniBag("mcap").scan(1.0).write(tmp_path))
-    refuse(path.rename(tmp_path / "x.bag"), r"content is that of a \.mcap file.*'\.bag'")
+    refuse(path.rename(tmp_path / "x.bag"), r"content is a \.mcap file.*'\.bag'")
 
 
 def test_an_old_bag_version(tmp_path):
@@ -85,7 +85,7 @@ def test_a_cut_bag(storage, share, tmp_path):
     file = storage_file(path)
     content = file.read_bytes()
     file.write_bytes(content[: int(share * len(content))])
-    refuse(path, "damaged or cut")
+    refuse(path, "damaged or truncated")
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -113,11 +113,11 @@ def test_corrupted_metadata(tmp_path):
     path = MiniBag("sqlite3").scan(1.0).write(tmp_path)
     metadata = path / "metadata.yaml"
     good = metadata.read_text()
-    for bad, reason in (("{", "no valid YAML"), ("", "empty"), ("[1, 2", "no valid YAML"), ("a: &a [*a]", "anchors"),
-                        ("rosbag2_bagfile_information: 7", "damaged or cut"), ("a: 1", "is missing"),
-                        ("!!python/object:os.system [ls]", "expected keys"), ("\x00\xff", "no valid YAML"),
-                        (good.replace("relative_file_paths", "more"), "damaged or cut"),
-                        (good.replace("- log.db3", "- 7"), "damaged or cut")):  # fmt: skip
+    for bad, reason in (("{", "not valid YAML"), ("", "empty"), ("[1, 2", "not valid YAML"), ("a: &a [*a]", "anchors"),
+                        ("rosbag2_bagfile_information: 7", "damaged or truncated"), ("a: 1", "is missing"),
+                        ("!!python/object:os.system [ls]", "expected keys"), ("\x00\xff", "not valid YAML"),
+                        (good.replace("relative_file_paths", "more"), "damaged or truncated"),
+                        (good.replace("- log.db3", "- 7"), "damaged or truncated")):  # fmt: skip
         metadata.write_text(bad)
         refuse(path, reason)
 
@@ -205,7 +205,7 @@ def test_a_known_type_with_other_fields(name, field, read, tmp_path):
         "UPDATE message_definitions SET type_description_hash = '', "
         f"encoded_message_definition = replace(encoded_message_definition, ' {field}\n', ' other\n')",
     )  # fmt: skip
-    refuse(path, rf"message 1: not as .*/msg/.* should be: .*{name}' object has no attribute '{field}'", read=read)
+    refuse(path, rf"message 1: not a valid .*/msg/.*: .*{name}' object has no attribute '{field}'", read=read)
 
 
 @pytest.mark.parametrize("topic", ["tf", "odometry"])
@@ -218,7 +218,7 @@ def test_a_known_type_with_arrays_for_numbers(topic, tmp_path):
         "UPDATE message_definitions SET type_description_hash = '', encoded_message_definition = "
         "replace(encoded_message_definition, 'float64 y', 'uint8[3] y')",
     )  # fmt: skip
-    refuse(path, "message 1: not as .* should be: .*arrays")
+    refuse(path, "message 1: not a valid .*: .*arrays")
 
 
 def test_a_frame_without_a_name(tmp_path):
@@ -227,7 +227,7 @@ def test_a_frame_without_a_name(tmp_path):
         "UPDATE message_definitions SET type_description_hash = '', encoded_message_definition = "
         "replace(encoded_message_definition, 'string frame_id', 'uint8[] frame_id')",
     )  # fmt: skip
-    refuse(path, "/scan, message 1: expected a name as frame_id, got array")
+    refuse(path, "/scan, message 1: expected a frame_id, got array")
 
 
 def test_two_topics_of_one_number(tmp_path):
@@ -237,7 +237,7 @@ def test_two_topics_of_one_number(tmp_path):
         if record.op == CONNECTION:
             records[i] = record.put(b"conn", bytes(4))
     path.write_bytes(bag1_bytes(records, offsets=True))
-    refuse(path, "two topics have one number")
+    refuse(path, "two topics share one id")
 
 
 def test_frames_that_do_not_connect(tmp_path):
@@ -341,7 +341,7 @@ def test_given_limits_without_sense(tmp_path):
 
 def test_one_mount_for_two_sensors(tmp_path):
     path = MiniBag().scan(1.0).scan(1.0, topic="/other").write(tmp_path)
-    refuse(path, "one sensor, but the bag has 2", InvalidInputError, mount=(0, 0, 0))
+    refuse(path, "one mount was given, but the bag has 2 sensors", InvalidInputError, mount=(0, 0, 0))
 
 
 def test_a_bent_mount(tmp_path):
@@ -377,7 +377,7 @@ def test_an_array_that_claims_an_absurd_size(size, tmp_path):
         data[where : where + 4] = struct.pack("<I", size)
         base.execute("UPDATE messages SET data = ? WHERE id = 2", (bytes(data),))
     base.close()
-    refuse(path, "/scan, message 2: the bag is damaged or cut")
+    refuse(path, "/scan, message 2: the bag is damaged or truncated")
 
 
 def test_ranger_messages_that_are_too_short(tmp_path):
@@ -409,6 +409,6 @@ def test_bags_without_a_map_or_with_several(tmp_path):
     path = MiniBag().scan(1.0).write(tmp_path)
     refuse(path, "no map.*'/scan'", read=read_bag_map)
     path = MiniBag().grid(1.0, 1, 1, [0], topic="/a").grid(1.0, 1, 1, [0], topic="/b").write(tmp_path, "two")
-    refuse(path, "which map.*'/a', '/b'", InvalidInputError, read=read_bag_map)
+    refuse(path, "several maps.*'/a', '/b'", InvalidInputError, read=read_bag_map)
     path = MiniBag().declare("/map", "nav_msgs/msg/OccupancyGrid").write(tmp_path, "none")
     refuse(path, "no message", read=read_bag_map)

@@ -48,7 +48,7 @@ def test_few_short_steps_back_are_raised_with_a_note():
     assert (np.diff(found.seconds) >= 0.0).all()
     changed = np.flatnonzero(found.seconds != times)
     assert changed.tolist() == [51]
-    assert "1 of 200 stamps go back, by up to 0.5 s" in found.notes[0]
+    assert "1 of 200 stamps go backwards, by up to 0.5 s" in found.notes[0]
 
 
 def test_stamps_that_run_backwards_name_line_and_values():

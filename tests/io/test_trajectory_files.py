@@ -132,7 +132,7 @@ def test_indexed_poses_go_to_their_scans_even_if_the_clock_has_another_zero(log)
 def test_indexed_poses_of_another_log_are_refused(log):
     with pytest.raises(InvalidInputError, match="a pose for scan 8, but the log has 8 scans"):
         attach_poses(log, IndexedTrack(np.array([14.0]), np.zeros((1, 3)), np.array([8])))
-    with pytest.raises(InvalidInputError, match=r"do not fit the stamps of the log \(up to 0\.5 s"):
+    with pytest.raises(InvalidInputError, match=r"do not match the stamps of the log \(up to 0\.5 s"):
         attach_poses(log, IndexedTrack(np.array([10.0, 11.0, 11.5]), np.zeros((3, 3)), np.array([0, 1, 2])))
 
 

@@ -72,9 +72,9 @@ def test_thresholds_are_the_callers(write):
         (HEADER.replace("10\n", "nan\n") + CELLS, 2, "resolution: expected a number, got 'nan'"),
         (HEADER.replace("10\n", "0\n") + CELLS, None, "resolution: expected a positive number of centimetres, got 0.0"),
         (HEADER.replace("10\n", "-5\n") + CELLS, None, "got -5.0"),
-        (HEADER.replace("     0\n", "     50\n") + CELLS, None, "autoshifted_x: expected a map that is not shifted"),
+        (HEADER.replace("     0\n", "     50\n") + CELLS, None, "autoshifted_x: expected a map without a shift"),
         (HEADER + "global_map[0]: 0 3\n", 5, "expected a map with cells, got 0 x 3"),
-        (HEADER + "global_map[0]: 99999 99999\n", 5, "99999 x 99999 cells are more than the limit of 400000000"),
+        (HEADER + "global_map[0]: 99999 99999\n", 5, "99999 x 99999 cells exceed the limit of 400000000"),
         (HEADER + CELLS.replace("2 3", "3 3"), None, "truncated: expected 3 lines of numbers, got 2"),
         (HEADER + CELLS.replace("2 3", "1 3"), 7, "expected 1 lines of numbers, got more: '0.000"),
         (HEADER + CELLS.replace("2 3", "2 4"), 6, "expected 4 numbers, got 3"),
@@ -104,7 +104,7 @@ def test_a_damaged_gzip_file_is_named(write):
 
 
 def test_the_limit_of_cells_can_be_set(write):
-    with pytest.raises(FormatError, match="2 x 3 cells are more than the limit of 5"):
+    with pytest.raises(FormatError, match="2 x 3 cells exceed the limit of 5"):
         read_wean_map(write(HEADER + CELLS), max_cells=5)
     with pytest.raises(InvalidInputError, match="max_cells"):
         read_wean_map(write(HEADER + CELLS), max_cells=0)

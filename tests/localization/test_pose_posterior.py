@@ -84,7 +84,7 @@ def test_divergence_is_that_of_gaussians_and_infinite_where_a_pose_is_excluded()
     without = posterior_of(values, lattice)
     assert flat.divergence_from(without) == np.inf
     assert without.divergence_from(flat) == pytest.approx(np.log(shape[0] / (shape[0] - 1)))
-    with pytest.raises(InvalidInputError, match="posteriors on one lattice"):
+    with pytest.raises(InvalidInputError, match="posteriors on the same lattice"):
         p.divergence_from(pose_posterior(GaussianModel(), None, box(0.2)))
 
 

@@ -70,7 +70,7 @@ def test_a_cell_that_was_passed_once_is_free():
 def test_nothing_to_draw_and_too_much_are_refused():
     finder = RangeFinder.from_bearings([0.0], 8.0)
     log = log_of([[1.0], [1.0]], [[0.0, 0.0, 0.0], [1e6, 1e6, 0.0]], finder)
-    with pytest.raises(TooLittleDataError, match="no scan that was chosen has a pose"):
+    with pytest.raises(TooLittleDataError, match="none of the chosen scans has a pose"):
         count_hits(log, ~ALL, 0.5)
     with pytest.raises(InvalidInputError, match="the limit is"):
         count_hits(log, ALL, 0.05)

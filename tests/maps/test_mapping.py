@@ -168,7 +168,7 @@ def test_scans_without_pose_are_left_out():
     poses = [(0.25, 0.25, 0.0), (np.nan, 0.0, 0.0)]
     both = build_map(as_log([[1.6], [3.0]], poses, AHEAD), resolution=0.5, inverse_model=ODDS)
     np.testing.assert_array_equal(both.probability, one_beam(1.6).probability)
-    with pytest.raises(TooLittleDataError, match="no scan that was chosen has a pose"):
+    with pytest.raises(TooLittleDataError, match="none of the chosen scans has a pose"):
         build_map(as_log([[1.0]], [(np.nan, 0.0, 0.0)], AHEAD))
 
 

@@ -264,7 +264,7 @@ def test_a_sensor_without_ranges_or_bearings_has_no_sigma_for_them(rng):
     np.testing.assert_array_equal(only_bearings.log_likelihood(z.without_ids(), POSES), both)
     only_ranges = model(parameters=LandmarkParameters(0.3, None))
     assert np.isnan(only_ranges.sample(POSES[0], rng)[0].bearings).all()
-    with pytest.raises(InvalidInputError, match="sigma_bearing: feature 1 has a measured value, and there is no sigma"):
+    with pytest.raises(InvalidInputError, match="sigma_bearing: feature 1 has a measured value, but the sigma is None"):
         only_ranges.log_likelihood(Detections([1.0, 2.0], [np.nan, 0.1], ids=[7, 3]), POSES)
     with pytest.raises(InvalidInputError, match="sigma_range: feature 0 has a measured value"):
         only_bearings.log_likelihood(Detections([1.0], [0.2]), POSES)
@@ -397,7 +397,7 @@ def test_the_correspondence_must_be_chosen():
 
 
 def test_a_spurious_range_without_a_limit_is_refused():
-    with pytest.raises(InvalidInputError, match="max_range: a feature of no landmark has a range"):
+    with pytest.raises(InvalidInputError, match="max_range: a spurious feature needs max_range"):
         model(parameters=LandmarkParameters(0.3, 0.2)).log_likelihood(Detections([1.0], [0.0], ids=[SPURIOUS]), POSES)
 
 
@@ -422,7 +422,11 @@ def test_a_type_that_the_confusion_matrix_has_not_is_refused():
 @pytest.mark.parametrize(
     ("landmarks", "parameters", "message"),
     [
-        (LandmarkMap(POSITIONS, signatures=COLOURS), {}, "sigma_signature: a map with .* 'number' needs it, got None"),
+        (
+            LandmarkMap(POSITIONS, signatures=COLOURS),
+            {},
+            "sigma_signature: expected a value, as .* 'number', got None",
+        ),
         (
             LandmarkMap(POSITIONS, signatures=np.eye(3)),
             {"signature_covariance": np.eye(2)},

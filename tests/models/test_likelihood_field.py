@@ -365,7 +365,7 @@ def test_parameters_of_a_beam_model_carry_over():
 @pytest.mark.parametrize("name", ["range_offset", "sigma_slope"])
 def test_what_a_field_cannot_have_is_dropped_only_if_told(name):
     beam = BeamParameters(0.6, 0.15, 0.05, 0.2, sigma_hit=0.1, lambda_short=1.0, **{name: 0.02})
-    with pytest.raises(InvalidInputError, match=f"{name}: a likelihood field has none, expected 0, got 0.02"):
+    with pytest.raises(InvalidInputError, match=f"{name}: a likelihood field has no .*, expected 0, got 0.02"):
         LikelihoodFieldParameters.from_beam_parameters(beam)
     other = {"range_offset": "sigma_slope", "sigma_slope": "range_offset"}[name]
     with pytest.raises(InvalidInputError, match=name):

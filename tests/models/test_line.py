@@ -215,7 +215,7 @@ def test_the_lines_of_a_scan_find_the_pose(rng):
         (lambda: model("sum").log_likelihood(LineDetections(MEASURED), POSES), "sigma_rho and sigma_alpha > 0"),
         (
             lambda: model(parameters=LineParameters(0.1, 0.1)).log_likelihood(detections([SPURIOUS] * 5), POSES),
-            "max_range: a line of no mapped line needs a limit",
+            "max_range: a spurious line needs max_range",
         ),
         (lambda: LineDetections([1.0, 2.0, 3.0]), r"lines: expected shape \(k, 2\)"),
         (lambda: LineDetections([[1.0, np.inf]]), "lines: expected finite numbers, got inf"),

@@ -72,7 +72,7 @@ def test_bad_options_are_errors(grid):
         SonarModel(grid, PARAMETERS, exponent=0)
     with pytest.raises(InvalidInputError, match="n_beams: expected at least 1 or None, got 0"):
         SonarModel(grid, PARAMETERS, n_beams=0)
-    with pytest.raises(InvalidInputError, match="landmark_radius: expected 0 for a grid"):
+    with pytest.raises(InvalidInputError, match="landmark_radius: expected 0 with a grid"):
         SonarModel(grid, PARAMETERS, landmark_radius=0.2)
     with pytest.raises(InvalidInputError, match="radius: expected finite metres >= 0, got -1"):
         SonarModel(LandmarkMap([[0.0, 0.0]]), PARAMETERS, landmark_radius=-1.0)

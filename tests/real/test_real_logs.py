@@ -77,7 +77,7 @@ def test_intels_limit_is_that_of_the_frozen_calibration_set(data, oracle):
 @pytest.mark.real
 def test_intels_steps_back_are_reported_and_short(data):
     log = read_log(data / LOGS["intel"][0])
-    assert any("4 of 910 stamps go back, by up to 0.86 s" in note for note in log.notes)
+    assert any("4 of 910 stamps go backwards, by up to 0.86 s" in note for note in log.notes)
     with_zone = read_log(data / LOGS["intel raw"][0]).only_sensor()
     # The same scans with other stamps, sorted by them: they agree except where the stamps went back.
     apart = np.abs(with_zone.stamps - 976052857.337 - log.only_sensor().stamps)

@@ -52,5 +52,5 @@ def test_each_scan_is_judged_by_the_map_it_did_not_draw(log):
 
 def test_maps_of_another_log_are_refused(log):
     maps = CrossFitMaps((room(60), room(60)), np.zeros(5, dtype=np.int8), room(60))
-    with pytest.raises(InvalidInputError, match="a log with 5 scans, got one with 12"):
+    with pytest.raises(InvalidInputError, match="expected the 5 scans that the maps were built from, got 12"):
         cross_fit_statistics(on, maps, log)

@@ -76,7 +76,7 @@ def test_its_values_translate_there_and_back(path, tmp_path, to):
 def test_models_with_other_weights_are_refused(tmp_path):
     path = tmp_path / "nav2.yaml"
     path.write_text("amcl:\n  ros__parameters:\n    laser_model_type: beam\n")
-    with pytest.raises(InvalidInputError, match=r"toy has no model that can weigh as nav2's beam does"):
+    with pytest.raises(InvalidInputError, match=r"toy has no model that weighs as nav2's beam does"):
         translate(read_stack_file(path, stack="nav2"), "toy")
 
 

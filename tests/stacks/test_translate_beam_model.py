@@ -176,5 +176,5 @@ def test_what_cannot_be_done_is_said(model, keywords, message):
 
 
 def test_models_of_cones_are_refused(model):
-    with pytest.raises(FormatError, match="is the model of cones"):
+    with pytest.raises(FormatError, match="is a model of cones"):
         translate_beam_model(model(opening_angle=0.3), "nav2")

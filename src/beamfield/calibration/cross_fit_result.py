@@ -193,7 +193,7 @@ def cross_fit_findings(
     known, used = 1.0 - table.n_unknown / total, (len(table) + n_clutter) / total
     ends = (
         f"A beam is expected to end at the line through the end points of the wall it meets: {used:.0%} of the beams "
-        "meet something that the other half has drawn with certainty, and are used; which ones does not depend on "
+        "meet something that the other half maps with certainty, and are used; which ones does not depend on "
         "their readings. range_offset is near 0 whatever the sensor does. "
         if maps.counts is not None
         else f"Expected ranges are those of cells of {maps.whole.resolution:g} m. "
@@ -204,7 +204,7 @@ def cross_fit_findings(
             "info",
             "No map was given. Each half of the scans was judged by a map drawn from the other half, so no beam met a "
             f"wall that it drew itself; {known:.0%} of the beams stay within what the other half has seen. {ends}"
-            "What the map and the poses get wrong together does not show: sigma_hit is the repeatability of the sensor "
+            "Errors that the map and the poses share do not show: sigma_hit is the repeatability of the sensor "
             "at these poses.",
             {"resolution": maps.whole.resolution, "share_known": known, "share_used": used},
         )

@@ -110,7 +110,7 @@ def left_out_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
     if close > NOTABLE_SHARE_LEFT_OUT:
         text = (
             f"{close:.1%} of the readings are nearer than min_range = {table.min_range:.6g} m and were left out: parts "
-            "of the robot, or readings that the sensor does not vouch for."
+            "of the robot, or readings outside the sensor's specified range."
         )
         found.append(Finding("too-close-readings", "info", text, {"n": float(table.n_too_close), "share": close}))
     return found

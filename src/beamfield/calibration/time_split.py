@@ -45,7 +45,9 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     duration = float(times.max() - times.min())
     length = block_length(times, block_s)
     if duration > MOST_BLOCKS * length > 0:
-        raise InvalidInputError(f"block_s: {duration:g} s in blocks of {length:g} s are more than {MOST_BLOCKS:,}")
+        raise InvalidInputError(
+            f"block_s: {duration:g} s in blocks of {length:g} s make more than {MOST_BLOCKS:,} blocks"
+        )
     if length <= 0:
         return np.zeros(len(times), dtype=np.int64)
     blocks = np.floor((times - times.min()) / length).astype(np.int64)

@@ -1,4 +1,4 @@
-"""What a sensor in a text log writes when nothing came back: found in the data, or given."""
+"""What a sensor in a text log writes when there was no return: found in the data, or given."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def _explain(values: tuple[float, ...], share: float, origin: str, limit: float)
     if origin == "none":
         return "no special value seen" if share == 0.0 else f"{share:.2%} of the readings are +inf"
     if values == (0.0,):
-        reason = "are 0, and nothing else says that nothing came back" if origin == "detected" else "are 0"
+        reason = "are 0, and nothing else says that there was no return" if origin == "detected" else "are 0"
         return f"{share:.2%} of the readings {reason}"
     if origin == "detected":
         return f"{share:.2%} of the readings are {listed} m or more, far more often than the values below"

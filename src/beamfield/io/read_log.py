@@ -219,7 +219,7 @@ def _text_reader(path: Path) -> _Reader:
     if first is None:
         raise FormatError(path, "no scans: the file is empty")
     start = " ".join(islice(first[1].split(), 4))[:60]
-    raise FormatError(path, f"unknown format, the text begins {start!r}; supported: {SUPPORTED}", line=first[0])
+    raise FormatError(path, f"unknown format, the text starts with {start!r}; supported: {SUPPORTED}", line=first[0])
 
 
 def _reader_of(words: list[str], is_first: bool) -> _Reader | None:

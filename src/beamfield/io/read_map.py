@@ -44,16 +44,14 @@ def read_map(path: str | os.PathLike[str], *, topic: str | None = None, max_pixe
 
         return read_bag_map(source, topic=topic)
     if topic is not None:
-        raise InvalidInputError(f"{source}: a topic is chosen in a bag, and this is none; got {topic!r}")
+        raise InvalidInputError(f"{source}: topic applies to bags only, and this is not a bag; got {topic!r}")
     if source.suffix in (".yaml", ".yml"):
         return read_ros_map(source, max_pixels=max_pixels)
     if source.suffix == ".dat" or source.name.endswith(".dat.gz"):
         return read_wean_map(source, max_cells=max_pixels)
     source.stat()  # a name that does not exist is the first thing to say
     if source.suffix.lower() in _PICTURES:
-        raise FormatError(
-            source, "a picture alone has no resolution and no origin: give the map_server YAML file that names it"
-        )
+        raise FormatError(source, "a picture has no resolution or origin: give the map_server YAML file that names it")
     raise FormatError(
         source, f"expected a map ending in .yaml, .yml, .dat, .dat.gz, {', '.join(_BAGS)} or a bag folder"
     )

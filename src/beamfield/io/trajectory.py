@@ -313,8 +313,8 @@ def _poses_by_index(source: str, sensor: SensorLog, track: IndexedTrack) -> Floa
     apart = float(np.abs(offsets - np.median(offsets)).max())
     if apart > SAME_TIME and not numbered:
         raise InvalidInputError(
-            f"{source}: times and scan indices of the trajectory do not fit the stamps of the log (up to {apart:.3g} s "
-            "apart after the best shift): another log?"
+            f"{source}: the trajectory's times and scan indices do not match the stamps of the log (up to {apart:.3g} "
+            "s apart after the best shift): another log?"
         )
     poses = np.full((len(sensor), 3), np.nan)
     poses[track.scan_indices] = track.poses

@@ -271,7 +271,7 @@ class PosePosterior:
             If the lattices are not the same object.
         """
         if other.lattice is not self.lattice:
-            raise InvalidInputError("lattice: expected posteriors on one lattice, got two lattices")
+            raise InvalidInputError("lattice: expected posteriors on the same lattice, got two lattices")
         p = np.exp(self.log_mass)
         with np.errstate(invalid="ignore"):
             difference = np.where(p > 0.0, self.log_mass - other.log_mass, 0.0)

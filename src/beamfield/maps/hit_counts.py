@@ -107,7 +107,7 @@ def count_hits(
     posed = np.isfinite(log.poses).all(axis=1)
     chosen = np.flatnonzero(scans & posed)
     if len(chosen) == 0:
-        raise TooLittleDataError("building a map: no scan that was chosen has a pose")
+        raise TooLittleDataError("building a map: none of the chosen scans has a pose")
     model = InverseSensorModel()
 
     def follow(part: NDArray[np.int64]) -> FollowedBeams:

@@ -93,7 +93,7 @@ def build_map(
     chosen = np.arange(len(log)) if scans is None else as_indices(scans, len(log), "scans")
     chosen = chosen[np.isfinite(track[chosen]).all(axis=-1)]
     if len(chosen) == 0:
-        raise TooLittleDataError("building a map: no scan that was chosen has a pose")
+        raise TooLittleDataError("building a map: none of the chosen scans has a pose")
     if log.finder.opening_angle > 0.0:
         return build_cone_map(
             log.ranges[chosen], log.finder, track[chosen], resolution=resolution,

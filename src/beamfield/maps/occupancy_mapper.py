@@ -83,7 +83,7 @@ class OccupancyMapper:
             self._log_odds, self._stamps,
         )  # fmt: skip
         if outside:
-            raise RuntimeError(f"{outside} beams leave the grid that was made for them")
+            raise RuntimeError(f"{outside} beams leave the grid")
         self.n_scans += len(starts)
 
     def make_room(self, ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike) -> None:

@@ -95,8 +95,8 @@ class LikelihoodFieldParameters:
             value = getattr(parameters, name)
             if value != 0.0 and name not in drop:
                 raise InvalidInputError(
-                    f"{name}: a likelihood field has none, expected 0, got {value:g}; learn the field itself, "
-                    f"or say drop=[{name!r}]"
+                    f"{name}: a likelihood field has no such parameter, expected 0, got {value:g}; learn the field "
+                    f"itself, or pass drop=[{name!r}]"
                 )
         return cls(parameters.z_hit, parameters.z_rand, parameters.sigma_hit)
 

@@ -212,7 +212,7 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         value: FloatArray = np.where(np.isnan(z.bearings), 0.0, -LOG_2PI)
         if limit is None:
             if has_range[given.spurious].any():
-                raise InvalidInputError("max_range: a feature of no landmark has a range, got no limit")
+                raise InvalidInputError("max_range: a spurious feature needs max_range, got None")
             return value
         outside = has_range & ((z.ranges < 0.0) | (z.ranges > limit))
         return np.asarray(np.where(outside, -np.inf, value - has_range * math.log(limit)))
@@ -221,5 +221,5 @@ class LandmarkModel(CorrespondenceModel[Detections]):
 def _needed(sigma: float | None, measured: NDArray[np.bool_], name: str) -> float:
     """Return the sigma, or any where nothing was measured."""
     if sigma is None and measured.any():
-        raise InvalidInputError(f"{name}: feature {int(measured.argmax())} has a measured value, and there is no sigma")
+        raise InvalidInputError(f"{name}: feature {int(measured.argmax())} has a measured value, but the sigma is None")
     return 1.0 if sigma is None else sigma

@@ -203,7 +203,7 @@ def _proposals(model: LandmarkModel, detections: Detections) -> list[_Proposal]:
     if not len(detections):
         raise InvalidInputError("detections: expected at least one feature, got none")
     if detections.ids is not None and (detections.ids == SPURIOUS).any():
-        raise InvalidInputError("ids: a feature of no landmark says nothing about the pose, got SPURIOUS")
+        raise InvalidInputError("ids: a spurious feature does not constrain the pose, got SPURIOUS")
     result = []
     signatures = signature_log_density(detections.signatures, len(detections), landmarks, p)[:, :-1]
     for k in range(len(detections)):
@@ -213,11 +213,11 @@ def _proposals(model: LandmarkModel, detections: Detections) -> list[_Proposal]:
         if abs(measured) > LARGEST:
             raise InvalidInputError(f"ranges: expected at most {LARGEST:g} m, got {measured:g} of feature {k}")
         if not math.isnan(measured) and p.sigma_range is None:
-            raise InvalidInputError(f"sigma_range: feature {k} has a range, and there is no sigma")
+            raise InvalidInputError(f"sigma_range: feature {k} has a range, but the sigma is None")
         if not math.isnan(bearing) and p.sigma_bearing is None:
-            raise InvalidInputError(f"sigma_bearing: feature {k} has a bearing, and there is no sigma")
+            raise InvalidInputError(f"sigma_bearing: feature {k} has a bearing, but the sigma is None")
         if math.isnan(measured) and p.max_range is None:
-            raise InvalidInputError(f"max_range: feature {k} has no range, and there is no limit")
+            raise InvalidInputError(f"max_range: feature {k} has no range, but max_range is None")
         log_shares = signatures[k] - math.log(len(landmarks))
         if detections.ids is not None and detections.ids[k] >= 0:
             log_shares = np.full(len(landmarks), -np.inf)
@@ -256,7 +256,7 @@ def _draw_free(
     found = drawn = 0
     while found < n:
         if drawn > MAX_DRAWS_PER_POSE * (found + 1):
-            raise TooLittleDataError(f"of {drawn} poses that fit the features, {found} lie in free space")
+            raise TooLittleDataError(f"only {found} of {drawn} poses that fit the features lie in free space")
         share = max(found, 1) / drawn if drawn else 1.0
         batch = min(MAX_BATCH, int((n - found) / share) + 1)
         poses = _draw(model, proposals, batch, rng, exact)

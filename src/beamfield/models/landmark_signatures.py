@@ -33,7 +33,9 @@ def check_signature_noise(landmarks: LandmarkMap, parameters: LandmarkParameters
     name = NEEDED[landmarks.kind]
     noise = getattr(parameters, name)
     if noise is None:
-        raise InvalidInputError(f"{name}: a map with signatures of kind {landmarks.kind!r} needs it, got None")
+        raise InvalidInputError(
+            f"{name}: expected a value, as the map has signatures of kind {landmarks.kind!r}, got None"
+        )
     if landmarks.kind == "vector" and len(noise) != landmarks.signatures.shape[1]:
         d = landmarks.signatures.shape[1]
         raise InvalidInputError(f"signature_covariance: expected shape ({d}, {d}), got {noise.shape}")

@@ -169,7 +169,7 @@ class LikelihoodFieldModel:
                 self, "distances", _distances_for(self.grid, self.parameters, max_distance, only_boundaries, off_map)
             )
         elif self.distances.grid is not self.grid:
-            raise InvalidInputError("distances: expected those of the model's map, got those of another")
+            raise InvalidInputError("distances: expected distances of the model's map, got those of another map")
         rows, cols = self.distances.distance.shape
         if (rows + 2) * (cols + 2) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"distances: expected fewer than 2^32 cells, got {rows} x {cols}")

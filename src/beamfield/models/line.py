@@ -271,7 +271,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
         limit = self.parameters.max_range
         if limit is None:
             if len(given.spurious):
-                raise InvalidInputError("max_range: a line of no mapped line needs a limit, got None")
+                raise InvalidInputError("max_range: a spurious line needs max_range, got None")
             return np.zeros(len(z))
         return np.where(z.lines[:, 0] > limit, -np.inf, -LOG_2PI - math.log(limit))
 

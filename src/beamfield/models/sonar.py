@@ -91,6 +91,6 @@ class SonarModel(RangeMixtureModel):
             return LandmarkCones(self.map, self.landmark_radius)
         if np.any(np.asarray(self.landmark_radius) != 0.0):
             raise InvalidInputError(
-                f"landmark_radius: expected 0 for a grid, which has no landmarks, got {self.landmark_radius}"
+                f"landmark_radius: expected 0 with a grid, which has no landmarks, got {self.landmark_radius}"
             )
         return ConeCaster(self.map, unknown=self.unknown)

@@ -39,7 +39,9 @@ def cross_fit_statistics(
         If the maps are of a log with another number of scans, or as for `fit_statistics`.
     """
     if len(maps.half) != len(log):
-        raise InvalidInputError(f"maps: are of a log with {len(maps.half)} scans, got one with {len(log)}")
+        raise InvalidInputError(
+            f"log: expected the {len(maps.half)} scans that the maps were built from, got {len(log)}"
+        )
     scans = [np.flatnonzero(maps.half == half) for half in (0, 1)]
     parts = [
         fit_statistics(model_on(maps.halves[1 - half]), log.ranges[mine], log.finder, log.poses[mine])

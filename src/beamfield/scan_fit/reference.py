@@ -156,8 +156,7 @@ class ScanFitReference:
         if different:
             name = different[0]
             raise InvalidInputError(
-                f"reference: was made with another model: {name} is {mine.get(name)!r} there and "
-                f"{other.get(name)!r} here"
+                f"reference: was made with another model: {name} was {mine.get(name)!r}, now it is {other.get(name)!r}"
             )
 
     def to_json(self) -> str:
@@ -294,12 +293,12 @@ def calibrate_scan_fit(
     """
     grid = grid_of(model)
     if grid is None:
-        raise InvalidInputError("model: expected one on an occupancy grid, to draw wrong poses from")
+        raise InvalidInputError("model: expected a model on an occupancy grid, to draw wrong poses from")
     used = select_scans(log, grid, selection or SelectionOptions(min_scans=FEWEST_SCANS)).used
     known = statistics if statistics is not None else fit_statistics(model, log.ranges, log.finder, log.poses)
     good = used & (known.n_beams > 0)
     if good.sum() < FEWEST_SCANS:
-        raise TooLittleDataError(f"{int(good.sum())} good scans that say something, need {FEWEST_SCANS}")
+        raise TooLittleDataError(f"{int(good.sum())} informative good scans, need {FEWEST_SCANS}")
     mine, known = log.select(good), known.select(good)
     rng = np.random.default_rng(seed)
     blocks = time_blocks(mine.stamps, block_s)

@@ -54,7 +54,7 @@ def wrong_poses(
     """
     rows, cols = np.nonzero(grid.free)
     if len(rows) == 0:
-        raise InvalidInputError("the map has no free cell: there is nowhere to be lost")
+        raise InvalidInputError("the map has no free cell to draw wrong poses in")
     result: FloatArray = np.full(poses.shape, np.nan)
     for number in np.unique(stretch):
         mine = np.flatnonzero((stretch == number) & np.isfinite(poses).all(axis=1))

@@ -170,7 +170,7 @@ class Model:
     def beam_values(self, learned: BeamParameters, typical_range: float, cell: float) -> dict[str, float]:
         """Return the chapter's beam model in the program's parameters; see `from_chapter`."""
         if self.from_chapter is None:
-            raise InvalidInputError(f"{self.name}: no values of its parameters come near the chapter's beam model")
+            raise InvalidInputError(f"{self.name}: none of its parameter values approximates the chapter's beam model")
         return self.own_names(self.from_chapter(learned, typical_range, cell))
 
     def with_learned(self, parameters: Any, inputs: FitInputs) -> tuple[Any, bool]:
@@ -248,7 +248,7 @@ class Stack:
     cuts_at_cells
         Whether it cuts distances off at a whole number of cells.
     asserts_p
-        Whether it asserts that no beam is worth more than 1.
+        Whether it asserts that no beam scores more than 1.
     beams_taken
         Which beams it takes, for readers; "" for no word on it.
     off_map
@@ -273,7 +273,7 @@ class Stack:
     unknown_model: str = ""
     is_typed: bool = False
     wrong_type: str = "the program stops, or uses another value without a message"
-    too_few_beams: str = "the model's formula means nothing with it"
+    too_few_beams: str = "the model's formula is meaningless with it"
     other_node: OtherNode | None = None
     formulas: str = ""
     half_cell_low: bool = False

@@ -370,7 +370,7 @@ def test_parameters_of_beam_skipping_in_belugas_file_are_one_finding(tmp_path):
 
 
 def test_advice_on_names_fits_the_stacks(tmp_path):
-    assert "call it z_hit (values keep" in texts(examine(amcl(tmp_path, laser_z_hit=0.5)), "foreign-name")
+    assert "call it z_hit (values mean the same" in texts(examine(amcl(tmp_path, laser_z_hit=0.5)), "foreign-name")
     assert "call it z_hit if the value is meant for beluga" in texts(
         examine(amcl(tmp_path, "beluga", laser_z_hit=0.5)), "foreign-name"
     )

@@ -71,8 +71,8 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
             Finding(
                 "field-no-random",
                 "info",
-                "No reading needs the random component: z_rand is that of half a reading, so that none makes a pose "
-                "impossible.",
+                "No reading needs the random component: z_rand is set to half a reading, so that no reading makes "
+                "a pose impossible.",
                 {"n": float(len(table))},
             )
         )

@@ -234,7 +234,7 @@ def _sigma_findings(
     error = DEPENDENCE * float(np.sqrt(relative_variance))
     if share < SMALL_SHARE and error > 0.25:
         percent = f"{100 * error:.0f} %"
-        text = f"sigma_hit = {sigma:.3g} m is {percent} uncertain: hits trade places with shorts or random readings."
+        text = f"sigma_hit = {sigma:.3g} m is {percent} uncertain: hits are confused with shorts or random readings."
         values = {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)}
         return [
             Finding(

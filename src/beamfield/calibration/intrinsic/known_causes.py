@@ -85,7 +85,7 @@ def learn_from_known_causes(
     """
     check_limits(max_range, min_range)
     if closed_form and (fit_offset or fit_sigma_slope):
-        raise InvalidInputError("closed_form: (6.19) knows no offset and no slope, expected neither to be learned")
+        raise InvalidInputError("closed_form: (6.19) has no offset or slope; expected both not to be learned")
     z = np.asarray(ranges, dtype=np.float64)
     expected = np.asarray(expected_ranges, dtype=np.float64)
     numbers = _numbers(causes)

@@ -182,7 +182,7 @@ class BagFile:
             if connection.topic not in wanted:
                 raise FormatError(
                     self.path,
-                    f"the bag is damaged or cut: two topics have one number, {connection.topic!r} is one of them",
+                    f"the bag is damaged or truncated: two topics share one id, one of them {connection.topic!r}",
                 )
             numbers[connection.topic] += 1
             number = numbers[connection.topic]
@@ -190,7 +190,7 @@ class BagFile:
             with _speaking_of(self.path, place):
                 if not isinstance(recorded, int):
                     raise FormatError(
-                        self.path, f"expected nanoseconds as the time of recording, got {recorded!r}", field=place
+                        self.path, f"expected the receive time in nanoseconds, got {recorded!r}", field=place
                     )
                 if self._unpack is not None:
                     raw = self._unpack(raw)
@@ -205,9 +205,7 @@ class BagFile:
         except (AttributeError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, FormatError):
                 raise
-            text = (
-                str(error) if isinstance(error, InvalidInputError) else f"not as {message.msgtype} should be: {error}"
-            )
+            text = str(error) if isinstance(error, InvalidInputError) else f"not a valid {message.msgtype}: {error}"
             raise FormatError(self.path, text, field=message.place) from error
 
 
@@ -251,7 +249,7 @@ def _files_of_metadata(folder: Path) -> tuple[list[Path], str]:
     if mode not in ("file", "message"):
         return files, ""
     if bag.get("compression_format") != "zstd":
-        raise FormatError(folder / METADATA, f"expected compression by zstd, got {bag.get('compression_format')!r}")
+        raise FormatError(folder / METADATA, f"expected zstd compression, got {bag.get('compression_format')!r}")
     return files, mode
 
 
@@ -272,9 +270,9 @@ def _resolve(path: Path) -> list[Path]:
     if storage is None:
         with path.open("rb") as file:
             start = file.read(16)
-        raise FormatError(path, f"no ROS 1 bag, .mcap or .db3 file: it starts with {start!r}")
+        raise FormatError(path, f"not a ROS 1 bag, .mcap or .db3 file: it starts with {start!r}")
     if path.suffix != storage:
-        raise FormatError(path, f"its content is that of a {storage} file, but its name ends in {path.suffix!r}")
+        raise FormatError(path, f"the content is a {storage} file, but the name ends in {path.suffix!r}")
     if storage != ".bag" and _listed_in_metadata(path):
         return [path.parent]
     return [path]
@@ -294,7 +292,7 @@ def _storage_files(folder: Path) -> list[Path]:
 def _without_metadata(folder: Path) -> list[Path]:
     files = _storage_files(folder)
     if not files:
-        raise FormatError(folder, f"no ROS 2 bag: the folder has no {METADATA}, no .db3 and no .mcap file")
+        raise FormatError(folder, f"not a ROS 2 bag: the folder has no {METADATA}, .db3 or .mcap file")
     return files
 
 
@@ -338,4 +336,4 @@ def _speaking_of(path: Path, field: str | None = None) -> Iterator[None]:
 
 def _in_words(error: Exception) -> str:
     text = " ".join(str(error).split())
-    return f"the bag is damaged or cut: {text[:300] or type(error).__name__}"
+    return f"the bag is damaged or truncated: {text[:300] or type(error).__name__}"

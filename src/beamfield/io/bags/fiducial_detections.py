@@ -90,7 +90,7 @@ def read_camera(path: str | Path, topic: str | None = None) -> CameraIntrinsics:
             with bag.quoting(message):
                 found = _camera(message)
                 if camera is not None and not _same(camera, found):
-                    raise InvalidInputError("the calibration is another one than in the messages before")
+                    raise InvalidInputError("the calibration differs from that of earlier messages")
             camera = found
     if camera is None:
         raise FormatError(path, "the topic holds no message", field=chosen)
@@ -166,7 +166,9 @@ def _topic(bag: BagFile, asked: str | None, *msgtypes: str) -> str:
     if not found:
         raise FormatError(bag.path, f"no topic of type {expected} in this bag; it has {bag.describe()}")
     if len(found) > 1:
-        raise InvalidInputError(f"{bag.path}: which topic? the bag has {', '.join(repr(t) for t in found)}")
+        raise InvalidInputError(
+            f"{bag.path}: several topics; choose one: the bag has {', '.join(repr(t) for t in found)}"
+        )
     return found[0]
 
 
@@ -225,7 +227,7 @@ def _with_poses(message: BagMessage) -> FiducialDetections:
     positions = np.array([(p.x, p.y, p.z) for p in places], dtype=np.float64).reshape(-1, 3)
     rotations = np.array([(q.x, q.y, q.z, q.w) for q in turns], dtype=np.float64).reshape(-1, 4)
     in_front = np.isfinite(positions).all(axis=1) & (positions[:, 2] > 0.0)
-    _check(in_front, "a finite position before the camera", positions, ids)
+    _check(in_front, "a finite position in front of the camera", positions, ids)
     with np.errstate(over="ignore", invalid="ignore"):
         proper = np.abs(np.linalg.norm(rotations, axis=1) - 1.0) < 0.01
     _check(proper, "a quaternion of length 1", rotations, ids)

@@ -186,7 +186,7 @@ class LaserScanCollector:
         Raises
         ------
         FormatError
-            If there are none, the stamps run backwards by more than `STAMP_TOLERANCE`, or no range is a number.
+            If there are none, the stamps go backwards by more than `STAMP_TOLERANCE`, or no range is a number.
         """
         if self._geometry is None:
             raise FormatError(self.path, "the topic holds no scans", field=self.topic)
@@ -226,7 +226,7 @@ class LaserScanCollector:
         self._limits = (float(message.content.range_min), float(message.content.range_max))
         self._frame = message.content.header.frame_id
         if not isinstance(self._frame, str):
-            raise self._error(message, f"expected a name as frame_id, got {self._frame!r}")
+            raise self._error(message, f"expected a frame_id, got {self._frame!r}")
 
     def _compare(self, message: BagMessage, geometry: tuple[float, float], n_beams: int) -> None:
         scan = message.content
@@ -255,7 +255,7 @@ class LaserScanCollector:
     def _ordered_stamps(self) -> tuple[FloatArray, NDArray[np.intp]]:
         stamps = np.array(self._stamps)
         if len(stamps) > 1 and not stamps.any():
-            self._notes.append(f"{self.topic}: every header stamp is 0; the times of recording are used instead")
+            self._notes.append(f"{self.topic}: every header stamp is 0; receive times are used instead")
             stamps = np.array(self._recorded)
         return ordered_stamps(stamps, self.path, self.topic, self._notes)
 

@@ -58,7 +58,9 @@ def _map_topic(bag: BagFile, asked: str | None) -> str:
     if not found:
         raise FormatError(bag.path, f"no map (nav_msgs/OccupancyGrid) in this bag; it has {bag.describe()}")
     if len(found) > 1 and "/map" not in found:
-        raise InvalidInputError(f"{bag.path}: which map? the bag has {', '.join(repr(t) for t in found)}")
+        raise InvalidInputError(
+            f"{bag.path}: several maps; choose a topic: the bag has {', '.join(repr(t) for t in found)}"
+        )
     return found[0] if len(found) == 1 else "/map"
 
 

@@ -73,7 +73,7 @@ class PoseTopicCollector:
         Raises
         ------
         FormatError
-            If a pose is not finite, its quaternion is not of length 1, or the stamps run backwards; the topic and the
+            If a pose is not finite, its quaternion is not of length 1, or the stamps go backwards; the topic and the
             message's number are named.
         """
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 7)

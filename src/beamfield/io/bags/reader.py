@@ -98,12 +98,12 @@ def read_bag(
     720
     """
     if poses_topic is not None and map_frame is not None:
-        raise InvalidInputError("expected poses_topic or map_frame, got both: which one has the reference poses?")
+        raise InvalidInputError("expected poses_topic or map_frame for the reference poses, got both")
     with BagFile(path) as bag:
         poses_topic = None if poses_topic is None else bag.find_topic(poses_topic)
         content = _collect(bag, _scan_topics(bag, sensor_topic), poses_topic)
     if mount is not None and len(content.scans) > 1:
-        raise InvalidInputError(f"{path}: a mount was given for one sensor, but the bag has {len(content.scans)}")
+        raise InvalidInputError(f"{path}: one mount was given, but the bag has {len(content.scans)} sensors")
     notes = list(content.notes)
     base = choose_base(content, base_frame, mount is not None)
     odometry = find_odometry(content, base, notes)
@@ -173,7 +173,7 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
             scans.append(lasers[topic].finish())
     counts = bag.counts
     notes = [
-        f"{s.topic}: the bag declares {counts[s.topic]} messages, {len(s.stamps)} were found"
+        f"{s.topic}: the bag declares {counts[s.topic]} messages, but has {len(s.stamps)}"
         for s in scans
         if counts[s.topic] != len(s.stamps)
     ]

@@ -147,7 +147,7 @@ def beam_mounts(content: BagContent, scans: LaserScans, base: str, mount: ArrayL
     if scans.topic in content.cones or len(content.frames) == 0 or sensor == base:
         if scans.topic not in content.cones:
             why = "the bag has no transforms" if len(content.frames) == 0 else "the scans are in the robot's own frame"
-            notes.append(f"{scans.topic}: {why}; the sensor is taken to sit at the robot's origin, facing forward")
+            notes.append(f"{scans.topic}: {why}; the sensor is assumed at the robot's origin, facing forward")
         return compose(np.zeros(3), in_sensor)
     found = content.frames.look_up(base, sensor, scans.stamps, hold=True)
     position, rotation = np.median(found.translation, axis=0), found.rotation[0]
@@ -232,7 +232,9 @@ def _child_from_base(content: BagContent, topic: PoseTopicCollector, base: str, 
     if not child or child == base or not base:
         return np.zeros(3)
     if not content.frames.connected(child, base):
-        notes.append(f"{topic.topic}: its frame {child!r} is not connected to {base!r}; both are taken to be the same")
+        notes.append(
+            f"{topic.topic}: its frame {child!r} is not connected to {base!r}; they are assumed to be the same"
+        )
         return np.zeros(3)
     stamps = content.scans[0].stamps[:1]
     return np.asarray(content.frames.look_up(child, base, stamps, hold=True).planar()[0])

@@ -96,7 +96,7 @@ def resolve_scan_ranges(
     zero = ranges == 0.0
     if declared < RARE:
         if float(zero.mean()) >= FREQUENT:
-            why = "are 0, and nothing else says that nothing came back"
+            why = "are 0, and nothing else says that there was no return"
             return _converted(ranges, max_range, zero, (0.0,), "detected", why)
         code = _find_repeated_maximum(ranges, min_range)
         if code is not None:

@@ -381,4 +381,4 @@ def _check_tables(path: Path) -> None:
             ).fetchone()
         )
     if made_up:
-        raise FormatError(path, f"expected plain tables, but {made_up[0]!r} is computed when it is read: refused")
+        raise FormatError(path, f"expected plain tables, but {made_up[0]!r} is computed on reading: refused")

@@ -177,7 +177,7 @@ class _Plan:
 def _even_bearings(finder: RangeFinder, topic: str) -> tuple[float, float]:
     """Return angle_min and angle_increment of a sensor, in the robot's frame."""
     if finder.n_beams == 0:
-        raise InvalidInputError(f"{topic}: expected beams, got a sensor without any")
+        raise InvalidInputError(f"{topic}: expected a sensor with beams, got none")
     origins = finder.mounts[:, :2]
     if np.abs(origins - origins[0]).max() > ANGLE_TOLERANCE:
         raise InvalidInputError(
@@ -189,7 +189,7 @@ def _even_bearings(finder: RangeFinder, topic: str) -> tuple[float, float]:
     worst = float(np.abs(even - bearings).max())
     if worst > ANGLE_TOLERANCE:
         raise InvalidInputError(
-            f"{topic}: a LaserScan's bearings are evenly spaced, but those of this sensor are up to {worst:.3g} rad off"
+            f"{topic}: a LaserScan's bearings are evenly spaced, but this sensor's are up to {worst:.3g} rad off"
         )
     return float(bearings[0]), step
 

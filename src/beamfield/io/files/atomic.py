@@ -43,7 +43,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     InvalidInputError
-        If `path` exists and is no regular file, or the block created nothing.
+        If `path` exists and is not a regular file, or the block created nothing.
     OSError
         As the file system says, with `path` untouched.
 
@@ -90,7 +90,7 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
         yield parts
         for target, part in zip(targets, parts, strict=True):
             if not part.is_file():
-                raise InvalidInputError(f"{target}: the file was to be written, but {part.name!r} was not created")
+                raise InvalidInputError(f"{target}: nothing was written to the temporary file {part.name!r}")
         _replace_all(parts, targets)
 
 
@@ -105,7 +105,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     Raises
     ------
     InvalidInputError
-        If `path` exists and is no regular file.
+        If `path` exists and is not a regular file.
     OSError
         If it is a folder, or nothing can be created where it is to be; its folder and their parents need not exist.
     """

@@ -40,16 +40,16 @@ def require_all_pixels(file: BinaryIO, picture: PngImageFile) -> None:
     Portable Network Graphics (third edition), sections 7.2, 8 and 10.
     """
     if len(picture.tile) != 1 or picture.tile[0][1] != (0, 0, *picture.size):
-        raise ValueError("truncated, it has no data for some of its pixels")
+        raise ValueError("truncated, some pixels have no data")
     where, size = file.tell(), file.seek(0, os.SEEK_END)
     _require_whole_chunks(file, size)
     file.seek(0)
     start = file.read(29)
     if start[12:16] != b"IHDR" or len(start) < 29:
-        raise ValueError(f"expected its header at the start, got {start[8:24]!r}")
+        raise ValueError(f"expected the PNG header at the start, got {start[8:24]!r}")
     width, height, depth, colour, _, _, interlaced = struct.unpack(">IIBBBBB", start[16:])
     if colour not in _CHANNELS:
-        raise ValueError(f"expected a colour type of PNG, got {colour}")
+        raise ValueError(f"expected a PNG colour type, got {colour}")
     needed = _unpacked_bytes(width, height, depth * _CHANNELS[colour], _INTERLACED if interlaced else _WHOLE)
     data_start, found = picture.tile[0][2], 0
     if needed <= _LARGEST_RATIO * (size - data_start):

@@ -167,7 +167,7 @@ def expect_words(path: Path, line: int, words: Sequence[str], expected: int, wha
         listed = f" ({what})" if what else ""
         raise FormatError(
             path,
-            f"expected {expected} words{listed}, got {len(words)}: the line is cut off, or its count is wrong",
+            f"expected {expected} words{listed}, got {len(words)}: the line is truncated, or its count is wrong",
             line=line,
             field=words[0],
         )

@@ -149,14 +149,14 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise FormatError(
-            source, f"no valid YAML: {error.problem or error.context}", line=mark.line + 1 if mark else None
+            source, f"not valid YAML: {error.problem or error.context}", line=mark.line + 1 if mark else None
         ) from error
     except FormatError:
         raise
     except (AssertionError, KeyError) as error:  # what ruamel.yaml says of other versions
         raise FormatError(source, "expected YAML 1.1 or 1.2, got another version") from error
     except (YAMLError, ValueError) as error:
-        raise FormatError(source, f"no valid YAML: {' '.join(str(error).split())}") from error
+        raise FormatError(source, f"not valid YAML: {' '.join(str(error).split())}") from error
     if root is None:
         raise FormatError(source, "the file is empty")
     if not isinstance(root, MappingNode):
@@ -186,7 +186,7 @@ def _read_text(path: Path, max_bytes: int) -> str:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise FormatError(
-            path, f"no YAML text: byte {content[error.start : error.start + 1]!r} is no UTF-8", line=line
+            path, f"not valid UTF-8: byte {content[error.start : error.start + 1]!r}", line=line
         ) from error
 
 
@@ -203,14 +203,16 @@ def _compose(yaml: YAML, text: str, path: Path) -> Node | None:
         documents += isinstance(event, DocumentStartEvent)
         depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
         if events > MAX_EVENTS:
-            raise FormatError(path, f"more than {MAX_EVENTS} keys, values and brackets: not read", line=line)
+            raise FormatError(path, f"more than {MAX_EVENTS} keys, values and brackets: refused", line=line)
         if documents > 1:
             raise FormatError(path, "expected one YAML document, got a second one", line=line)
         if depth > MAX_DEPTH:
             raise FormatError(path, f"nested deeper than {MAX_DEPTH} levels", line=line)
         if getattr(event, "anchor", None) is not None:
             mark = "*" if isinstance(event, AliasEvent) else "&"
-            raise FormatError(path, f"anchors and aliases are not read, got {mark + str(event.anchor)!r}", line=line)
+            raise FormatError(
+                path, f"anchors and aliases are not supported, got {mark + str(event.anchor)!r}", line=line
+            )
         return event
 
     yaml.parser.get_event = checked_event
@@ -255,7 +257,7 @@ def _construct_mapping(
             found = shorten(key_node.value) if isinstance(key_node, ScalarNode) else "a list or map"
             raise FormatError(path, f"expected text as a key, got {found}", line=line)
         if key in values:
-            raise FormatError(path, f"the key {key!r} is there twice", line=line)
+            raise FormatError(path, f"duplicate key {key!r}", line=line)
         values[key] = _construct(yaml, value_node, (*place, key), lines, spans, path)
         lines[(*place, key)] = line
     return values

@@ -23,7 +23,7 @@ def bearings(content: CarmenMessages, name: str, n_beams: int, notes: list[str])
         if n_beams > 1 and not 0.0 < abs(step) * (n_beams - 1) < 2.1 * np.pi:
             step = span / (n_beams - 1)
             notes.append(
-                f"{name}: the resolution makes no sense, {np.degrees(step):.4g} degrees from the field of view"
+                f"{name}: the resolution is implausible, {np.degrees(step):.4g} degrees from the field of view"
             )
         return np.asarray(start + step * index)
     side = {"FLASER": "front", "RLASER": "rear"}.get(name, name.lower())
@@ -37,7 +37,7 @@ def bearings(content: CarmenMessages, name: str, n_beams: int, notes: list[str])
     span_or_none = content.number(f"laser_{side}_laser_fov")
     span = np.pi if span_or_none is None or not 0.0 < span_or_none <= 2.0 * np.pi else span_or_none
     notes.append(
-        f"{name}: {n_beams} beams are no usual number and the log does not say where they point: taken as spanning "
+        f"{name}: {n_beams} beams is an unusual number and the log does not give their bearings: assumed to span "
         f"{np.degrees(span):.4g} degrees, from right to left"
     )
     return np.linspace(-span / 2.0, span / 2.0, n_beams)

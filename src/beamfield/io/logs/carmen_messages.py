@@ -33,7 +33,7 @@ class PoseLines:
         if not self.poses:
             return None
         if column is None:
-            notes.append(f"{name}: left out, because scans are numbered and its times do not fit that")
+            notes.append(f"{name}: left out: scans are numbered, and these times cannot be matched to them")
             return None
         return sorted_track(np.stack(self.stamps)[:, column], np.stack(self.poses), name, notes)
 
@@ -114,7 +114,7 @@ def read_carmen_messages(path: Path) -> CarmenMessages:
         raise FormatError(path, "no scans: none of the messages FLASER, RLASER, ROBOTLASERn, RAWLASERn")
     if content.others:
         listed = ", ".join(f"{n} {kind[:40]}" for kind, n in content.others.most_common(10))
-        content.notes.append(f"messages of other kinds, not read: {listed}")
+        content.notes.append(f"messages of other kinds, ignored: {listed}")
     return content
 
 
@@ -212,7 +212,7 @@ def _parse_pose(content: CarmenMessages, line: int, words: list[str]) -> None:
 
 def _word(path: Path, line: int, words: list[str], index: int) -> str:
     if index >= len(words):
-        raise FormatError(path, f"the line is cut off after {len(words)} words", line=line, field=words[0])
+        raise FormatError(path, f"the line is truncated after {len(words)} words", line=line, field=words[0])
     return words[index]
 
 

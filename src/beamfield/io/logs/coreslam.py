@@ -65,5 +65,5 @@ def read_coreslam(path: str | Path, options: TextOptions | None = None) -> ScanL
     bearings = (np.arange(N_BEAMS) - FRONT) * STEP
     beams = np.column_stack([np.zeros(N_BEAMS), np.zeros(N_BEAMS), bearings])
     sensor, notes = scans.finish(beams, options or TextOptions(), declared_min=MIN_RANGE)
-    notes.append("laser: the wheels' ticks are not read as odometry, because the file does not say how far a tick is")
+    notes.append("laser: wheel ticks are not read as odometry, because the file does not give their length")
     return ScanLog({"laser": sensor}, None, str(source), tuple(notes))

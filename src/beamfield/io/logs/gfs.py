@@ -49,7 +49,8 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
     n_beams = len(scans.ranges[0])
     if n_beams not in SICK_BEARINGS:
         raise FormatError(
-            source, f"{n_beams} beams: the format does not say where they point, known are {sorted(SICK_BEARINGS)}",
+            source,
+            f"{n_beams} beams: the format does not give their bearings, known only for {sorted(SICK_BEARINGS)}",
             line=scans.lines[0], field="LASER_READING",
         )  # fmt: skip
     start, step = SICK_BEARINGS[n_beams]

@@ -66,7 +66,7 @@ def resolve_stamps(
     Raises
     ------
     FormatError
-        If the stamps run backwards; line and values are named.
+        If the stamps go backwards; line and values are named.
     InvalidInputError
         If the rule is unknown.
     """
@@ -75,13 +75,13 @@ def resolve_stamps(
     table = np.asarray(columns, dtype=np.float64)
     numbered = np.arange(len(table), dtype=np.float64)
     if rule == "order":
-        return ScanStamps(numbered, None, (f"{name}: scans are numbered, one second apart, as asked",))
+        return ScanStamps(numbered, None, (f"{name}: scans are numbered, one second apart, as requested",))
     kept = [c for c in range(table.shape[1]) if not _is_lost(table[:, c])]
     if not kept:
         different = len(np.unique(table[:, 0]))
         note = (
             f"{name}: the stamps are lost ({different} different values in {len(table)} scans); scans are numbered "
-            "instead, one second apart, so times and rates mean nothing"
+            "instead, one second apart, so times and rates are meaningless"
         )
         return ScanStamps(numbered, None, (note,))
     for column in kept:
@@ -93,8 +93,8 @@ def resolve_stamps(
         notes = [f"{name}: stamps are those of column {column + 1}, the first is not usable"] if column else []
         if n_back:
             notes.append(
-                f"{name}: {n_back} of {len(stamps)} stamps go back, by up to {behind.max():.3g} s; scans stay in the "
-                "order of the file, and those stamps are raised to the one before"
+                f"{name}: {n_back} of {len(stamps)} stamps go backwards, by up to {behind.max():.3g} s; scans stay in "
+                "the order of the file, and those stamps are raised to the one before"
             )
         return ScanStamps(np.maximum.accumulate(stamps), column, tuple(notes))
     stamps = table[:, kept[0]]

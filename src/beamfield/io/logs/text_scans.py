@@ -176,7 +176,7 @@ class TextScans:
         Raises
         ------
         FormatError
-            If no reading of the sensor is a number, or the stamps run backwards.
+            If no reading of the sensor is a number, or the stamps go backwards.
         """
         raw = np.stack(self.ranges)
         if np.isnan(raw).all():

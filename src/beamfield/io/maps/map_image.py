@@ -179,7 +179,7 @@ def _check_size(path: Path, width: int, height: int, max_pixels: int) -> None:
     if width < 1 or height < 1:
         raise FormatError(path, f"expected a picture with pixels, got {width} x {height}")
     if width * height > max_pixels:
-        raise FormatError(path, f"{width} x {height} pixels are more than the limit of {max_pixels}: not decoded")
+        raise FormatError(path, f"{width} x {height} pixels exceed the limit of {max_pixels}")
 
 
 # ------------------------------------------------------------------------------------------------------------- Pillow
@@ -216,7 +216,7 @@ def _require_all_of_bmp(file: BinaryIO, path: Path, picture: ImageFile) -> None:
     decoder, _, data_start, details = picture.tile[0]
     if decoder != "raw":
         # Its codes may leave pixels out.
-        raise FormatError(path, "BMP pictures with run-length codes are not read: save it without, or as PNG")
+        raise FormatError(path, "run-length encoded BMP is not supported: save it uncompressed, or as PNG")
     stride: Any = details[1] if details else 0
     needed, found = stride * picture.height, os.fstat(file.fileno()).st_size - data_start
     if found < needed:

@@ -261,7 +261,7 @@ def _image_path(yaml: YamlFile) -> Path:
     if not image.exists():
         raise yaml.error(f"the picture {str(image)!r} does not exist", "image")
     if not image.is_file():
-        raise yaml.error(f"the picture {str(image)!r} is no regular file", "image")
+        raise yaml.error(f"the picture {str(image)!r} is not a regular file", "image")
     return image
 
 
@@ -390,6 +390,6 @@ def _yaml_name(name: str) -> str:
     if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", name):
         return name
     if not name.isprintable():
-        raise InvalidInputError(f"path of a map: expected a name that prints, got {name!r}")
+        raise InvalidInputError(f"path of a map: expected a printable name, got {name!r}")
     escaped = name.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'

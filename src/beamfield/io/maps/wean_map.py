@@ -117,11 +117,11 @@ def _check_header(numbers: dict[str, float], n_x: int, n_y: int, path: Path, lin
         )
     for name in ("autoshifted_x", "autoshifted_y"):
         if numbers.get(name, 0.0) != 0.0:
-            raise FormatError(path, f"expected a map that is not shifted, got {numbers[name]}", field=name)
+            raise FormatError(path, f"expected a map without a shift, got {numbers[name]}", field=name)
     if n_x < 1 or n_y < 1:
         raise FormatError(path, f"expected a map with cells, got {n_x} x {n_y}", line=line)
     if n_x * n_y > max_cells:
-        raise FormatError(path, f"{n_x} x {n_y} cells are more than the limit of {max_cells}: not read", line=line)
+        raise FormatError(path, f"{n_x} x {n_y} cells exceed the limit of {max_cells}", line=line)
     # A digit and a space for each.
     if 2 * n_x * n_y - 1 > most_bytes(path):
         raise FormatError(path, f"truncated: {n_x} x {n_y} cells are more than the file can hold", line=line)

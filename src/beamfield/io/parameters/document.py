@@ -91,7 +91,7 @@ def named_numbers(
         raise file.error(f"expected the parameters' names and values, got {given!r}", section)
     for name in given:
         if name not in names:
-            raise file.error(f"unknown parameter {name!r}; known are {', '.join(names)}", section, name)
+            raise file.error(f"unknown parameter {name!r}; known parameters are {', '.join(names)}", section, name)
     values: dict[str, Any] = {}
     for name in names:
         if name in given or name in required:

@@ -43,7 +43,7 @@ def landmark_model_text(
         If there is a signature covariance or a confusion matrix, for which the file has no place.
     """
     if parameters.signature_covariance is not None or parameters.confusion is not None:
-        raise InvalidInputError("parameters: a signature covariance or confusion matrix has no place in the file")
+        raise InvalidInputError("parameters: a signature covariance or confusion matrix cannot be written to this file")
     document = {"landmark_model": {name: getattr(parameters, name) for name in NUMBERS}}
     return document_text(HEADER, document, intervals=intervals, provenance=provenance)
 

@@ -81,7 +81,7 @@ BELUGA = Stack(
     model_key="laser_model_type",
     unknown_model="Beluga stops with an error: the robot does not localise",
     is_typed=True,
-    too_few_beams="without a beam there is nothing to weigh poses by",
+    too_few_beams="without beams no pose can be weighed",
     other_node=OtherNode(names=ROS_1_NAMES, defaults=ROS_1_DEFAULTS),
     wants_extremes=True,
     beams_taken="max_beams evenly",

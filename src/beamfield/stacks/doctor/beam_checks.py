@@ -37,7 +37,7 @@ def beam_count(subject: Subject) -> Iterator[Finding]:
         yield subject.finding(
             "max-beams-rounded", "info", f"{name} is {asked}, but of {n} beams the program uses {used}",
             "it steps over beams by a whole number",
-            "count with the number that is used", parameter="max_beams", values={"used": used, "max_beams": asked},
+            "plan with the number that is used", parameter="max_beams", values={"used": used, "max_beams": asked},
         )  # fmt: skip
 
 
@@ -57,8 +57,8 @@ def usable_beams(subject: Subject) -> Iterator[Finding]:
             "few-usable-beams", "warning",
             f"of {len(selected)} chosen beams the median scan has {median:.0f} with a range below {limit:g} m; "
             f"{poor:.0%} of the scans have fewer than {FEWEST_USABLE}",
-            "beams are chosen first; those that turn out NaN, without return or too far then tell nothing about walls, "
-            "and the program does not say so",
+            "beams are chosen first; those that are NaN, without return or too far then carry no information about "
+            "walls, and the program gives no warning",
             f"raise {subject.name_of('max_beams')}, or have the driver report what it knows", parameter="max_beams",
             values={"median_usable": median, "chosen": len(selected), "share_of_poor_scans": poor},
         )  # fmt: skip
@@ -72,8 +72,8 @@ def many_beams_in_product(subject: Subject) -> Iterator[Finding]:
     if asked is not None and asked > MANY_IN_PRODUCT:
         yield subject.finding(
             "many-beams-in-product", "info", f"{subject.model.name} multiplies up to {asked} beams",
-            "neighbouring beams err together (a person, a door, a map a little off), so the product is too sure; this "
-            "stack has no exponent, fewer beams are the only cure",
+            "neighbouring beams err together (a person, a door, a slightly wrong map), so the product is "
+            "overconfident; this stack has no exponent, so only fewer beams help",
             "calibrate: the number of beams is chosen with the other values",
             parameter="max_beams" if subject.model.has("max_beams") else "beam_step", values={"beams": asked},
         )  # fmt: skip
@@ -87,7 +87,7 @@ def nan_readings(subject: Subject) -> Iterator[Finding]:
     share = float(np.isnan(subject.log.ranges[:, selected]).any(axis=1).mean())
     if share > 0.0:
         yield subject.finding(
-            "nan-readings", "error", f"{share:.1%} of the scans have a NaN among the beams that are looked at",
+            "nan-readings", "error", f"{share:.1%} of the scans have a NaN among the beams used",
             "amcl's beam model has no test for NaN: one of them makes the weights of all particles NaN, and the filter "
             "then makes all particles equal: such a scan undoes earlier ones instead of helping",
             "filter NaN out before amcl (as +inf), or use a field model, which leaves NaN out",

@@ -26,7 +26,7 @@ def ignored_yaw(subject: Subject) -> Iterator[Finding]:
     yield subject.finding(
         "map-yaw-ignored", "error",
         f"the map's origin has a yaw of {math.degrees(subject.map_file.yaw):.3g} degrees",
-        why, "save the map with a yaw of 0 (turn the picture)", values={"yaw": subject.map_file.yaw},
+        why, "save the map with a yaw of 0 (rotate the picture)", values={"yaw": subject.map_file.yaw},
     )  # fmt: skip
 
 
@@ -39,7 +39,7 @@ def half_cell(subject: Subject) -> Iterator[Finding]:
     numbers = {"shift": shift} if sigma is None else {"shift": shift, "sigma": float(sigma)}
     yield subject.finding(
         "half-cell-shift", "info",
-        f"{subject.file.stack} centres cell (0, 0) on the map's origin: to it every wall lies {shift:g} m too low in x "
+        f"{subject.file.stack} centres cell (0, 0) on the map's origin: it sees every wall {shift:g} m too low in x "
         "and y",
         "poses come out shifted with the walls; other programs on the robot (costmaps, planners) do not shift them",
         f"use a finer map, or give amcl alone a copy of the map's file with {shift:g} m added to x and y of its origin",
@@ -66,7 +66,7 @@ def unknown_space(subject: Subject) -> Iterator[Finding]:
     elif attracts and getattr(subject.parameters, attracts):
         yield subject.finding(
             "unknown-attracts", "warning", seen,
-            f"with {attracts} an end point in unknown space is worth 1 / laser_max_range, more than the "
+            f"with {attracts} an end point in unknown space scores 1 / laser_max_range, more than the "
             "z_rand / laser_max_range of free space: poses gain by pointing beams there",
             "switch it off unless the robot really leaves the map",
             parameter=attracts, values={"share": share},
@@ -100,7 +100,7 @@ def lost_cells(subject: Subject) -> Iterator[Finding]:
     for note in subject.map_file.notes:
         yield subject.finding(
             "unknown-read-as-free", "info", f"{subject.map_file.name}: {note}",
-            "space that nobody has seen counts as free: rays pass it, and particles are spread over it",
+            "unseen space counts as free: rays pass it, and particles are spread over it",
             "set free_thresh to 0.196 in the map's file",
         )  # fmt: skip
     if subject.map_file.between_share > CHANGED_SHARE:
@@ -109,8 +109,8 @@ def lost_cells(subject: Subject) -> Iterator[Finding]:
             "thresholds-lose-cells", "warning",
             f"{share:.1%} of the pixels of {subject.map_file.name} lie between free_thresh and occupied_thresh, not "
             "counting the grey that means unknown",
-            "they become unknown: walls that were seen less often are no obstacles, and seldom seen space is not free",
-            "bring the thresholds nearer to each other, so that what is probably a wall counts as one",
+            "they become unknown: walls seen less often are not obstacles, and rarely seen space is not free",
+            "move the thresholds closer together, so that probable walls count as walls",
             values={"share": share},
         )  # fmt: skip
     if not subject.stack.wants_extremes or subject.map_file.mode == "trinary":
@@ -125,7 +125,7 @@ def lost_cells(subject: Subject) -> Iterator[Finding]:
             "map-mode-loses-cells", "warning",
             f"{subject.map_file.name} has mode {subject.map_file.mode}: {between:.1%} of its cells have a value "
             "strictly between free (0) and occupied (100)",
-            "amcl keeps only 0 and 100; all else becomes unknown, among it most walls of a map of probabilities",
+            "amcl keeps only 0 and 100; all else becomes unknown, including most walls of a probability map",
             "set mode: trinary in the map's file", values={"share": between},
         )  # fmt: skip
 
@@ -135,8 +135,8 @@ def no_obstacles(subject: Subject) -> Iterator[Finding]:
     if subject.grid is not None and not subject.grid.occupied.any():
         yield subject.finding(
             "no-obstacles", "error", "the map has no occupied cell",
-            "no reading is nearer to an obstacle at one pose than at another: no pose can be told from the next",
-            "look at occupied_thresh, negate and the picture",
+            "readings are equally far from obstacles at every pose: poses cannot be told apart",
+            "check occupied_thresh, negate and the picture",
         )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ def unreachable_z_max(subject: Subject) -> Iterator[Finding]:
         seen += f", and {share:.1%} of the log's readings are missing returns"
     yield subject.finding(
         "z-max-unreachable", "info", seen,
-        f"{needs[0]}: with a driver that follows REP 117 and reports +inf, missing returns say nothing",
+        f"{needs[0]}: with a driver that follows REP 117 and reports +inf, missing returns have no effect",
         f"{needs[1]}; else z_max has no effect",
         parameter="z_max", values={} if share is None else {"share_without_return": share},
     )  # fmt: skip
@@ -58,7 +58,7 @@ def range_limits(subject: Subject) -> Iterator[Finding]:
         yield subject.finding(
             "range-limit-above-sensor", "info", f"{name} is {limit:g} m, the sensor's limit {sensor:g} m",
             f"random readings are spread over {limit:g} m, {rand} / {limit:g} for each metre, where the sensor has "
-            f"{sensor:g}: they are worth {limit / sensor:.1f} times too little",
+            f"{sensor:g}: they score {limit / sensor:.1f} times too little",
             f"set it to {sensor:g}", parameter="laser_max_range", values={"limit": limit, "sensor": sensor},
         )  # fmt: skip
     elif 0.0 < limit < sensor and subject.stack.drops_beyond:
@@ -68,7 +68,7 @@ def range_limits(subject: Subject) -> Iterator[Finding]:
             yield subject.finding(
                 "range-limit-hides-readings", "warning",
                 f"{name} is {limit:g} m, {hidden:.1%} of the log's readings are longer",
-                "these readings are cut down to it, or count for nothing, and they are those that tell headings best",
+                "these readings are cut down to it, or count for nothing, and they determine the heading best",
                 f"set it to the sensor's {sensor:g} m", parameter="laser_max_range",
                 values={"limit": limit, "sensor": sensor, "hidden_share": hidden},
             )  # fmt: skip
@@ -86,7 +86,7 @@ def short_limit(subject: Subject) -> Iterator[Finding]:
             "min-range-hides-readings", "warning",
             f"laser_min_range is {low:g} m, {hidden:.1%} of the log's readings are shorter",
             "AMCL turns readings that are too short into the longest range, as if nothing were there",
-            "lower it, or filter such readings out before (NaN)", parameter="laser_min_range",
+            "lower it, or filter such readings out first (as NaN)", parameter="laser_min_range",
             values={"limit": low, "hidden_share": hidden},
         )  # fmt: skip
 

@@ -44,8 +44,8 @@ def sharpness(subject: Subject) -> Iterator[Finding]:
     if effective == 0.0:
         yield subject.finding(
             "all-weights-zero", "error", f"one scan gives all {N_PARTICLES} particles around the true pose {where} the "
-            "weight 0", "weights are divided by their sum: there is nothing left to choose poses by",
-            "give random readings (z_rand) a few percent, and hits something",
+            "weight 0", "weights are divided by their sum, which is 0: poses can no longer be told apart",
+            "give random readings (z_rand) a few percent, and z_hit more than 0",
         )  # fmt: skip
         return
     share = effective / N_PARTICLES
@@ -64,8 +64,8 @@ def sharpness(subject: Subject) -> Iterator[Finding]:
     elif share < SHARP:
         yield subject.finding(
             "absurdly-sharp", "warning", seen,
-            "beams err together, but count as if they were independent: one bad scan can throw away the true pose",
-            f"calibrate (beamfield calibrate --stack), or take {subject.stack.flatter}",
+            "beams err together, but count as if they were independent: one bad scan can discard the true pose",
+            f"calibrate (beamfield calibrate --stack), or use {subject.stack.flatter}",
             values=numbers,
         )  # fmt: skip
 

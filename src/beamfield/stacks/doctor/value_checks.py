@@ -41,7 +41,7 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
         if fault == "filled-in":
             yield subject.finding(
                 "filled-in-at-start", "info", f"{name} {message}",
-                "the value is not known here, so it is not examined",
+                "the value is unknown here, so it is not checked",
                 "put the value in the file, or give the argument a default", own=name,
             )  # fmt: skip
         elif fault == "not-finite":
@@ -55,7 +55,7 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
         elif fault == "range":
             yield subject.finding(
                 "out-of-range", "error", f"{name} is {shorten(value)}: {message}", _out_of_range(subject, name),
-                "see what it means and choose a value in its range", own=name,
+                "look up its meaning and choose a valid value", own=name,
                 values={"value": float(value)} if abs(value) <= MOST else {},
             )  # fmt: skip
         elif fault == "model":
@@ -74,8 +74,8 @@ def loaded_elsewhere(subject: Subject) -> Iterator[Finding]:
     for line, source in subject.file.section.elsewhere:
         yield replace(subject.finding(
             "loaded-elsewhere", "info", f"the node also takes parameters from {source}",
-            "that file is not read here: parameters that this one lacks are taken to have their defaults",
-            "examine that file as well",
+            "that file is not read here: parameters missing from this one are assumed at their defaults",
+            "check that file as well",
         ), line=line)  # fmt: skip
 
 
@@ -87,8 +87,8 @@ def missing_ros_key(subject: Subject) -> Iterator[Finding]:
     if section.is_ros_2 or not any(STACKS[name].is_typed for name in subject.file.possible):
         return
     yield subject.finding(
-        "no-ros-parameters-key", "error", f"the parameters do not stand below the key {ROS_2_KEY}",
-        "ROS 2 reads a node's parameters only there, and takes the file for broken: the node does not start",
+        "no-ros-parameters-key", "error", f"the parameters are not below the key {ROS_2_KEY}",
+        "ROS 2 reads a node's parameters only there and rejects the file: the node does not start",
         f"put them below 'amcl:' and '{ROS_2_KEY}:'; if this is for ROS 1, the weights' names begin with laser_",
     )  # fmt: skip
 
@@ -113,7 +113,7 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
             yield subject.finding(
                 "misspelt-name", "warning", f"{name} looks like {near[0]}, which the file does not have",
                 "parameters with unknown names are ignored silently",
-                f"write {near[0]}, if that is meant", own=name,
+                f"write {near[0]}, if that is intended", own=name,
             )  # fmt: skip
 
 
@@ -128,7 +128,7 @@ def stack_guess(subject: Subject) -> Iterator[Finding]:
     yield subject.finding(
         "stack-uncertain", "info", f"read as {first.title}'s, though {alike} files have the same names",
         f"the same values mean different things there{density}",
-        f"say --stack {' or '.join(stack.name for stack in others)} if that is what the robot runs",
+        f"pass --stack {' or '.join(stack.name for stack in others)} if that is what the robot runs",
     )  # fmt: skip
 
 
@@ -136,7 +136,7 @@ def _unknown_model(subject: Subject, value: str) -> Finding:
     models, key = tuple(subject.stack.models), subject.stack.model_key
     near = difflib.get_close_matches(value, models, n=1)
     return subject.finding(
-        "unknown-model", "error", f"{key} is {shorten(value)}, which is no model of {subject.stack.name}",
+        "unknown-model", "error", f"{key} is {shorten(value)}, which is not a model of {subject.stack.name}",
         f"{subject.stack.unknown_model}. The file is examined as one for {subject.model.name}",
         f"write {near[0]}" if near else f"write one of {', '.join(models)}", own=key,
     )  # fmt: skip
@@ -145,12 +145,12 @@ def _unknown_model(subject: Subject, value: str) -> Finding:
 def _not_finite(subject: Subject, name: str, value: float) -> Finding:
     if name == "laser_max_range" and value > 0.0 and subject.stack.takes_lesser_limit:
         return subject.finding(
-            "not-finite", "info", f"{name} is {value}", "the sensor's own limit holds then, as with -1.0",
+            "not-finite", "info", f"{name} is {value}", "the sensor's own limit then applies, as with -1.0",
             "write -1.0", own=name,
         )  # fmt: skip
     return subject.finding(
         "not-finite", "error", f"{name} is {value}",
-        "programs compute on with it: weights become NaN, infinite or all the same. nav2 has crashed on it",
+        "programs keep computing with it: weights become NaN, infinite or all the same. nav2 has crashed on it",
         "write a number", own=name,
     )  # fmt: skip
 
@@ -158,7 +158,7 @@ def _not_finite(subject: Subject, name: str, value: float) -> Finding:
 def _out_of_range(subject: Subject, name: str) -> str:
     if subject.name_of("max_beams") == name:
         return subject.stack.too_few_beams
-    return "the model's formula means nothing with it"
+    return "the model's formula is meaningless with it"
 
 
 def _stack_with(name: str) -> str | None:
@@ -180,7 +180,7 @@ def _foreign(subject: Subject, names: list[str], stack: str, other: str, has_oth
 
 def _rename(stack: Stack, other: Stack, name: str) -> str:
     if name and stack.has_same_formulas(other):
-        return f"call it {name} (values keep their meaning between {other.name} and {stack.name})"
+        return f"call it {name} (values mean the same in {other.name} and {stack.name})"
     if name:
         return f"call it {name} if the value is meant for {stack.name}; if it is {other.name}'s: beamfield translate"
     return "leave it out; if the values are from there, beamfield translate gives those for this stack"

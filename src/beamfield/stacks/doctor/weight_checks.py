@@ -24,7 +24,7 @@ def weights_sum(subject: Subject) -> Iterator[Finding]:
     terms = " + ".join(f"{subject.name_of(name)} {value:g}" for name, value in zip(names, values, strict=True))
     why = "the stack's documents ask for a sum of 1, but nothing checks it. "
     if subject.model.factor_cancels:
-        why += "A common factor changes all poses' weights alike, so that nothing is lost but their meaning as shares"
+        why += "A common factor scales all poses' weights alike, so only their meaning as shares is lost"
     else:
         # Of a sum of 0 there are no shares.
         why += "The weight of a scan is 1 + the sum of p^3 over its beams, so that a common factor does not cancel"
@@ -34,8 +34,8 @@ def weights_sum(subject: Subject) -> Iterator[Finding]:
     yield subject.finding(
         "weights-sum", "info",
         f"the weights that {subject.file.model} uses sum to {total:.4g}: {terms}", why,
-        "divide each by their sum, and look at nearly-flat afterwards" if total < 1.0 or subject.model.factor_cancels
-        else "divide each by their sum; the scan then counts less, so calibrate or look at nearly-flat",
+        "divide each by their sum, then check nearly-flat" if total < 1.0 or subject.model.factor_cancels
+        else "divide each by their sum; the scan then counts less, so calibrate or check nearly-flat",
         parameter="z_hit", values={"total": total},
     )  # fmt: skip
 
@@ -51,8 +51,8 @@ def value_above_one(subject: Subject) -> Iterator[Finding]:
     largest = hit if subject.model.weight.of_field else max(hit + short * rate, hit + most)
     if largest > 1.0 + 1e-9:
         yield subject.finding(
-            "value-above-one", "warning", f"one beam can be worth {largest:.4g}, which is more than 1",
-            f"{subject.file.stack} asserts that no beam is worth more than 1: builds with assertions, such as debug "
+            "value-above-one", "warning", f"one beam can score {largest:.4g}, which is more than 1",
+            f"{subject.file.stack} asserts that no beam scores more than 1: builds with assertions, such as debug "
             "builds, stop there",
             "divide the weights by their sum", parameter="z_hit", values={"largest": float(largest)},
         )  # fmt: skip
@@ -92,13 +92,13 @@ def sigma_against_resolution(subject: Subject) -> Iterator[Finding]:
             "sigma-below-resolution", "warning",
             f"{subject.name_of('sigma_hit')} is {sigma:g} m, the map's cells are {grid.resolution:g} m",
             "a wall is drawn up to half a cell from where it is: a narrower hit calls most true readings random",
-            f"take at least half a cell, {grid.resolution / 2.0:g} m, or calibrate", parameter="sigma_hit",
+            f"use at least half a cell, {grid.resolution / 2.0:g} m, or calibrate", parameter="sigma_hit",
             values={"sigma": sigma, "resolution": grid.resolution},
         )  # fmt: skip
     if sigma > 0.5:
         yield subject.finding(
             "sigma-huge", "info", f"{subject.name_of('sigma_hit')} is {sigma:g} m",
-            "laser readings miss walls of a good map by centimetres; so wide a hit cannot tell a pose from the next",
+            "laser readings miss walls of a good map by centimetres; so wide a hit cannot tell nearby poses apart",
             "calibrate it; 0.05 to 0.2 m is usual", parameter="sigma_hit", values={"sigma": sigma},
         )  # fmt: skip
 
@@ -113,9 +113,9 @@ def distance_limit(subject: Subject) -> Iterator[Finding]:
         yield subject.finding(
             "distance-limit", "info",
             f"{subject.name_of('laser_likelihood_max_dist')} is {limit:g} m, {limit / sigma:.2g} {width}",
-            "a reading anywhere beyond it is worth as much as one at that distance, which is still a fair hit: weights "
+            "a reading anywhere beyond it scores as much as one at that distance, which is still a fair hit: weights "
             "get flatter, and far readings that do not fit hardly count",
-            f"nothing, if that is meant; else at least {CUT_SIGMAS:g} {width}, {CUT_SIGMAS * sigma:.2g} m",
+            f"nothing, if intended; otherwise at least {CUT_SIGMAS:g} {width}, {CUT_SIGMAS * sigma:.2g} m",
             parameter="laser_likelihood_max_dist", values={"limit": limit, "sigma": sigma},
         )  # fmt: skip
 

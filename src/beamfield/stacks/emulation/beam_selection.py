@@ -35,7 +35,7 @@ def floor_step_beams(n_beams: int, max_beams: int, *, least_step: int) -> Indice
     if step < 1:
         raise InvalidInputError(
             f"max_beams: expected at most the number of beams in the scan, {n_beams}, got {max_beams}: "
-            "the program's step over beams becomes 0 and it never returns"
+            "the program's beam step becomes 0 and it never returns"
         )
     return np.arange(0, n_beams, step)
 

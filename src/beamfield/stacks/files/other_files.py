@@ -18,7 +18,7 @@ _KINDS: Mapping[frozenset[str], str] = {
         "`beamfield calibrate LOG --map MAP --stack nav2` (or another stack) fits that program's own formula"
     ),
     frozenset(("likelihood_field",)): (
-        "this is beamfield's own likelihood field: the same names mean other things in these programs' formulas, and "
+        "this is beamfield's own likelihood field: the same names have other meanings in these programs' formulas, and "
         "`beamfield calibrate LOG --map MAP --stack nav2` (or another stack) fits those"
     ),
     frozenset(("landmark_model",)): "this is beamfield's own landmark model, which none of these programs has",

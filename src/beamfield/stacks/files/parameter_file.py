@@ -157,7 +157,9 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
         shutil.copymode(path, old)
         part.write_bytes(mark + after.encode())
         if not _reads_as(part, section, values):
-            raise FormatError(path, "the new values cannot be put into it without changing more; it is left as it is")
+            raise FormatError(
+                path, "the new values cannot be written without changing other parts; the file is unchanged"
+            )
     return backup
 
 
@@ -195,7 +197,7 @@ def _refuse_read_only(path: Path) -> None:
 def _sections(path: Path) -> list[ParameterSection]:
     suffix, signs = path.suffix.lower(), _signs()
     if suffix == ".py":
-        raise FormatError(path, "launch files in Python are not read; give the YAML file that it loads")
+        raise FormatError(path, "Python launch files are not supported; give the YAML file that it loads")
     if suffix in (".launch", ".xml"):
         return launch_sections(path, signs)
     if suffix in (".ini", ".cfg"):
@@ -221,7 +223,7 @@ def _only(path: Path, sections: list[ParameterSection], label: str | None) -> Pa
         if not named:
             known = ", ".join(repr(section.label) for section in sections) or "none"
             raise FormatError(
-                path, f"no section {shorten(label)} with parameters of a measurement model; there are {known}"
+                path, f"no section {shorten(label)} with parameters of a measurement model; known sections: {known}"
             )
         sections = named
     if not sections:
@@ -232,7 +234,7 @@ def _only(path: Path, sections: list[ParameterSection], label: str | None) -> Pa
         )
     if len(sections) > 1:
         labels = ", ".join(f"{section.label!r} (line {section.line})" for section in sections)
-        raise FormatError(path, f"several sections have such parameters, choose by label or line one of {labels}")
+        raise FormatError(path, f"several sections have such parameters; choose one by label or line: {labels}")
     return sections[0]
 
 
@@ -283,7 +285,9 @@ def _model_of(stack: Stack, section: ParameterSection, unknown_model: str) -> st
     entry = section.entries.get(stack.model_key)
     if entry is None or entry.value is None:
         if entry is not None and entry.filled_in:
-            message = f"expected the name of a model, got {entry.filled_in!r}, which is filled in elsewhere: say which"
+            message = (
+                f"expected the name of a model, got {entry.filled_in!r}, which is substituted at launch: write the name"
+            )
             raise section.error(stack.model_key, message)
         return stack.default_model
     for name, model in stack.models.items():

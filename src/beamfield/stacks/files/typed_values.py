@@ -89,7 +89,7 @@ def checked_values(file: StackFile) -> Any:
 def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[Fault, str] | None]:
     """Return the value in the type of the parameter, and what is wrong with it, if anything."""
     if entry.filled_in and entry.value is None:
-        return None, ("filled-in", f"is filled in when the robot starts: {entry.filled_in!r}")
+        return None, ("filled-in", f"is substituted at launch: {entry.filled_in!r}")
     text = _plain_text(file, entry)
     by_ros_1 = file.section.syntax == "yaml" and not file.section.is_ros_2
     if by_ros_1 and isinstance(entry.value, float) and "e" in text.lower() and not _EXPONENT_1_1.fullmatch(text):

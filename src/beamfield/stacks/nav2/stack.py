@@ -29,9 +29,9 @@ def uninitialised_queue(subject: Any) -> Iterator[Finding]:
         yield subject.finding(
             "distance-queue-uninitialised", "info",
             "nav2 since April 2025 (commit def640f3d) never sets the distance by which it sorts obstacles in its queue",
-            "the queue's order depends on what is in memory: distances come out right or metres too long, from build "
-            "to build and from start to start; here they are taken as meant",
-            "nothing in this file: look for a release that sets occ_dist of obstacle cells to 0 in map_cspace.cpp, or "
+            "the queue's order depends on what is in memory: distances may be right or metres too long, and vary "
+            "between builds and starts; here they are computed as intended",
+            "nothing in this file: use a release that sets occ_dist of obstacle cells to 0 in map_cspace.cpp, or "
             "build one",
         )  # fmt: skip
 

@@ -38,7 +38,7 @@ def ini_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FormatError(path, f"no text in UTF-8: byte {content[error.start : error.start + 1]!r}") from error
+        raise FormatError(path, f"not valid UTF-8: byte {content[error.start : error.start + 1]!r}") from error
     sections = _parse(text)
     chosen = [section for section in sections if not known.isdisjoint(section.entries)]
     # Other sections of the file are other programs' business, unless there is nothing else to say.
@@ -76,7 +76,7 @@ def _parse(text: str) -> list[_Section]:
             fault = f"expected [section], name = value or a comment, got {shorten(body)}"
             section.fault = section.fault or (number, None, fault)
         elif key in section.entries:
-            section.fault = section.fault or (number, key, f"is there twice in [{section.label}]")
+            section.fault = section.fault or (number, key, f"duplicate name in [{section.label}]")
         else:
             value = _without_comment(rest)
             begin = start + len(name) + 1 + len(rest) - len(rest.lstrip(" \t"))

@@ -44,7 +44,7 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise FormatError(path, f"no XML in UTF-8: byte {content[error.start : error.start + 1]!r}") from error
+        raise FormatError(path, f"not valid UTF-8: byte {content[error.start : error.start + 1]!r}") from error
     nodes = _Parser(path, signs).nodes(content)
     chosen = [node for node in nodes if not signs.names.isdisjoint(node.params)]
     chosen = chosen or [node for node in nodes if node.localises]
@@ -92,7 +92,7 @@ class _Parser:
         try:
             self.expat.Parse(content, True)
         except expat.ExpatError as error:
-            message = f"no valid XML: {expat.ErrorString(error.code)}"
+            message = f"not valid XML: {expat.ErrorString(error.code)}"
             raise FormatError(self.path, message, line=error.lineno) from error
         return self.found
 
@@ -117,7 +117,7 @@ class _Parser:
     def refuse(self, name: str, *_: object) -> None:
         line = self.expat.CurrentLineNumber
         raise FormatError(
-            self.path, f"a document type is not read, got <!DOCTYPE {shorten(name)[1:-1]} ...>", line=line
+            self.path, f"document types are not supported, got <!DOCTYPE {shorten(name)[1:-1]} ...>", line=line
         )
 
     def new_node(self, namespace: str, attributes: dict[str, str]) -> _Node:
@@ -141,7 +141,7 @@ class _Parser:
             if name in node.params:
                 if conditional or node.params[name].conditional:
                     return
-                raise FormatError(self.path, "the parameter is there twice", line=line, field=name)
+                raise FormatError(self.path, "duplicate parameter", line=line, field=name)
             written = attributes["value"]
             value = self.arguments.fill_in(written)
             node.params[name] = _Param(value, written, line, self.expat.CurrentByteIndex, conditional)
@@ -181,7 +181,7 @@ def _value_place(path: Path, text: str, begin: int, name: str, line: int) -> tup
         at = _ATTRIBUTE.match(text, at.end())
         if at is not None and at.group(1) == "value":
             return at.start(2) + 1, at.end(2) - 1
-    raise FormatError(path, "the value's place in the text was not found", line=line, field=name)
+    raise FormatError(path, "the value was not found in the text", line=line, field=name)
 
 
 def _indent(text: str, entries: Iterable[Entry]) -> str:

@@ -145,7 +145,7 @@ class ParameterSection:
             if self.insert_at is None:
                 # <node .../> has no inside to write into.
                 raise FormatError(
-                    self.path, "has no end tag to put new parameters before", line=self.line, field=self.label
+                    self.path, "has no end tag before which to insert parameters", line=self.line, field=self.label
                 )
             edits.append((self.insert_at, self.insert_at, added))
         text = self.text

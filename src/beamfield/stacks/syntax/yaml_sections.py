@@ -71,7 +71,7 @@ def _behind_colon(file: YamlFile, line: int, name: str) -> int:
     key = re.compile(rf"""(?<![\w."'])["']?{re.escape(name)}["']?\s*:""")
     found = key.search(file.source, start_of_yaml_line(file.source, line))
     if found is None:
-        raise FormatError(file.path, "the place of its missing value was not found", line=line, field=name)
+        raise FormatError(file.path, "the line of its missing value was not found", line=line, field=name)
     return found.end()
 
 

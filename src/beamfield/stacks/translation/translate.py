@@ -113,8 +113,8 @@ def _target(file: StackFile, stack: Stack | None, to: str, model: str | None) ->
     same = [name for name, weight in weights.items() if weight == how and (stack is not None or how.of_field)]
     if not same:
         raise InvalidInputError(
-            f"{to} has no model that can weigh as {own} does: that takes {how.text}, and no values of other parameters "
-            "imitate it"
+            f"{to} has no model that weighs as {own} does: {own} takes {how.text}, and no parameters of another model "
+            "imitate that"
         )
     if model is not None and same[0] != model:
         other = weights[model].text if model in weights else "something else"
@@ -128,7 +128,7 @@ def _ignored(file: StackFile) -> list[str]:
     """Say which names of other stacks in the file were not read."""
     own = {file.name_in_file(name) for name in file.program.parameter_names}
     return [
-        f"{name} was not read: {file.stack} has no such parameter and uses its own value for what is meant"
+        f"{name} was not read: {file.stack} has no such parameter and uses its own value instead"
         for name in file.section.entries if name not in own and counterpart(name, own)
     ]  # fmt: skip
 

@@ -153,7 +153,7 @@ def _read(path: Path, typical_range: float | None) -> _Own:
     saved = read_saved_beam_model(path)
     sensor = read_yaml(path).values.get("sensor")
     if isinstance(sensor, Mapping) and sensor.get("opening_angle"):
-        raise FormatError(path, "is the model of cones (opening_angle), such as a sonar's; no stack has such a model")
+        raise FormatError(path, "is a model of cones (opening_angle), such as a sonar's; no stack has one")
     full = saved.parameters
     typical = typical_range or min(TYPICAL_RANGE, TYPICAL_SHARE * saved.max_range)
     sigma = math.sqrt(full.sigma_hit**2 + full.range_offset**2 + (full.sigma_slope * typical) ** 2)
@@ -244,7 +244,7 @@ def _chapter_beam(own: _Own) -> dict[str, Value]:
 def _field(own: _Own, notes: list[str]) -> NeutralField:
     plain = own.plain
     if plain.z_hit + plain.z_rand <= 0.0:
-        raise InvalidInputError("z_hit, z_rand: both are 0, which leaves nothing for a field")
+        raise InvalidInputError("z_hit, z_rand: both are 0, which leaves no weight for a field")
     left = plain.z_short + plain.z_max
     notes.append(
         "a field takes the distance from the end point to the nearest obstacle, not the error along the ray: the "

@@ -20,7 +20,7 @@ CONCAVE, CONVEX = 0.5 * math.pi, 1.5 * math.pi
 
 @dataclass(frozen=True)
 class CornerNoise:
-    """How corners of a scan differ from those of a map, which ones are seen, and what is there besides.
+    """How corners of a scan differ from those of a map, which ones are seen, and what else is seen.
 
     A corner f = (r, phi, opening) seen from a pose x is one of the map's corners j, or clutter::
 

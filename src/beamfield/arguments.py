@@ -68,7 +68,7 @@ def checked(function: F) -> F:
 
 
 def check_fields(instance: Any) -> None:
-    """Say which field of a dataclass does not fit its annotation.
+    """Raise if a field of a dataclass does not match its annotation.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def _expect(name: str, value: Any, hint: Any) -> None:
 
 
 def _expect_each(name: str, values: Any, hint: Any) -> None:
-    """Say which item of a sequence does not fit."""
+    """Raise if an item of a sequence does not match."""
     if get_origin(hint) in (collections.abc.Sequence, list) and get_args(hint):
         for index, value in enumerate(values):
             _expect(f"{name}[{index}]", value, get_args(hint)[0])

@@ -125,7 +125,7 @@ class Detections:
 
 
 def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
-    """Return n ids as read-only integers, or say what is wrong with them.
+    """Return n ids as read-only integers; raise if they are not valid.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
 
 
 def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
-    """Return the ids of a map's n things as read-only integers; None numbers them from 1.
+    """Return the ids of a map's n features as read-only integers; None numbers them from 1.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ class BeamfieldError(Exception):
 
 
 class InvalidInputError(BeamfieldError, ValueError):
-    """An argument is not what the function takes: says what, what was got and what was expected."""
+    """An argument is not valid; the message names it, what was expected and what was got."""
 
     exit_code = 2
 

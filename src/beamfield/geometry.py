@@ -17,7 +17,7 @@ BLAS_ALONE = 9_000
 
 
 def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
-    """Return poses as float64 of shape (..., 3), or say what is wrong with them.
+    """Return poses as float64 of shape (..., 3); raise if they are not valid.
 
     Parameters
     ----------

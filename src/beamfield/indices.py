@@ -17,7 +17,7 @@ Table = TypeVar("Table")
 
 @checked
 def as_indices(choice: ArrayLike, n: int, name: str) -> NDArray[np.int64]:
-    """Return which of n things are meant, as indices from 0 to n - 1.
+    """Return a selection of n items as indices from 0 to n - 1.
 
     Parameters
     ----------

@@ -260,7 +260,7 @@ def _require_radians(name: str, angles: FloatArray) -> None:
 
 @checked
 def usable_ranges(ranges: ArrayLike, finder: RangeFinder) -> FloatArray:
-    """Return ranges with "no return" as max_range and everything that is no measurement as NaN.
+    """Return ranges with "no return" as max_range and all that is not a measurement as NaN.
 
     Parameters
     ----------

@@ -174,7 +174,7 @@ def without_wall_error(
 def cross_fit_findings(
     maps: CrossFitMaps, table: BeamTable, n_clutter: int, parameters: BeamParameters, intervals: IntervalResult
 ) -> list[Finding]:
-    """Say that the map comes from the log itself, what that means, and what it leaves uncertain.
+    """Report that the map comes from the log itself, what that means, and what stays uncertain.
 
     Parameters
     ----------

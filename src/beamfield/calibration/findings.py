@@ -73,7 +73,7 @@ def score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
 
 
 def cone_findings(log: SensorLog) -> list[Finding]:
-    """Say that readings are taken as cones, if the sensor has an opening angle."""
+    """Report that readings are treated as cones, if the sensor has an opening angle."""
     opening = log.finder.opening_angle
     if opening == 0.0:
         return []
@@ -89,7 +89,7 @@ def cone_findings(log: SensorLog) -> list[Finding]:
 
 
 def left_out_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
-    """Say where many readings carry no measurement: they are in no parameter, z_max included."""
+    """Warn of many readings without a measurement: they count in no parameter, not even z_max."""
     total = max(table.n_readings, 1)
     # Beams that are NaN in all scans are masked.
     masked = float(np.isnan(log.ranges).all(axis=0).mean())

@@ -156,7 +156,7 @@ def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 
 
 def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding]:
-    """Say whether the walls are drawn too thick or the map has the wrong scale.
+    """Report walls that are drawn too thick, or a wrong scale of the map.
 
     Parameters
     ----------

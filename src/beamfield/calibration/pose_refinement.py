@@ -167,7 +167,7 @@ def _delay(log: SensorLog, scans: NDArray[np.int64], shifts: FloatArray) -> tupl
 
 
 def refinement_findings(refinement: PoseRefinement | None) -> list[Finding]:
-    """Say whether sigma_hit is partly error of the reference poses, and whether these are late; None says nothing."""
+    """Report how much of sigma_hit is error of the reference poses, and whether these are late; nothing for None."""
     if refinement is None:
         return []
     shift = np.median(np.hypot(refinement.shifts[:, 0], refinement.shifts[:, 1]))

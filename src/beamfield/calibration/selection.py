@@ -172,7 +172,7 @@ def _require_overlap(log: SensorLog, grid: OccupancyGrid, outside: NDArray[np.bo
 
 
 def _jumps(log: SensorLog, options: SelectionOptions) -> NDArray[np.bool_]:
-    """Scans before or after which the reference moves otherwise than the odometry."""
+    """Scans before or after which reference and odometry disagree."""
     if not log.has_odometry:
         return np.zeros(len(log), bool)
     with np.errstate(invalid="ignore"):

@@ -63,7 +63,7 @@ def find_corners(
 
 
 def first_meeting(one: Line, others: Sequence[Line], max_distance: float, min_turn: float) -> Corner | None:
-    """Return the corner with the next wall: small things in front may come between, and a full turn has no end."""
+    """Return the corner with the next wall: small objects in front may come between, and a full turn has no end."""
     corners = (meet(one, two, max_distance, min_turn) for two in others[:NEXT_LINES])
     return next((corner for corner in corners if corner is not None), None)
 

@@ -1,4 +1,4 @@
-"""Local minima of the ranges (6.6.1): the nearest point of whatever is there."""
+"""Local minima of the ranges (6.6.1): the nearest points of obstacles."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class FollowedBeams(NamedTuple):
 def followed_beams(
     ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike, resolution: float, model: InverseSensorModel
 ) -> FollowedBeams:
-    """Say where beams start, how far they are followed, and what their last cell is.
+    """Return where beams start, how far they are followed, and what their last cell is.
 
     Parameters
     ----------

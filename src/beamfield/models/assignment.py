@@ -1,4 +1,4 @@
-"""Mutual exclusion within one observation: no two features belong to one thing of the map."""
+"""Mutual exclusion within one observation: no two features belong to one map feature."""
 
 from __future__ import annotations
 

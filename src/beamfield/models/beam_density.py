@@ -224,7 +224,7 @@ def as_view(parameters: BeamParameters, max_range: float, min_range: float = 0.0
 
 
 def as_expected_ranges(expected_ranges: ArrayLike) -> FloatArray:
-    """Return expected ranges as float64, or say which is negative."""
+    """Return expected ranges as float64; raise if one is negative."""
     expected = np.asarray(expected_ranges, dtype=np.float64)
     if expected.size and np.fmin.reduce(expected, axis=None) < 0.0:
         where = np.argwhere(expected < 0.0)[0]

@@ -17,7 +17,7 @@ from beamfield.sensors import SHORTEST_SPAN
 
 
 def check_limits(max_range: float, min_range: float) -> None:
-    """Say which of a sensor's limits is impossible: 0 <= min_range < max_range <= 1e9, metres.
+    """Raise if a sensor's limits are not valid: 0 <= min_range < max_range <= 1e9, metres.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What models of features share: of which thing of the map each feature is, known or not (6.6.3)."""
+"""Shared by models of features: which map feature each one belongs to, known or not (6.6.3)."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class PoseSamples(NamedTuple):
 
     @property
     def effective_size(self) -> float:
-        """1 / sum of squared weights: so many poses of equal weight tell as much."""
+        """1 / sum of squared weights: the number of equally weighted poses that are worth as much."""
         return float(1.0 / np.exp(2.0 * self.log_weights).sum())
 
 

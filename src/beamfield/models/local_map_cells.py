@@ -1,4 +1,4 @@
-"""What all models that compare a local map with the global one have in common."""
+"""Shared by all models that compare a local map with the global one."""
 
 from __future__ import annotations
 

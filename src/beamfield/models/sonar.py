@@ -21,7 +21,7 @@ from beamfield.short_repr import short_repr
 
 @dataclass(frozen=True, eq=False)
 class SonarModel(RangeMixtureModel):
-    """p(z | x, m) of a scan of sonars, each of which hears the nearest thing in its cone.
+    """p(z | x, m) of a scan of sonars, each of which measures the nearest obstacle in its cone.
 
     The mixture (6.12) is that of `BeamModel`, and so are all methods. The expected range z* of each sensor is the
     distance to the nearest visible point of an obstacle within half of `finder.opening_angle` to either side of its

@@ -175,7 +175,7 @@ class ScanFits:
 
 @checked
 def judge_scan(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitReference | None = None) -> ScanFit:
-    """Say how well a scan fits the map at a pose.
+    """Judge how well a scan fits the map at a pose.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A raster to draw a building on: solid material, rooms carved out of it, things put into rooms."""
+"""A raster to draw a building on: solid material, rooms carved out of it, furniture put into rooms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-parallel box in the frame of the thing that it is part of; metres."""
+    """An axis-parallel box in the frame of the piece of furniture that it is part of; metres."""
 
     x0: float
     y0: float
@@ -104,7 +104,7 @@ class Canvas:
         self.solid[self._block(room)] = False
 
     def reserve(self, room: Box) -> None:
-        """Keep a region free of things."""
+        """Keep a region free of furniture."""
         self.reserved[self._block(room)] = True
 
     def build(self, shape: Shape, pose: FloatArray | None = None) -> None:
@@ -122,7 +122,7 @@ class Canvas:
         self.solid[window] |= shape.contains(points)
 
     def put(self, thing: Thing, pose: FloatArray) -> bool:
-        """Put a thing where there is room for it: neither solid material nor a region kept free.
+        """Put a piece of furniture where there is room for it: neither solid material nor a region kept free.
 
         Parameters
         ----------

@@ -230,7 +230,7 @@ def _reachable(free: BoolArray, start: tuple[int, int]) -> BoolArray:
 
 
 def _against(box: Box, wall: Side, along: float, gap: float, jitter: float = 0.0) -> NDArray[np.float64]:
-    """Pose of a thing with its back to a wall of the room, `along` metres from the wall's west or south end."""
+    """Pose of furniture with its back to a wall of the room, `along` metres from the wall's west or south end."""
     return np.array(
         {
             "south": (box.x0 + along, box.y0 + gap, jitter),

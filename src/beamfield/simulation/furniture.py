@@ -69,7 +69,7 @@ def round_table(*, n_chairs: int = 3, turn: float = 0.0) -> Thing:
 
 
 def solid(width: float, depth: float) -> Thing:
-    """Return a closed box of so many metres against a wall: cabinet, shelf, counter, copier."""
+    """Return a closed box against a wall, sizes in metres: cabinet, shelf, counter, copier."""
     box = Box(-width / 2, 0.0, width / 2, depth)
     return Thing((box,), box)
 

@@ -19,7 +19,7 @@ STACKS: dict[str, Stack] = {stack.name: stack for stack in (NAV2, ROS1, BELUGA, 
 
 
 def stack_named(name: str) -> Stack:
-    """Return the stack of this name, or say which there are."""
+    """Return the stack of this name; raise with the known names."""
     if name not in STACKS:
         raise InvalidInputError(f"stack: expected one of {', '.join(STACKS)}, got {name!r}")
     return STACKS[name]

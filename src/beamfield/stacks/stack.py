@@ -300,7 +300,7 @@ class Stack:
         return frozenset(item.name for model in self.models.values() for item in fields(model.parameters))
 
     def model(self, name: str) -> Model:
-        """Return the model of this name, or say which there are."""
+        """Return the model of this name; raise with the known names."""
         if name not in self.models:
             raise InvalidInputError(f"model: {self.name} has {', '.join(self.models)}, got {name!r}")
         return self.models[name]

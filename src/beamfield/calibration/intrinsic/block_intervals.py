@@ -200,7 +200,7 @@ def block_intervals(
 
 
 def share_interval(share: float, variance: float, outside: float) -> tuple[float, float]:
-    """Return Clopper and Pearson's interval for a share in (0, 1) of as many independent things as its variance tells.
+    """Return Clopper and Pearson's interval for a share in (0, 1), from the sample size that its variance implies.
 
     Parameters
     ----------

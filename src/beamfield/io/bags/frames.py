@@ -296,7 +296,7 @@ class _Edge:
 
 
 def find_fault(values: FloatArray) -> tuple[int, str] | None:
-    """Return the first row (x, y, z, qx, qy, qz, qw) that is no transform, and what is wrong with it."""
+    """Return the first row (x, y, z, qx, qy, qz, qw) that is not a transform, and why."""
     with np.errstate(invalid="ignore"):
         finite = np.asarray((np.abs(values) < FARTHEST).all(axis=1))
     length = np.linalg.norm(np.where(finite[:, None], values, 0.0)[:, 3:], axis=1)

@@ -1,4 +1,4 @@
-"""Where things are in a bag: the robot's frame, the mounts of its sensors, its odometry and its reference poses."""
+"""The frames of a bag: the robot's frame, the mounts of its sensors, its odometry and its reference poses."""
 
 from __future__ import annotations
 

@@ -357,7 +357,7 @@ def _bunzip(data: bytes, allowance: Allowance) -> bytes:
 
 
 def _zstd() -> Any:
-    """Return the zstd library that rosbags brings: it changed with its versions."""
+    """Return the zstd library that rosbags depends on, which changed between its versions."""
     for name in ("compression.zstd", "backports.zstd", "zstandard"):
         with suppress(ImportError):
             return importlib.import_module(name)

@@ -1,1 +1,1 @@
-"""What all formats share: whole files, lines, rows, YAML."""
+"""Shared by all formats: atomic files, lines, rows, YAML."""

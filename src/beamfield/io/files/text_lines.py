@@ -145,7 +145,7 @@ def parse_numbers(path: Path, line: int, words: Sequence[str], what: str) -> Flo
 
 
 def expect_words(path: Path, line: int, words: Sequence[str], expected: int, what: str = "") -> None:
-    """Say if a message has not as many words as its counts make.
+    """Raise if a message does not have the number of words that its counts declare.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def parse_count(path: Path, line: int, word: str, what: str) -> int:
 
 
 def is_number(word: str) -> bool:
-    """Say whether a word is a number as `parse_numbers` takes it."""
+    """Return whether `parse_numbers` accepts a word."""
     try:
         float(word)
     except ValueError:

@@ -91,7 +91,7 @@ def id_table(
 
 
 def is_id(word: str) -> bool:
-    """Say whether a word is an id: a whole number from 0 to 2^53."""
+    """Return whether a word is an id: a whole number from 0 to 2^53."""
     return re.fullmatch(r"[0-9]{1,16}", word) is not None and int(word) <= MAX_ID
 
 

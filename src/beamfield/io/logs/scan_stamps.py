@@ -110,7 +110,7 @@ def resolve_stamps(
 
 
 def _is_lost(stamps: FloatArray) -> bool:
-    """Whether most scans have the stamp of another scan, or one that is no number."""
+    """Whether most scans have the stamp of another scan, or one that is not a number."""
     if not np.isfinite(stamps).all():
         return True
     return len(stamps) > 1 and len(np.unique(stamps)) <= len(stamps) / 2

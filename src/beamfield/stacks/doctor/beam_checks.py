@@ -65,7 +65,7 @@ def usable_beams(subject: Subject) -> Iterator[Finding]:
 
 
 def many_beams_in_product(subject: Subject) -> Iterator[Finding]:
-    """Find products over so many beams that they cannot be independent."""
+    """Find products over more beams than can be independent."""
     if subject.model.weight.has_exponent or not subject.model.multiplies(subject.parameters):
         return
     asked = subject.beams_used()

@@ -24,7 +24,7 @@ def is_calibrated(subject: Subject) -> bool:
 
 
 def calibrated(subject: Subject) -> Iterator[Finding]:
-    """Say that the values are those of a calibration."""
+    """Report values that a calibration wrote."""
     if is_calibrated(subject):
         yield subject.finding(
             "calibrated", "info", "all values are as `beamfield calibrate --stack` wrote them",

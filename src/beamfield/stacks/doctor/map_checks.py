@@ -31,7 +31,7 @@ def ignored_yaw(subject: Subject) -> Iterator[Finding]:
 
 
 def half_cell(subject: Subject) -> Iterator[Finding]:
-    """Say how far the stack places cells from where the map has them."""
+    """Report how far the stack shifts the cells of the map."""
     if subject.grid is None or not subject.stack.half_cell_low:
         return
     shift = subject.grid.resolution / 2.0
@@ -48,7 +48,7 @@ def half_cell(subject: Subject) -> Iterator[Finding]:
 
 
 def unknown_space(subject: Subject) -> Iterator[Finding]:
-    """Say what the stack makes of unknown cells that beams can reach."""
+    """Report how the stack treats unknown cells that beams can reach."""
     if subject.grid is None:
         return
     share = _open_edges(subject.grid)

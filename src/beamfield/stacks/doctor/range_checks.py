@@ -17,7 +17,7 @@ SHORT_LIMIT = 3.0
 
 
 def unreachable_z_max(subject: Subject) -> Iterator[Finding]:
-    """Find a z_max that no reading of a REP 117 driver brings in."""
+    """Find a z_max that no reading of a REP 117 driver uses."""
     needs = subject.model.z_max_needs
     if needs is None or not subject.value("z_max"):
         return

@@ -70,7 +70,7 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
 
 
 def loaded_elsewhere(subject: Subject) -> Iterator[Finding]:
-    """Say that a launch file loads more parameters from another file."""
+    """Report a launch file that loads more parameters from another file."""
     for line, source in subject.file.section.elsewhere:
         yield replace(subject.finding(
             "loaded-elsewhere", "info", f"the node also takes parameters from {source}",
@@ -118,7 +118,7 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
 
 
 def stack_guess(subject: Subject) -> Iterator[Finding]:
-    """Say that a file could be another stack's."""
+    """Report a file that could be another stack's."""
     if subject.file.stack_is_certain:
         return
     first, *others = (STACKS[name] for name in subject.file.possible)

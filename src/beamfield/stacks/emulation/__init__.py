@@ -1,1 +1,1 @@
-"""What all emulators share: the interface, the reading of the map, rays and distances."""
+"""Shared by all emulators: the interface, the reading of the map, rays and distances."""

@@ -179,7 +179,7 @@ class StackModel(ABC, Generic[P, E]):
         return {name: getattr(self.parameters, name) for name in self.evidence_settings}
 
     def _parameters_for(self, evidence: Evidence, parameters: P | None) -> P:
-        """Return the parameters to use, or say which of them the evidence was not made with."""
+        """Return the parameters to use; raise if the evidence was made with others."""
         chosen = self.parameters if parameters is None else parameters
         for name, value in evidence.settings.items():
             if getattr(chosen, name) != value:

@@ -19,7 +19,7 @@ def check_numbers(
     positive: tuple[str, ...] = (),
     finite: tuple[str, ...] = (),
 ) -> None:
-    """Make the named fields of a frozen dataclass floats, or say which of them cannot be.
+    """Convert the named fields of a frozen dataclass to floats; raise if one is not a valid number.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def check_numbers(
 
 
 def check_counts(parameters: Any, **least: int) -> None:
-    """Make the named fields integers of at least the given value, or say which of them cannot be."""
+    """Convert the named fields to integers; raise if one is not an integer or below the given bound."""
     for name, bound in least.items():
         value = getattr(parameters, name)
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < bound:
@@ -53,14 +53,14 @@ def check_counts(parameters: Any, **least: int) -> None:
 
 
 def check_switches(parameters: Any, *names: str) -> None:
-    """Say which of the named fields is not True or False."""
+    """Raise if one of the named fields is not True or False."""
     for name in names:
         if not isinstance(getattr(parameters, name), bool):
             raise InvalidInputError(f"{name}: expected True or False, got {getattr(parameters, name)!r}")
 
 
 def check_choice(parameters: Any, name: str, known: tuple[str, ...]) -> None:
-    """Say if the named field is none of the known names."""
+    """Raise if the named field is not one of the known names."""
     if getattr(parameters, name) not in known:
         choices = ", ".join(map(repr, known))
         raise InvalidInputError(f"{name}: expected one of {choices}, got {getattr(parameters, name)!r}")

@@ -59,7 +59,7 @@ def _chapter_notes(model: Model, plain: BeamParameters, typical_range: float, ce
 
 
 def unused_directions(subject: Any) -> Iterator[Finding]:
-    """Say that a way to cast rays has no table of directions."""
+    """Report a way to cast rays that has no table of directions."""
     method, name = subject.parameters.range_method, "theta_discretization"
     if method in ("bl", "rm", "rmgpu") and name in subject.file.section.entries:
         yield subject.finding(

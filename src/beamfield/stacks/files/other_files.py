@@ -1,4 +1,4 @@
-"""Files that users give by mistake for a stack's parameter file: say what they are."""
+"""Recognise files that users give by mistake for a stack's parameter file."""
 
 from __future__ import annotations
 

@@ -164,7 +164,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
 
 
 def check_patch_target(file: StackFile) -> None:
-    """Say if a file is not one to write this stack's values into.
+    """Raise if this stack's values do not belong into a file.
 
     Parameters
     ----------

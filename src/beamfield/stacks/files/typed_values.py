@@ -1,4 +1,4 @@
-"""Turn the values of a parameter file into the stack's parameters, and say which cannot be."""
+"""Convert the values of a parameter file to the stack's parameters, and report those that are not valid."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def mrpt_grid(grid: OccupancyGrid, map_mode: MapMode) -> OccupancyGrid:
 
 
 def thinned_out(beams: Indices, decimation: int) -> Indices:
-    """Return every so many-th point, or all of fewer than `FEW_POINTS`."""
+    """Return every n-th point, or all of fewer than `FEW_POINTS`."""
     return beams[::decimation] if len(beams) >= FEW_POINTS else beams
 
 

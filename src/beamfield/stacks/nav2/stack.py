@@ -24,7 +24,7 @@ def _likeness(section: ParameterSection) -> float:
 
 
 def uninitialised_queue(subject: Any) -> Iterator[Finding]:
-    """Say that nav2's distances depend on how it was built."""
+    """Report that nav2's distances depend on its build."""
     if subject.model.weight.of_field:
         yield subject.finding(
             "distance-queue-uninitialised", "info",

@@ -109,7 +109,7 @@ class ParameterSection:
         return sum(name in self.entries for name in names)
 
     def error(self, name: str, message: str) -> FormatError:
-        """Return the error that says what is wrong with one parameter."""
+        """Return the error of one parameter."""
         entry = self.entries.get(name)
         return FormatError(self.path, message, line=self.line if entry is None else entry.line, field=name)
 

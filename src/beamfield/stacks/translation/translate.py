@@ -125,7 +125,7 @@ def _target(file: StackFile, stack: Stack | None, to: str, model: str | None) ->
 
 
 def _ignored(file: StackFile) -> list[str]:
-    """Say which names of other stacks in the file were not read."""
+    """Report names of other stacks in the file that were not read."""
     own = {file.name_in_file(name) for name in file.program.parameter_names}
     return [
         f"{name} was not read: {file.stack} has no such parameter and uses its own value instead"
@@ -141,7 +141,7 @@ def _renamed(source: Formula, target: Model) -> dict[str, Value]:
 
 
 def _assumed_limit(source: Formula, stack: Stack | None, max_range: float | None) -> tuple[str, ...]:
-    """Say what was assumed of the sensor if nobody said its longest range."""
+    """Report what was assumed of the sensor if its longest range was not given."""
     lesser = [item.name for item in (source.stack, stack) if item is not None and item.takes_lesser_limit]
     limit = source.value("laser_max_range")
     if max_range is not None or not lesser or limit is None or limit <= 0.0:
@@ -220,7 +220,7 @@ def _ray_comparison(source: Formula, other: Any, max_range: float | None, cell: 
 def _cut_note(
     source: Formula, other: Formula | ChapterField, max_range: float | None, found: dict[float, Comparison]
 ) -> list[str]:
-    """Say what cutting distances off at whole cells changes, where only one of the stacks does."""
+    """Report the effect of cutting distances off at whole cells, where only one of the stacks does."""
     if not _field_comparison(source, other, max_range, None).is_same:
         return []
     cell, made = max(found.items(), key=lambda item: item[1].difference)

@@ -1,4 +1,4 @@
-"""Translate beamfield's own beam_model.yaml into a stack's parameters, and say what that loses."""
+"""Translate beamfield's own beam_model.yaml into a stack's parameters, and report what that loses."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def _read(path: Path, typical_range: float | None) -> _Own:
 
 
 def _folded(own: _Own) -> list[str]:
-    """Say what each parameter that no stack has costs."""
+    """Report the cost of each parameter that no stack has."""
     rng = np.random.default_rng(0)
     expected = np.clip(rng.rayleigh(own.typical_range / math.sqrt(2.0), N_SAMPLES), own.min_range, own.max_range)
     ranges = sample_beams(expected, own.max_range, own.full, rng, min_range=own.min_range)
@@ -270,7 +270,7 @@ def _beam_values(stack: Stack, model: Model, own: _Own, cell: float, notes: list
 
 
 def _formula_note(formula: Formula, own: _Own, cell: float) -> str:
-    """Say how far one beam's value is from the density that it stands for, with what was folded in left out."""
+    """Report how far one beam's value is from the density that it stands for, apart from what was folded in."""
     rng = np.random.default_rng(1)
     expected = np.minimum(rng.rayleigh(own.typical_range / math.sqrt(2.0), N_SAMPLES // 10), own.max_range)
     ranges = sample_beams(expected, own.max_range, own.plain, rng)
@@ -285,7 +285,7 @@ def _formula_note(formula: Formula, own: _Own, cell: float) -> str:
 
 
 def _cubes(stack: Stack, model: Model) -> list[str]:
-    """Say that a stack adds cubes where beamfield multiplies."""
+    """Report a stack that adds cubes where beamfield multiplies."""
     if model.weight.is_product:
         return []
     return [f"{stack.name} takes {model.weight.text}, beamfield the product of p: no values make these the same"]

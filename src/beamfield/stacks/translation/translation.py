@@ -87,7 +87,7 @@ def map_notes(source: Stack, target: Stack | None) -> list[str]:
 
 
 def above_one(stack: Stack, hit: float) -> list[str]:
-    """Say if a program would assert against a peak."""
+    """Report a peak against which a program would assert."""
     if not stack.asserts_p or hit <= 1.0:
         return []
     return [f"z_hit is above 1: builds of {stack.name} with assertions (debug builds) stop"]

@@ -193,7 +193,7 @@ def cross_fit_findings(
     known, used = 1.0 - table.n_unknown / total, (len(table) + n_clutter) / total
     ends = (
         f"A beam is expected to end at the line through the end points of the wall it meets: {used:.0%} of the beams "
-        "meet something that the other half maps with certainty, and are used; which ones does not depend on "
+        "meet something that the other half maps with certainty, and are used; the choice does not depend on "
         "their readings. range_offset is near 0 whatever the sensor does. "
         if maps.counts is not None
         else f"Expected ranges are those of cells of {maps.whole.resolution:g} m. "
@@ -214,8 +214,7 @@ def cross_fit_findings(
             Finding(
                 "few-walls-drawn",
                 "warning",
-                f"Only {used:.0%} of the beams meet something that the other half of the scans has drawn with "
-                "certainty.",
+                f"Only {used:.0%} of the beams meet something that the other half of the scans maps with certainty.",
                 {"share_used": used},
                 why="The parameters are those of these beams.",
                 do="Give a map, or a log that sees each place more often.",
@@ -227,7 +226,7 @@ def cross_fit_findings(
             Finding(
                 "sigma-includes-map-error",
                 "warning",
-                "The walls that the two halves drew differ. What that shows of their error is taken out of sigma_hit, "
+                "The walls that the two halves drew differ. The error that this shows is taken out of sigma_hit, "
                 "but there may be more.",
                 {"low": low},
                 why=f"sigma_hit may be as low as {low:.3f} m.",

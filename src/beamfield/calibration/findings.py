@@ -60,11 +60,11 @@ def score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
         Finding(
             "map-says-nothing",
             "warning",
-            f"The fit is hardly better than a uniform that knows nothing of the map ({score.behind_fit:+.2f} nats per "
+            f"The fit is hardly better than a uniform density that ignores the map ({score.behind_fit:+.2f} nats per "
             "held-out beam).",
             {"behind_fit": score.behind_fit},
-            why="Most likely it is the wrong map, or the poses are not in its frame.",
-            do="Look at the figure of causes on the map: the hits should lie on its walls. Then correct map or poses.",
+            why="Most likely the map is wrong, or the poses are not in its frame.",
+            do="Look at the figure of causes on the map: the hits should lie on its walls. Then correct the map or the poses.",
         )
         for score in scores[1:]
         if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM
@@ -103,7 +103,7 @@ def left_out_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
                 "warning",
                 text,
                 {"n": float(table.n_nan), "share": nan},
-                why="If that is how this sensor says that nothing came back, they are missing from z_max.",
+                why="If this sensor reports a missing return as NaN, they are missing from z_max.",
                 do="Then read the log with no_return='nan'.",
             )
         )

@@ -77,7 +77,7 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
                 f"The reference stands still while the odometry moves in {int(stands.sum())} of {len(starts)} windows "
                 f"of {WINDOW_S:.0f} s, first at {begin[stands][0]:.1f} s.",
                 {"n_windows": float(stands.sum()), "first_s": float(begin[stands][0])},
-                why="These poses are not where the robot was; the likelihood alone does not show it.",
+                why="The robot was not at these poses; the likelihood alone does not show it.",
                 do="Localize again, or cut this part out of the log.",
             )
         )
@@ -102,7 +102,7 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
                     "median_difference": float(np.median(slip[slides])),
                     "first_s": float(begin[slides][0]),
                 },
-                why="The reference slides, as a localizer does that has lost its place, or the odometry slips.",
+                why="The reference slides, like a lost localizer's, or the odometry slips.",
                 do="Look at the log there. If the wheels slipped, go on; else localize again or cut this part out.",
             )
         )
@@ -115,7 +115,7 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
                 f"The heading of the reference and of the odometry differ by more than 0.2 rad within {WINDOW_S:.0f} s "
                 f"in {turns.mean():.0%} of the windows.",
                 {"share": float(turns.mean())},
-                why="Stamps may be skewed, or the odometry's turns poor; wrong headings widen sigma_hit.",
+                why="Stamps may be skewed, or the odometry's turns are poor; wrong headings widen sigma_hit.",
                 do="Compare the clocks of laser and localizer; with poor odometry, go on.",
             )
         )

@@ -40,7 +40,7 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
                 "look like hits).",
                 {"n_hits": fit.n_hits, "n": float(len(table))},
                 why="sigma_hit is undetermined.",
-                do="Check that it is the map of this place and that the poses are in its frame.",
+                do="Check that the map is of this place and that the poses are in its frame.",
             )
         )
     elif sigma <= low * 1.001:
@@ -63,7 +63,7 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
                 f"sigma_hit stops at {high:.3g} m, the largest that is searched.",
                 {"sigma_hit": sigma},
                 why="The readings hardly follow the map.",
-                do="Check that it is the map of this place and that the poses are in its frame.",
+                do="Check that the map is of this place and that the poses are in its frame.",
             )
         )
     if share >= share_bounds(len(table))[1]:
@@ -81,7 +81,7 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
             Finding(
                 "field-not-converged",
                 "warning",
-                "Learning the likelihood field stopped before it converged.",
+                "Learning the likelihood field did not converge.",
                 why="Other values may explain the readings better.",
                 do="Do not use its values; calibrate with a longer log.",
             )
@@ -126,7 +126,7 @@ def exponent_findings(reason: str, score: float | None, standard_error: float | 
             Finding(
                 "field-says-nothing",
                 "warning",
-                f"On held-out windows the likelihood field's posterior is no better than knowing nothing ({score:+.2f} "
+                f"On held-out windows the likelihood field's posterior is no better than a uniform one ({score:+.2f} "
                 "nats).",
                 {"score": score},
                 why="Most likely the map, the poses or their frame are wrong.",

@@ -430,7 +430,7 @@ def _findings(n_blocks: int, length: float) -> tuple[Finding, ...]:
                 "warning",
                 f"The intervals rest on {n_blocks} blocks of {length:.3g} s.",
                 {"n_blocks": float(n_blocks), "block_s": length},
-                why="What comes seldom, such as people walking by every half minute, is hardly in them.",
+                why="Rare events, such as people walking by every half minute, hardly show in them.",
                 do=f"Record a log of {1.5 * LEAST_TIME_S / 60.0:.0f} minutes in motion ({LEAST_TIME_S:.0f} s of fitted "
                 "beams).",
             ),

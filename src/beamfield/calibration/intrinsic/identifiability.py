@@ -92,7 +92,7 @@ def identifiability_findings(
                 "All readings are at the maximum range.",
                 {"n_beams": likelihood.n_beams},
                 why="Nothing but z_max can be learned.",
-                do="Check how the log says that nothing came back (no_return) and the sensor's max_range.",
+                do="Check how the log reports a missing return (no_return) and the sensor's max_range.",
             ),
         )
     counts = likelihood.expected_statistics(theta).counts
@@ -120,7 +120,7 @@ def _absent_causes(counts: FloatArray, problem: LearningProblem) -> list[Finding
         "warning",
         "No reading looks like a hit.",
         {"expected_beams": float(counts[W_HIT])},
-        why="The readings do not follow the map, so that sigma_hit means nothing.",
+        why="The readings do not follow the map, so sigma_hit is meaningless.",
         do="Check the map, the poses and the sensor's mount.",
     )
     others = [
@@ -138,8 +138,8 @@ def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProbl
     if not problem.free[W_SHORT] or n < FEWEST_BEAMS_OF_A_CAUSE or share < NOTABLE_SHARE_AT_LIMIT:
         return []
     text = (
-        f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, as sensors write that have no "
-        "valid one."
+        f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, which some sensors "
+        "report for an invalid reading."
     )
     return [
         Finding(
@@ -147,9 +147,9 @@ def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProbl
             "warning",
             text,
             {"n": n, "share": share},
-            why="They pose as unexpected objects and raise z_short and lambda_short.",
-            do="Set a min_range above that value to drop them, or name it as no_return if it means that nothing came "
-            "back.",
+            why="They look like unexpected objects and raise z_short and lambda_short.",
+            do="Set a min_range above that value to drop them, or pass it as no_return if it means that there "
+            "was no return.",
         )
     ]
 
@@ -177,8 +177,8 @@ def _rate_findings(
                 "warning",
                 "lambda_short is at its ceiling.",
                 {"lambda_short": rate},
-                why="Readings very near 0 pose as shorts; the sensor may mean 'invalid' by them.",
-                do="Set a min_range above them, or name them as no_return.",
+                why="Readings very near 0 look like shorts; the sensor may report 'invalid' that way.",
+                do="Set a min_range above them, or pass them as no_return.",
             )
         ]
     error = DEPENDENCE * float(np.sqrt(covariance[RATE, RATE]))
@@ -287,7 +287,7 @@ def _confounded_causes(
         share = float(known / likelihood.n_beams / variance)
         error = DEPENDENCE * 0.5 * float(np.sqrt(variance))
         if (share < SMALL_SHARE and error > 0.5 * min(theta[a], theta[b])) or (flat and b == W_RAND and a == W_HIT):
-            text = f"The data hardly tell {label} apart: weight may move between them by about {error:.2g}."
+            text = f"The data hardly separate {label}: weight may move between them by about {error:.2g}."
             findings.append(
                 Finding(
                     name,
@@ -320,6 +320,6 @@ def _mode_findings(likelihood: IntrinsicLikelihood, modes: tuple[Mode, ...]) -> 
             text,
             values,
             why="The log does not tell which of the two is right.",
-            do="Take the set that fits what you know of the sensor, or hold sigma_hit; a longer log may tell.",
+            do="Use the set that fits what you know of the sensor, hold sigma_hit, or record a longer log.",
         )
     ]

@@ -64,7 +64,7 @@ def score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
             "held-out beam).",
             {"behind_fit": score.behind_fit},
             why="Most likely the map is wrong, or the poses are not in its frame.",
-            do="Look at the figure of causes on the map: the hits should lie on its walls. Then correct the map or the poses.",
+            do="See the figure of causes on the map: hits should lie on its walls. Then correct the map or the poses.",
         )
         for score in scores[1:]
         if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM

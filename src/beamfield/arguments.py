@@ -104,7 +104,7 @@ def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
     Raises
     ------
     InvalidInputError
-        If they are no numbers, or rows of different lengths.
+        If they are not numbers, or rows of different lengths.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def as_count(value: Any, name: str, *, least: int, most: int | None = None) -> i
     Raises
     ------
     InvalidInputError
-        If it is no whole number or beyond a bound.
+        If it is not a whole number or beyond a bound.
 
     Examples
     --------

@@ -143,7 +143,7 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
     Raises
     ------
     InvalidInputError
-        If they are no whole numbers, not n of them, or one is below `lowest`.
+        If they are not whole numbers, not n of them, or one is below `lowest`.
     """
     given = np.asarray(ids)
     if given.shape != (n,):
@@ -174,7 +174,7 @@ def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
     Raises
     ------
     InvalidInputError
-        If they are no whole numbers >= 0, not n of them, or one appears twice.
+        If they are not whole numbers >= 0, not n of them, or one appears twice.
     """
     result = as_ids(np.arange(1, n + 1) if ids is None else ids, n, 0)
     values, counts = np.unique(result, return_counts=True)

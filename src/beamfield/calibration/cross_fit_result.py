@@ -21,7 +21,7 @@ from beamfield.sensors import SensorLog
 WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 # Fewer beams in clutter say too little of the weights there.
 FEWEST_IN_CLUTTER = 500
-# Two maps that differ by more than this many sigma_hit show two surfaces; such beams are no hits.
+# Two maps that differ by more than this many sigma_hit show two surfaces; such beams are not hits.
 SAME_SURFACE = 3.0
 # Both maps take bent walls and clutter for straight lines in the same way, which their difference does not show. In
 # simulated offices the whole variance of a wall's place is 1.6 to 3.4 times what it does show.

@@ -20,7 +20,7 @@ OUTLIER_COST = 12.0
 SAME_LINE = float(chdtri(2, 1e-3))
 # How many pieces ahead the other half of a wall is looked for.
 NEXT_PIECES = 3
-# Curved things are no lines: a fit this bad happens to a straight wall once in a million times.
+# Curved surfaces are not lines: a fit this bad happens to a straight wall once in a million times.
 BAD_FIT = 1e-6
 
 

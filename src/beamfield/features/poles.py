@@ -73,7 +73,7 @@ def find_poles(
     fixes the diameter of thin poles. The measurement is the posterior's mean, the covariance its second moments, by
     sums over where the sides may be: a circle is too far from linear for the normal equations of a fit, whose
     ellipses are too small from a noise of a tenth of the diameter on. A thing that a flat board explains as well, its
-    last beams mixed with what is behind or not, is no pole.
+    last beams mixed with what is behind or not, is not a pole.
 
     Parameters
     ----------

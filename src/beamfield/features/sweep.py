@@ -59,7 +59,7 @@ class RangeNoise:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Beams in order of bearing, with everything that is no measurement left out.
+    """Beams in order of bearing, with everything that is not a measurement left out.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def resolve_no_return(
     3. "detect" takes zeros as no return if at least 1 % of the readings are 0 and nothing else means "no return".
     4. Without any limit so far, it is set just beyond the largest reading, and a note says so.
 
-    Zeros that are not explained so and negative readings are no measurements (NaN).
+    Zeros that are not explained so and negative readings are not measurements (NaN).
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ def read_map(path: str | os.PathLike[str], *, topic: str | None = None, max_pixe
     FormatError
         If the content is not what its format promises, or of no known format.
     InvalidInputError
-        If `topic` is given for a file that is no bag.
+        If `topic` is given for a file that is not a bag.
     OSError
         As the file system says.
     """

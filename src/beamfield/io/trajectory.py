@@ -240,7 +240,7 @@ def _index(path: Path, line: int, word: str) -> int:
 
 
 def _read_from_log(path: Path, line: int, words: list[str]) -> Track:
-    # Only files that are no table of poses need the readers of logs.
+    # Only files that are not tables of poses need the readers of logs.
     from beamfield.io.read_log import read_log
 
     try:

@@ -48,7 +48,7 @@ class SearchWindow:
     Raises
     ------
     InvalidInputError
-        If the centre is no pose or an extent is negative or not finite.
+        If the centre is not a pose or an extent is negative or not finite.
 
     Examples
     --------

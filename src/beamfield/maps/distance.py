@@ -28,7 +28,7 @@ def distance_to_obstacles(
 ) -> DistanceArray:
     """Return the distance from each cell's centre to the centre of the nearest occupied cell.
 
-    It is the exact Euclidean distance, not a brushfire approximation. Unknown cells are no obstacles; distances are
+    It is the exact Euclidean distance, not a brushfire approximation. Unknown cells are not obstacles; distances are
     measured through them as through free space.
 
     Parameters

@@ -50,7 +50,7 @@ def beam_log_density(
     Parameters
     ----------
     ranges
-        Measured ranges in metres; NaN and values below `min_range` are no measurements.
+        Measured ranges in metres; NaN and values below `min_range` are not measurements.
     expected_ranges
         Expected ranges z* in metres, broadcast against `ranges`; values above `max_range` count as `max_range` (the ray
         hits nothing), values below `min_range` as `min_range`, NaN as not known.

@@ -115,7 +115,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
     Raises
     ------
     InvalidInputError
-        If correspondence has no such value, or the mount is no pose.
+        If correspondence has no such value, or the mount is not a pose.
 
     Notes
     -----

@@ -163,7 +163,7 @@ class MarkerModel:
     correspondence.
 
     Use it with fiducials on the ceiling (ArUco, AprilTag), where one marker gives the whole pose. Beware of two things
-    that are no noise, and to which a normal density gives no quarter: a camera that tilts as the robot brakes, and a
+    that are not noise, and to which a normal density gives no quarter: a camera that tilts as the robot brakes, and a
     wrong marker pose in the map.
 
     Parameters

@@ -49,7 +49,7 @@ def fit_of_calibration(calibration: Calibration, grid: OccupancyGrid | CrossFitM
 
     Returns
     -------
-    The scans' fits. A log with too few scans or a map without free cells is no error: `missing` says so.
+    The scans' fits. A log with too few scans or a map without free cells is not an error: `missing` says so.
 
     References
     ----------

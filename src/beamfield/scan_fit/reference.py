@@ -205,7 +205,7 @@ class ScanFitReference:
         Raises
         ------
         InvalidInputError
-            If the text is no such document; it says what is wrong.
+            If the text is not such a document; the message says why.
         TooLittleDataError
             If the document has too few good scans.
         """

@@ -206,7 +206,7 @@ class _Judge:
 def _field_surprise(model: LikelihoodFieldModel, z: FloatArray, poses: FloatArray, finder: RangeFinder) -> BeamSurprise:
     """How much less likely each end point is than one on an obstacle; readings of max_range are left out.
 
-    A likelihood field is no density over z, so there is no expectation to subtract; half a nat is what a hit with
+    A likelihood field is not a density over z, so there is no expectation to subtract; half a nat is what a hit with
     Gaussian noise loses on average.
     """
     used = np.isfinite(z) & (z < finder.max_range)

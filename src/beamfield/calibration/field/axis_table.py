@@ -47,7 +47,7 @@ class AxisTable:
     scan
         (n,) index of the scan in the log.
     no_return_scan
-        (m,) the same of the readings at max_range, which are no rows of the table.
+        (m,) the same of the readings at max_range, which are not rows of the table.
     resolution
         Of the map, metres.
     n_excluded

@@ -226,7 +226,7 @@ def _checked(
         if column.shape != z.shape or column.ndim != 1:
             raise InvalidInputError(f"{name}: expected one dimension as long as ranges, got shape {column.shape}")
     for name, column, least in (("ranges", z, min_range), ("expected_ranges", expected, 0.0)):
-        bad = (column < least) if name == "ranges" else ~(column >= least)  # a range of NaN is no measurement
+        bad = (column < least) if name == "ranges" else ~(column >= least)  # a range of NaN is not a measurement
         if bad.any():
             index = int(np.flatnonzero(bad)[0])
             raise InvalidInputError(f"{name}[{index}]: expected a number >= {least:g}, got {column[index]}")
@@ -305,7 +305,7 @@ class _Jackknife:
         self.gaussian = float(ndtri(1.0 - self.tail))
         self.wider = self.t / self.gaussian
         self.most_nats = -math.log(1.0 - level) * self.wider**2
-        # A weight of 1 is no bound of its own: the others' are at 0.
+        # A weight of 1 is not a bound of its own: the others' are at 0.
         self.inside = problem.free & (theta > problem.lower) & ((theta < problem.upper) | (np.arange(N_PARAMETERS) < 4))
 
     def interval(self, i: int) -> tuple[float, float]:
@@ -361,7 +361,7 @@ class _Jackknife:
         down, up = self._reaches(i, (1.0 - 2.0 * w) * error / (w * (1.0 - w)))
         low, _ = share_interval(w, variance * (down / self.gaussian) ** 2, 2.0 * self.tail)
         _, high = share_interval(w, variance * (up / self.gaussian) ** 2, 2.0 * self.tail)
-        # Less than one reading in all is no share: what moves such a weight are readings of other causes.
+        # Less than one reading in all is not a share: what moves such a weight are readings of other causes.
         of_one_reading = float(betaincinv(2.0, (1.0 - w) / w, 1.0 - self.tail))
         high = min(high, max(w + up * error, of_one_reading))  # in this order: the second may be NaN
         return low, min(high, most)

@@ -29,7 +29,7 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 
-# Fewer expected beams than this are no evidence of a cause.
+# Fewer expected beams than this are not evidence of a cause.
 FEWEST_BEAMS_OF_A_CAUSE = 3.0
 # Standard errors from curvature are at least this many times too small on real logs.
 DEPENDENCE = 4.0

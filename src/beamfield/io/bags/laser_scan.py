@@ -70,7 +70,7 @@ def scan_from_message(
     Raises
     ------
     InvalidInputError
-        If something is no message, it has no beams, or its angles or limits make no sense.
+        If something is not a message, it has no beams, or its angles or limits make no sense.
 
     Notes
     -----

@@ -92,7 +92,7 @@ def grid_from_message(message: OccupancyGridMessage) -> OccupancyGrid:
     Raises
     ------
     InvalidInputError
-        If something is no message, its size does not fit its data, or its values, resolution or origin are wrong.
+        If something is not a message, its size does not fit its data, or its values, resolution or origin are wrong.
     """
     info, data = message.info, np.asarray(message.data)
     if info.width * info.height != len(data) or len(data) == 0:

@@ -15,7 +15,7 @@ from beamfield.sensors import NoReturnPolicy
 
 FREQUENT = 0.01  # share of all readings from which a special value counts as the sensor's way to say "no return"
 RARE = 0.001  # share up to which the ways of REP 117 do not count as the sensor's own
-CONTRAST = 10.0  # how much more frequent than its neighbours a value must be that is no measurement
+CONTRAST = 10.0  # how much more frequent than its neighbours a value must be that is not a measurement
 NEIGHBOURS = 10  # different values to compare with
 ENOUGH = 20  # readings
 
@@ -63,7 +63,7 @@ def resolve_scan_ranges(
        below it. It is the sensor's true limit then, unless the user gives one. Drivers write one value; a far wall in
        front of a robot that stands is frequent too, but its noise spreads it over neighbouring values.
 
-    A zero that is not explained so is no range: it becomes NaN if min_range is 0 (else it is too close anyway).
+    A zero that is not explained so is not a range: it becomes NaN if min_range is 0 (else it is too close anyway).
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ def max_unpacked(gigabytes: float) -> Iterator[None]:
     Raises
     ------
     InvalidInputError
-        If it is no positive finite number.
+        If it is not a positive finite number.
 
     Examples
     --------

@@ -123,7 +123,7 @@ def check_folder_writable(path: str | os.PathLike[str]) -> None:
     Raises
     ------
     NotADirectoryError
-        If it, or the nearest of its parents that exists, is no folder.
+        If it, or the nearest of its parents that exists, is not a folder.
     OSError
         If nothing can be created where it is to be.
     """
@@ -147,7 +147,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     NotADirectoryError
-        If `path` exists and is no folder.
+        If `path` exists and is not a folder.
     OSError
         As the file system says, with `path` untouched.
     """

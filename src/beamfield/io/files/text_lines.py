@@ -135,7 +135,7 @@ def parse_numbers(path: Path, line: int, words: Sequence[str], what: str) -> Flo
     Raises
     ------
     FormatError
-        If a word is no number; it is quoted.
+        If a word is not a number; it is quoted.
     """
     try:
         return np.array(list(map(float, words)))
@@ -179,7 +179,7 @@ def parse_count(path: Path, line: int, word: str, what: str) -> int:
     Raises
     ------
     FormatError
-        If it is no whole number >= 0.
+        If it is not a whole number >= 0.
     """
     if not word.isascii() or not word.isdigit() or len(word) > 9:
         raise FormatError(path, f"expected a number of readings, got {word[:40]!r}", line=line, field=what)

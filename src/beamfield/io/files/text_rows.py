@@ -63,8 +63,8 @@ def id_table(
     Raises
     ------
     FormatError
-        If the header is another, a row has another length, an id is no whole number from 0 to 2^53 or appears twice,
-        a value is no finite number, or there is no row; line and value are named.
+        If the header is another, a row has another length, an id is not a whole number from 0 to 2^53 or appears twice,
+        a value is not a finite number, or there is no row; line and value are named.
     """
     rows = csv_rows(path)
     line, header = next(rows, (None, []))

@@ -132,7 +132,7 @@ def read_yaml(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, numbe
     ------
     FormatError
         If the file is empty, too large, has too many keys and values, no UTF-8, no YAML, several documents, duplicate
-        keys, keys that are no text, anchors and aliases (no file that beamfield reads needs them, and they can expand
+        keys, keys that are not text, anchors and aliases (no file that beamfield reads needs them, and they can expand
         without bound), or tags of program objects; or if its top level has no keys.
     OSError
         As the file system says.

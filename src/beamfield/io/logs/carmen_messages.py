@@ -18,7 +18,7 @@ from beamfield.sensors import NO_POSE, Track
 
 CARMEN_SCANS = re.compile(r"(FLASER|RLASER|LASER[345]|ROBOTLASER\d|RAWLASER\d)$")
 OLD_STYLE = ("FLASER", "RLASER", "LASER3", "LASER4", "LASER5")
-ANGLE_LIMIT = 1e3  # radians, or degrees by mistake: anything beyond is no angle
+ANGLE_LIMIT = 1e3  # radians, or degrees by mistake: anything beyond is not an angle
 
 
 @dataclass(eq=False)

@@ -121,7 +121,7 @@ def _counted(path: Path, line: int, words: list[str], words_each: int, words_mor
 
 
 def _particles(path: Path, line: int, words: list[str]) -> FloatArray:
-    """Return (p, 4) poses and logarithms of weights; a weight of 0 is no mistake."""
+    """Return (p, 4) poses and logarithms of weights; a weight of 0 is not a mistake."""
     cloud = parse_numbers(path, line, words, "SM_UPDATE").reshape(-1, 4)
     good = (np.abs(cloud[:, :3]) < ABSURD).all(axis=1) & (cloud[:, 3] < np.inf)
     if not good.all():

@@ -31,7 +31,7 @@ def ini_sections(path: Path, known: Set[str]) -> list[ParameterSection]:
     Raises
     ------
     FormatError
-        If the file is too large or no text, or in a section that counts a name is there twice or a line is neither
+        If the file is too large or not UTF-8, or in a section that counts a name appears twice or a line is neither
         section, pair, comment nor empty.
     """
     content = read_at_most(path, MAX_BYTES, "an ini file")

@@ -10,7 +10,7 @@ _FILLED_IN = re.compile(r"\$\((?:arg|var)\s+([^()\s]+)\s*\)")
 # The value without the variable; what the variable says is not known.
 _OPTIONAL = re.compile(r"\$\(optenv\s+[^()\s]+\s+([^()]*)\)")
 _MARK = "$("
-# Arguments may refer to others; what grows longer than this is no parameter.
+# Arguments may refer to others; what grows longer than this is not a parameter.
 _MAX_LENGTH = 1000
 
 

@@ -16,7 +16,7 @@ ROS_2_KEY = "ros__parameters"
 Value = float | int | bool | str
 Syntax = Literal["yaml", "launch", "ini"]
 
-# Longer ones are no counts, and Python refuses to convert very long ones.
+# Longer ones are not counts, and Python refuses to convert very long ones.
 _WHOLE = re.compile(r"[-+]?\d{1,30}", re.ASCII)
 # One way to match each digit: with two, a long row of digits takes a time that grows with its square.
 _NUMBER = re.compile(r"[-+]?((\d+(\.\d*)?|\.\d+)(e[-+]?\d+)?|inf|infinity|nan)", re.ASCII | re.IGNORECASE)

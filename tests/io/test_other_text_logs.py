@@ -81,7 +81,7 @@ def test_gmapping_counts_that_disagree_are_refused(tmp_path):
         read_gfs(write(tmp_path, *GFS, "RESAMPLE 2 0 7"))
     with pytest.raises(FormatError, match="number of particles changes at scan 4 to 3"):
         read_gfs(write(tmp_path, *GFS, laser_reading(3), particles(*[(1, 2, 3, 4)] * 3)))
-    with pytest.raises(FormatError, match="7 beams: the format does not say"):
+    with pytest.raises(FormatError, match="7 beams: the format does not give their bearings"):
         read_gfs(write(tmp_path, laser_reading(0, 7)))
     with pytest.raises(FormatError, match="no line LASER_READING"):
         read_gfs(write(tmp_path, *GFS[:3]))

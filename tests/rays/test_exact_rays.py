@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.maps.raycast import RayCaster
+from tests.rays import compare as compare_module
 from tests.rays.compare import Tally, compare
 from tests.reference import exact_rays
 
@@ -58,6 +59,7 @@ def test_rays_agree_with_the_exact_traversal(rng):
 def test_an_error_of_a_billionth_of_a_cell_is_seen(rng, monkeypatch):
     cast = RayCaster.cast
     monkeypatch.setattr(RayCaster, "cast", lambda self, *a: cast(self, *a) * (1 + 1e-9))
+    monkeypatch.setattr(compare_module, "TRIES", (200, 2_000))
     tally = Tally()
     while tally.grids < 3:
         compare(rng, 100, tally)
@@ -67,6 +69,7 @@ def test_an_error_of_a_billionth_of_a_cell_is_seen(rng, monkeypatch):
 def test_a_wrong_cell_is_seen(rng, monkeypatch):
     hits = RayCaster.cast_hits
     monkeypatch.setattr(RayCaster, "cast_hits", lambda self, *a: np.maximum(hits(self, *a) - 1, -1))
+    monkeypatch.setattr(compare_module, "TRIES", (200, 2_000))
     tally = Tally()
     while tally.grids < 3:
         compare(rng, 50, tally)

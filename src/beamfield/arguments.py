@@ -324,7 +324,14 @@ def _advice(hint: Any, value: Any) -> str:
             return f": {name}(**values) makes them"
         if text := _WHAT_TO_DO.get((name, kind)):
             return f": {text}"
-    return ""
+    return _lacking(get_origin(hint) or hint, value)
+
+
+def _lacking(kind: Any, value: Any) -> str:
+    """Return what keeps a value from being what a protocol asks for, if it has some of it."""
+    members = _members(kind) if getattr(kind, "_is_protocol", False) else set()
+    missing = sorted(name for name in members if not hasattr(value, name))
+    return f" without {' and '.join(map(repr, missing))}" if len(missing) < len(members) else ""
 
 
 # Given (what belongs there, what stands there).

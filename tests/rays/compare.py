@@ -14,7 +14,8 @@ from tests.reference.exact_rays import trace_rays
 
 ULP = 2.0**-52
 BEAMS = 50
-# How many rays beside one are tried until one explains its answer: where two crossings nearly meet, one in 10,000 is a corner.
+# How many rays beside one are tried until one explains its answer. Where two crossings nearly meet, a corner is one in
+# 10,000.
 TRIES = (200, 2_000, 20_000, 200_000, 1_000_000)
 
 

@@ -112,7 +112,7 @@ def test_off_the_map_is_worth_what_the_largest_distance_is():
 
 def test_a_reading_after_an_invalid_one_makes_no_point():
     ranges = [1.0, np.nan, 1.0, 1.0, np.inf, 1.0, 1.0, 5.0, 1.0, 1.0, 0.05, 1.0, 1.0]
-    scan = Scan(ranges, RangeFinder.from_bearings(np.arange(13.0), 5.0, min_range=0.1))
+    scan = Scan(ranges, RangeFinder.from_bearings(0.5 * np.arange(13.0), 5.0, min_range=0.1))
     assert scan_points(scan, 0.0).tolist() == [0, 3, 6, 9, 12]
 
 
@@ -121,8 +121,8 @@ def test_points_are_thinned_out_not_beams_and_only_from_ten_on():
         ranges = np.full(13, 1.0)
         ranges[n_points + 1 :] = np.nan
         # The first point is lost with the reading before it.
-        scan = Scan(ranges, RangeFinder.from_bearings(np.arange(13.0), 5.0, min_range=0.1))
-        scan = Scan(np.concatenate([[np.nan], ranges]), RangeFinder.from_bearings(np.arange(14.0), 5.0))
+        scan = Scan(ranges, RangeFinder.from_bearings(0.5 * np.arange(13.0), 5.0, min_range=0.1))
+        scan = Scan(np.concatenate([[np.nan], ranges]), RangeFinder.from_bearings(0.4 * np.arange(14.0), 5.0))
         beams = MrptField(small_room(), replace(FIELD, LF_decimation=3)).evidence(scan, POSES).beams
         assert (beams - 1).tolist() == expected
 

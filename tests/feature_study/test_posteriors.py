@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from benchmarks.feature_study.noise import TYPICAL_CORNERS
-from benchmarks.feature_study.picture import kept_information_figure
 from benchmarks.feature_study.posteriors import learn_feature_noise, posteriors_of_scan
 from benchmarks.rooms import drawn_room
 
 from beamfield.errors import InvalidInputError
 from beamfield.features.map_features import MapFeatures
-from beamfield.figures.world import simulated_world
 from beamfield.localization.pose_posterior import PoseLattice
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
@@ -58,11 +54,3 @@ def test_bad_input_is_refused(drive):
     grid, features, log, lattice = drive
     with pytest.raises(InvalidInputError, match=r"exponent: expected a number in \(0, 1\], got 2"):
         posteriors_of_scan(log.scan(0), grid, PARAMETERS, features, lattice, exponent=2.0)
-
-
-def test_the_picture_shows_that_features_keep_less_than_the_scan():
-    figure = kept_information_figure(simulated_world())
-    titles = [ax.get_title(loc="left") for ax in figure.axes]
-    entropies = [float(re.search(r"entropy ([\d.]+) of", title)[1]) for title in titles if "entropy" in title]
-    assert len(entropies) == 3
-    assert entropies[0] < min(entropies[1:])

@@ -125,8 +125,8 @@ def test_pulls_are_summed_by_patches_of_surface(scan: Scan, rng: np.random.Gener
     pulls, noise, sums = np.empty((3, 3)), np.empty((3, 3)), np.empty((len(view.elements), kernels.SUMS))
     kernels.sum_patches(points, pose, sigma, reach, patch, view, sums, pulls, noise)
 
-    # One list of (residual, pull of one metre) per element.
-    found: list[list[tuple[float, np.ndarray, float]]] = [[] for _ in view.elements]
+    # One list of (residual, its square without the element's noise, pull of one metre, weight) per element.
+    found: list[list[tuple[float, float, np.ndarray, float]]] = [[] for _ in view.elements]
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     for arm in points @ np.array([(cos, sin), (-sin, cos)]):
         at = pose[:2] + arm
@@ -140,19 +140,21 @@ def test_pulls_are_summed_by_patches_of_surface(scan: Scan, rng: np.random.Gener
         normals = [normal, np.array([-normal[1], normal[0]])][: 1 + (view.elements[i, kernels.PULL] == kernels.POINT)]
         for n in normals:
             residual = float((at - view.elements[i, :2]) @ n)
-            found[i].append((residual, weight * np.array([*n, n @ (-arm[1], arm[0])]), weight))
+            # Its square holds the noise of the element too, that of an end point over the number fitted.
+            square = residual**2 / (1.0 + 1.0 / view.elements[i, kernels.FITTED])
+            found[i].append((residual, square, weight * np.array([*n, n @ (-arm[1], arm[0])]), weight))
     expected_pulls, expected_noise, patches = np.zeros((3, 3)), np.zeros((3, 3)), 0
     for members in _patches(view.elements, patch):
         inside = [one for i in members for one in found[i]]
         if not inside:
             continue
         patches += 1
-        together = sum(residual * pull for residual, pull, _ in inside)
+        together = sum(residual * pull for residual, _, pull, _ in inside)
         expected_pulls += np.outer(together, together)
-        for residual, pull, _ in inside:
-            expected_noise += residual**2 * np.outer(pull, pull)
-        square = sum(w * r * r for r, _, w in inside) / sum(w for _, _, w in inside)
-        offset = sum(pull for _, pull, _ in inside)
+        for _, square, pull, _ in inside:
+            expected_noise += square * np.outer(pull, pull)
+        square = sum(w * square for _, square, _, w in inside) / sum(w for _, _, _, w in inside)
+        offset = sum(pull for _, _, pull, _ in inside)
         expected_noise += square / max(view.elements[members, kernels.COUNT].sum(), 1.0) * np.outer(offset, offset)
     assert patches > 10
     np.testing.assert_allclose(pulls, expected_pulls, rtol=1e-9, atol=1e-12)

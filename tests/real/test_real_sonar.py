@@ -78,8 +78,8 @@ def test_a_ring_without_poses_is_calibrated_on_its_odometry(data: Path, tmp_path
     bag = str(data / "crazyflie_multiranger" / "rice.bag")
     common = ["--quiet", "--out", str(tmp_path / "out"), "--no-refine"]
     assert main(["calibrate", bag, *common]) == 1
-    assert "give --poses, or --odometry" in capsys.readouterr().err
-    assert main(["calibrate", bag, "--odometry", "--map", "map.yaml", *common]) == 1
+    assert "with --poses, or --odometry to trust the wheels" in capsys.readouterr().err
+    assert main(["calibrate", bag, "--odometry", "--map", "map.yaml", *common]) == 2
     assert "--odometry: only without --map" in capsys.readouterr().err
     assert main(["calibrate", bag, "--odometry", *common]) == 0
     scores = json.loads((tmp_path / "out" / "calibration.json").read_text())["scores"]

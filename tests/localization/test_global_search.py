@@ -65,6 +65,7 @@ def test_equals_trying_every_pose(trial):
     k, j, i = np.unravel_index(sums.argmax(), sums.shape)
     assert found.runner_up.score == pytest.approx(sums.max() / (255 * len(points)), abs=1e-12)
     np.testing.assert_allclose(found.runner_up.pose, [xs[i], ys[j], wrap_angle(headings[k])], atol=1e-9)
+    assert [line.split()[0] for line in found.summary().splitlines()] == ["best", "runner-up"]
 
 
 def test_the_levels_of_the_pyramid_change_no_result(monkeypatch, rng):

@@ -108,6 +108,17 @@ class AlignmentResult:
 
     __repr__ = short_repr
 
+    def summary(self) -> str:
+        """Return the pose with its standard errors, how well it fits, and what is wrong with it, in four lines."""
+        x, y, theta = self.pose
+        errors = np.sqrt(np.diag(self.covariance))
+        return (
+            f"pose      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.2f} deg\n"
+            f"errors    {errors[0]:.3f} m, {errors[1]:.3f} m, {np.degrees(errors[2]):.2f} deg (standard)\n"
+            f"fit       {self.n_matched:.0f} end points on surfaces, {self.spread:.3f} m off, {self.overlap:.0%} seen\n"
+            f"problem   {self.problem or 'none'}"
+        )
+
 
 @checked
 def align(

@@ -126,6 +126,18 @@ class SearchResult(NamedTuple):
     n_candidates: int
     n_scored: int
 
+    def summary(self) -> str:
+        """Return the best pose and its runner-up with their scores, in up to two lines."""
+        if not self.found:
+            return "no pose in the window has an end point near an obstacle"
+        places = {"best": self.best, "runner-up": self.runner_up}
+        lines = []
+        for name, place in places.items():
+            if place is not None:
+                x, y, theta = place.pose
+                lines.append(f"{name:<9} {x:.3f} m, {y:.3f} m, {np.degrees(theta):.2f} deg, score {place.score:.3f}")
+        return "\n".join(lines)
+
 
 @dataclass(frozen=True, eq=False)
 class GlobalSearch:

@@ -73,7 +73,7 @@ COMMANDS = (
     Command("translate --out", "translate {world}/nav2.yaml --to beluga --out {out}/beluga.yaml", 36),
     Command("translate --patch", "translate {world}/beluga.yaml --to nav2 --patch {out}/nav2.yaml", 36,
             {"nav2.yaml": NAV2}),
-    Command("inspect --out", "inspect {world}/log.carmen --out {out}/log.png", 20),
+    Command("inspect --out", "inspect {world}/log.carmen --out {out}/log.png --quiet", 20),
     Command("map", "map {world}/log.carmen --out {out}/drawn.yaml --quiet", 30),
     Command("simulate", "simulate --out {out}/world --seed 4 --duration 60 --beams 31 --format both --quiet", 26),
     Command("likelihood", f"likelihood {_LOG} --scan 3 --resolution 1 --out {{out}}/l.png --npz {{out}}/l.npz", 12),

@@ -360,3 +360,13 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     with pytest.raises(NotADirectoryError), atomic_folder(tmp_path / "out"):
         pytest.fail("the block must not run")
     assert names(tmp_path) == ["out"]
+
+
+def test_a_full_disk_names_the_users_file(tmp_path):
+    with (
+        pytest.raises(OSError, match="No space left on device") as caught,
+        atomic_file(tmp_path / "map.pgm"),
+    ):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.filename == str(tmp_path / "map.pgm")
+    assert list(tmp_path.iterdir()) == []

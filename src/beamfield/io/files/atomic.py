@@ -87,7 +87,13 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
     with _parents(targets), ExitStack() as stack:
         scratch = [stack.enter_context(scratch_folder(target.parent, target.name)) for target in targets]
         parts = [folder / target.name for folder, target in zip(scratch, targets, strict=True)]
-        yield parts
+        try:
+            yield parts
+        except OSError as error:
+            # A full disk is known by its number alone: the file that was written is not named.
+            if error.errno is None or error.filename is not None:
+                raise
+            raise type(error)(error.errno, error.strerror, str(targets[0])) from error
         for target, part in zip(targets, parts, strict=True):
             if not part.is_file():
                 raise InvalidInputError(f"{target}: nothing was written to the temporary file {part.name!r}")

@@ -1,0 +1,168 @@
+"""A replay's errors, by hand and by simulation, and comparisons that are right as often as they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.localization.replay import (
+    PoseBelief,
+    Replay,
+    ReplayErrors,
+    judge_replay,
+    normalised_squares,
+    reference_start,
+)
+from beamfield.localization.replay_comparison import ReplayTrials, compare_trials, judge_change
+from beamfield.sensors import RangeFinder, SensorLog
+
+COVARIANCE = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.002], [0.0, 0.002, 0.01]])
+
+
+def replay(poses: np.ndarray, means: np.ndarray | None = None, covariance: np.ndarray = COVARIANCE) -> Replay:
+    """Return a run with an update at every scan."""
+    n = len(poses)
+    means = poses if means is None else means
+    return Replay(poses, np.arange(n), means, np.tile(covariance, (n, 1, 1)), np.full(n, 500))
+
+
+def errors(mean: float, *, lost: bool = False) -> ReplayErrors:
+    one = judge_replay(replay(np.zeros((1, 3))), np.zeros((1, 3)))
+    return replace(one, mean=mean, lost=lost)
+
+
+def trials(means: np.ndarray, log: str = "hall", n_lost: int = 0) -> ReplayTrials:
+    rows = tuple(errors(float(mean), lost=i < n_lost) for i, mean in enumerate(means))
+    return ReplayTrials(log, tuple(range(len(means))), rows)
+
+
+def test_errors_of_a_run_by_hand():
+    truth = np.zeros((4, 3))
+    poses = np.array([[3.0, 4.0, np.pi], [0.3, 0.4, -np.pi / 2], [0, 0, 0], [0, 0.1, 0]])
+    truth[0, 2] = -np.pi
+    found = judge_replay(replay(poses), truth)
+    assert found.mean == pytest.approx((5.0 + 0.5 + 0.1) / 4)
+    assert found.median == pytest.approx(0.3)
+    assert found.end == pytest.approx(0.1)
+    assert found.lost  # a quarter of the scans
+    assert found.yaw_rmse_deg == pytest.approx(45.0)
+    assert found.yaw_mean_deg == pytest.approx(22.5)
+    assert found.sd_position == pytest.approx(np.sqrt(0.06))
+    assert (found.updates, found.particles, found.update_ms) == (4, 500.0, None)
+    assert "LOST" in found.summary()
+
+
+def test_scans_without_reference_or_pose_do_not_count():
+    truth = np.array([[9.0, 9.0, 0.0], [np.nan] * 3, [0.0, 0.0, 0.0]])
+    poses = np.array([[np.nan] * 3, [5.0, 5.0, 0.0], [0.1, 0.0, 0.0]])
+    run = Replay(poses, np.array([1, 2]), np.zeros((2, 3)), np.tile(COVARIANCE, (2, 1, 1)), np.array([10, 20]))
+    found = judge_replay(run, truth)
+    assert found.mean == pytest.approx(0.1)
+    assert found.nees_median == pytest.approx(0.0)
+    assert found.updates == 2
+
+
+def test_squares_are_those_of_the_inverse(rng):
+    off = rng.normal(size=(20, 3))
+    roots = rng.normal(size=(20, 3, 3))
+    covariances = roots @ np.swapaxes(roots, 1, 2)
+    expected = [e @ np.linalg.inv(c) @ e for e, c in zip(off, covariances, strict=True)]
+    np.testing.assert_allclose(normalised_squares(off, covariances), expected, rtol=1e-6)
+
+
+def test_a_right_covariance_has_the_ideal_nees_and_coverage(rng):
+    truth = rng.normal(size=(20_000, 3))
+    poses = truth + rng.multivariate_normal(np.zeros(3), COVARIANCE, size=len(truth))
+    found = judge_replay(replay(poses), truth)
+    assert found.nees_median == pytest.approx(2.366, abs=0.06)
+    assert found.inside == pytest.approx(0.95, abs=0.006)
+    noisy = truth + np.column_stack([rng.normal(0.0, 0.03, (len(truth), 2)), np.zeros(len(truth))])
+    assert judge_replay(replay(poses), noisy).inside_noisy == pytest.approx(0.95, abs=0.006)
+
+
+def test_particles_at_one_point_give_finite_numbers():
+    found = judge_replay(replay(np.zeros((1, 3)), covariance=np.zeros((3, 3))), np.full((1, 3), 0.1))
+    assert np.isfinite(found.nees_median)
+    assert found.inside == 0.0
+
+
+def test_a_run_without_anything_to_judge_is_refused():
+    with pytest.raises(TooLittleDataError, match="0 scans"):
+        judge_replay(replay(np.zeros((2, 3))), np.full((2, 3), np.nan))
+    with pytest.raises(InvalidInputError, match=r"reference: expected shape \(2, 3\)"):
+        judge_replay(replay(np.zeros((2, 3))), np.zeros((3, 3)))
+
+
+def test_malformed_runs_and_beliefs_are_refused():
+    with pytest.raises(InvalidInputError, match="means: expected shape"):
+        Replay(np.zeros((2, 3)), np.array([0]), np.zeros((2, 3)), np.zeros((1, 3, 3)), np.array([1]))
+    with pytest.raises(InvalidInputError, match="updates: expected increasing"):
+        Replay(np.zeros((2, 3)), np.array([2]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.array([1]))
+    with pytest.raises(InvalidInputError, match="covariances: expected finite"):
+        Replay(np.zeros((2, 3)), np.array([0]), np.zeros((1, 3)), np.full((1, 3, 3), np.nan), np.array([1]))
+    with pytest.raises(InvalidInputError, match="covariance: expected a covariance matrix"):
+        PoseBelief(np.zeros(3), -np.eye(3))
+    with pytest.raises(InvalidInputError, match="pose: expected finite"):
+        PoseBelief.around([np.nan, 0.0, 0.0])
+
+
+def test_the_start_is_the_first_scan_with_reference_and_odometry():
+    poses = [[np.nan] * 3, [1.0, 2.0, 0.5], [3.0, 2.0, 0.5]]
+    odometry = [[0.0] * 3, [np.nan] * 3, [0.0] * 3]
+    finder = RangeFinder.from_bearings([0.0], max_range=5.0)
+    log = SensorLog(finder, np.arange(3.0), np.ones((3, 1)), poses, odometry)
+    scan, start = reference_start(log, sd_position=0.2)
+    assert scan == 2
+    assert start.mean.tolist() == [3.0, 2.0, 0.5]
+    assert np.sqrt(np.diag(start.covariance)) == pytest.approx([0.2, 0.2, np.radians(15.0)])
+    with pytest.raises(TooLittleDataError):
+        reference_start(log.select([0, 1]))
+
+
+def test_intervals_of_differences_hold_the_truth_as_often_as_they_say(rng):
+    held = 0
+    for _ in range(300):
+        level = rng.exponential(0.1, 12)  # of a seed, which both filters share
+        before, after = trials(level), trials(0.8 * level + rng.normal(0.05, 0.02, 12))
+        found = compare_trials([before], [after], rng=rng, replicates=400)
+        held += found.low <= -0.02 + 0.05 <= found.high
+    assert 0.89 <= held / 300 <= 0.98
+
+
+def test_logs_count_alike_and_seeds_are_drawn_within_them():
+    before = [trials(np.full(10, 1.0), "a"), trials(np.full(40, 2.0), "b")]
+    after = [trials(np.full(10, 0.0), "a"), trials(np.full(40, 2.5), "b")]
+    found = compare_trials(before, after)
+    assert (found.before, found.after) == (1.5, 1.25)
+    assert (found.low, found.high) == pytest.approx((-0.25, -0.25))
+    assert found.is_lower
+    verdict = judge_change(before, after)
+    assert not verdict.is_better  # log b is worse for sure
+    assert "not better for sure" in verdict.summary()
+
+
+def test_a_change_that_loses_more_runs_is_not_better():
+    before, after = trials(np.linspace(0.2, 0.3, 10)), trials(np.linspace(0.1, 0.15, 10), n_lost=1)
+    assert judge_change([before], [trials(np.linspace(0.1, 0.15, 10))]).is_better
+    assert not judge_change([before], [after]).is_better
+
+
+def test_few_seeds_decide_nothing():
+    found = compare_trials([trials(np.full(5, 1.0))], [trials(np.full(5, 0.1))])
+    assert not found.is_sure
+    alone = compare_trials([trials(np.ones(1))], [trials(np.zeros(1))])
+    assert (alone.low, alone.high) == (-np.inf, np.inf)
+
+
+def test_comparisons_of_unlike_runs_are_refused():
+    with pytest.raises(InvalidInputError, match="same logs"):
+        compare_trials([trials(np.ones(3), "a")], [trials(np.ones(3), "b")])
+    with pytest.raises(InvalidInputError, match="measure: expected one of"):
+        trials(np.ones(3)).column("speed")
+    with pytest.raises(InvalidInputError, match="level"):
+        compare_trials([trials(np.ones(3))], [trials(np.ones(3))], level=1.5)
+    with pytest.raises(InvalidInputError, match="seeds, errors"):
+        ReplayTrials("a", (1, 2), (errors(0.1),))

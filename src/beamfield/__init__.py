@@ -47,6 +47,10 @@ _NAMES = {
     "models.line_detections": ("LineDetections",),
     "models.marker": ("MarkerModel", "MarkerParameters", "MarkerDetections"),
     "models.ceiling_camera": ("CeilingCamera",),
+    "models.differential_motion": ("DifferentialMotion",),
+    "models.omni_motion": ("OmniMotion",),
+    "models.gaussian_motion": ("GaussianMotion",),
+    "models.velocity_motion": ("VelocityMotion",),
     # Learning and judging
     "calibration.calibrate": ("calibrate",),
     "calibration.options": ("CalibrationOptions",),

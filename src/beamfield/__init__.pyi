@@ -58,6 +58,10 @@ from beamfield.models.marker import (
     MarkerDetections as MarkerDetections,
 )
 from beamfield.models.ceiling_camera import CeilingCamera as CeilingCamera
+from beamfield.models.differential_motion import DifferentialMotion as DifferentialMotion
+from beamfield.models.omni_motion import OmniMotion as OmniMotion
+from beamfield.models.gaussian_motion import GaussianMotion as GaussianMotion
+from beamfield.models.velocity_motion import VelocityMotion as VelocityMotion
 from beamfield.calibration.calibrate import calibrate as calibrate
 from beamfield.calibration.options import CalibrationOptions as CalibrationOptions
 from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters as learn_intrinsic_parameters

@@ -1,0 +1,128 @@
+"""The one interface of motion models p(x_t | u_t, x_{t-1}), and what those that read two odometry poses share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.arguments import check_fields, checked
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses, between
+
+
+class MotionModel(Protocol):
+    """p(x_t | u_t, x_{t-1}), where u_t is what odometry says: its pose before and after."""
+
+    def sample(self, poses: ArrayLike, odometry: ArrayLike, rng: np.random.Generator) -> FloatArray:
+        """Draw where each robot is after the step.
+
+        Parameters
+        ----------
+        poses
+            (n, 3) before the step, in the map frame, metres and radians.
+        odometry
+            (2, 3) poses in the odometry frame, before and after.
+        rng
+            Source of randomness.
+
+        Returns
+        -------
+        (n, 3) poses after the step, one for each given; headings go on from those given and are not wrapped, so that
+        particles around a heading of pi stay together.
+
+        Raises
+        ------
+        InvalidInputError
+            If an array has another shape or is not finite.
+        """
+        ...
+
+    def log_density(self, after: ArrayLike, before: ArrayLike, odometry: ArrayLike) -> FloatArray:
+        """Return log p(after | odometry, before), per square metre and radian.
+
+        Parameters
+        ----------
+        after, before
+            (..., 3) poses in the map frame; they broadcast.
+        odometry
+            (2, 3) poses in the odometry frame, before and after.
+
+        Returns
+        -------
+        (...) nats; -inf where impossible, never NaN. A component that the model gives no noise contributes a mass, not
+        a density: 0 where it is met within 1e-9, else -inf.
+
+        Raises
+        ------
+        InvalidInputError
+            If an array has another shape or is not finite.
+        """
+        ...
+
+
+class Step(Protocol):
+    """The distribution of one step, seen from the pose before it."""
+
+    def sample(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw where each of the poses (n, 3) is after the step."""
+        ...
+
+    def log_density(self, after: FloatArray, before: FloatArray) -> FloatArray:
+        """Return the log density of `after`, given `before`, both (n, 3)."""
+        ...
+
+
+class OdometryMotion(ABC):
+    """A motion model that turns an odometry step into a distribution, which is then the same for all particles."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @abstractmethod
+    def step(self, odometry: FloatArray) -> Step:
+        """Return the distribution of the step between two odometry poses (2, 3), which are finite."""
+
+    @checked
+    def sample(self, poses: ArrayLike, odometry: ArrayLike, rng: np.random.Generator) -> FloatArray:
+        """Draw where each robot is after the step; see `MotionModel`."""
+        start = as_poses(poses)
+        if start.ndim != 2:
+            raise InvalidInputError(f"poses: expected shape (n, 3), got {start.shape}")
+        return self.step(as_odometry(odometry)).sample(start, rng)
+
+    @checked
+    def log_density(self, after: ArrayLike, before: ArrayLike, odometry: ArrayLike) -> FloatArray:
+        """Return log p(after | odometry, before); see `MotionModel`."""
+        ends, starts = as_poses(after, "after"), as_poses(before, "before")
+        try:
+            ends, starts = np.broadcast_arrays(ends, starts)
+        except ValueError:
+            raise InvalidInputError(
+                f"after: expected a shape that broadcasts with before's {starts.shape}, got {ends.shape}"
+            ) from None
+        rows = [np.ascontiguousarray(poses).reshape(-1, 3) for poses in (ends, starts)]
+        return self.step(as_odometry(odometry)).log_density(*rows).reshape(ends.shape[:-1])
+
+
+def as_odometry(odometry: ArrayLike) -> FloatArray:
+    """Return two odometry poses as float64; raise if they are not finite (2, 3)."""
+    poses = as_poses(odometry, "odometry")
+    if poses.shape != (2, 3):
+        raise InvalidInputError(f"odometry: expected shape (2, 3), the poses before and after, got {poses.shape}")
+    return poses
+
+
+def odometry_step(odometry: FloatArray) -> FloatArray:
+    """Return the pose after, seen from the pose before: (3,)."""
+    return between(odometry[0], odometry[1])
+
+
+def check_not_negative(model: object, *names: str) -> None:
+    """Refuse fields of a dataclass that are not finite numbers >= 0."""
+    for name in names:
+        value = getattr(model, name)
+        if not 0.0 <= value < np.inf:
+            raise InvalidInputError(f"{name}: expected a finite number >= 0, got {value}")

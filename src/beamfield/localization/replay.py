@@ -165,7 +165,7 @@ class ReplayErrors:
     inside_noisy
         The same, with a noise of the reference of 3 cm in x and in y.
     sd_position
-        Mean over updates of the root of the summed variances of x and y, metres.
+        Median over updates of the root of the summed variances of x and y, metres.
     particles
         Mean number of particles.
     updates
@@ -267,7 +267,7 @@ def judge_replay(replay: Replay, reference: ArrayLike) -> ReplayErrors:
         nees_median=float(np.median(normalised_squares(off, covariances))),
         inside=float((normalised_squares(off[:, :2], covariances[:, :2, :2]) <= limit).mean()),
         inside_noisy=float((normalised_squares(off[:, :2], covariances[:, :2, :2] + noise) <= limit).mean()),
-        sd_position=float(np.sqrt(np.trace(replay.covariances[:, :2, :2], axis1=1, axis2=2)).mean()),
+        sd_position=float(np.sqrt(np.median(np.trace(replay.covariances[:, :2, :2], axis1=1, axis2=2)))),
         particles=float(replay.particles.mean()),
         updates=len(replay.updates),
         update_ms=1e3 * float(replay.seconds.mean()) if len(replay.seconds) else None,

@@ -8,7 +8,7 @@ import pytest
 
 from beamfield.errors import FormatError
 from beamfield.io.files import text_lines
-from beamfield.io.files.text_lines import parse_count, parse_numbers, read_lines
+from beamfield.io.files.text_lines import Line, read_lines
 
 
 def test_plain_and_compressed_text_give_the_same_lines_whatever_the_name(tmp_path):
@@ -71,10 +71,10 @@ def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
 
 def test_a_word_that_is_no_number_is_quoted(tmp_path):
     with pytest.raises(FormatError, match=r":7: FLASER: expected a number, got '1\.2x'"):
-        parse_numbers(tmp_path, 7, ["1.0", "1.2x"], "FLASER")
+        Line(tmp_path, 7, ["FLASER", "1.0", "1.2x"]).numbers()
 
 
 @pytest.mark.parametrize("word", ["-1", "1.5", "", "\u0663", "9999999999"])
 def test_a_count_must_be_a_whole_number(tmp_path, word):
     with pytest.raises(FormatError, match="expected a number of readings"):
-        parse_count(tmp_path, 1, word, "FLASER")
+        Line(tmp_path, 1, ["FLASER", word]).count(1)

@@ -15,7 +15,7 @@ from beamfield.arguments import checked
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, interpolate_poses, wrap_angle, yaw_from_quaternion
 from beamfield.io.files.atomic import write_file
-from beamfield.io.files.text_lines import is_number, parse_numbers, read_lines
+from beamfield.io.files.text_lines import Line, is_number, read_lines
 from beamfield.sensors import ScanLog, SensorLog, Track
 from beamfield.short_repr import short_repr
 
@@ -27,8 +27,6 @@ SAME_TIME = 0.02
 # A quaternion with a norm further from 1 is something else.
 UNIT_TOLERANCE = 0.01
 MAX_TILT_DEG = 20.0
-# Seconds, metres, radians, or nanoseconds by mistake: squares of anything beyond overflow.
-ABSURD = 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +74,16 @@ def read_trajectory(path: str | Path) -> Track:
         As the file system says.
     """
     source = Path(path)
-    rows = _content_lines(source)
+    rows = _rows(source)
     first = next(rows, None)
     if first is None:
         raise FormatError(source, "no poses: the file is empty")
-    line, words, commented = first
-    names = [word.lower() for word in words]
+    names = [word.lower() for word in first.words]
     if any(name in TIME_NAMES for name in names) and any(name in ("x", "map_x", "tx") for name in names):
-        return _read_csv(source, line, names, rows)
-    if not commented and len(words) == 8 and is_number(words[0]):
-        return _read_tum(source, first, rows)
-    return _read_from_log(source, line, words)
+        return _read_csv(first, names, rows)
+    if len(names) == 8 and is_number(names[0]):
+        return _read_tum([first, *rows])
+    return _read_from_log(first)
 
 
 def write_tum(path: str | Path, track: Track) -> None:
@@ -161,143 +158,106 @@ def attach_poses(log: ScanLog, track: Track, *, max_gap: float = MAX_GAP) -> Sca
     return replace(log, sensors=sensors, notes=tuple(notes))
 
 
-_Row = tuple[int, list[str], bool]
-
-
-def _content_lines(path: Path) -> Iterator[_Row]:
-    """Yield line, words and whether it is a comment; of the comments only those before the first row."""
+def _rows(path: Path) -> Iterator[Line]:
+    """Yield the header, if there is one, and the rows; of the comments only one before them may be the header."""
     started = False
-    for line, text in read_lines(path):
+    for number, text in read_lines(path):
         stripped = text.strip().removeprefix("\u00ef\u00bb\u00bf")  # a byte order mark, read as Latin-1
-        commented = stripped.startswith("#")
-        if not stripped or (commented and started):
-            continue
-        words = [w for w in re.split(r"[,;\s]+", stripped.lstrip("# ")) if w] if "," not in stripped else [
-            w.strip() for w in stripped.lstrip("# ").split(",")
-        ]  # fmt: skip
+        content, is_csv, commented = stripped.lstrip("# "), "," in stripped, stripped.startswith("#")
+        words = [w.strip() for w in content.split(",")] if is_csv else [w for w in re.split(r"[;\s]+", content) if w]
         # A comment counts only as the header of a CSV file; TUM files have one that names the same columns.
-        if commented and not ("," in stripped and any(w.lower() in TIME_NAMES for w in words)):
-            continue
-        started = True
-        yield line, words, commented
+        is_header = is_csv and not started and any(word.lower() in TIME_NAMES for word in words)
+        if stripped and (is_header or not commented):
+            started = True
+            yield Line(path, number, words)
 
 
-def _read_tum(path: Path, first: _Row, rows: Iterator[_Row]) -> Track:
-    lines, table = [], []
-    row: _Row | None = first
-    while row is not None:
-        line, words, _ = row
-        if len(words) != 8:
-            raise FormatError(path, f"expected 8 numbers (t x y z qx qy qz qw), got {len(words)}", line=line)
-        lines.append(line)
-        table.append(_finite(path, line, words, "pose"))
-        row = next(rows, None)
-    numbers = np.array(table)
-    theta = _yaw(path, lines, numbers[:, 4:])
-    return _checked(path, lines, numbers[:, 0], np.column_stack([numbers[:, 1:3], theta]))
+def _read_tum(rows: list[Line]) -> Track:
+    for row in rows:
+        if len(row.words) != 8:
+            raise row.error(f"expected 8 numbers (t x y z qx qy qz qw), got {len(row.words)}")
+    numbers = np.array([row.finite(0, field="pose") for row in rows])
+    return _checked(rows, numbers[:, 0], np.column_stack([numbers[:, 1:3], _yaw(rows, numbers[:, 4:])]))
 
 
-def _read_csv(path: Path, header_line: int, names: list[str], rows: Iterator[_Row]) -> Track:
+def _read_csv(header: Line, names: list[str], rows: Iterator[Line]) -> Track:
     columns = {name: i for i, name in reversed(list(enumerate(names)))}
     time = next(name for name in TIME_NAMES if name in columns)
     prefix = next(p for p in ("", "map_", "t") if p + "x" in columns)
     heading = next((n for n in (prefix + "theta", prefix + "yaw", "theta", "yaw") if n in columns), None)
     quaternion = [n for n in ("qx", "qy", "qz", "qw") if n in columns]
     if prefix + "y" not in columns or (heading is None and len(quaternion) != 4):
-        raise FormatError(
-            path, f"expected columns for the time, x, y and theta (or qx qy qz qw), got {', '.join(names)!r}",
-            line=header_line,
-        )  # fmt: skip
-    needed = [time, prefix + "x", prefix + "y", *([heading] if heading else quaternion)]
-    lines, table, indices = [], [], []
-    for line, words, _ in rows:
-        if len(words) != len(names):
-            raise FormatError(path, f"expected {len(names)} fields, got {len(words)}", line=line)
-        if "good" in columns and _finite(path, line, [words[columns["good"]]], "good")[0] != 1.0:
+        raise header.error(f"expected columns for the time, x, y and theta (or qx qy qz qw), got {', '.join(names)!r}")
+    needed = [columns[n] for n in (time, prefix + "x", prefix + "y", *([heading] if heading else quaternion))]
+    kept, table, indices = [], [], []
+    for row in rows:
+        if len(row.words) != len(names):
+            raise row.error(f"expected {len(names)} fields, got {len(row.words)}")
+        if "good" in columns and row.pick([columns["good"]]).finite(0, field="good")[0] != 1.0:
             continue
         if "scan_index" in columns:
-            indices.append(_index(path, line, words[columns["scan_index"]]))
-        lines.append(line)
-        table.append(_finite(path, line, [words[columns[name]] for name in needed], "pose"))
+            indices.append(_index(row, row.words[columns["scan_index"]]))
+        kept.append(row)
+        table.append(row.pick(needed).finite(0, field="pose"))
     if not table:
-        raise FormatError(path, "no poses: no row after the header" + (" with good = 1" if "good" in columns else ""))
+        end = " with good = 1" if "good" in columns else ""
+        raise FormatError(header.path, f"no poses: no row after the header{end}")
     numbers = np.array(table)
-    theta = numbers[:, 3] if heading else _yaw(path, lines, numbers[:, 3:])
-    track = _checked(path, lines, numbers[:, 0], np.column_stack([numbers[:, 1:3], theta]))
+    theta = numbers[:, 3] if heading else _yaw(kept, numbers[:, 3:])
+    track = _checked(kept, numbers[:, 0], np.column_stack([numbers[:, 1:3], theta]))
     if "scan_index" not in columns:
         return track
     falls = np.diff(indices) <= 0
     if falls.any():
         where = int(np.argmax(falls)) + 1
-        raise FormatError(path, f"the indices do not increase: {indices[where]}", line=lines[where], field="scan_index")
+        raise kept[where].error(f"the indices do not increase: {indices[where]}", "scan_index")
     return IndexedTrack(track.stamps, track.poses, np.array(indices, dtype=np.int64))
 
 
-def _index(path: Path, line: int, word: str) -> int:
+def _index(row: Line, word: str) -> int:
     if not (word.isascii() and word.isdigit() and len(word) < 12):
-        raise FormatError(path, f"expected an index, got {word[:40]!r}", line=line, field="scan_index")
+        raise row.error(f"expected an index, got {word[:40]!r}", "scan_index")
     return int(word)
 
 
-def _read_from_log(path: Path, line: int, words: list[str]) -> Track:
+def _read_from_log(first: Line) -> Track:
     # Only files that are not tables of poses need the readers of logs.
     from beamfield.io.read_log import read_log
 
     try:
-        sensor = read_log(path).only_sensor()
+        sensor = read_log(first.path).only_sensor()
     except (FormatError, InvalidInputError) as error:
-        start = " ".join(words[:4])[:60]
-        raise FormatError(
-            path,
-            f"expected poses (TUM lines, or CSV with a header t,x,y,theta) or a log, got {start!r} ({error})",
-            line=line,
-        ) from error
+        start = " ".join(first.words[:4])[:60]
+        expected = "expected poses (TUM lines, or CSV with a header t,x,y,theta) or a log"
+        raise first.error(f"{expected}, got {start!r} ({error})") from error
     poses = sensor.poses if sensor.has_poses else sensor.odometry
     known = np.isfinite(poses).all(axis=1)
     if not known.any():
-        raise FormatError(path, "the log has scans, but no poses")
+        raise FormatError(first.path, "the log has scans, but no poses")
     return Track(sensor.stamps[known], poses[known])
 
 
-def _finite(path: Path, line: int, words: list[str], what: str) -> FloatArray:
-    numbers = parse_numbers(path, line, words, what)
-    finite = np.abs(numbers) < ABSURD
-    if not finite.all():
-        bad = words[int(np.argmin(finite))]
-        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
-    return numbers
-
-
-def _yaw(path: Path, lines: list[int], quaternions: FloatArray) -> FloatArray:
+def _yaw(rows: list[Line], quaternions: FloatArray) -> FloatArray:
     norms = np.linalg.norm(quaternions, axis=1)
-    if np.abs(norms - 1.0).max() > UNIT_TOLERANCE:
-        worst = int(np.argmax(np.abs(norms - 1.0)))
-        raise FormatError(
-            path,
-            f"expected a unit quaternion, scalar last, got {quaternions[worst].tolist()} of norm {norms[worst]:.4g}",
-            line=lines[worst],
-        )
+    worst = int(np.argmax(np.abs(norms - 1.0)))
+    if abs(norms[worst] - 1.0) > UNIT_TOLERANCE:
+        found = f"{quaternions[worst].tolist()} of norm {norms[worst]:.4g}"
+        raise rows[worst].error(f"expected a unit quaternion, scalar last, got {found}")
     x, y, z, w = (quaternions / norms[:, None]).T
     # The cosine between the robot's upward axis and the map's.
     upright = 1.0 - 2.0 * (x * x + y * y)
-    if upright.min() < np.cos(np.radians(MAX_TILT_DEG)):
-        worst = int(np.argmin(upright))
+    worst = int(np.argmin(upright))
+    if upright[worst] < np.cos(np.radians(MAX_TILT_DEG)):
         tilt = np.degrees(np.arccos(np.clip(upright[worst], -1.0, 1.0)))
-        raise FormatError(
-            path,
-            f"the pose is tilted by {tilt:.3g} degrees; expected a robot on the floor, z upwards",
-            line=lines[worst],
-        )
+        raise rows[worst].error(f"the pose is tilted by {tilt:.3g} degrees; expected a robot on the floor, z upwards")
     return yaw_from_quaternion(x, y, z, w)
 
 
-def _checked(path: Path, lines: list[int], stamps: FloatArray, poses: FloatArray) -> Track:
+def _checked(rows: list[Line], stamps: FloatArray, poses: FloatArray) -> Track:
     steps = np.diff(stamps)
     if (steps < 0.0).any():
         where = int(np.argmax(steps < 0.0)) + 1
-        raise FormatError(
-            path, f"the stamps run backwards: {stamps[where]:.6f} s after {stamps[where - 1]:.6f} s", line=lines[where]
-        )
+        raise rows[where].error(f"the stamps run backwards: {stamps[where]:.6f} s after {stamps[where - 1]:.6f} s")
     poses[:, 2] = wrap_angle(poses[:, 2])
     return Track(stamps, poses)
 

@@ -7,6 +7,7 @@ import io
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,8 @@ MAX_LINE_BYTES = 8 * 2**20
 # Logs of ranges shrink to a fifth or a tenth; even constant ranges do not reach 1/200. A bomb reaches 1/1000.
 MAX_EXPANSION = 200
 FREE_BYTES = 64 * 2**20
+# Seconds, metres, radians, or nanoseconds by mistake: squares of anything beyond overflow.
+ABSURD = 1e100
 
 
 def read_lines(path: str | Path) -> Iterator[tuple[int, str]]:
@@ -120,74 +123,85 @@ def _decode(path: Path, stream: io.BufferedIOBase, limit: int | None) -> Iterato
         yield number, raw.decode("latin-1")
 
 
-def parse_numbers(path: Path, line: int, words: Sequence[str], what: str) -> FloatArray:
-    """Return words as numbers; "nan" and "inf" are numbers.
+class Line(NamedTuple):
+    """A line of a text file, cut into words.
 
     Parameters
     ----------
-    path, line
-        For the error.
+    path, number
+        The file, and the number of the line from 1.
     words
-        The texts of the numbers.
-    what
-        Name of the message, for the error.
-
-    Raises
-    ------
-    FormatError
-        If a word is not a number; it is quoted.
+        Its words; in most formats the first is the name of the message.
     """
-    try:
-        return np.array(list(map(float, words)))
-    except ValueError:
-        bad = next(word for word in words if not is_number(word))
-        raise FormatError(path, f"expected a number, got {bad[:40]!r}", line=line, field=what) from None
+
+    path: Path
+    number: int
+    words: list[str]
+
+    def error(self, text: str, field: str | None = None) -> FormatError:
+        """Return the error that says what is wrong with this line."""
+        return FormatError(self.path, text, line=self.number, field=field)
+
+    def numbers(self, start: int = 1, stop: int | None = None, field: str | None = None) -> FloatArray:
+        """Return words [start, stop) as numbers; "nan" and "inf" are numbers.
+
+        Raises
+        ------
+        FormatError
+            If a word is not a number; it is quoted, after the message's name if no other `field` is given.
+        """
+        words = self.words[start:stop]
+        try:
+            return np.array(list(map(float, words)))
+        except ValueError:
+            bad = next(word for word in words if not is_number(word))
+            raise self.error(f"expected a number, got {bad[:40]!r}", field or self.words[0]) from None
+
+    def finite(self, start: int = 1, stop: int | None = None, field: str | None = None) -> FloatArray:
+        """Return words [start, stop) as `numbers`, which must be finite."""
+        numbers = self.numbers(start, stop, field)
+        absurd = ~(np.abs(numbers) < ABSURD)
+        if absurd.any():
+            bad = self.words[start:stop][int(np.argmax(absurd))]
+            raise self.error(f"expected a finite number, got {bad[:40]!r}", field or self.words[0])
+        return numbers
+
+    def pick(self, indices: Sequence[int]) -> Line:
+        """Return the line with these words only."""
+        return self._replace(words=[self.words[i] for i in indices])
+
+    def count(self, index: int) -> int:
+        """Return a word as a count of readings.
+
+        Raises
+        ------
+        FormatError
+            If it is not a whole number >= 0, or the line ends before it.
+        """
+        if index >= len(self.words):
+            raise self.error(f"the line is truncated after {len(self.words)} words", self.words[0])
+        word = self.words[index]
+        if not word.isascii() or not word.isdigit() or len(word) > 9:
+            raise self.error(f"expected a number of readings, got {word[:40]!r}", self.words[0])
+        return int(word)
+
+    def expect_words(self, expected: int, what: str = "") -> None:
+        """Raise a FormatError if the line does not have the number of words that its counts declare."""
+        if len(self.words) != expected:
+            text = f"expected {expected} words{what and f' ({what})'}, got {len(self.words)}"
+            raise self.error(f"{text}: the line is truncated, or its count is wrong", self.words[0])
 
 
-def expect_words(path: Path, line: int, words: Sequence[str], expected: int, what: str = "") -> None:
-    """Raise if a message does not have the number of words that its counts declare.
-
-    Parameters
-    ----------
-    path, line
-        For the error.
-    words
-        All words of the line; the first is the message's name.
-    expected
-        How many there should be.
-    what
-        What they are, for the error.
-
-    Raises
-    ------
-    FormatError
-        If there are more or fewer.
-    """
-    if len(words) != expected:
-        listed = f" ({what})" if what else ""
-        raise FormatError(
-            path,
-            f"expected {expected} words{listed}, got {len(words)}: the line is truncated, or its count is wrong",
-            line=line,
-            field=words[0],
-        )
-
-
-def parse_count(path: Path, line: int, word: str, what: str) -> int:
-    """Return a word as a count of readings.
-
-    Raises
-    ------
-    FormatError
-        If it is not a whole number >= 0.
-    """
-    if not word.isascii() or not word.isdigit() or len(word) > 9:
-        raise FormatError(path, f"expected a number of readings, got {word[:40]!r}", line=line, field=what)
-    return int(word)
+def word_lines(path: str | Path, separator: str | None = None) -> Iterator[Line]:
+    """Yield the lines of `read_lines` that are neither blank nor begin with #, cut at blanks or at a separator."""
+    source = Path(path)
+    for number, text in read_lines(source):
+        if text.strip() and not text.lstrip().startswith("#"):
+            yield Line(source, number, [word.strip() for word in text.split(separator)])
 
 
 def is_number(word: str) -> bool:
-    """Return whether `parse_numbers` accepts a word."""
+    """Return whether `Line.numbers` accepts a word."""
     try:
         float(word)
     except ValueError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +14,10 @@ from numpy.typing import NDArray
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
 from beamfield.io.files.atomic import write_file
-from beamfield.io.files.text_lines import parse_numbers, read_lines
+from beamfield.io.files.text_lines import Line, word_lines
 
 # Larger whole numbers are not exact as floating point.
 MAX_ID = 2**53
-
-
-def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and values, split at commas, of each line that is neither blank nor begins with #.
-
-    Raises
-    ------
-    FormatError, OSError
-        As for `beamfield.io.files.text_lines.read_lines`.
-    """
-    for number, text in read_lines(path):
-        if text.strip() and not text.lstrip().startswith("#"):
-            yield number, [word.strip() for word in text.split(",")]
 
 
 def id_table(
@@ -38,7 +25,7 @@ def id_table(
     what: str,
     is_header: Callable[[list[str]], bool],
     expected: str,
-    check: Callable[[int, FloatArray], None] = lambda _line, _numbers: None,
+    check: Callable[[Line, FloatArray], None] = lambda _row, _numbers: None,
 ) -> tuple[list[str], NDArray[np.int64], FloatArray]:
     """Read a table with a header, whose rows are an id and finite numbers.
 
@@ -53,7 +40,7 @@ def id_table(
     expected
         The headers that are, for errors.
     check
-        Called with the line and the numbers of each row; may raise.
+        Called with each row and its numbers; may raise.
 
     Returns
     -------
@@ -66,25 +53,24 @@ def id_table(
         If the header is another, a row has another length, an id is not a whole number from 0 to 2^53 or appears twice,
         a value is not a finite number, or there is no row; line and value are named.
     """
-    rows = csv_rows(path)
-    line, header = next(rows, (None, []))
-    names = [name.lower() for name in header]
+    rows = word_lines(path, ",")
+    header = next(rows, Line(path, 1, []))
+    names = [name.lower() for name in header.words]
     if not is_header(names):
-        raise FormatError(path, f"expected the header {expected}; got {','.join(header)[:80]!r}", line=line)
+        raise header.error(f"expected the header {expected}; got {','.join(header.words)[:80]!r}")
     line_of: dict[int, int] = {}
     values: list[FloatArray] = []
-    for line, words in rows:
-        if len(words) != len(names):
-            raise FormatError(path, f"expected {len(names)} values, got {len(words)}", line=line)
-        if not is_id(words[0]):
-            raise FormatError(path, f"expected a whole number >= 0, got {words[0][:40]!r}", line=line, field="id")
-        which = int(words[0])
+    for row in rows:
+        if len(row.words) != len(names):
+            raise row.error(f"expected {len(names)} values, got {len(row.words)}")
+        if not is_id(row.words[0]):
+            raise row.error(f"expected a whole number >= 0, got {row.words[0][:40]!r}", "id")
+        which = int(row.words[0])
         if which in line_of:
-            text = f"expected each id once, got {which} again after line {line_of[which]}"
-            raise FormatError(path, text, line=line)
-        line_of[which] = line
-        values.append(_finite_numbers(path, line, words[1:], what))
-        check(line, values[-1])
+            raise row.error(f"expected each id once, got {which} again after line {line_of[which]}")
+        line_of[which] = row.number
+        values.append(row.finite(1, field=what))
+        check(row, values[-1])
     if not values:
         raise FormatError(path, f"no {what}s: the file has no rows")
     return names, np.array(list(line_of)), np.array(values)
@@ -117,11 +103,3 @@ def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[o
     writer.writerow(header)
     writer.writerows(rows)
     write_file(path, text.getvalue())
-
-
-def _finite_numbers(path: Path, line: int, words: Sequence[str], what: str) -> FloatArray:
-    numbers = parse_numbers(path, line, words, what)
-    if not np.isfinite(numbers).all():
-        bad = words[int((~np.isfinite(numbers)).argmax())]
-        raise FormatError(path, f"expected a finite number, got {bad[:40]!r}", line=line, field=what)
-    return numbers

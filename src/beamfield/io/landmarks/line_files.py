@@ -6,6 +6,7 @@ from pathlib import Path
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.io.files.text_lines import Line
 from beamfield.io.files.text_rows import id_table, write_csv
 from beamfield.maps.lines import LineMap
 
@@ -33,9 +34,9 @@ def read_line_map(path: str | Path) -> LineMap:
     """
     source = Path(path)
 
-    def two_ends(line: int, numbers: FloatArray) -> None:
+    def two_ends(row: Line, numbers: FloatArray) -> None:
         if len(numbers) == 4 and (numbers[:2] == numbers[2:]).all():
-            raise FormatError(source, f"expected two different ends, got {numbers.tolist()}", line=line)
+            raise row.error(f"expected two different ends, got {numbers.tolist()}")
 
     known = (list(LINE_HEADER), list(SEGMENT_HEADER))
     expected = " or ".join(",".join(header) for header in known)

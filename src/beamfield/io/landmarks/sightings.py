@@ -11,8 +11,8 @@ from beamfield.detection_log import DetectionLog, group_detections
 from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
-from beamfield.io.files.text_lines import parse_numbers
-from beamfield.io.files.text_rows import csv_rows, is_id, write_csv
+from beamfield.io.files.text_lines import Line, word_lines
+from beamfield.io.files.text_rows import is_id, write_csv
 
 COLUMNS = ("stamp", "x", "y", "theta", "id", "range", "bearing")
 
@@ -39,23 +39,16 @@ def read_sightings(path: str | Path) -> DetectionLog:
         As the file system says.
     """
     source = Path(path)
-    rows: list[FloatArray] = []
-    lines: list[int] = []
-    header: tuple[str, ...] | None = None
-    for line, words in csv_rows(source):
-        if header is None:
-            header = tuple(word.lower() for word in words)
-            if header != COLUMNS:
-                raise FormatError(
-                    source, f"expected the header {','.join(COLUMNS)}, got {','.join(words)[:80]!r}", line=line
-                )
-            continue
-        rows.append(_row(source, line, words))
-        lines.append(line)
-    if not rows:
+    rows = word_lines(source, ",")
+    header = next(rows, Line(source, 1, []))
+    if tuple(word.lower() for word in header.words) != COLUMNS:
+        found = ",".join(header.words)[:80]
+        raise header.error(f"expected the header {','.join(COLUMNS)}, got {found!r}")
+    kept = list(rows)
+    if not kept:
         raise FormatError(source, "no sightings: the file has no rows")
-    table = np.array(rows)
-    _check_order(source, table, lines)
+    table = np.array([_numbers(row) for row in kept])
+    _check_order(kept, table)
     stamps, first, observation = np.unique(table[:, 0], return_index=True, return_inverse=True)
     ids = table[:, 4].astype(np.int64)
     return DetectionLog(table[first, 1:4], group_detections(observation, stamps, table[:, 5], table[:, 6], ids))
@@ -90,31 +83,28 @@ def write_sightings(path: str | Path, log: DetectionLog) -> None:
     write_csv(path, COLUMNS, rows)
 
 
-def _row(path: Path, line: int, words: list[str]) -> FloatArray:
-    if len(words) != len(COLUMNS):
-        raise FormatError(path, f"expected {len(COLUMNS)} values, got {len(words)}", line=line)
-    which = words[4]
+def _numbers(row: Line) -> FloatArray:
+    if len(row.words) != len(COLUMNS):
+        raise row.error(f"expected {len(COLUMNS)} values, got {len(row.words)}")
+    which = row.words[4]
     if which and which != str(SPURIOUS) and not is_id(which):
-        raise FormatError(
-            path, f"expected a whole number >= 0, -1 or nothing, got {which[:40]!r}", line=line, field="id"
-        )
-    if not words[5] and not words[6]:
-        raise FormatError(path, "expected a range, a bearing or both, got neither", line=line)
-    filled = [word or "nan" for word in words]
+        raise row.error(f"expected a whole number >= 0, -1 or nothing, got {which[:40]!r}", "id")
+    if not row.words[5] and not row.words[6]:
+        raise row.error("expected a range, a bearing or both, got neither")
+    filled = [word or "nan" for word in row.words]
     filled[4] = which or str(UNKNOWN)
-    numbers = parse_numbers(path, line, filled, "sighting")
-    for name, word, number in zip(COLUMNS, words, numbers, strict=True):
+    numbers = row._replace(words=filled).numbers(0, field="sighting")
+    for name, word, number in zip(COLUMNS, row.words, numbers, strict=True):
         empty_is_fine = name in ("id", "range", "bearing") and not word
         if not np.isfinite(number) and not empty_is_fine:
-            raise FormatError(path, f"expected a finite number, got {word[:40]!r}", line=line, field=name)
+            raise row.error(f"expected a finite number, got {word[:40]!r}", name)
     return numbers
 
 
-def _check_order(path: Path, table: FloatArray, lines: list[int]) -> None:
-    for i, (before, row) in enumerate(pairwise(table), start=1):
-        if row[0] < before[0]:
-            text = f"expected stamps that do not fall, got {row[0]!s} after {before[0]!s}"
-            raise FormatError(path, text, line=lines[i], field="stamp")
-        if row[0] == before[0] and (row[1:4] != before[1:4]).any():
-            text = f"expected one pose per stamp, got {row[1:4].tolist()} after {before[1:4].tolist()}"
-            raise FormatError(path, text, line=lines[i])
+def _check_order(rows: list[Line], table: FloatArray) -> None:
+    for row, (before, numbers) in zip(rows[1:], pairwise(table), strict=True):
+        if numbers[0] < before[0]:
+            raise row.error(f"expected stamps that do not fall, got {numbers[0]!s} after {before[0]!s}", "stamp")
+        if numbers[0] == before[0] and (numbers[1:4] != before[1:4]).any():
+            found = f"{numbers[1:4].tolist()} after {before[1:4].tolist()}"
+            raise row.error(f"expected one pose per stamp, got {found}")

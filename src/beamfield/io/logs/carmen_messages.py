@@ -12,7 +12,7 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
-from beamfield.io.files.text_lines import expect_words, parse_count, parse_numbers, read_lines
+from beamfield.io.files.text_lines import Line, word_lines
 from beamfield.io.logs.text_scans import TextScans, finite_pose, sorted_track
 from beamfield.sensors import NO_POSE, Track
 
@@ -72,6 +72,10 @@ class CarmenMessages:
     others: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
 
+    def scans_of(self, name: str) -> TextScans:
+        """Return the scans of one message, which may be the first one."""
+        return self.scans.setdefault(name, TextScans(self.path, name))
+
     def number(self, parameter: str) -> float | None:
         """Return a parameter of the log as a finite number, None if it is not there or something else."""
         try:
@@ -91,25 +95,22 @@ def read_carmen_messages(path: Path) -> CarmenMessages:
         beams changes, or there are no scans; the line is named.
     """
     content = CarmenMessages(path)
-    for line, text in read_lines(path):
-        words = text.split()
-        if not words or words[0].startswith("#"):
-            continue
-        kind = words[0]
+    for line in word_lines(path):
+        kind = line.words[0]
         if kind in OLD_STYLE:
-            _parse_old_laser(content, line, words)
+            _parse_old_laser(content, line)
         elif CARMEN_SCANS.match(kind):
-            _parse_laser(content, line, words)
+            _parse_laser(content, line)
         elif kind in ("ODOM", "TRUEPOS"):
-            _parse_pose(content, line, words)
+            _parse_pose(content, line)
         elif kind == "PARAM":
             # name and value, with or without words of time
-            if len(words) >= 3:
-                content.parameters[words[1]] = words[2]
+            if len(line.words) >= 3:
+                content.parameters[line.words[1]] = line.words[2]
         elif kind.isascii() and kind[:1].isalpha():
             content.others[kind] += 1
         else:
-            raise FormatError(path, f"expected the name of a CARMEN message, got {kind[:40]!r}", line=line)
+            raise line.error(f"expected the name of a CARMEN message, got {kind[:40]!r}")
     if not content.scans:
         raise FormatError(path, "no scans: none of the messages FLASER, RLASER, ROBOTLASERn, RAWLASERn")
     if content.others:
@@ -118,27 +119,22 @@ def read_carmen_messages(path: Path) -> CarmenMessages:
     return content
 
 
-def _parse_old_laser(content: CarmenMessages, line: int, words: list[str]) -> None:
+def _parse_old_laser(content: CarmenMessages, line: Line) -> None:
     """FLASER n ranges, x y theta, odom_x odom_y odom_theta, ipc_timestamp ipc_hostname logger_timestamp."""
-    path, kind = content.path, words[0]
-    n = parse_count(path, line, _word(path, line, words, 1), kind)
-    expect_words(path, line, words, 2 + n + 9, f"{n} readings, two poses and 3 words of time")
-    ranges = parse_numbers(path, line, words[2 : 2 + n], kind)
-    laser = finite_pose(path, line, parse_numbers(path, line, words[2 + n : 5 + n], kind), kind)
-    robot = finite_pose(path, line, parse_numbers(path, line, words[5 + n : 8 + n], kind), kind)
-    scans = content.scans.setdefault(kind, TextScans(path, kind))
-    scans.add(line, ranges, _stamps(path, line, words), laser, robot)
+    n = line.count(1)
+    line.expect_words(2 + n + 9, f"{n} readings, two poses and 3 words of time")
+    numbers = line.numbers(2, 8 + n)
+    laser, robot = finite_pose(line, numbers[n : n + 3]), finite_pose(line, numbers[n + 3 :])
+    content.scans_of(line.words[0]).add(line.number, numbers[:n], _stamps(line), laser, robot)
 
 
-def _parse_laser(content: CarmenMessages, line: int, words: list[str]) -> None:
+def _parse_laser(content: CarmenMessages, line: Line) -> None:
     """Add a ROBOTLASERn or RAWLASERn message, whose geometry may not change."""
-    kind = words[0]
-    message = parse_laser_message(content.path, line, words)
-    scans = content.scans.setdefault(kind, TextScans(content.path, kind))
-    require_same_geometry(scans, line, message.geometry, content.geometry.setdefault(kind, message.geometry))
+    kind, message = line.words[0], parse_laser_message(line)
+    require_same_geometry(line, message.geometry, content.geometry.setdefault(kind, message.geometry))
     if np.isfinite(message.max_range) and message.max_range > 0.0:
         content.limits.setdefault(kind, message.max_range)
-    scans.add(line, message.ranges, message.stamps, message.laser, message.robot)
+    content.scans_of(kind).add(line.number, message.ranges, message.stamps, message.laser, message.robot)
 
 
 class LaserGeometry(NamedTuple):
@@ -160,7 +156,7 @@ class LaserMessage(NamedTuple):
     robot: FloatArray = NO_POSE
 
 
-def parse_laser_message(path: Path, line: int, words: list[str]) -> LaserMessage:
+def parse_laser_message(line: Line) -> LaserMessage:
     """Parse ROBOTLASERn and RAWLASERn, which differ in what follows the remission values.
 
     ``type start_angle field_of_view angular_resolution maximum_range accuracy remission_mode n ranges m remissions``;
@@ -173,50 +169,38 @@ def parse_laser_message(path: Path, line: int, words: list[str]) -> LaserMessage
         If the line is cut off, a count disagrees with its words, a word is no number, an angle is no angle, or a pose
         is not finite; line and value are named.
     """
-    kind = words[0]
-    n = parse_count(path, line, _word(path, line, words, 8), kind)
-    m = parse_count(path, line, _word(path, line, words, 9 + n), kind)
-    own = 11 if kind.startswith("ROBOT") else 0
-    expect_words(path, line, words, 10 + n + m + own + 3, f"{n} readings, {m} remission values and {own + 3} more")
-    *angles, max_range = parse_numbers(path, line, words[2:6], kind).tolist()
+    n = line.count(8)
+    m = line.count(9 + n)
+    own = 11 if line.words[0].startswith("ROBOT") else 0
+    line.expect_words(10 + n + m + own + 3, f"{n} readings, {m} remission values and {own + 3} more")
+    *angles, max_range = line.numbers(2, 6).tolist()
     if not all(abs(angle) < ANGLE_LIMIT for angle in angles):
-        raise FormatError(path, f"expected angles in radians, got {angles}", line=line, field=kind)
-    ranges = parse_numbers(path, line, words[9 : 9 + n], kind)
-    message = LaserMessage(LaserGeometry(*angles), max_range, ranges, _stamps(path, line, words))
+        raise line.error(f"expected angles in radians, got {angles}", line.words[0])
+    message = LaserMessage(LaserGeometry(*angles), max_range, line.numbers(9, 9 + n), _stamps(line))
     if not own:
         return message
-    poses = parse_numbers(path, line, words[10 + n + m : 16 + n + m], kind)
-    laser, robot = finite_pose(path, line, poses[:3], kind), finite_pose(path, line, poses[3:], kind)
-    return message._replace(laser=laser, robot=robot)
+    poses = line.numbers(10 + n + m, 16 + n + m)
+    return message._replace(laser=finite_pose(line, poses[:3]), robot=finite_pose(line, poses[3:]))
 
 
-def require_same_geometry(scans: TextScans, line: int, geometry: LaserGeometry, first: LaserGeometry) -> None:
+def require_same_geometry(line: Line, geometry: LaserGeometry, first: LaserGeometry) -> None:
     """Raise the FormatError of a scan whose beams do not point where those of the first one do."""
     if geometry != first:
-        raise scans.error(
-            line,
-            f"start angle, field of view and resolution {list(geometry)} differ from those of the first scan, "
-            f"{list(first)}",
-        )
+        text = "start angle, field of view and resolution {} differ from those of the first scan, {}"
+        raise line.error(text.format(list(geometry), list(first)), line.words[0])
 
 
-def _parse_pose(content: CarmenMessages, line: int, words: list[str]) -> None:
+def _parse_pose(content: CarmenMessages, line: Line) -> None:
     """ODOM x y theta tv rv accel, or TRUEPOS true_x y theta odom_x y theta, and the three words of time."""
-    path, kind = content.path, words[0]
-    what = "a pose, two velocities, an acceleration" if kind == "ODOM" else "two poses"
-    expect_words(path, line, words, 10, f"{what} and 3 words of time")
-    lines = content.odometry if kind == "ODOM" else content.truth
-    lines.poses.append(finite_pose(path, line, parse_numbers(path, line, words[1:4], kind), kind))
-    lines.stamps.append(np.array(_stamps(path, line, words)))
+    is_odometry = line.words[0] == "ODOM"
+    what = "a pose, two velocities, an acceleration" if is_odometry else "two poses"
+    line.expect_words(10, f"{what} and 3 words of time")
+    lines = content.odometry if is_odometry else content.truth
+    lines.poses.append(finite_pose(line, line.numbers(1, 4)))
+    lines.stamps.append(np.array(_stamps(line)))
 
 
-def _word(path: Path, line: int, words: list[str], index: int) -> str:
-    if index >= len(words):
-        raise FormatError(path, f"the line is truncated after {len(words)} words", line=line, field=words[0])
-    return words[index]
-
-
-def _stamps(path: Path, line: int, words: list[str]) -> tuple[float, float]:
+def _stamps(line: Line) -> tuple[float, float]:
     """Return the timestamps of the message and of the logger, the third and the first word from the end."""
-    pair = parse_numbers(path, line, (words[-3], words[-1]), f"{words[0]} timestamp")
-    return float(pair[0]), float(pair[1])
+    field, n = f"{line.words[0]} timestamp", len(line.words)
+    return float(line.numbers(n - 3, n - 2, field)[0]), float(line.numbers(n - 1, n, field)[0])

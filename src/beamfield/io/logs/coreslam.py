@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from beamfield.errors import FormatError
-from beamfield.io.files.text_lines import parse_numbers, read_lines
+from beamfield.io.files.text_lines import word_lines
 from beamfield.io.logs.text_scans import TextOptions, TextScans
 from beamfield.sensors import ScanLog
 
@@ -46,24 +46,15 @@ def read_coreslam(path: str | Path, options: TextOptions | None = None) -> ScanL
     """
     source = Path(path)
     scans = TextScans(source, "laser")
-    for line, text in read_lines(source):
-        words = text.split()
-        if not words:
-            continue
-        if len(words) - RANGES_FROM not in (N_BEAMS, N_BEAMS + 1):
-            raise FormatError(
-                source,
-                f"expected {RANGES_FROM + N_BEAMS} or {RANGES_FROM + N_BEAMS + 1} words, got {len(words)}: "
-                "the line is cut off?",
-                line=line,
-            )
-        stamp = parse_numbers(source, line, words[:1], "time")
-        ranges = parse_numbers(source, line, words[RANGES_FROM : RANGES_FROM + N_BEAMS], "ranges")
-        scans.add(line, ranges / 1000.0, (float(stamp[0]) / 1e6,))
+    most = RANGES_FROM + N_BEAMS + 1
+    for line in word_lines(source):
+        if len(line.words) not in (most - 1, most):
+            raise line.error(f"expected {most - 1} or {most} words, got {len(line.words)}: the line is cut off?")
+        (stamp,) = line.numbers(0, 1, "time")
+        scans.add(line.number, line.numbers(RANGES_FROM, most - 1, "ranges") / 1000.0, (stamp / 1e6,))
     if not len(scans):
         raise FormatError(source, "no scans: the file is empty")
-    bearings = (np.arange(N_BEAMS) - FRONT) * STEP
-    beams = np.column_stack([np.zeros(N_BEAMS), np.zeros(N_BEAMS), bearings])
+    beams = np.column_stack([np.zeros((N_BEAMS, 2)), (np.arange(N_BEAMS) - FRONT) * STEP])
     sensor, notes = scans.finish(beams, options or TextOptions(), declared_min=MIN_RANGE)
     notes.append("laser: wheel ticks are not read as odometry, because the file does not give their length")
     return ScanLog({"laser": sensor}, None, str(source), tuple(notes))

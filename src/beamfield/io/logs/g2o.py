@@ -8,7 +8,7 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, between, compose
-from beamfield.io.files.text_lines import expect_words, parse_numbers, read_lines
+from beamfield.io.files.text_lines import word_lines
 from beamfield.io.logs.carmen_messages import LaserMessage, parse_laser_message, require_same_geometry
 from beamfield.io.logs.text_scans import TextOptions, TextScans, finite_pose
 from beamfield.sensors import ScanLog
@@ -40,20 +40,19 @@ def read_g2o(path: str | Path, options: TextOptions | None = None) -> ScanLog:
     vertex: FloatArray | None = None
     mounts: list[FloatArray] = []
     first: LaserMessage | None = None
-    for line, text in read_lines(source):
-        words = text.split()
-        kind = words[0] if words else "#"
+    for line in word_lines(source):
+        kind = line.words[0]
         if kind == "VERTEX_SE2":
-            expect_words(source, line, words, 5)
-            vertex = finite_pose(source, line, parse_numbers(source, line, words[2:], kind), kind)
+            line.expect_words(5)
+            vertex = finite_pose(line, line.numbers(2))
         elif kind == "ROBOTLASER1":
             if vertex is None:
-                raise FormatError(source, "the scan has no line VERTEX_SE2 before it", line=line, field=kind)
-            message = parse_laser_message(source, line, words)
+                raise line.error("the scan has no line VERTEX_SE2 before it", kind)
+            message = parse_laser_message(line)
             first = first or message
-            require_same_geometry(scans, line, message.geometry, first.geometry)
+            require_same_geometry(line, message.geometry, first.geometry)
             mounts.append(between(message.robot, message.laser))
-            scans.add(line, message.ranges, message.stamps, vertex)
+            scans.add(line.number, message.ranges, message.stamps, vertex)
             vertex = None
     if first is None:
         raise FormatError(source, "no scans: no line ROBOTLASER1 after a line VERTEX_SE2")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, wrap_angle
-from beamfield.io.files.text_lines import expect_words, parse_count, parse_numbers, read_lines
+from beamfield.io.files.text_lines import Line, word_lines
 from beamfield.io.logs.carmen_laser import SICK_BEARINGS
 from beamfield.io.logs.text_scans import ABSURD, TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog
@@ -81,52 +81,46 @@ class _Content:
 
 def _parse(path: Path) -> _Content:
     content = _Content(TextScans(path, "LASER_READING"))
-    for line, text in read_lines(path):
-        words = text.split()
-        if not words or words[0].startswith("#") or words[0] in IGNORED:
+    for line in word_lines(path):
+        kind = line.words[0]
+        if kind in IGNORED:
             continue
-        kind = words[0]
         if kind == "PARAM":
-            content.parameters[words[1] if len(words) > 1 else ""] = " ".join(words[2:])
+            content.parameters[" ".join(line.words[1:2])] = " ".join(line.words[2:])
         elif kind == "ODOM":
-            expect_words(path, line, words, 5)
-            numbers = parse_numbers(path, line, words[1:], kind)
-            content.odometry.append(finite_pose(path, line, numbers[:3], kind))
+            line.expect_words(5)
+            numbers = line.numbers()
+            content.odometry.append(finite_pose(line, numbers[:3]))
             content.odometry_stamps.append(float(numbers[3]))
         elif kind == "LASER_READING":
-            n = _counted(path, line, words, 1, 4)
-            numbers = parse_numbers(path, line, words[2:], kind)
-            pose = finite_pose(path, line, numbers[n : n + 3], kind)
-            content.scans.add(line, numbers[:n], (float(numbers[-1]),), odometry=pose)
+            n = line.count(1)
+            line.expect_words(2 + n + 4)
+            numbers = line.numbers(2)
+            pose = finite_pose(line, numbers[n : n + 3])
+            content.scans.add(line.number, numbers[:n], (float(numbers[-1]),), odometry=pose)
             content.particles.append(None)
             content.parents.append(None)
         elif kind == "SM_UPDATE" and content.particles:
-            _counted(path, line, words, 4, 0)
-            content.particles[-1] = _particles(path, line, words[2:])
+            line.expect_words(2 + 4 * line.count(1))
+            content.particles[-1] = _particles(line)
         elif kind == "RESAMPLE" and content.parents:
-            _counted(path, line, words, 1, 0)
-            content.parents[-1] = np.array([parse_count(path, line, word, kind) for word in words[2:]], dtype=np.intp)
+            n = line.count(1)
+            line.expect_words(2 + n)
+            content.parents[-1] = np.array([line.count(i) for i in range(2, 2 + n)], dtype=np.intp)
         elif kind not in ("SM_UPDATE", "RESAMPLE"):
-            raise FormatError(path, f"expected a line of a GMapping log, got {kind[:40]!r}", line=line)
+            raise line.error(f"expected a line of a GMapping log, got {kind[:40]!r}")
     if not len(content.scans):
         raise FormatError(path, "no scans: no line LASER_READING")
     return content
 
 
-def _counted(path: Path, line: int, words: list[str], words_each: int, words_more: int) -> int:
-    """Return the count in the second word, after checking that the line has as many words as that makes."""
-    n = parse_count(path, line, words[1] if len(words) > 1 else "", words[0])
-    expect_words(path, line, words, 2 + n * words_each + words_more)
-    return n
-
-
-def _particles(path: Path, line: int, words: list[str]) -> FloatArray:
+def _particles(line: Line) -> FloatArray:
     """Return (p, 4) poses and logarithms of weights; a weight of 0 is not a mistake."""
-    cloud = parse_numbers(path, line, words, "SM_UPDATE").reshape(-1, 4)
+    cloud = line.numbers(2).reshape(-1, 4)
     good = (np.abs(cloud[:, :3]) < ABSURD).all(axis=1) & (cloud[:, 3] < np.inf)
     if not good.all():
         found = " ".join(map(str, cloud[int(np.argmin(good))].tolist()))
-        raise FormatError(path, f"expected a finite pose and its weight, got {found}", line=line, field="SM_UPDATE")
+        raise line.error(f"expected a finite pose and its weight, got {found}", line.words[0])
     return cloud
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
-from beamfield.io.files.text_lines import parse_numbers, read_lines
+from beamfield.io.files.text_lines import Line, word_lines
 from beamfield.io.logs.text_scans import TextOptions, TextScans, finite_pose
 from beamfield.sensors import ScanLog
 
@@ -47,20 +47,17 @@ def read_sonar_log(folder: str | Path, options: TextOptions | None = None) -> Sc
     root = Path(folder)
     chosen = options or TextOptions()
     scans = TextScans(root / MEASUREMENTS, "sonar")
-    poses = list(_rows(root / POSES, 4))
-    for i, (line, row) in enumerate(_rows(root / MEASUREMENTS, 1 + len(BEARINGS_DEG))):
-        if i >= len(poses) or poses[i][1][0] != row[0]:
-            other = f"{poses[i][1][0]:.10g}" if i < len(poses) else "none"
-            raise FormatError(
-                root / MEASUREMENTS,
-                f"the measurement at {row[0]:.10g} ms has no pose: {POSES} has {other} there",
-                line=line,
-            )
-        pose_line, pose = poses[i]
+    poses = word_lines(root / POSES)
+    for line in word_lines(root / MEASUREMENTS):
+        time, *ranges = _numbers(line, 1 + len(BEARINGS_DEG))
+        other = next(poses, None)
+        pose = None if other is None else _numbers(other, 4)
+        if other is None or pose is None or pose[0] != time:
+            found = "none" if pose is None else f"{pose[0]:.10g}"
+            raise line.error(f"the measurement at {time:.10g} ms has no pose: {POSES} has {found} there")
         scans.add(
-            line, row[1:] / 1000.0, (row[0] / 1000.0,),
-            finite_pose(root / POSES, pose_line, pose[1:] * POSE_UNITS, "pose"),
-        )  # fmt: skip
+            line.number, np.array(ranges) / 1000.0, (time / 1000.0,), finite_pose(other, pose[1:] * POSE_UNITS, "pose")
+        )
     if not len(scans):
         raise FormatError(root / MEASUREMENTS, "no scans: the file is empty")
     mounts = np.column_stack([np.zeros((len(BEARINGS_DEG), 2)), np.radians(BEARINGS_DEG)])
@@ -79,13 +76,7 @@ def read_sonar_log(folder: str | Path, options: TextOptions | None = None) -> Sc
     return ScanLog({"sonar": sensor}, None, str(root), tuple(notes))
 
 
-def _rows(path: Path, n_words: int) -> list[tuple[int, FloatArray]]:
-    rows = []
-    for line, text in read_lines(path):
-        words = text.split()
-        if not words:
-            continue
-        if len(words) != n_words:
-            raise FormatError(path, f"expected {n_words} words, got {len(words)}", line=line)
-        rows.append((line, parse_numbers(path, line, words, "number")))
-    return rows
+def _numbers(line: Line, n_words: int) -> FloatArray:
+    if len(line.words) != n_words:
+        raise line.error(f"expected {n_words} words, got {len(line.words)}")
+    return line.numbers(0, field="number")

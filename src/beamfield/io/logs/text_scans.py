@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, between, wrap_angle
+from beamfield.io.files.text_lines import Line
 from beamfield.io.logs.scan_stamps import ScanStamps, StampRule, resolve_stamps
 from beamfield.io.no_return import NoReturnRule, resolve_no_return
 from beamfield.sensors import NO_POSE, RangeFinder, SensorLog, Track
@@ -211,12 +212,11 @@ class TextScans:
         return SensorLog(finder, time.seconds, z, reference, driven, resolved.policy), notes
 
 
-def finite_pose(path: Path, line: int, pose: FloatArray, what: str) -> FloatArray:
+def finite_pose(line: Line, pose: FloatArray, field: str | None = None) -> FloatArray:
     """Return a pose with its heading in (-pi, pi]; if it is not finite, raise a FormatError with line and value."""
     if not (np.abs(pose) < ABSURD).all():
-        raise FormatError(
-            path, f"expected a finite pose, got {' '.join(map(str, pose.tolist()))}", line=line, field=what
-        )
+        found = " ".join(map(str, pose.tolist()))
+        raise line.error(f"expected a finite pose, got {found}", field or line.words[0])
     x, y, theta = pose
     return np.array([x, y, wrap_angle(theta)])
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.geometry import between, compose
-from beamfield.io.files.text_lines import expect_words, parse_numbers, read_lines
+from beamfield.io.files.text_lines import word_lines
 from beamfield.io.logs.text_scans import TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog
 
@@ -41,27 +41,23 @@ def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanL
     chosen = options or TextOptions()
     scans = TextScans(source, "L")
     lasers, odometry, odometry_stamps = [], [], []
-    for line, text in read_lines(source):
-        words = text.split()
-        if not words or words[0].startswith("#"):
-            continue
-        kind, expected = words[0], {"O": 5, "L": 8 + N_BEAMS}.get(words[0])
-        if expected is None:
-            raise FormatError(source, f"expected a line O or L, got {kind[:40]!r}", line=line)
-        expect_words(source, line, words, expected)
-        numbers = parse_numbers(source, line, words[1:], kind)
-        pose = finite_pose(source, line, numbers[:3] * CENTIMETRES, kind)
+    for line in word_lines(source):
+        kind = line.words[0]
+        if kind not in ("O", "L"):
+            raise line.error(f"expected a line O or L, got {kind[:40]!r}")
+        line.expect_words(5 if kind == "O" else 8 + N_BEAMS)
+        numbers = line.numbers()
+        pose = finite_pose(line, numbers[:3] * CENTIMETRES)
         if kind == "O":
             odometry.append(pose)
             odometry_stamps.append(numbers[3])
         else:
-            lasers.append(finite_pose(source, line, numbers[3:6] * CENTIMETRES, kind))
-            scans.add(line, numbers[6:-1] / 100.0, (float(numbers[-1]),), odometry=pose)
+            lasers.append(finite_pose(line, numbers[3:6] * CENTIMETRES))
+            scans.add(line.number, numbers[6:-1] / 100.0, (float(numbers[-1]),), odometry=pose)
     if not len(scans):
         raise FormatError(source, f"no scans: no line L among {len(odometry)} lines O")
     mount = scans.constant_mount(between(np.stack(scans.odometry), np.stack(lasers)), MOUNT_TOLERANCE)
-    bearings = np.radians(-90.0 + np.arange(N_BEAMS))
-    beams = np.column_stack([np.zeros(N_BEAMS), np.zeros(N_BEAMS), bearings])
+    beams = np.column_stack([np.zeros((N_BEAMS, 2)), np.radians(-90.0 + np.arange(N_BEAMS))])
     sensor, notes = scans.finish(compose(mount.round(4), beams), chosen)
     track = sorted_track(odometry_stamps, odometry, "O", notes) if odometry else None
     return ScanLog({"L": sensor}, track, str(source), tuple(notes))

@@ -24,7 +24,6 @@ from beamfield.kernels.jit import fast_kernel, kernel
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-Eight = tuple[float, float, float, float, float, float, float, float]
 
 # Terms of the polynomials in a bin, and most beams in a bin: its scratch arrays stay in the first-level cache.
 TERMS = 8
@@ -154,16 +153,8 @@ def cut_into_bins(expected: FloatArray, mixture: Mixture, bins: Bins) -> int:
 
 
 @kernel
-def em_pass(
-    beams: Beams,
-    mixture: Mixture,
-    bins: Bins,
-    all_moments: bool,
-    first: int,
-    last: int,
-    sums: FloatArray,
-    moments: FloatArray,
-) -> None:
+def em_pass(beams: Beams, mixture: Mixture, bins: Bins, all_moments: bool, first: int, last: int,
+            sums: FloatArray, moments: FloatArray) -> None:  # fmt: skip
     """E-step over the bins [first, last): log-likelihood and sufficient statistics per bin.
 
     ``sums[bin]`` = (log-likelihood, sum e_hit, sum e_short, sum e_rand, sum of e_short z); ``moments[bin, kind]`` =
@@ -175,11 +166,12 @@ def em_pass(
     for j in range(first, last):
         n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
         _responsibilities(n, mixture, beams.ranges[bins.starts[j] : bins.stops[j]], scratch, sums[j])
+        sums[j, 0] += _shift_sum(n, scratch)
         if all_moments or bins.edge[j]:
-            _moments_of_hit(n, scratch.t, scratch.r, scratch.hit, moments[j])
+            _moments_of_hit(n, scratch, moments[j])
         else:
             _first_moments_of_hit(n, scratch.r, scratch.hit, moments[j])
-        _moments_of_short(n, scratch.t, scratch.short, moments[j, 3])
+        _chebyshev_moments(n, scratch.t, scratch.short, moments[j, 3])
 
 
 @kernel
@@ -196,7 +188,9 @@ def newton_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: in
     for j in range(first, last):
         n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
         _slopes(bins, j, mixture, slopes)
-        _derivatives(n, beams, bins.starts[j], mixture, scratch, polynomials, slopes, scores, out[j])
+        z, expected = beams.ranges[bins.starts[j] : bins.stops[j]], beams.expected[bins.starts[j] : bins.stops[j]]
+        _derivatives(n, z, expected, mixture, scratch, polynomials[1], slopes, scores, out[j])
+        out[j, 0] += _shift_sum(n, scratch)
         _outer_products(n, scratch.repeats, scores, out[j])
 
 
@@ -252,15 +246,8 @@ def short_objective(
 
 @kernel
 def _scratch() -> Scratch:
-    return Scratch(
-        np.empty(BIN_BEAMS),
-        np.empty(BIN_BEAMS),
-        np.ones(BIN_BEAMS),
-        np.empty(BIN_BEAMS),
-        np.empty(BIN_BEAMS),
-        np.empty(BIN_BEAMS),
-        np.empty(BIN_BEAMS),
-    )
+    n = BIN_BEAMS
+    return Scratch(np.empty(n), np.empty(n), np.ones(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n))
 
 
 @kernel
@@ -276,12 +263,8 @@ def _fill_densities(
         for i in range(n):
             scratch.repeats[i] = beams.counts[start + i]
     z, expected = beams.ranges[start:stop], beams.expected[start:stop]
-    _densities(
-        z, expected, bins.centres[j], 1.0 / bins.half_widths[j], mixture.b, mixture.rate, 1.0 / mixture.max_range,
-        polynomials, scratch.t, scratch.r, scratch.hit, scratch.short, scratch.rand, scratch.shift,
-    )  # fmt: skip
-    least = _least_mixture(n, mixture.w_hit, mixture.w_short, mixture.w_rand, scratch.hit, scratch.short, scratch.rand)
-    if least < TINY_DENSITY:
+    _densities(z, expected, bins.centres[j], 1.0 / bins.half_widths[j], mixture, polynomials, scratch)
+    if _least_mixture(n, mixture, scratch) < TINY_DENSITY:
         _rescale(z, expected, n, mixture, polynomials, scratch)
     return int(n)
 
@@ -413,38 +396,30 @@ def _mean_share_slope(x: float) -> float:
 
 
 @fast_kernel
-def _densities(
-    z: FloatArray, zs: FloatArray, centre: float, inverse_half_width: float, b: float, rate: float, uniform: float,
-    polynomials: FloatArray, t: FloatArray, r: FloatArray, hit: FloatArray, short: FloatArray, rand: FloatArray,
-    shift: FloatArray,
-) -> None:  # fmt: skip
+def _densities(z: FloatArray, zs: FloatArray, centre: float, inverse_half_width: float, mixture: Mixture,
+               polynomials: FloatArray, out: Scratch) -> None:  # fmt: skip
     # Component densities of one bin, (6.5), (6.7), (6.11), with their normalisers.
-    log_peak = polynomials[0]
-    inverse_variance = polynomials[1]
-    relative_rate = polynomials[2]
+    log_peak, inverse_variance, relative_rate = polynomials[0], polynomials[1], polynomials[2]
+    uniform = 1.0 / mixture.max_range
     for i in range(z.size):
-        t_i = (zs[i] - centre) * inverse_half_width
-        r_i = z[i] - zs[i]
-        d = r_i - b
-        t[i] = t_i
-        r[i] = r_i
-        hit[i] = fast_exp(_polynomial(log_peak, t_i) - 0.5 * d * d * _polynomial(inverse_variance, t_i))
+        t = (zs[i] - centre) * inverse_half_width
+        r = z[i] - zs[i]
+        d = r - mixture.b
+        out.t[i], out.r[i] = t, r
+        out.hit[i] = fast_exp(_polynomial(log_peak, t) - 0.5 * d * d * _polynomial(inverse_variance, t))
     for i in range(z.size):
         support = max(zs[i], SHORTEST_SUPPORT)
-        s = _polynomial(relative_rate, t[i]) / support * fast_exp(-rate * z[i])
-        short[i] = s if z[i] <= support else 0.0
+        short = _polynomial(relative_rate, out.t[i]) / support * fast_exp(-mixture.rate * z[i])
+        out.short[i] = short if z[i] <= support else 0.0
     for i in range(z.size):
-        rand[i] = uniform
-        shift[i] = 0.0
+        out.rand[i], out.shift[i] = uniform, 0.0
 
 
 @fast_kernel
-def _least_mixture(
-    n: int, w_hit: float, w_short: float, w_rand: float, hit: FloatArray, short: FloatArray, rand: FloatArray
-) -> float:
-    least = 1e300
+def _least_mixture(n: int, mixture: Mixture, scratch: Scratch) -> float:
+    hit, short, rand, least = scratch.hit, scratch.short, scratch.rand, 1e300
     for i in range(n):
-        least = min(least, w_hit * hit[i] + w_short * short[i] + w_rand * rand[i])
+        least = min(least, mixture.w_hit * hit[i] + mixture.w_short * short[i] + mixture.w_rand * rand[i])
     return least
 
 
@@ -483,16 +458,11 @@ def _rescale(
 
 
 @fast_kernel
-def _mixture_sums(
-    n: int, w_hit: float, w_short: float, w_rand: float, z: FloatArray, count: FloatArray, hit: FloatArray,
-    short: FloatArray, rand: FloatArray,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
-    # Turns densities into responsibilities times counts; returns the sums of log p, e_hit, e_short, e_rand, e_short z.
-    log_sum = 0.0
-    sum_hit = 0.0
-    sum_short = 0.0
-    sum_rand = 0.0
-    sum_short_z = 0.0
+def _responsibilities(n: int, mixture: Mixture, z: FloatArray, scratch: Scratch, out: FloatArray) -> None:
+    # Turns densities into responsibilities times counts; fills in the sums of log p, e_hit, e_short, e_rand, e_short z.
+    hit, short, rand, count = scratch.hit, scratch.short, scratch.rand, scratch.repeats
+    w_hit, w_short, w_rand = mixture.w_hit, mixture.w_short, mixture.w_rand
+    log_sum, sum_hit, sum_short, sum_rand, sum_short_z = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         p = max(w_hit * hit[i] + w_short * short[i] + w_rand * rand[i], 1e-300)
         c = count[i]
@@ -506,33 +476,21 @@ def _mixture_sums(
         sum_short += e_short
         sum_rand += w_rand * rand[i] * share
         sum_short_z += e_short * z[i]
-    return log_sum, sum_hit, sum_short, sum_rand, sum_short_z
+    out[0], out[1], out[2], out[3], out[4] = log_sum, sum_hit, sum_short, sum_rand, sum_short_z
 
 
 @kernel
-def _shift_sum(n: int, count: FloatArray, shift: FloatArray) -> float:
-    # Not in the fast loop: a shift may be -inf. A beam of count 0 counts for nothing even then.
+def _shift_sum(n: int, scratch: Scratch) -> float:
+    # Not in the fast loops: a shift may be -inf. A beam of count 0 counts for nothing even then.
     total = 0.0
     for i in range(n):
-        if shift[i] != 0.0 and count[i] > 0.0:
-            total += count[i] * shift[i]
+        if scratch.shift[i] != 0.0 and scratch.repeats[i] > 0.0:
+            total += scratch.repeats[i] * scratch.shift[i]
     return total
 
 
-@kernel
-def _responsibilities(n: int, mixture: Mixture, z: FloatArray, scratch: Scratch, sums: FloatArray) -> None:
-    log_sum, sum_hit, sum_short, sum_rand, sum_short_z = _mixture_sums(
-        n, mixture.w_hit, mixture.w_short, mixture.w_rand, z, scratch.repeats, scratch.hit, scratch.short, scratch.rand
-    )
-    sums[0] = log_sum + _shift_sum(n, scratch.repeats, scratch.shift)
-    sums[1] = sum_hit
-    sums[2] = sum_short
-    sums[3] = sum_rand
-    sums[4] = sum_short_z
-
-
 @fast_kernel
-def _chebyshev_moments(n: int, t: FloatArray, e: FloatArray) -> Eight:
+def _chebyshev_moments(n: int, t: FloatArray, e: FloatArray, out: FloatArray) -> None:
     m0, m1, m2, m3, m4, m5, m6, m7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         x = t[i]
@@ -551,22 +509,15 @@ def _chebyshev_moments(n: int, t: FloatArray, e: FloatArray) -> Eight:
         m5 += e[i] * t5
         m6 += e[i] * t6
         m7 += e[i] * t7
-    return m0, m1, m2, m3, m4, m5, m6, m7
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = m0, m1, m2, m3, m4, m5, m6, m7
 
 
 @kernel
-def _moments_of_short(n: int, t: FloatArray, e: FloatArray, out: FloatArray) -> None:
-    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = _chebyshev_moments(n, t, e)
-
-
-@kernel
-def _moments_of_hit(n: int, t: FloatArray, r: FloatArray, e: FloatArray, out: FloatArray) -> None:
+def _moments_of_hit(n: int, scratch: Scratch, out: FloatArray) -> None:
     for kind in range(3):
-        o = out[kind]
-        o[0], o[1], o[2], o[3], o[4], o[5], o[6], o[7] = _chebyshev_moments(n, t, e)
-        if kind < 2:
-            for i in range(n):
-                e[i] *= r[i]
+        _chebyshev_moments(n, scratch.t, scratch.hit, out[kind])
+        for i in range(n):
+            scratch.hit[i] *= scratch.r[i]
 
 
 @fast_kernel
@@ -577,18 +528,16 @@ def _first_moments_of_hit(n: int, r: FloatArray, e: FloatArray, out: FloatArray)
         m0 += e[i]
         m1 += y
         m2 += y * r[i]
-    out[0, 0] = m0
-    out[1, 0] = m1
-    out[2, 0] = m2
+    out[0, 0], out[1, 0], out[2, 0] = m0, m1, m2
 
 
 @fast_kernel
-def _derivative_sums(
-    n: int, w_hit: float, w_short: float, w_rand: float, z: FloatArray, zs: FloatArray, origin: float, b: float,
-    count: FloatArray, t: FloatArray, r: FloatArray, hit: FloatArray, short: FloatArray, rand: FloatArray,
-    inverse_variance: FloatArray, slopes: FloatArray, scores: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
+def _derivatives(n: int, z: FloatArray, zs: FloatArray, mixture: Mixture, scratch: Scratch,
+                 inverse_variance: FloatArray, slopes: FloatArray, scores: FloatArray, out: FloatArray
+                 ) -> None:  # fmt: skip
     # Scores per beam, and the part of the Hessian that is not their outer product; see (6.24) with c summed out.
+    w_hit, w_short, w_rand, origin, b = mixture.w_hit, mixture.w_short, mixture.w_rand, mixture.origin, mixture.b
+    t, r, count, hit, short, rand = scratch.t, scratch.r, scratch.repeats, scratch.hit, scratch.short, scratch.rand
     g_hit, g_short, g_rand, g_v, g_q, g_b, g_lam = (
         scores[0], scores[1], scores[2], scores[3], scores[4], scores[5], scores[6],
     )  # fmt: skip
@@ -648,24 +597,8 @@ def _derivative_sums(
     out[1], out[2], out[3], out[4], out[5], out[6], out[7] = s0, s1, s2, s3, s4, s5, s6
     out[8:] = 0.0
     out[14], out[18], out[23] = hv, hq, hb
-    out[30] = sl
-    out[17] = vv
-    out[21], out[22] = qv, qq
-    out[26], out[27], out[28] = bv, bq, bb
-    out[35] = ll
-
-
-@kernel
-def _derivatives(
-    n: int, beams: Beams, start: int, mixture: Mixture, scratch: Scratch, polynomials: FloatArray, slopes: FloatArray,
-    scores: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
-    z, expected = beams.ranges[start : start + n], beams.expected[start : start + n]
-    _derivative_sums(
-        n, mixture.w_hit, mixture.w_short, mixture.w_rand, z, expected, mixture.origin, mixture.b, scratch.repeats,
-        scratch.t, scratch.r, scratch.hit, scratch.short, scratch.rand, polynomials[1], slopes, scores, out,
-    )  # fmt: skip
-    out[0] += _shift_sum(n, scratch.repeats, scratch.shift)
+    out[17], out[21], out[22], out[26], out[27], out[28] = vv, qv, qq, bv, bq, bb
+    out[30], out[35] = sl, ll
 
 
 @fast_kernel

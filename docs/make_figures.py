@@ -22,20 +22,9 @@ from beamfield.io.read_map import read_map
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.models.beam import BeamModel, beam_log_density
-from beamfield.report.drawing import (
-    CAUSE_COLOURS,
-    CAUSE_NAMES,
-    DATA,
-    FIT,
-    HELD_OUT,
-    MODEL,
-    QUIET,
-    legend_above,
-    log_scale,
-    new_figure,
-    style,
-)
+from beamfield.models.beam import CAUSES, BeamModel, beam_log_density
+from beamfield.report.colours import CAUSE_COLOURS, DATA, FIT, HELD_OUT, MODEL, QUIET
+from beamfield.report.drawing import legend_above, log_scale, new_figure, style
 from beamfield.report.map_figures import beam_ends, draw_map, frame
 from beamfield.report.scan_fit_figures import draw_sides
 from beamfield.scan_fit.reference import calibrate_scan_fit
@@ -124,7 +113,7 @@ def draw_scan_in_map(axes: Axes, result: Calibration, grid: OccupancyGrid, log: 
     (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
     limits = (x0 + 0.5, x1 - 0.5, y0 + 0.5, y1 - 0.5)
     draw_map(axes, grid, limits)
-    for cause, name in enumerate(CAUSE_NAMES):
+    for cause, name in enumerate(CAUSES):
         mine, color = ends[causes == cause], CAUSE_COLOURS[cause]
         lines = [(start, end) for end in mine]
         axes.add_collection(LineCollection(lines, colors=color, linewidths=1.0, alpha=0.6))

@@ -16,9 +16,10 @@ from beamfield.calibration.opposite_beams import opposite_pairs
 from beamfield.calibration.time_split import time_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.check_figures import noise_points
+from beamfield.report.colours import CAUSE_COLOURS, THROUGH
 from beamfield.report.density_figures import averaged_cdf
-from beamfield.report.drawing import CAUSE_COLOURS, THROUGH, png_panel
 from beamfield.report.map_figures import beam_ends
+from beamfield.report.panel import png_panel
 from beamfield.report.range_bins import range_step, telling_bin, thinned, typical_bins
 from beamfield.report.score_figures import PIT_BINS, pit_band
 

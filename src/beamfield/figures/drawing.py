@@ -13,7 +13,7 @@ from beamfield.geometry import FloatArray, transform_points
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import MAP_COLOURS, categories, draw_cells
-from beamfield.report.drawing import GRID
+from beamfield.report.colours import GRID
 from beamfield.sensors import Scan
 
 # Share of a scan's end points that may lie outside a picture at each side.

@@ -16,7 +16,8 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import BeamProfile, LikelihoodFieldModel
 from beamfield.plot import draw_array
-from beamfield.report.drawing import CAUSE_COLOURS, QUIET, new_figure, style
+from beamfield.report.colours import CAUSE_COLOURS, QUIET
+from beamfield.report.drawing import new_figure, style
 
 BEAM_COLOUR = "#D55E00"
 ROBOT_COLOUR = "#0072B2"

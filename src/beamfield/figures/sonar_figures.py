@@ -16,7 +16,8 @@ from beamfield.geometry import FloatArray, compose
 from beamfield.maps.cone import ConeCaster
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.plot import draw_scan
-from beamfield.report.drawing import QUIET, new_figure, style
+from beamfield.report.colours import QUIET
+from beamfield.report.drawing import new_figure, style
 from beamfield.sensors import RangeFinder
 from beamfield.simulation.log import drawn_readings
 from beamfield.simulation.sonar import heard_ranges, sonar_ring

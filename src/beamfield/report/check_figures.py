@@ -10,24 +10,10 @@ from beamfield.calibration.evaluation import block_standard_error
 from beamfield.calibration.opposite_beams import opposite_pairs
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
-from beamfield.models.beam_density import beam_responsibilities
-from beamfield.report.drawing import (
-    CAUSE_COLOURS,
-    CAUSE_NAMES,
-    FIT,
-    MODEL,
-    NARROW,
-    QUIET,
-    WIDE,
-    Panel,
-    ReportFigure,
-    legend,
-    new_axes,
-    new_figure,
-    png_panel,
-    style,
-    svg_panel,
-)
+from beamfield.models.beam_density import CAUSES, beam_responsibilities
+from beamfield.report.colours import CAUSE_COLOURS, FIT, MODEL, QUIET
+from beamfield.report.drawing import NARROW, WIDE, legend, new_axes
+from beamfield.report.panel import Panel, ReportFigure, one_picture, svg_panel
 from beamfield.report.range_bins import thinned
 from beamfield.report.text_table import plus_minus
 from beamfield.sensors import SensorLog
@@ -47,20 +33,11 @@ def noise_by_range(calibration: Calibration) -> ReportFigure | None:
         return None
     z = np.linspace(0.0, float(points[:, 0].max()) * 1.05, 100)
     sigma = np.hypot(parameters.sigma_hit, parameters.sigma_slope * z)
-    spread = _line_panel(
-        "sigma", "Spread of the hits", points[:, [0, 3, 4]], z, sigma, "standard deviation [m]", "sigma of the model"
-    )
+    labels = "Spread of the hits", "standard deviation [m]", "sigma of the model"
+    spread = _line_panel("sigma", labels, points[:, [0, 3, 4]], z, sigma)
     offset = np.full_like(z, parameters.range_offset)
-    mean = _line_panel(
-        "offset",
-        "Mean of the hits",
-        points[:, [0, 1, 2]],
-        z,
-        offset,
-        "measured minus expected [m]",
-        "model's mean",
-        least=0.3 * parameters.sigma_hit,
-    )
+    labels = "Mean of the hits", "measured minus expected [m]", "model's mean"
+    mean = _line_panel("offset", labels, points[:, [0, 1, 2]], z, offset, least=0.3 * parameters.sigma_hit)
     return ReportFigure(
         "noise",
         "The noise of a hit, by expected range",
@@ -106,35 +83,23 @@ def causes_by_bearing(calibration: Calibration, log: SensorLog) -> ReportFigure:
     index = np.clip(np.searchsorted(edges, bearings, side="right") - 1, 0, n_bins - 1)
     counts = np.array([np.bincount(index[calibration.causes[rows] == c], minlength=n_bins) for c in range(4)])
     shares = np.divide(counts, counts.sum(axis=0), out=np.zeros(counts.shape), where=counts.sum(axis=0) > 0)
-    figure, axes = new_axes(WIDE, 3.0)
+    x = "direction of the beam in the robot's frame, counter-clockwise [deg]"
+    figure, axes = new_axes(WIDE, 3.0, x=x, y="share of readings [1]", grid="y")
     base: FloatArray = np.zeros(n_bins)
     # Hits fill the rest, so that the axis can show the others large.
     for cause in (3, 1, 2):
         axes.stairs(base + shares[cause], edges, baseline=base, fill=True, color=CAUSE_COLOURS[cause],
-                    label=CAUSE_NAMES[cause])  # fmt: skip
+                    label=CAUSES[cause])  # fmt: skip
         base = base + shares[cause]
-    axes.set_xlim(edges[0], edges[-1])
-    axes.set_ylim(0, min(1.0, max(float(base.max()) * 1.25, 0.02)))
-    style(
-        axes,
-        x="direction of the beam in the robot's frame, counter-clockwise [deg]",
-        y="share of readings [1]",
-        grid="y",
-    )
+    axes.set(xlim=(edges[0], edges[-1]), ylim=(0, min(1.0, max(float(base.max()) * 1.25, 0.02))))
     legend(axes, loc="upper right", ncols=3)
     worst = int(np.argmax(base))
-    return ReportFigure(
+    return one_picture(
         "bearings",
         "Causes by direction of the beam",
-        (
-            svg_panel(
-                figure,
-                "bearings",
-                f"Stacked shares of rand, short and max by direction; the largest sum is {base[worst]:.0%} at "
-                f"{(edges[worst] + edges[worst + 1]) / 2:.0f} deg.",
-                wide=True,
-            ),
-        ),
+        figure,
+        f"Stacked shares of rand, short and max by direction; the largest sum is {base[worst]:.0%} at "
+        f"{(edges[worst] + edges[worst + 1]) / 2:.0f} deg.",
         "Share of readings that are not hits, by direction. A narrow tower of short readings is a part of the robot "
         "that the sensor sees (mask those beams); a broad rise where beams are long, ahead in a corridor, "
         "is people, or small errors of the heading; a rise to one side, a sensor mounted at another angle than the log "
@@ -154,32 +119,28 @@ def opposite_widths(calibration: Calibration, log: SensorLog) -> ReportFigure | 
     first, second = first[chosen], second[chosen]
     mapped = table.expected_ranges[first] + table.expected_ranges[second]
     difference = table.ranges[first] + table.ranges[second] - mapped
-    figure, axes = new_axes(WIDE, 3.6)
+    labels = {"x": "mapped width between opposite walls [m]", "y": "measured minus mapped width [m]"}
+    figure, axes = new_axes(WIDE, 3.6, **labels)
     axes.scatter(mapped, difference, s=4, color=FIT, alpha=0.35, linewidths=0, label="pair of opposite beams")
     ends = np.array([mapped.min(), mapped.max()]) if len(mapped) else np.array([0.0, 1.0])
     axes.plot(ends, (fit.scale - 1) * ends + fit.widening, color=MODEL, linewidth=1.4, label="robust line")
     axes.axhline(0.0, color=QUIET, linewidth=0.8)
     reach = max(float(np.quantile(np.abs(difference), 0.99)) * 1.2, 0.1) if len(difference) else 1.0
     axes.set_ylim(-reach, reach)
-    style(axes, x="mapped width between opposite walls [m]", y="measured minus mapped width [m]")
     legend(axes, loc="upper left", ncols=2)
-    return ReportFigure(
+    return one_picture(
         "opposite",
         "Widths measured and mapped",
-        (
-            png_panel(
-                figure,
-                f"Measured minus mapped width of {fit.n_pairs} pairs of opposite beams against the mapped width; "
-                f"median difference {fit.median_difference:.3f} m, scale {plus_minus(fit.scale, fit.scale_se)}.",
-                wide=True,
-            ),
-        ),
+        figure,
+        f"Measured minus mapped width of {fit.n_pairs} pairs of opposite beams against the mapped width; "
+        f"median difference {fit.median_difference:.3f} m, scale {plus_minus(fit.scale, fit.scale_se)}.",
         "The sum of two opposite beams is the width of the room there and hardly depends on the pose, so this judges "
         f"the map alone. Median difference {fit.median_difference:+.3f} m; line: scale "
         f"{plus_minus(fit.scale, fit.scale_se)}, widening {plus_minus(fit.widening, fit.widening_se)} m. A cloud above "
         "zero: walls drawn too thick, by half of it on each side. A cloud that climbs or falls: a wrong "
         "scale of the map.",
         "Not in the book; checks that the map deserves the trust that (6.4) puts in z*",
+        cloud=True,
     )
 
 
@@ -189,31 +150,23 @@ def pose_shifts(calibration: Calibration) -> ReportFigure | None:
     if refinement is None or len(refinement.scans) == 0:
         return None
     shifts = refinement.shifts
-    figure, axes = new_axes(NARROW, 3.6)
+    figure, axes = new_axes(NARROW, 3.6, title="Shift of the pose", x="forward [m]", y="left [m]")
     axes.axhline(0, color=QUIET, linewidth=0.8)
     axes.axvline(0, color=QUIET, linewidth=0.8)
     axes.scatter(shifts[:, 0], shifts[:, 1], s=14, color=FIT, alpha=0.8, linewidths=0)
     reach = max(float(np.abs(shifts[:, :2]).max()) * 1.15, 0.02)
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(-reach, reach)
-    axes.set_aspect("equal")
-    style(axes, title="Shift of the pose", x="forward [m]", y="left [m]")
-    turn = new_figure(NARROW, 3.6)
-    hist = turn.add_subplot()
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    labels = {"title": "Turn of the pose", "x": "turn, counter-clockwise [deg]", "y": "number of scans"}
+    turn, histogram = new_axes(NARROW, 3.6, **labels, grid="y")
     degrees = np.degrees(shifts[:, 2])
-    hist.hist(degrees, bins=24, color=FIT)
-    hist.axvline(0, color=MODEL, linewidth=0.8)
-    style(hist, title="Turn of the pose", x="turn, counter-clockwise [deg]", y="number of scans", grid="y")
-    length = np.hypot(shifts[:, 0], shifts[:, 1])
+    histogram.hist(degrees, bins=24, color=FIT)
+    histogram.axvline(0, color=MODEL, linewidth=0.8)
+    moved = f"Shifts of {len(shifts)} refined poses, median length {np.median(np.hypot(*shifts[:, :2].T)):.3f} m."
+    turned = f"Histogram of their turns, median {np.median(degrees):.2f} degrees."
     return ReportFigure(
         "refinement",
         "Reference poses, refined",
-        (
-            svg_panel(
-                figure, "shift", f"Shifts of {len(shifts)} refined poses, median length {np.median(length):.3f} m."
-            ),
-            svg_panel(turn, "turn", f"Histogram of their turns, median {np.median(degrees):.2f} degrees."),
-        ),
+        (svg_panel(figure, "shift", moved), svg_panel(turn, "turn", turned)),
         f"{len(shifts)} reference poses were moved to where every other beam likes them best. On the remaining beams "
         f"sigma_hit goes from {refinement.sigma_before:.4f} to {refinement.sigma_after:.4f} m: a large "
         "drop is error of the reference poses, for which the sensor is not to blame. A cloud that is not "
@@ -251,10 +204,11 @@ def _by_expected_range(
 
 
 def _line_panel(
-    name: str, title: str, points: FloatArray, z: FloatArray, line: FloatArray, y: str, label: str, least: float = 0.0
+    name: str, labels: tuple[str, str, str], points: FloatArray, z: FloatArray, line: FloatArray, least: float = 0.0
 ) -> Panel:
-    """Dots with whiskers and the model's line."""
-    figure, axes = new_axes(NARROW, 3.2)
+    """Dots with whiskers and the model's line; labels are the title and those of the y axis and the line."""
+    title, y, label = labels
+    figure, axes = new_axes(NARROW, 3.2, title=title, x="expected range z* [m]", y=y)
     whisker = Z95 * np.nan_to_num(points[:, 2])
     axes.vlines(points[:, 0], points[:, 1] - whisker, points[:, 1] + whisker, color=FIT, linewidth=1.2)
     axes.plot(points[:, 0], points[:, 1], "o", color=FIT, markersize=5, label="readings")
@@ -267,7 +221,6 @@ def _line_panel(
         low = min(float((points[:, 1] - whisker).min()), -least, float(line.min()))
         high = max(float((points[:, 1] + whisker).max()), least, float(line.max()))
         axes.set_ylim(low - 0.08 * (high - low), high + 0.3 * (high - low))
-    style(axes, title=title, x="expected range z* [m]", y=y)
     legend(axes, loc="upper left", ncols=2)
     text = ", ".join(f"{v:.3f} m at {r:.1f} m" for r, v, _ in points)
     return svg_panel(figure, name, f"{title} by expected range: {text}.")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
@@ -9,26 +11,11 @@ from matplotlib.ticker import MaxNLocator
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.geometry import FloatArray
-from beamfield.models.beam_density import beam_cdf
+from beamfield.models.beam_density import CAUSES, beam_cdf
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.report.drawing import (
-    CAUSE_COLOURS,
-    CAUSE_NAMES,
-    DATA,
-    MODEL,
-    NARROW,
-    QUIET,
-    WIDE,
-    Panel,
-    ReportFigure,
-    legend,
-    legend_above,
-    log_scale,
-    new_figure,
-    png_panel,
-    style,
-    svg_panel,
-)
+from beamfield.report.colours import CAUSE_COLOURS, DATA, MODEL, QUIET
+from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, log_scale, new_figure, style
+from beamfield.report.panel import Panel, ReportFigure, one_picture, svg_panel
 from beamfield.report.range_bins import RangeBin, range_step, telling_bin, thinned, typical_bins
 
 # Expected ranges over which the model of a group is averaged, and readings in the series: as in Figure 6.5.
@@ -61,15 +48,19 @@ def reading_series(calibration: Calibration) -> ReportFigure:
     count = f"All {known} readings" if shown == known else f"{shown} of the {known} readings"
     figure = new_figure(WIDE, 3.6)
     draw_readings(figure.add_subplot(), calibration, group)
-    return ReportFigure(
+    low, high = np.quantile(table.ranges[group.rows], [0.05, 0.95])
+    return one_picture(
         "readings",
         f"Readings one after the other, for an expected range of {group.centre:g} m",
-        (png_panel(figure, _series_alt(calibration, group), wide=True),),
+        figure,
+        f"Measured range against number of the reading for expected ranges around {group.centre:g} m: 90 % of the "
+        f"readings lie between {low:.2f} and {high:.2f} m, the rest are short, random or without return.",
         f"{count} whose expected range is within {group.half_width:g} m of {group.centre:g} m, in the order of "
         "the log. Scattered dots are what the model is made for. Bands and stripes are not: a block of readings away "
         "from the dashed line is one place where map and world disagree, or a stretch where the reference poses are "
         "off.",
         "Section 6.3.2; Figure 6.5",
+        cloud=True,
     )
 
 
@@ -92,14 +83,13 @@ def draw_readings(axes: Axes, calibration: Calibration, group: RangeBin) -> None
     end = _shown_end(ranges[ranges < table.max_range], group.centre, table.max_range)
     top = table.max_range if end == table.max_range else 1.1 * end
     height = np.where(ranges >= table.max_range, top, ranges)
-    for cause, (name, colour) in enumerate(zip(CAUSE_NAMES, CAUSE_COLOURS, strict=True)):
+    for cause, (name, colour) in enumerate(zip(CAUSES, CAUSE_COLOURS, strict=True)):
         mine = calibration.causes[rows] == cause
         size = 3.0 if cause == 0 else 7.0
         axes.scatter(number[mine], height[mine], s=size, color=colour, linewidths=0, rasterized=True)
         axes.scatter([], [], s=36, color=colour, label=name, linewidths=0)
     axes.axhline(group.centre, color=MODEL, linewidth=0.8, linestyle="--", label=f"expected: z* = {group.centre:g} m")
-    axes.set_xlim(0, len(rows) + 1)
-    axes.set_ylim(0, top * 1.03)
+    axes.set(xlim=(0, len(rows) + 1), ylim=(0, top * 1.03))
     style(axes, x="number of the reading", y="measured range z [m]")
     _mark_limit(axes, end, table.max_range, top, vertical=True)
     legend_above(axes)
@@ -109,12 +99,11 @@ def _histogram_panel(calibration: Calibration, group: RangeBin, number: int) -> 
     figure = new_figure(NARROW, 4.3)
     draw_histogram(figure, calibration, group)
     ranges = calibration.table.ranges[group.rows]
-    shares = " ".join(
-        f"{name} {share:.1%}," for name, share in zip(CAUSE_NAMES, _cause_shares(calibration, group), strict=True)
-    )
+    counts = np.bincount(calibration.causes[group.rows], minlength=4)
+    shares = ", ".join(f"{name} {n / len(group.rows):.1%}" for name, n in zip(CAUSES, counts, strict=True))
     alt = (
         f"Histogram of {len(ranges)} measured ranges for expected ranges around {group.centre:g} m with the fitted "
-        f"density. Median measured range {np.median(ranges):.3f} m; most likely causes: {shares.rstrip(',')}."
+        f"density. Median measured range {np.median(ranges):.3f} m; most likely causes: {shares}."
     )
     return svg_panel(figure, f"histogram{number}", alt)
 
@@ -133,59 +122,48 @@ def draw_histogram(figure: Figure | SubFigure, calibration: Calibration, group: 
     """
     table, parameters = calibration.table, calibration.parameters
     ranges = table.ranges[group.rows]
-    chosen = thinned(group.rows, MOST_AVERAGED)
-    expected = table.expected_ranges[chosen]
+    expected = table.expected_ranges[thinned(group.rows, MOST_AVERAGED)]
+    model = _Averaged(expected, parameters, table.min_range, table.max_range)
     step = range_step(ranges[ranges < table.max_range])
-    limits = table.min_range, table.max_range
     near, far = figure.subplots(2, 1)
-    _draw_near(near, ranges, expected, parameters, limits, step)
-    style(
-        near,
-        title=f"z* = {group.centre - group.half_width:.4g} to {group.centre + group.half_width:.4g} m: "
-        f"{len(ranges)} readings",
-        x="measured range z [m]",
-        y="density [1/m]",
-        grid="y",
-    )
-    _draw_far(far, ranges, expected, parameters, limits, step)
+    _draw_near(near, ranges, model, step)
+    span = f"z* = {group.centre - group.half_width:.4g} to {group.centre + group.half_width:.4g} m"
+    style(near, title=f"{span}: {len(ranges)} readings", x="measured range z [m]", y="density [1/m]", grid="y")
+    _draw_far(far, ranges, model, step)
     style(far, x="measured range z, all up to the limit [m]", y="density, log scale [1/m]", grid="y")
 
 
-def _draw_near(
-    axes: Axes,
-    ranges: FloatArray,
-    expected: FloatArray,
-    parameters: BeamParameters,
-    limits: tuple[float, float],
-    step: float,
-) -> None:
-    max_range = limits[1]
-    low, high = _near_limits(ranges, expected, parameters, limits)
+class _Averaged(NamedTuple):
+    """The model of beams with several expected ranges."""
+
+    expected: FloatArray
+    parameters: BeamParameters
+    min_range: float
+    max_range: float
+
+    def cdf(self, z: FloatArray) -> FloatArray:
+        return averaged_cdf(z, self.expected, self.parameters, self.max_range, min_range=self.min_range)
+
+
+def _draw_near(axes: Axes, ranges: FloatArray, model: _Averaged, step: float) -> None:
+    low, high = _near_limits(ranges, model)
     edges = _bin_edges(low, high, (high - low) / 60, step)
-    counts, _ = np.histogram(ranges[ranges < max_range], edges)
+    counts, _ = np.histogram(ranges[ranges < model.max_range], edges)
     width = edges[1] - edges[0]
     axes.stairs(counts / (len(ranges) * width), edges, fill=True, color=DATA, label="measured")
     z = np.linspace(edges[0], edges[-1], 241)
-    slope = averaged_cdf(z, expected, parameters, limits[1], min_range=limits[0])
-    axes.plot((z[1:] + z[:-1]) / 2, np.diff(slope) / np.diff(z), color=MODEL, linewidth=1.4, label="fitted model")
-    span = float(expected.min()), float(expected.max())
+    density = np.diff(model.cdf(z)) / np.diff(z)
+    axes.plot((z[1:] + z[:-1]) / 2, density, color=MODEL, linewidth=1.4, label="fitted model")
+    span = float(model.expected.min()), float(model.expected.max())
     axes.axvspan(*span, ymax=0.035, color="#E69F00", linewidth=0, label="z* of these beams", zorder=3)
-    axes.set_xlim(edges[0], edges[-1])
-    axes.set_ylim(0, 1.3 * axes.get_ylim()[1])
+    axes.set(xlim=(edges[0], edges[-1]), ylim=(0, 1.3 * axes.get_ylim()[1]))
     legend(axes, loc="upper center", ncols=3, columnspacing=0.9, handlelength=1.4)
 
 
-def _draw_far(
-    axes: Axes,
-    ranges: FloatArray,
-    expected: FloatArray,
-    parameters: BeamParameters,
-    limits: tuple[float, float],
-    step: float,
-) -> None:
-    max_range = limits[1]
+def _draw_far(axes: Axes, ranges: FloatArray, model: _Averaged, step: float) -> None:
+    max_range, z_max = model.max_range, model.parameters.z_max
     below = ranges[ranges < max_range]
-    end = _shown_end(below, float(expected.max()), max_range)
+    end = _shown_end(below, float(model.expected.max()), max_range)
     edges = _bin_edges(0.0, end, end / 110, step)
     edges[-1] = min(edges[-1], max_range)
     counts, _ = np.histogram(below, edges)
@@ -193,30 +171,22 @@ def _draw_far(
     # Nothing below the density of a third of a reading can be seen in the data.
     floor = 0.3 / (len(ranges) * widths[0])
     measured = counts / (len(ranges) * widths)
-    model = np.diff(averaged_cdf(edges, expected, parameters, limits[1], min_range=limits[0])) / widths
+    fitted = np.diff(model.cdf(edges)) / widths
     axes.stairs(np.maximum(measured, floor), edges, baseline=floor, fill=True, color=DATA)
-    axes.stairs(np.maximum(model, floor), edges, baseline=None, color=MODEL, linewidth=1.2)
+    axes.stairs(np.maximum(fitted, floor), edges, baseline=None, color=MODEL, linewidth=1.2)
     share = float((ranges >= max_range).mean())
     gap = 0.01 * end if end == max_range else 0.06 * end
     bar = (edges[-1] + gap, edges[-1] + gap + 3 * widths[0])
     # The bar's area is the probability, as drawn in the chapter: one third of it per bin.
-    axes.stairs(
-        [max(share / (3 * widths[0]), floor)], bar, baseline=floor, fill=True, color=CAUSE_COLOURS[2], alpha=0.6
-    )
-    axes.hlines(max(parameters.z_max / (3 * widths[0]), floor), *bar, color=MODEL, linewidth=2.0)
+    height = max(share / (3 * widths[0]), floor)
+    axes.stairs([height], bar, baseline=floor, fill=True, color=CAUSE_COLOURS[2], alpha=0.6)
+    axes.hlines(max(z_max / (3 * widths[0]), floor), *bar, color=MODEL, linewidth=2.0)
     log_scale(axes)
-    axes.set_ylim(floor, max(float(measured.max()), float(model.max()), 100 * floor) * 30)
-    axes.set_xlim(0, bar[1] + 0.01 * end)
+    top = max(float(measured.max()), float(fitted.max()), 100 * floor) * 30
+    axes.set(ylim=(floor, top), xlim=(0, bar[1] + 0.01 * end))
     _mark_limit(axes, end, max_range, sum(bar) / 2)
-    axes.annotate(
-        f"no return: {share:.2%}\nmodel: {parameters.z_max:.2%}",
-        (0.99, 0.97),
-        xycoords="axes fraction",
-        ha="right",
-        va="top",
-        fontsize=8,
-        color="#00664C",
-    )
+    text, corner = f"no return: {share:.2%}\nmodel: {z_max:.2%}", axes.transAxes
+    axes.text(0.99, 0.97, text, transform=corner, ha="right", va="top", fontsize=8, color="#00664C")
 
 
 def _shown_end(below: FloatArray, expected: float, max_range: float) -> float:
@@ -234,17 +204,8 @@ def _mark_limit(axes: Axes, end: float, max_range: float, place: float, *, verti
         at = end + 0.3 * (place - end)
         x, y = (0.0, at) if vertical else (at, 0.0)
         transform = axes.get_yaxis_transform() if vertical else axes.get_xaxis_transform()
-        axes.text(
-            x,
-            y,
-            "//",
-            transform=transform,
-            ha="center",
-            va="center",
-            fontsize=9,
-            color=QUIET,
-            bbox={"facecolor": "white", "linewidth": 0, "pad": 0.5},
-        )
+        box = {"facecolor": "white", "linewidth": 0, "pad": 0.5}
+        axes.text(x, y, "//", transform=transform, ha="center", va="center", fontsize=9, color=QUIET, bbox=box)
 
 
 def averaged_cdf(
@@ -256,17 +217,16 @@ def averaged_cdf(
     return np.asarray(np.where(z > min_range, cdf, 0.0))
 
 
-def _near_limits(
-    ranges: FloatArray, expected: FloatArray, parameters: BeamParameters, limits: tuple[float, float]
-) -> tuple[float, float]:
+def _near_limits(ranges: FloatArray, model: _Averaged) -> tuple[float, float]:
     """Range of z that shows the hits: the model's, or the data's where they lie elsewhere."""
-    centre = float(np.median(expected)) + parameters.range_offset
-    spread = float(np.hypot(parameters.sigma_hit, parameters.sigma_slope * centre)) + float(np.ptp(expected)) / 4
+    p = model.parameters
+    centre = float(np.median(model.expected)) + p.range_offset
+    spread = float(np.hypot(p.sigma_hit, p.sigma_slope * centre)) + float(np.ptp(model.expected)) / 4
     close = ranges[np.abs(ranges - centre) < 10 * spread]
     low, high = centre - 4.5 * spread, centre + 4.5 * spread
     if len(close):
         low, high = min(low, float(np.quantile(close, 0.02))), max(high, float(np.quantile(close, 0.98)))
-    return max(low, limits[0]), min(high, limits[1])
+    return max(low, model.min_range), min(high, model.max_range)
 
 
 def _bin_edges(low: float, high: float, width: float, step: float) -> FloatArray:
@@ -276,16 +236,3 @@ def _bin_edges(low: float, high: float, width: float, step: float) -> FloatArray
         low = (np.floor(low / step) - 0.5) * step
     n = max(2, int(np.ceil((high - low) / width)))
     return np.asarray(low + width * np.arange(n + 1))
-
-
-def _cause_shares(calibration: Calibration, group: RangeBin) -> FloatArray:
-    return np.bincount(calibration.causes[group.rows], minlength=4) / len(group.rows)
-
-
-def _series_alt(calibration: Calibration, group: RangeBin) -> str:
-    ranges = calibration.table.ranges[group.rows]
-    low, high = np.quantile(ranges, [0.05, 0.95])
-    return (
-        f"Measured range against number of the reading for expected ranges around {group.centre:g} m: 90 % of the "
-        f"readings lie between {low:.2f} and {high:.2f} m, the rest are short, random or without return."
-    )

@@ -7,9 +7,9 @@ from beamfield.calibration.cross_fit import CrossFitMaps
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report.check_figures import causes_by_bearing, noise_by_range, opposite_widths, pose_shifts
 from beamfield.report.density_figures import range_histograms, reading_series
-from beamfield.report.drawing import ReportFigure
 from beamfield.report.map_figures import cause_map, fit_map
 from beamfield.report.mixture_figure import mixture
+from beamfield.report.panel import ReportFigure
 from beamfield.report.scan_fit_figures import fit_of_own_log
 from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace, pit_histogram
 from beamfield.scan_fit.calibration_fit import CalibrationFit

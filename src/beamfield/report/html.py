@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,9 @@ from beamfield.report.escape import escaped
 from beamfield.report.figures import report_figures
 from beamfield.report.page import LEVELS, document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import PageSection
-from beamfield.report.parameter_rows import EXTENSIONS, parameter_rows
+from beamfield.report.parameter_rows import EXTENSIONS, HEADER, parameter_rows
 from beamfield.report.score_figures import score_plot
-from beamfield.report.text_table import form_line, plus_minus
+from beamfield.report.text_table import form_line, score_rows
 from beamfield.report.verdict import doubts, verdict, verdict_level
 from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.sensors import SensorLog
@@ -37,6 +38,7 @@ KEY = (
     f"({LEVELS['bad'].lower()}); blue boxes are notes. Sections, figures and equations such as (6.12) are those of "
     "chapter 6 of Probabilistic Robotics (Thrun, Burgard and Fox, 2005), called the book below."
 )
+LEFT_OUT_AT_ZERO = (*EXTENSIONS, "min_range")
 UNSURE = "left out, or for the weights alone: the drawn map has no straight wall there"
 
 
@@ -103,12 +105,12 @@ def _program(origin: Mapping[str, Any]) -> str:
 
 
 def _facts(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -> str:
-    inputs = origin.get("inputs")
-    named = {str(role): _input_name(entry) for role, entry in inputs.items()} if isinstance(inputs, Mapping) else {}
+    inputs = origin.get("inputs", {}).items()
+    named = {role: entry["name"] if isinstance(entry, Mapping) else entry for role, entry in inputs}
     facts = [f"{role} <b>{escaped(named[role])}</b>" for role in ("log", "map", "poses") if role in named]
     if "map" not in named and calibration.map_from_log:
         facts.append("map <b>drawn from the log</b>")
-    if _option(origin, "odometry"):
+    if origin.get("options", {}).get("odometry"):
         facts.append("poses <b>odometry of the log</b>")
     recorded = _recorded(log)
     if recorded:
@@ -131,15 +133,6 @@ def _answers(calibration: Calibration, lead: PageSection | None) -> list[str]:
 
 def _section(part: PageSection) -> str:
     return f'<h2 id="{part.anchor}">{escaped(part.title)}</h2>\n{part.markup}'
-
-
-def _option(origin: Mapping[str, Any], name: str) -> Any:
-    options = origin.get("options")
-    return options.get(name) if isinstance(options, Mapping) else None
-
-
-def _input_name(entry: object) -> str:
-    return str(entry.get("name", "")) if isinstance(entry, Mapping) else str(entry)
 
 
 def _recorded(log: SensorLog) -> str:
@@ -170,12 +163,9 @@ def _findings(calibration: Calibration) -> str:
 
 
 def _parameters(calibration: Calibration, log: SensorLog) -> str:
-    rows = [
-        (row.name, row.value, row.interval_text, row.unit or "-", row.meaning) for row in parameter_rows(calibration)
-    ]
-    header = ("parameter", "value", "95 % interval", "unit", "meaning")
+    rows = [row.cells for row in parameter_rows(calibration)]
     return (
-        f'<h2 id="parameters">Parameters</h2>\n{table(header, rows, right=(1,), css="parameters")}\n'
+        f'<h2 id="parameters">Parameters</h2>\n{table(HEADER, rows, right=(1,), css="parameters")}\n'
         f"<p>{_interval_line(calibration)}</p>\n{_snippets(calibration, log)}"
     )
 
@@ -194,44 +184,26 @@ def _snippets(calibration: Calibration, log: SensorLog) -> str:
     parts = [_snippet("The result, to copy:", calibration.parameters, log)]
     plain_form = next((c for c in calibration.candidates if c.is_chapter), None)
     if plain_form is not None and not plain_form.chosen:
-        parts.append(
-            _snippet(
-                "For programs that know only the book's six parameters, the best fit of that form (it scores "
-                f"{_less(calibration, plain_form.gain)} nats less per held-out beam):",
-                plain_form.result.parameters,
-                log,
-            )
+        less = next(c for c in calibration.candidates if c.chosen).gain - plain_form.gain
+        head = (
+            "For programs that know only the book's six parameters, the best fit of that form (it scores "
+            f"{less:.4f} nats less per held-out beam):"
         )
-    parts.append(f"<p>{AMCL}</p>")
-    return "\n".join(parts)
-
-
-def _less(calibration: Calibration, gain: float) -> str:
-    chosen = next(c for c in calibration.candidates if c.chosen)
-    return f"{chosen.gain - gain:.4f}"
+        parts.append(_snippet(head, plain_form.result.parameters, log))
+    return "\n".join([*parts, f"<p>{AMCL}</p>"])
 
 
 def _snippet(head: str, parameters: BeamParameters, log: SensorLog) -> str:
-    names = ["z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"]
-    names += [name for name in EXTENSIONS if getattr(parameters, name) != 0.0]
-    lines = [f"{name}: {getattr(parameters, name):.6g}" for name in names] + [f"max_range: {log.finder.max_range:.6g}"]
-    lines += [f"min_range: {log.finder.min_range:.6g}"] if log.finder.min_range > 0.0 else []
-    lines.insert(0, f"# beam model of {log.finder.name!r}, by beamfield {__version__}")
+    values = asdict(parameters) | {"max_range": log.finder.max_range, "min_range": log.finder.min_range}
+    lines = [f"# beam model of {log.finder.name!r}, by beamfield {__version__}"]
+    lines += [f"{name}: {value:.6g}" for name, value in values.items() if value or name not in LEFT_OUT_AT_ZERO]
     return f"<p>{escaped(head)}</p>\n<pre>{escaped(chr(10).join(lines))}</pre>"
 
 
 def _score(calibration: Calibration) -> str:
-    rows = [
-        (
-            score.name,
-            plus_minus(score.log_likelihood, score.standard_error),
-            plus_minus(score.behind_fit, score.behind_fit_se, sign=True) if i else "",
-        )
-        for i, score in enumerate(calibration.scores)
-    ]
     header = ("model", "nats per beam", "gain of the fit")
     return (
-        f'<h2 id="score">Held-out score</h2>\n{table(header, rows, right=(1, 2), bold=(0,))}\n'
+        f'<h2 id="score">Held-out score</h2>\n{table(header, score_rows(calibration), right=(1, 2), bold=(0,))}\n'
         "<p>The defaults' weights sum to more than 1 and are scaled to sum 1; ± is one standard error. "
         f"{escaped(form_line(calibration))}</p>\n{figure(score_plot(calibration))}"
     )
@@ -253,9 +225,8 @@ def _data(calibration: Calibration, log: SensorLog, origin: Mapping[str, Any]) -
         (f"left out: the ray hits nothing within {table.max_range:g} m", nothing),
     ]
     policy = log.no_return
-    tables = _counts(scans) + _counts(beams)
     return (
-        f'<h2 id="data">Data used</h2>\n<div class="panels">{tables}</div>\n'
+        f'<h2 id="data">Data used</h2>\n<div class="panels">{_counts(scans)}{_counts(beams)}</div>\n'
         f"<p>No return: {policy.share:.2%} of the log's readings were converted ({escaped(policy.origin)}: "
         f"{escaped(policy.explanation)}). The sensor's limit is {log.finder.max_range:g} m. "
         f"{_duration(calibration)}</p>{_notes(origin)}"

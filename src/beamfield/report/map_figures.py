@@ -9,18 +9,11 @@ from numpy.typing import NDArray
 from beamfield.calibration.calibrate import Calibration
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam_density import CAUSES
 from beamfield.plot import categories, draw_cells
-from beamfield.report.drawing import (
-    CAUSE_COLOURS,
-    CAUSE_NAMES,
-    MODEL,
-    WIDE,
-    ReportFigure,
-    legend_above,
-    new_axes,
-    png_panel,
-    style,
-)
+from beamfield.report.colours import CAUSE_COLOURS, MODEL
+from beamfield.report.drawing import WIDE, legend_above, new_axes, style
+from beamfield.report.panel import ReportFigure, one_picture
 from beamfield.report.range_bins import thinned
 from beamfield.sensors import SensorLog
 
@@ -41,41 +34,32 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     limits = _limits(points[causes != 3], path)
     figure, axes = new_axes(WIDE, _height(limits))
     draw_map(axes, grid, limits)
-    shares = np.bincount(calibration.causes[~table.hits_nothing], minlength=4) / max(
-        int((~table.hits_nothing).sum()), 1
-    )
+    all_causes = calibration.causes[~table.hits_nothing]
+    shares = np.bincount(all_causes, minlength=4) / max(len(all_causes), 1)
     sizes, alphas, markers = (2.5, 4.0, 3.0, 4.0), (0.8, 0.7, 0.5, 0.8), ("o", "o", "^", "s")
     # From below to above. Every wall has some readings without return: they show where hits do not cover them.
     for order, cause in enumerate((2, 0, 3, 1)):
-        mine = causes == cause
-        axes.scatter(
-            points[mine, 0],
-            points[mine, 1],
-            s=sizes[cause],
-            marker=markers[cause],
-            color=CAUSE_COLOURS[cause],
-            alpha=alphas[cause],
-            linewidths=0,
-            zorder=2 + 0.1 * order,
-        )
-    for cause, name in enumerate(CAUSE_NAMES):
+        x, y = points[causes == cause].T
+        dots = axes.scatter(x, y, s=sizes[cause], marker=markers[cause], color=CAUSE_COLOURS[cause], linewidths=0)
+        dots.set(alpha=alphas[cause], zorder=2 + 0.1 * order)
+    for cause, name in enumerate(CAUSES):
         label = f"{name} {shares[cause]:.1%}"
         axes.scatter([], [], s=40, marker=markers[cause], color=CAUSE_COLOURS[cause], label=label)
     _draw_path(axes, path)
     frame(axes, limits)
-    alt = "Map with the end points of the beams, by most likely cause: " + ", ".join(
-        f"{name} {share:.1%}" for name, share in zip(CAUSE_NAMES, shares, strict=True)
-    )
-    return ReportFigure(
+    said = ", ".join(f"{name} {share:.1%}" for name, share in zip(CAUSES, shares, strict=True))
+    return one_picture(
         "cause-map",
         "Where each cause occurs",
-        (png_panel(figure, alt + ".", wide=True),),
+        figure,
+        f"Map with the end points of the beams, by most likely cause: {said}.",
         f"End points of {len(rows)} beams by their most likely cause, over the map, with the robot's path (circle: "
         "start, cross: end). Beams without return are triangles where the map expects the obstacle, below the hits: "
         "they show where most beams do not return, as on glass, black or distant surfaces. A dense group of short "
         "points is an object that the map lacks; random points in rows behind a wall are an opened door, a moved "
         "wall, or poses that are off.",
         "Section 6.3.3 (the correspondence c_i of a reading); (6.32) projects the end points",
+        cloud=True,
     )
 
 
@@ -100,21 +84,17 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
     bar.ax.tick_params(labelsize=9)
     bar.outline.set_visible(False)
     worst = poses[int(np.argmin(line.log_likelihood))]
-    return ReportFigure(
+    return one_picture(
         "fit-map",
         "Where scans fit",
-        (
-            png_panel(
-                figure,
-                f"The path on the map, coloured by log-likelihood per beam; the worst scan was taken at x "
-                f"{worst[0]:.1f} m, y {worst[1]:.1f} m.",
-                wide=True,
-            ),
-        ),
+        figure,
+        f"The path on the map, coloured by log-likelihood per beam; the worst scan was taken at x "
+        f"{worst[0]:.1f} m, y {worst[1]:.1f} m.",
         "One dot per scan where the robot stood, dark where its beams fit badly, with the worst on top. Dark dots "
         "that come back at one place speak against the map there; dark dots along one stretch of the path only once "
         "speak against the reference poses.",
         "Section 6.1, (6.2); Table 6.1",
+        cloud=True,
     )
 
 
@@ -153,12 +133,9 @@ def _height(limits: tuple[float, float, float, float]) -> float:
 def draw_map(axes: Axes, grid: OccupancyGrid, limits: tuple[float, float, float, float]) -> None:
     """Draw the part of the map within the limits (x low, x high, y low, y high), turned by the origin's yaw."""
     corners = grid.to_cells(np.array([[limits[i], limits[j]] for i in (0, 1) for j in (2, 3)]))
-    rows, cols = grid.shape
-    col, row = np.floor(corners.min(axis=0)).astype(np.int64)
-    col_end, row_end = np.ceil(corners.max(axis=0)).astype(np.int64)
-    col, row, col_end, row_end = (
-        int(np.clip(v, 0, n)) for v, n in ((col, cols), (row, rows), (col_end, cols), (row_end, rows))
-    )
+    size = grid.shape[::-1]
+    col, row = np.clip(np.floor(corners.min(axis=0)), 0, size).astype(np.int64).tolist()
+    col_end, row_end = np.clip(np.ceil(corners.max(axis=0)), 0, size).astype(np.int64).tolist()
     if col >= col_end or row >= row_end:
         return
     corner = np.array([*grid.to_map([col, row]), grid.origin[2]])
@@ -173,9 +150,7 @@ def _draw_path(axes: Axes, path: FloatArray) -> None:
 
 def frame(axes: Axes, limits: tuple[float, float, float, float], *, with_legend: bool = True) -> None:
     """Show the part of the map within the limits (x low, x high, y low, y high), with the legend above it."""
-    axes.set_xlim(limits[0], limits[1])
-    axes.set_ylim(limits[2], limits[3])
-    axes.set_aspect("equal")
+    axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
     style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")
     # Off the map nothing is known either.
     axes.set_facecolor(MAP_COLOURS[1])

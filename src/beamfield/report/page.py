@@ -6,9 +6,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib.resources import files
 
 from beamfield.finding import Finding, Severity
-from beamfield.report.drawing import ReportFigure
 from beamfield.report.escape import escaped
 from beamfield.report.page_section import Level
+from beamfield.report.panel import ReportFigure
 
 # Colours alone tell nothing to many readers: each box begins with its word.
 LEVELS: Mapping[Level, str] = {"good": "Good", "care": "Use with care", "bad": "Do not trust"}

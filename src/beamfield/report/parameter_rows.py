@@ -38,6 +38,9 @@ NOISE_AT = (1.0, 3.0, 10.0)
 EXTENSIONS = ("range_offset", "sigma_slope")
 
 
+HEADER = ("parameter", "value", "95 % interval", "unit", "meaning")
+
+
 @dataclass(frozen=True)
 class ParameterRow:
     """One parameter, ready to print.
@@ -72,6 +75,11 @@ class ParameterRow:
         if self.interval is not None:
             return f"[{self.interval[0]}, {self.interval[1]}]"
         return "held" if self.held else "not determined"
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row of a table under `HEADER`."""
+        return self.name, self.value, self.interval_text, self.unit or "-", self.meaning
 
 
 def parameter_rows(calibration: Calibration) -> list[ParameterRow]:

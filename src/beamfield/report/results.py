@@ -21,12 +21,13 @@ from beamfield.io.parameters.landmark_model_file import landmark_model_text
 from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
 from beamfield.landmark_noise.learning import LandmarkLearningResult
 from beamfield.report.density_figures import draw_histogram
-from beamfield.report.drawing import WIDE, new_figure, svg_panel
+from beamfield.report.drawing import WIDE, new_figure
 from beamfield.report.escape import escaped
 from beamfield.report.field_section import field_tables
 from beamfield.report.landmark_table import landmark_parameter_table
 from beamfield.report.page import table
-from beamfield.report.parameter_rows import parameter_rows
+from beamfield.report.panel import svg_panel
+from beamfield.report.parameter_rows import HEADER, parameter_rows
 from beamfield.report.range_bins import telling_bin, typical_bins
 from beamfield.report.scan_fit_figures import draw_fit
 from beamfield.report.scan_fit_page import fit_csv, fit_table
@@ -74,11 +75,10 @@ def calibration_markup(result: Calibration) -> str:
     result
         The result of `calibrate`.
     """
-    rows = [(row.name, row.value, row.interval_text, row.unit, row.meaning) for row in parameter_rows(result)]
-    head = ("parameter", "value", "95 % interval", "unit", "meaning")
+    parameters = table(HEADER, [row.cells for row in parameter_rows(result)], right=(1,))
     warnings = "".join(f"<p>{escaped(line)}</p>" for line in warning_lines(result.findings))
     picture = svg_panel(plot_calibration(result), "readings", "Measured ranges and the fitted density").markup
-    return f'{table(head, rows, right=(1,))}{warnings}<div style="max-width: 700px; background: white">{picture}</div>'
+    return f'{parameters}{warnings}<div style="max-width: 700px; background: white">{picture}</div>'
 
 
 def save_calibration(result: Calibration, path: str | Path) -> None:

@@ -14,25 +14,10 @@ from beamfield.geometry import FloatArray, compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.report.as_json import LEVEL
-from beamfield.report.drawing import (
-    CAUSE_COLOURS,
-    FIT,
-    HELD_OUT,
-    MODEL,
-    NARROW,
-    THROUGH,
-    WIDE,
-    Panel,
-    ReportFigure,
-    legend,
-    legend_above,
-    new_axes,
-    new_figure,
-    png_panel,
-    style,
-    svg_panel,
-)
+from beamfield.report.colours import CAUSE_COLOURS, FIT, HELD_OUT, MODEL, THROUGH
+from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, new_axes, new_figure, style
 from beamfield.report.map_figures import MARGIN, draw_map, frame
+from beamfield.report.panel import Panel, ReportFigure, one_picture, png_panel
 from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
@@ -71,14 +56,12 @@ def fit_over_time(
     share = fits.share_that_fits(LEVEL)
     compared = "the other scans of this log, none closer in time than a block" if own else "the scans of the good log"
     silent = int((~judged).sum())
-    alt = (
-        f"P-value and lost probability of {len(fits)} scans: {share:.0%} fit at {LEVEL:.0%}, "
-        f"lost probability at most {fits.lost.max():.2f}."
-    )
-    return ReportFigure(
+    return one_picture(
         FIT_NAME,
         FIT_TITLE,
-        (svg_panel(figure, FIT_NAME, alt, wide=True) if len(fits) < 1500 else png_panel(figure, alt, wide=True),),
+        figure,
+        f"P-value and lost probability of {len(fits)} scans: {share:.0%} fit at {LEVEL:.0%}, "
+        f"lost probability at most {fits.lost.max():.2f}.",
         f"Above: how many of {len(reference)} good scans ({compared}) fit as badly as this one; one good scan in "
         f"twenty has less than {LEVEL:g}. {share:.1%} of the scans fit at {LEVEL:.0%}. The good scans are worth about "
         f"{reference.n_effective:.0f} independent ones, so that a p-value of {LEVEL:g} is uncertain by "
@@ -86,6 +69,7 @@ def fit_over_time(
         "robot is elsewhere than its pose says, from successive scans; a crowd or a moved cupboard lowers p-values, "
         "but should leave this line low." + (f" {silent} scans could not be judged." if silent else ""),
         source,
+        cloud=len(fits) >= 1500,
     )
 
 
@@ -121,8 +105,7 @@ def draw_fit(figure: Figure | SubFigure, fits: ScanFits, smallest: float) -> Non
     below.fill_between(seconds, fits.lost, step="post", color=HELD_OUT, alpha=0.25, linewidth=0)
     below.plot(seconds, fits.lost, color=HELD_OUT, linewidth=1.2, drawstyle="steps-post")
     below.axhline(0.5, color=MODEL, linewidth=0.8, linestyle="--")
-    below.set_ylim(-0.03, 1.03)
-    below.set_xlim(-0.01 * float(seconds[-1]), max(1.01 * float(seconds[-1]), 1e-3))
+    below.set(ylim=(-0.03, 1.03), xlim=(-0.01 * float(seconds[-1]), max(1.01 * float(seconds[-1]), 1e-3)))
     style(below, x="time since the first scan [s]", y="lost probability [1]")
 
 
@@ -182,9 +165,7 @@ def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: 
     draw_sides(axes, model, log, grid, scan)
     where = PROBLEMS[int(fits.problem[scan])]
     name = f"scan {scan}, stamp {log.stamps[scan]:.2f} s"
-    text = f"p-value {fits.p_value[scan]:.2g}, lost probability {fits.lost[scan]:.2f}" + (
-        f" ({where})" if where else ""
-    )
+    text = f"p-value {fits.p_value[scan]:.2g}, lost probability {fits.lost[scan]:.2f}{where and f' ({where})'}"
     axes.set_title(f"{name}\n{text}", fontsize=8.5, loc="left", pad=34)
     return png_panel(figure, f"{name}: {text}", dpi=120)
 
@@ -231,4 +212,5 @@ def _limits(points: FloatArray) -> tuple[float, float, float, float]:
     """A square around the points, so that panels side by side are alike."""
     low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
     centre, half = 0.5 * (low + high), 0.5 * float((high - low).max())
-    return float(centre[0] - half), float(centre[0] + half), float(centre[1] - half), float(centre[1] + half)
+    (left, bottom), (right, top) = (centre - half).tolist(), (centre + half).tolist()
+    return left, right, bottom, top

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from beamfield import __version__
 from beamfield.report.as_json import LEVEL, plain, scan_fits_as_dict
-from beamfield.report.drawing import ReportFigure
 from beamfield.report.escape import escaped
 from beamfield.report.page import document, figure, table, verdict_box
 from beamfield.report.page_section import Level
+from beamfield.report.panel import ReportFigure
 from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
 

@@ -10,22 +10,9 @@ from beamfield.calibration.evaluation import Timeline, block_standard_error
 from beamfield.calibration.hit_forms import LEAST_GAIN
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
-from beamfield.report.drawing import (
-    DATA,
-    FIT,
-    HELD_OUT,
-    NARROW,
-    QUIET,
-    WIDE,
-    ReportFigure,
-    legend,
-    legend_above,
-    log_scale,
-    new_axes,
-    png_panel,
-    style,
-    svg_panel,
-)
+from beamfield.report.colours import DATA, FIT, HELD_OUT, QUIET
+from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, log_scale, new_axes
+from beamfield.report.panel import ReportFigure, one_picture
 from beamfield.report.text_table import form_line, form_name, plus_minus
 
 PIT_BINS = 20
@@ -36,17 +23,15 @@ Z95 = 1.96
 def score_plot(calibration: Calibration) -> ReportFigure:
     """Held-out log-likelihood per beam of the fit, the defaults and a uniform."""
     scores = calibration.scores
-    figure, axes = new_axes(NARROW, 0.55 + 0.42 * len(scores))
-    values = [(s.name, s.log_likelihood, s.standard_error) for s in scores]
-    _dots(axes, values, highlight=[i == 0 for i in range(len(scores))])
-    style(axes, x="log-likelihood per held-out beam [nats], more is better", grid="x")
-    alt = "Dot plot of the log-likelihood per held-out beam: " + "; ".join(
-        f"{s.name} {plus_minus(s.log_likelihood, s.standard_error)} nats" for s in scores
-    )
-    return ReportFigure(
+    x = "log-likelihood per held-out beam [nats], more is better"
+    figure, axes = new_axes(NARROW, 0.55 + 0.42 * len(scores), x=x, grid="x")
+    _dots(axes, [(s.name, s.log_likelihood, s.standard_error, i == 0) for i, s in enumerate(scores)])
+    said = "; ".join(f"{s.name} {plus_minus(s.log_likelihood, s.standard_error)} nats" for s in scores)
+    return one_picture(
         "scores",
         "Log-likelihood per beam",
-        (svg_panel(figure, "scores", alt),),
+        figure,
+        f"Dot plot of the log-likelihood per held-out beam: {said}",
         "Mean log-likelihood of beams from blocks of time that the fit has not seen, with 95 % intervals from these "
         "blocks. The intervals of two models overlap more than their difference is uncertain, because both are scored "
         "on the same beams: the table gives the uncertainty of the differences. One nat more makes a beam 2.7 times as "
@@ -60,13 +45,9 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
     candidates = calibration.candidates
     if len(candidates) < 2:
         return None
-    figure, axes = new_axes(NARROW, 0.55 + 0.42 * len(candidates))
-    _dots(
-        axes,
-        [(form_name(c), c.gain, c.gain_se) for c in candidates],
-        highlight=[c.chosen for c in candidates],
-        decimals=4,
-    )
+    x = f"gain over {form_name(candidates[0])} per held-out beam [nats]"
+    figure, axes = new_axes(NARROW, 0.55 + 0.42 * len(candidates), x=x, grid="x")
+    _dots(axes, [(form_name(c), c.gain, c.gain_se, c.chosen) for c in candidates], decimals=4)
     # A span of less than the least gain that counts would blow noise up.
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, -LEAST_GAIN), max(high, 1.5 * LEAST_GAIN))
@@ -74,14 +55,12 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
         axes.axvline(LEAST_GAIN, color=HELD_OUT, linewidth=1.0, linestyle="--", label="least gain worth a parameter")
         legend_above(axes)
     axes.axvline(0.0, color=QUIET, linewidth=0.8)
-    style(axes, x=f"gain over {form_name(candidates[0])} per held-out beam [nats]", grid="x")
-    alt = "Dot plot of held-out gains: " + "; ".join(
-        f"{form_name(c)} {plus_minus(c.gain, c.gain_se)}" for c in candidates
-    )
-    return ReportFigure(
+    said = "; ".join(f"{form_name(c)} {plus_minus(c.gain, c.gain_se)}" for c in candidates)
+    return one_picture(
         "candidates",
         "Which form of the hit component",
-        (svg_panel(figure, "candidates", alt),),
+        figure,
+        f"Dot plot of held-out gains: {said}",
         f"{form_line(calibration)} A range offset lets hits lie beside the expected range (walls drawn too thick or "
         "too thin); a sigma slope lets the noise grow with range. The filled dot is the form that was kept: a "
         f"further parameter must gain {LEAST_GAIN:g} nats per held-out beam and twice the standard error.",
@@ -95,16 +74,13 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
     edges = np.linspace(0.0, 1.0, PIT_BINS + 1)
     density = np.histogram(pit, edges)[0] / max(len(pit), 1) * PIT_BINS
     band, from_blocks = pit_band(calibration)
-    figure, axes = new_axes(WIDE, 3.2)
+    x = "share of the predicted distribution below the reading (randomised PIT) [1]"
+    figure, axes = new_axes(WIDE, 3.2, x=x, y="density [1]", grid="y")
     axes.stairs(density, edges, fill=True, color=DATA, label="held-out beams")
     axes.stairs(density, edges, color=QUIET, linewidth=0.8)
     axes.axhspan(max(1 - band, 0.0), 1 + band, color=FIT, alpha=0.22, linewidth=0, label="95 % band of a right model")
     axes.axhline(1.0, color=FIT, linewidth=1.0)
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, max(float(density.max()) * 1.18, 1 + 1.3 * band, 1.4))
-    style(
-        axes, x="share of the predicted distribution below the reading (randomised PIT) [1]", y="density [1]", grid="y"
-    )
+    axes.set(xlim=(0, 1), ylim=(0, max(float(density.max()) * 1.18, 1 + 1.3 * band, 1.4)))
     legend(axes, loc="upper center", ncols=2)
     outside = int((np.abs(density - 1) > band).sum())
     why = (
@@ -112,19 +88,12 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
         if from_blocks
         else "With a single block of held-out time the band is that of independent beams, which is too narrow."
     )
-    return ReportFigure(
+    return one_picture(
         "pit",
         "Is the whole distribution right?",
-        (
-            svg_panel(
-                figure,
-                "pit",
-                f"Histogram of the randomised probability integral transform of {len(pit)} held-out beams in "
-                f"{PIT_BINS} bins; {outside} bins lie outside the band around 1; densities from {density.min():.2f} to "
-                f"{density.max():.2f}.",
-                wide=True,
-            ),
-        ),
+        figure,
+        f"Histogram of the randomised probability integral transform of {len(pit)} held-out beams in {PIT_BINS} bins; "
+        f"{outside} bins lie outside the band around 1; densities from {density.min():.2f} to {density.max():.2f}.",
         "For each held-out beam: which share of the predicted distribution lies below the reading. If the model is "
         "right, all values are equally frequent and the bars stay in the band. How to read deviations: bars high at "
         "both ends, the noise is larger than sigma_hit; a hump in the middle, smaller; a slope, hits lie beside the "
@@ -157,7 +126,8 @@ def likelihood_over_time(calibration: Calibration) -> ReportFigure:
     """Mean log-likelihood per beam, scan by scan."""
     line = calibration.timeline
     seconds = line.stamps - line.stamps.min() if len(line.stamps) else line.stamps
-    figure, axes = new_axes(WIDE, 3.4)
+    labels = {"x": "time since the first used scan [s]", "y": "log-likelihood per beam [nats]"}
+    figure, axes = new_axes(WIDE, 3.4, **labels)
     for held_out, colour, name in ((False, FIT, "fit blocks"), (True, HELD_OUT, "held-out blocks")):
         mine = line.held_out == held_out
         axes.scatter(seconds[mine], line.log_likelihood[mine], s=7, color=colour, linewidths=0, label=name)
@@ -167,21 +137,21 @@ def likelihood_over_time(calibration: Calibration) -> ReportFigure:
     name, best = max(rivals, key=lambda item: item[1], default=("", np.nan))
     if np.isfinite(best):
         axes.axhline(best, color=QUIET, linewidth=1.0, linestyle="--", label=f"{name}, mean")
-    low, high = _finite_limits(line.log_likelihood)
-    axes.set_ylim(low, high)
+    axes.set_ylim(_finite_limits(line.log_likelihood))
     if len(seconds):
         axes.set_xlim(-0.01 * seconds.max(), max(1.01 * float(seconds.max()), 1e-3))
-    style(axes, x="time since the first used scan [s]", y="log-likelihood per beam [nats]")
     legend(axes, loc="lower left", ncols=3)
-    return ReportFigure(
+    return one_picture(
         "timeline",
         "How well each scan fits",
-        (png_panel(figure, _timeline_alt(line, seconds), wide=True),),
+        figure,
+        _timeline_alt(line, seconds),
         "One dot per scan: mean log-likelihood of its beams under the fit. Held-out blocks (shaded) should look like "
         "the others; if they lie lower, the fit does not carry over. A dip is a stretch where people stood around, the "
         "map is out of date, or the reference poses are off. The opposite is not true: wrong poses along a corridor "
         "hardly show.",
         "Section 6.1, (6.2); Table 6.1",
+        cloud=True,
     )
 
 
@@ -191,25 +161,18 @@ def likelihood_trace(calibration: Calibration) -> ReportFigure | None:
     if len(trace) < 2 or not np.isfinite(trace[-1]):
         return None
     missing = trace[-1] - trace
-    figure, axes = new_axes(WIDE, 2.8)
+    figure, axes = new_axes(WIDE, 2.8, x="iteration", y="nats per beam still missing")
     shown = np.where(np.isfinite(missing) & (missing > 0), missing, np.nan)
     axes.plot(np.arange(len(trace)), shown, color=FIT, linewidth=1.2, marker="o", markersize=3.5)
     if np.isfinite(shown).any():
         log_scale(axes)
     axes.set_xlim(0, len(trace) - 1)
-    style(axes, x="iteration", y="nats per beam still missing")
     state = "converged" if calibration.converged else "did not converge"
-    return ReportFigure(
+    return one_picture(
         "trace",
         "Learning",
-        (
-            svg_panel(
-                figure,
-                "trace",
-                f"Distance of the log-likelihood per beam from its final value over {len(trace)} recorded values.",
-                wide=True,
-            ),
-        ),
+        figure,
+        f"Distance of the log-likelihood per beam from its final value over {len(trace)} recorded values.",
         f"Distance of the log-likelihood from its final value. The learning {state} after "
         f"{calibration.learning.iterations} iterations. The likelihood never falls; a long flat line is a parameter "
         "that the data hardly determine.",
@@ -217,31 +180,19 @@ def likelihood_trace(calibration: Calibration) -> ReportFigure | None:
     )
 
 
-def _dots(axes: Axes, values: list[tuple[str, float, float]], *, highlight: list[bool], decimals: int = 3) -> None:
-    """One line per value, from top to bottom: dot, 95 % whiskers, number."""
+def _dots(axes: Axes, values: list[tuple[str, float, float, bool]], *, decimals: int = 3) -> None:
+    """One line per (name, value, standard error, filled), from top to bottom: dot, 95 % whiskers, number."""
     y = np.arange(len(values))[::-1]
-    for place, (_, value, error), filled in zip(y, values, highlight, strict=True):
+    for place, (_, value, error, filled) in zip(y, values, strict=True):
         if not np.isfinite(value):
             continue
+        edge = FIT if filled else QUIET
         if np.isfinite(error):
-            axes.hlines(place, value - Z95 * error, value + Z95 * error, color=FIT if filled else QUIET, linewidth=1.6)
-        axes.plot(
-            [value],
-            [place],
-            "o",
-            color=FIT if filled else "white",
-            markeredgecolor=FIT if filled else QUIET,
-            markersize=7,
-        )
-        axes.annotate(
-            f"{round(value, decimals) + 0.0:.{decimals}f}",
-            (value, place),
-            xytext=(0, 7),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8.5,
-        )
-    axes.set_yticks(y, [name for name, _, _ in values])
+            axes.hlines(place, value - Z95 * error, value + Z95 * error, color=edge, linewidth=1.6)
+        axes.plot([value], [place], "o", color=FIT if filled else "white", markeredgecolor=edge, markersize=7)
+        text, above = f"{round(value, decimals) + 0.0:.{decimals}f}", (0, 7)
+        axes.annotate(text, (value, place), xytext=above, textcoords="offset points", ha="center", fontsize=8.5)
+    axes.set_yticks(y, [value[0] for value in values])
     axes.set_ylim(-0.6, len(values) - 0.3)
     axes.margins(x=0.08)
 

@@ -9,24 +9,13 @@ from typing import Any
 import numpy as np
 
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray
 from beamfield.report.as_json import plain
-from beamfield.report.drawing import (
-    DATA,
-    FIT,
-    HELD_OUT,
-    NARROW,
-    QUIET,
-    Panel,
-    ReportFigure,
-    legend_above,
-    new_axes,
-    style,
-    svg_panel,
-)
+from beamfield.report.colours import DATA, FIT, HELD_OUT, QUIET
+from beamfield.report.drawing import NARROW, legend_above, new_axes
 from beamfield.report.escape import escaped
 from beamfield.report.page import figure, finding_list, table
 from beamfield.report.page_section import Level, PageSection
+from beamfield.report.panel import Panel, ReportFigure, svg_panel
 from beamfield.report.text_table import aligned
 from beamfield.stacks.fit.fit import StackFit, Trial, net_score
 from beamfield.stacks.fit.particle_update import ParticleUpdate
@@ -68,12 +57,8 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
     """
     stack, model = chosen.model.stack, chosen.model.model
     rows = [row for fit in fits for row in _score_rows(fit, fit is chosen)]
-    scores = table(
-        _SCORE_HEADER[1:],
-        [row[1:] for row in rows],
-        right=(1, 2, 3, 4),
-        bold=[number for number, row in enumerate(rows) if row[0]],
-    )
+    chosen_rows = [number for number, row in enumerate(rows) if row[0]]
+    scores = table(_SCORE_HEADER[1:], [row[1:] for row in rows], right=(1, 2, 3, 4), bold=chosen_rows)
     values = table(("parameter", "before", "calibrated"), _parameter_rows(chosen), right=(1, 2), css="stack")
     found = stack_findings(chosen)
     options = chosen.options
@@ -104,9 +89,8 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
 def stack_verdict(fit: StackFit) -> str:
     """Return what the fitted values do, before and after, and whether to use them."""
     name, held_out, before = f"{fit.model.stack}'s {fit.model.model}", fit.chosen.held_out, fit.before.held_out
-    covered = (
-        f"95 % regions hold the reference in {held_out.coverage:.0%} of {len(held_out.log_score)} held-out windows"
-    )
+    n = len(held_out.log_score)
+    covered = f"95 % regions hold the reference in {held_out.coverage:.0%} of {n} held-out windows"
     if fit.chosen is fit.before:
         return f"Keep the values you have for {name}: none that was tried does better on this log; {covered}."
     errors = fit.update.error_after.mean(), fit.update_before.error_after.mean()
@@ -122,7 +106,18 @@ def stack_verdict(fit: StackFit) -> str:
 
 def stack_findings(fit: StackFit) -> list[Finding]:
     """Return what to know before using the fitted values: coverage, and choices at the end of what was tried."""
-    found = [] if fit.covers else [_coverage_finding(fit)]
+    found, coverage = [], fit.chosen.held_out.coverage
+    if not fit.covers:
+        found.append(
+            Finding(
+                "stack-coverage",
+                "warning",
+                f"Only {coverage:.0%} of the held-out windows have the truth in their 95 % region.",
+                {"coverage": coverage},
+                why="The weights are still too sure here: a filter may drop the right pose.",
+                do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",
+            )
+        )
     if fit.chosen is not fit.before and len(fit.trials) > 1 and fit.chosen.setting == fit.trials[-1].setting:
         setting = ", ".join(f"{name} = {value}" for name, value in fit.chosen.setting.items())
         found.append(
@@ -209,18 +204,6 @@ def _value(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _coverage_finding(fit: StackFit) -> Finding:
-    coverage = fit.chosen.held_out.coverage
-    return Finding(
-        "stack-coverage",
-        "warning",
-        f"Only {coverage:.0%} of the held-out windows have the truth in their 95 % region.",
-        {"coverage": coverage},
-        why="The weights are still too sure here: a filter may drop the right pose.",
-        do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",
-    )
-
-
 def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:
     return {
         "score": trial.held_out.mean,
@@ -234,44 +217,34 @@ def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:
 
 
 def _beams_panel(fit: StackFit) -> Panel:
-    drawn, axes = new_axes(NARROW, 2.9)
-    labels = [", ".join(str(value) for value in trial.setting.values()) for trial in fit.trials]
     name = ", ".join(fit.trials[0].setting) or "setting"
+    drawn, axes = new_axes(NARROW, 2.9, x=name, y="score [nats per window]")
+    labels = [", ".join(str(value) for value in trial.setting.values()) for trial in fit.trials]
+    net = [net_score(trial.crossed) for trial in fit.trials]
     places = np.arange(len(fit.trials))
     axes.axhline(0.0, color=QUIET, linewidth=0.8)
     axes.plot(places, [trial.crossed.mean for trial in fit.trials], "o-", color=DATA, label="score")
-    axes.plot(places, [net_score(trial.crossed) for trial in fit.trials], "o-", color=FIT, label="minus penalty")
+    axes.plot(places, net, "o-", color=FIT, label="minus penalty")
     for place, trial in zip(places, fit.trials, strict=True):
         if dict(trial.setting) == dict(fit.chosen.setting):
-            axes.plot(place, net_score(trial.crossed), "o", ms=11, mfc="none", mec=HELD_OUT, label="taken")
+            axes.plot(place, net[place], "o", ms=11, mfc="none", mec=HELD_OUT, label="taken")
     axes.set_xticks(places, labels)
-    style(axes, title="", x=name, y="score [nats per window]")
     legend_above(axes)
-    alt = f"Score by {name}: " + "; ".join(
-        f"{label} {net_score(trial.crossed):.2f}" for label, trial in zip(labels, fit.trials, strict=True)
-    )
-    return svg_panel(drawn, "stack-settings", alt)
+    said = "; ".join(f"{label} {value:.2f}" for label, value in zip(labels, net, strict=True))
+    return svg_panel(drawn, "stack-settings", f"Score by {name}: {said}")
 
 
 def _error_panel(fit: StackFit) -> Panel:
-    drawn, axes = new_axes(NARROW, 2.9)
+    x = "mean distance of particles from the reference [cm]"
+    drawn, axes = new_axes(NARROW, 2.9, x=x, y="share of held-out scans")
     for update, colour, label in ((fit.update_before, DATA, "before"), (fit.update, FIT, "calibrated")):
-        errors, share = _steps(update.error_after)
-        axes.step(errors * 100.0, share, where="post", color=colour, linewidth=1.8, label=label)
+        axes.ecdf(update.error_after * 100.0, color=colour, linewidth=1.8, label=label)
     start = float(fit.update.error_before.mean()) * 100.0
     axes.axvline(start, color=QUIET, linewidth=0.9, linestyle="--", label="without the scan")
-    axes.set_xlim(left=0.0)
-    axes.set_ylim(0.0, 1.02)
-    style(axes, title="", x="mean distance of particles from the reference [cm]", y="share of held-out scans")
+    axes.set(xlim=(0.0, None), ylim=(0.0, 1.02))
     legend_above(axes)
     alt = (
         f"Share of scans by error after one update: before in the mean {fit.update_before.error_after.mean():.3f} m, "
         f"calibrated {fit.update.error_after.mean():.3f} m"
     )
     return svg_panel(drawn, "stack-update", alt)
-
-
-def _steps(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a cumulative distribution as steps."""
-    ordered = np.sort(values)
-    return np.append(ordered[:1], ordered), np.arange(len(ordered) + 1) / len(ordered)

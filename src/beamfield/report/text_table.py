@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.hit_forms import Candidate
 from beamfield.finding import Finding
-from beamfield.report.parameter_rows import parameter_rows
+from beamfield.report.parameter_rows import HEADER, parameter_rows
 
 GAP = "  "
 # Narrower than this a column of sentences reads worse than lines that the terminal breaks.
@@ -26,10 +26,7 @@ def parameter_table(calibration: Calibration, *, width: int | None = None) -> st
     width
         Characters in a line, for a terminal; None: as many as it takes.
     """
-    rows = [
-        (row.name, row.value, row.interval_text, row.unit or "-", row.meaning) for row in parameter_rows(calibration)
-    ]
-    return aligned(("parameter", "value", "95 % interval", "unit", "meaning"), rows, right=(1,), width=width)
+    return aligned(HEADER, [row.cells for row in parameter_rows(calibration)], right=(1,), width=width)
 
 
 def readings_line(calibration: Calibration) -> str:
@@ -59,16 +56,16 @@ def score_table(calibration: Calibration) -> str:
     calibration
         The result of `calibrate`.
     """
-    rows = [
-        (
-            score.name,
-            plus_minus(score.log_likelihood, score.standard_error),
-            "" if i == 0 else plus_minus(score.behind_fit, score.behind_fit_se, sign=True),
-        )
-        for i, score in enumerate(calibration.scores)
+    header = ("held-out beams", "nats per beam ± s.e.", "gain of the fit")
+    return f"{aligned(header, score_rows(calibration), right=(1, 2))}\n{form_line(calibration)}"
+
+
+def score_rows(calibration: Calibration) -> list[tuple[str, ...]]:
+    """Return the name of each model, its score, and by how much the fit, which is the first, is better."""
+    rows = [(s, plus_minus(s.behind_fit, s.behind_fit_se, sign=True)) for s in calibration.scores]
+    return [
+        (s.name, plus_minus(s.log_likelihood, s.standard_error), gain if i else "") for i, (s, gain) in enumerate(rows)
     ]
-    table = aligned(("held-out beams", "nats per beam ± s.e.", "gain of the fit"), rows, right=(1, 2))
-    return f"{table}\n{form_line(calibration)}"
 
 
 def warning_lines(

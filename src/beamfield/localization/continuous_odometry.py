@@ -1,0 +1,120 @@
+"""Odometry as one unbroken track: resets, jumps and gaps found and bridged, never followed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from beamfield.arguments import check_fields
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+
+# Single poses as plain numbers: a step of arrays of one pose takes 50 us, and a filter makes several for each scan.
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class OdometryLimits:
+    """What a robot can have done between two scans; more is a fault of the odometry.
+
+    Parameters
+    ----------
+    speed
+        Metres per second.
+    turn_rate
+        Radians per second.
+    slack
+        Metres that any step may have beyond that: stamps are rounded, or only number the scans.
+    slack_turn
+        The same in radians.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is not positive.
+    """
+
+    speed: float = 5.0
+    turn_rate: float = 6.0
+    slack: float = 1.0
+    slack_turn: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name in ("speed", "turn_rate", "slack", "slack_turn"):
+            if not 0.0 < getattr(self, name) <= math.inf:
+                raise InvalidInputError(f"{name}: expected a number > 0, got {getattr(self, name)}")
+
+
+class ContinuousOdometry:
+    """The odometry's poses chained step by step, without the steps that no robot can have made.
+
+    A step beyond the limits is a reset or a jump: the track stands still over it, and `jumps` counts it. Poses that are
+    not finite are gaps, which the next finite pose bridges. Time that runs backwards counts as time that runs.
+
+    Parameters
+    ----------
+    limits
+        What a robot can have done.
+    """
+
+    def __init__(self, limits: OdometryLimits | None = None) -> None:
+        self._limits = limits or OdometryLimits()
+        self._last: Pose | None = None
+        self._last_stamp = 0.0
+        self.pose: Pose = (0.0, 0.0, 0.0)
+        """Where the track is now: x, y and theta in the frame of the first pose."""
+        self.jumps = 0
+        """Steps that were not followed."""
+
+    def add(self, pose: FloatArray, stamp: float) -> bool:
+        """Go on to another pose.
+
+        Parameters
+        ----------
+        pose
+            (3,) as the odometry reports it.
+        stamp
+            Seconds.
+
+        Returns
+        -------
+        Whether the pose is finite; if not, nothing changes.
+        """
+        x, y, theta = pose.tolist()
+        if not math.isfinite(x + y + theta):
+            return False
+        if self._last is None:
+            self.pose = (x, y, theta)
+        else:
+            step = step_between(self._last, (x, y, theta))
+            if self._is_possible(step, abs(stamp - self._last_stamp)):
+                self.pose = after_step(self.pose, step)
+            else:
+                self.jumps += 1
+        self._last, self._last_stamp = (x, y, theta), stamp
+        return True
+
+    def _is_possible(self, step: Pose, seconds: float) -> bool:
+        most = self._limits
+        seconds = seconds if math.isfinite(seconds) else 0.0
+        return (
+            math.hypot(step[0], step[1]) <= most.slack + most.speed * seconds
+            and abs(step[2]) <= most.slack_turn + most.turn_rate * seconds
+        )
+
+
+def step_between(a: Pose, b: Pose) -> Pose:
+    """Return the pose of b seen from a, as `beamfield.geometry.between` does."""
+    dx, dy, cos, sin = b[0] - a[0], b[1] - a[1], math.cos(a[2]), math.sin(a[2])
+    return cos * dx + sin * dy, cos * dy - sin * dx, _wrapped(b[2] - a[2])
+
+
+def after_step(a: Pose, step: Pose) -> Pose:
+    """Return the pose that is reached from a by a step, as `beamfield.geometry.compose` does."""
+    cos, sin = math.cos(a[2]), math.sin(a[2])
+    return a[0] + cos * step[0] - sin * step[1], a[1] + sin * step[0] + cos * step[1], _wrapped(a[2] + step[2])
+
+
+def _wrapped(angle: float) -> float:
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)

@@ -1,0 +1,325 @@
+"""Monte Carlo localization: a belief of weighted poses, moved by odometry and weighed by measurements."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.localization.continuous_odometry import (
+    ContinuousOdometry,
+    OdometryLimits,
+    Pose,
+    after_step,
+    step_between,
+)
+from beamfield.localization.particles import Particles
+from beamfield.localization.recovery import LikelihoodAverages, PoseSource, Recovery, reweigh
+from beamfield.localization.resampling import IndexArray, KldSampling, PoseBins, draw_enough, systematic_indices
+from beamfield.localization.short_readings import ShortReadings
+from beamfield.models.base import MeasurementModel
+from beamfield.models.motion import MotionModel
+from beamfield.sensors import Scan
+
+Z = TypeVar("Z")
+
+# After a jump of the odometry the robot may be this far from where it was, metres and radians (standard deviations).
+JUMP_SPREAD = np.array([0.3, 0.3, 0.3])
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """How a particle filter runs.
+
+    Parameters
+    ----------
+    n_particles
+        How many; with `kld`, the most.
+    kld
+        Adapt the number to the spread of the cloud; None: always n_particles.
+    update_distance, update_turn
+        A measurement is used once the robot has moved so far, metres, or turned so far, radians, since the last one
+        that was used: a robot at rest would count the same evidence again and again. 0: all are used.
+    resample_below
+        Particles are drawn anew when their effective number falls below this share of their number: 1 draws after
+        each measurement, 0 never.
+    least_effective
+        No single measurement may leave less than this share of the effective number: its likelihood is flattened (taken
+        to a power below 1) as far as that needs. It keeps a sparse cloud, as after a global start, from collapsing onto
+        the particle that happens to lie nearest to one of many peaks. 0: never.
+    recovery
+        Draw poses anew when measurements fit worse than they did; needs a source of poses.
+    limits
+        What odometry can have done between two calls.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range.
+    """
+
+    n_particles: int = 2000
+    kld: KldSampling | None = None
+    update_distance: float = 0.2
+    update_turn: float = 0.2
+    resample_below: float = 0.5
+    least_effective: float = 0.02
+    recovery: Recovery | None = None
+    limits: OdometryLimits = field(default_factory=OdometryLimits)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        as_count(self.n_particles, "n_particles", least=1, most=10_000_000)
+        for name in ("update_distance", "update_turn"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise InvalidInputError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
+        for name in ("resample_below", "least_effective"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidInputError(f"{name}: expected a share from 0 to 1, got {getattr(self, name)}")
+        if self.kld is not None and self.kld.least > self.n_particles:
+            raise InvalidInputError(
+                f"kld: expected least at most n_particles, {self.n_particles}, got {self.kld.least}"
+            )
+
+
+class Update(NamedTuple):
+    """What one measurement did to the belief."""
+
+    belief: Particles
+    """After the measurement, before particles were drawn anew."""
+    log_evidence: float
+    """log sum_i w_i p(z | x_i): how well the measurement fits the belief, nats; -inf if it was impossible."""
+    effective: float
+    """Effective number of particles after it."""
+    power: float
+    """To which the likelihood was taken; below 1 where `least_effective` needed it."""
+    n_replaced: int
+    """Particles that were drawn from the source of poses."""
+
+    @property
+    def is_impossible(self) -> bool:
+        """Whether no particle could explain the measurement; the weights then stay as they were."""
+        return self.log_evidence == -math.inf
+
+
+class ParticleFilter(Generic[Z]):
+    """Monte Carlo localization with any measurement model and any motion model.
+
+    Parameters
+    ----------
+    model
+        p(z | x, m). Its exponent matters: taken for independent, the beams of a scan make the belief far too sure.
+    motion
+        p(x' | u, x).
+    options
+        How it runs.
+    source
+        Where poses come from in a recovery; None without one.
+    short_readings
+        Leaves out readings of people before a scan is used; None uses all.
+    rng
+        Source of all randomness; the same seed and calls give the same bits.
+
+    Notes
+    -----
+    What could go wrong, and what is done:
+
+    - All particles impossible: the measurement changes no weight (`Update.is_impossible`); it counts as 0 in the
+      averages of the recovery, which then draws poses anew.
+    - Odometry that jumps or is reset: the step is not followed, the cloud is spread by 0.3 m and 0.3 rad, and the next
+      measurement is used however little the robot moved (`odometry_jumps` counts).
+    - Odometry that is not finite: the measurement is not used, and the next finite pose bridges the gap.
+    - A model that returns +inf, NaN or another shape: InvalidInputError.
+
+    References
+    ----------
+    Probabilistic Robotics, Tables 8.2 (MCL) and 8.3 (Augmented_MCL).
+
+    Examples
+    --------
+    A robot on a corridor's axis that measures its own x:
+
+    >>> from beamfield.models.gaussian_motion import GaussianMotion
+    >>> class Position:
+    ...     is_normalized = True
+    ...     def log_likelihood(self, z, poses):
+    ...         return -0.5 * ((np.asarray(poses)[..., 0] - z) / 0.1) ** 2
+    >>> own = ParticleFilter(Position(), GaussianMotion(), rng=0)
+    >>> own.start(np.random.default_rng(1).uniform([0, -1, 0], [10, 1, 0], (2000, 3)))
+    >>> for x in (2.0, 3.0, 4.0):
+    ...     update = own.update(x, odometry=[x, 0.0, 0.0])
+    >>> own.pose.round(1).tolist()[0], len(own.belief)
+    (4.0, 2000)
+    """
+
+    def __init__(
+        self,
+        model: MeasurementModel[Z],
+        motion: MotionModel,
+        options: FilterOptions | None = None,
+        *,
+        source: PoseSource[Z] | None = None,
+        short_readings: ShortReadings | None = None,
+        rng: np.random.Generator | int | None = None,
+    ) -> None:
+        self.options = options or FilterOptions()
+        if self.options.recovery is not None and source is None:
+            raise InvalidInputError("source: a recovery needs a source of poses, as FreePoses(grid); got None")
+        self._model, self._motion, self._source, self._short = model, motion, source, short_readings
+        self._rng = as_generator(rng)
+        self._bins = self.options.kld.bins if self.options.kld is not None else PoseBins()
+        self._belief: Particles | None = None
+
+    @checked
+    def start(self, poses: ArrayLike, weights: ArrayLike | None = None) -> None:
+        """Begin with a cloud; the next measurement is used however little the robot moves.
+
+        Parameters
+        ----------
+        poses
+            (n, 3) poses, as `belief_poses` and `free_poses` draw them. There may be more than n_particles; at the next
+            drawing there are as many as the options say.
+        weights
+            (n,) with the sum 1; None: equal ones.
+
+        Raises
+        ------
+        InvalidInputError
+            If the cloud is not finite (n, 3), or the weights do not fit.
+        """
+        given = None if weights is None else as_floats(weights, "weights")
+        self._belief = Particles(as_poses(poses), given, self._bins)  # type: ignore[arg-type]
+        self._odometry = ContinuousOdometry(self.options.limits)
+        self._used: Pose | None = None
+        self._jumps_used = 0
+        self._averages = None if self.options.recovery is None else LikelihoodAverages(self.options.recovery)
+        self._at_used: Pose | None = None
+
+    @property
+    def belief(self) -> Particles:
+        """The cloud, as the next measurement will find it before the motion."""
+        if self._belief is None:
+            raise InvalidInputError("the filter has no belief yet: start(poses) gives it one")
+        return self._belief
+
+    @property
+    def pose(self) -> FloatArray:
+        """(3,) where the robot is now: the best cluster's mean at the last measurement used, moved on by odometry.
+
+        NaN before the first measurement.
+        """
+        if self._belief is None or self._at_used is None or self._used is None:
+            return np.full(3, np.nan)
+        return np.array(after_step(self._at_used, step_between(self._used, self._odometry.pose)))
+
+    @property
+    def odometry_jumps(self) -> int:
+        """Steps of the odometry that no robot can have made, and that were not followed."""
+        return self._odometry.jumps
+
+    @checked
+    def update(self, z: Z, odometry: ArrayLike, stamp: float = 0.0) -> Update | None:
+        """Take in a measurement and where the odometry is.
+
+        Parameters
+        ----------
+        z
+            What the model takes.
+        odometry
+            (3,) pose in the odometry frame, at the time of the measurement; NaN where there is none.
+        stamp
+            Seconds; only tells a fast robot from a jump of the odometry.
+
+        Returns
+        -------
+        What the measurement did; None where it was not used: the robot has hardly moved, or there is no odometry.
+
+        Raises
+        ------
+        InvalidInputError
+            If the filter has not started, the odometry is not (3,), or a model returns what it must not.
+        """
+        belief = self.belief
+        pose = as_floats(odometry, "odometry")
+        if pose.shape != (3,):
+            raise InvalidInputError(f"odometry: expected (x, y, theta), got shape {pose.shape}")
+        if not self._odometry.add(pose, float(stamp)) or not self._has_moved():
+            return None
+        moved = self._moved(belief)
+        if self._short is not None and isinstance(z, Scan):
+            z = self._short.leave_out(z, moved, self._rng)  # type: ignore[assignment]  # a scan is what Z is
+        log_likelihood = self._log_likelihood(z, moved)
+        weights = np.array(moved.weights)
+        log_evidence, effective, power = reweigh(weights, log_likelihood, self.options.least_effective, weights)
+        if log_evidence == math.inf:
+            raise InvalidInputError("model: expected log-likelihoods below +inf")
+        weighed = Particles.unchecked(moved.poses, weights, self._bins)
+        if log_evidence == -math.inf:
+            effective = 1.0 / float(np.square(weights).sum())
+        self._belief, n_replaced = self._drawn(weighed, effective, log_evidence, z)
+        x, y, theta = weighed.best_cluster.pose.tolist()
+        self._at_used = x, y, theta
+        return Update(weighed, log_evidence, effective, power, n_replaced)
+
+    def _has_moved(self) -> bool:
+        if self._used is None or self._odometry.jumps > self._jumps_used:
+            return True
+        ahead, left, turn = step_between(self._used, self._odometry.pose)
+        return bool(math.hypot(ahead, left) >= self.options.update_distance or abs(turn) >= self.options.update_turn)
+
+    def _moved(self, belief: Particles) -> Particles:
+        """Return the cloud after the motion since the last measurement used."""
+        before, self._used = self._used, self._odometry.pose
+        if before is None:
+            return belief
+        poses = self._motion.sample(belief.poses, np.array([before, self._used]), self._rng)
+        if self._odometry.jumps > self._jumps_used:
+            self._jumps_used = self._odometry.jumps
+            poses = poses + JUMP_SPREAD * self._rng.standard_normal(poses.shape)
+        if poses.shape != belief.poses.shape:
+            raise InvalidInputError(
+                f"motion: expected as many poses as there are, {len(belief)}, got shape {poses.shape}"
+            )
+        return Particles.unchecked(poses, belief.weights, self._bins)
+
+    def _log_likelihood(self, z: Z, belief: Particles) -> FloatArray:
+        values = as_floats(self._model.log_likelihood(z, belief.poses), "log_likelihood")
+        if values.shape != (len(belief),):
+            raise InvalidInputError(
+                f"model: expected one log-likelihood per pose, {len(belief)}, got shape {values.shape}"
+            )
+        if math.isnan(float(values.max())):
+            raise InvalidInputError("model: expected log-likelihoods, got NaN")
+        return values
+
+    def _drawn(self, belief: Particles, effective: float, log_evidence: float, z: Z) -> tuple[Particles, int]:
+        """Return the cloud drawn anew where that is due, and how many poses came from the source."""
+        share = 0.0
+        if self._averages is not None:
+            self._averages.add(log_evidence)
+            share = self._averages.share
+        if share == 0.0 and effective >= self.options.resample_below * len(belief):
+            return belief, 0
+        indices = self._indices(belief)
+        n_replaced = self._rng.binomial(len(indices), share) if share > 0.0 else 0
+        fresh = np.zeros((0, 3))
+        if n_replaced and self._source is not None:
+            fresh = self._source.draw(z, n_replaced, self._rng)
+            # Which particles go must not depend on their order.
+            indices = self._rng.permutation(indices)[len(fresh) :]
+        poses = belief.poses[indices]
+        poses = np.concatenate([poses, fresh]) if len(fresh) else poses
+        return Particles.unchecked(poses, np.full(len(poses), 1.0 / len(poses)), self._bins), len(fresh)
+
+    def _indices(self, belief: Particles) -> IndexArray:
+        kld, most = self.options.kld, self.options.n_particles
+        if kld is None:
+            return systematic_indices(belief.weights, most, self._rng)
+        numbers, n_bins, _, _ = belief.numbered_bins
+        return draw_enough(belief.weights, numbers, n_bins, most, kld, self._rng)

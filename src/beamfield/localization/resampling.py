@@ -1,0 +1,254 @@
+"""Drawing particles by their weights: systematic draws, and as many as the spread of the cloud needs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.arguments import as_count, as_floats, check_fields, check_magnitude, checked
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, as_poses
+from beamfield.kernels import particles as kernels
+
+IndexArray = NDArray[np.int64]
+# The weights' sum may miss 1 by so much.
+SUM_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class PoseBins:
+    """Bins of poses: squares in x and y, sectors in the heading.
+
+    Parameters
+    ----------
+    cell
+        Side of a bin, metres.
+    n_headings
+        Sectors of the heading around the circle.
+
+    Raises
+    ------
+    InvalidInputError
+        If the side is not positive or there is no sector.
+    """
+
+    cell: float = 0.5
+    n_headings: int = 36
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_magnitude("cell", self.cell)
+        as_count(self.n_headings, "n_headings", least=1, most=3600)
+
+
+@dataclass(frozen=True)
+class KldSampling:
+    """How many particles are enough: so many that the error of the drawn bins' distribution is small.
+
+    With k occupied bins, n particles keep the Kullback-Leibler distance between the drawn and the true distribution
+    over bins below `error` with the given probability, where n is `particles_needed`.
+
+    Parameters
+    ----------
+    least
+        Fewest particles, however small the cloud.
+    error
+        The distance, nats.
+    probability
+        That the distance is kept.
+    bins
+        Over which the distribution is compared.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range.
+
+    References
+    ----------
+    Fox, "Adapting the sample size in particle filters through KLD-sampling" (2003).
+    """
+
+    least: int = 500
+    error: float = 0.05
+    probability: float = 0.99
+    bins: PoseBins = field(default_factory=PoseBins)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        as_count(self.least, "least", least=1)
+        if not 0.0 < self.error < math.inf:
+            raise InvalidInputError(f"error: expected a positive, finite number, got {self.error}")
+        if not 0.0 < self.probability < 1.0:
+            raise InvalidInputError(f"probability: expected a number between 0 and 1, got {self.probability}")
+
+    def particles_needed(self, n_bins: ArrayLike) -> NDArray[np.int64]:
+        """Return how many particles are enough for so many occupied bins: the bound (7) of Fox, and at least `least`.
+
+        Parameters
+        ----------
+        n_bins
+            (...) numbers of bins; one bin needs only `least`.
+
+        Returns
+        -------
+        (...) whole numbers.
+
+        Examples
+        --------
+        >>> KldSampling(least=100).particles_needed([1, 2, 10, 100]).tolist()
+        [100, 100, 217, 1347]
+        """
+        more = np.maximum(as_floats(n_bins, "n_bins") - 1.0, 1e-9)
+        share = 2.0 / (9.0 * more)
+        quantile = NormalDist().inv_cdf(self.probability)
+        # Wilson and Hilferty's approximation of the chi-square quantile with `more` degrees of freedom.
+        bound = more / (2.0 * self.error) * np.maximum(1.0 - share + np.sqrt(share) * quantile, 0.0) ** 3
+        enough = np.maximum(np.ceil(np.where(more < 0.5, 0.0, bound)), self.least)
+        return np.minimum(enough, 2**40).astype(np.int64)
+
+
+@checked
+def systematic_indices(weights: ArrayLike, n: int, rng: np.random.Generator) -> IndexArray:
+    """Draw indices by weight with equally spaced points: low-variance resampling.
+
+    Each index comes n w times in the mean, and the number of times differs from that by less than one.
+
+    Parameters
+    ----------
+    weights
+        (m,) at least 0, with the sum 1.
+    n
+        How many.
+    rng
+        Source of randomness; one number is drawn.
+
+    Returns
+    -------
+    (n,) indices that do not fall.
+
+    Raises
+    ------
+    InvalidInputError
+        If the weights are not that, or n < 1.
+
+    References
+    ----------
+    Probabilistic Robotics, Table 4.4 (low variance sampler).
+
+    Examples
+    --------
+    >>> systematic_indices([0.5, 0.0, 0.25, 0.25], 4, np.random.default_rng(0)).tolist()
+    [0, 0, 2, 3]
+    """
+    out = np.empty(as_count(n, "n", least=1), np.int64)
+    kernels.draw_systematically(_checked_weights(weights), rng.random(), out)
+    return out
+
+
+@checked
+def kld_indices(
+    weights: ArrayLike, poses: ArrayLike, most: int, kld: KldSampling, rng: np.random.Generator
+) -> IndexArray:
+    """Draw indices by weight, as many as the bins that are hit need.
+
+    The points on the cumulated weights follow each other at the golden ratio: they are spread nearly as evenly as
+    systematic ones, whenever the drawing stops.
+
+    Parameters
+    ----------
+    weights
+        (m,) at least 0, with the sum 1.
+    poses
+        (m, 3) of the particles.
+    most
+        Most draws.
+    kld
+        How many are enough.
+    rng
+        Source of randomness; one number is drawn.
+
+    Returns
+    -------
+    (n,) indices, in no order.
+
+    Raises
+    ------
+    InvalidInputError
+        If the weights or poses are not that, or most < 1.
+    """
+    values = _checked_weights(weights)
+    bins, n_bins = bin_numbers(as_poses(poses).reshape(-1, 3), kld.bins)[:2]
+    if len(bins) != len(values):
+        raise InvalidInputError(f"poses: expected one per weight, {len(values)}, got {len(bins)}")
+    return draw_enough(values, bins, n_bins, as_count(most, "most", least=1), kld, rng)
+
+
+def draw_enough(
+    weights: FloatArray, bins: IndexArray, n_bins: int, most: int, kld: KldSampling, rng: np.random.Generator
+) -> IndexArray:
+    """Do as `kld_indices` with weights that are known to be some, and bins that are numbered.
+
+    Parameters
+    ----------
+    weights
+        (m,).
+    bins, n_bins
+        (m,) bin of each particle, and how many there are.
+    most, kld, rng
+        As there.
+    """
+    out = np.empty(most, np.int64)
+    enough = kld.particles_needed(np.arange(n_bins + 1))
+    n = kernels.draw_until_enough(weights, bins, n_bins, enough, rng.random(), out)
+    return out[:n]
+
+
+def bin_numbers(poses: FloatArray, bins: PoseBins) -> tuple[IndexArray, int, IndexArray, NDArray[np.int32]]:
+    """Number the bins of poses.
+
+    Parameters
+    ----------
+    poses
+        (n, 3) finite.
+    bins
+        Their sizes.
+
+    Returns
+    -------
+    (n,) bin of each pose, how many there are, their keys, and the table in which keys are looked up.
+    """
+    numbers, keys = np.empty(len(poses), np.int64), np.empty(len(poses), np.int64)
+    slots = np.full(1 << max(4, (2 * len(poses) - 1).bit_length()), -1, np.int32)
+    n_bins = kernels.number_bins(poses, bins.cell, bins.n_headings, slots, keys, numbers)
+    return numbers, n_bins, keys[:n_bins], slots
+
+
+def effective_size(weights: ArrayLike) -> float:
+    """Return 1 / sum of squared weights: how many equal particles are worth as much.
+
+    Parameters
+    ----------
+    weights
+        (n,) with the sum 1.
+
+    Examples
+    --------
+    >>> effective_size([0.25, 0.25, 0.25, 0.25]), effective_size([1.0, 0.0])
+    (4.0, 1.0)
+    """
+    return float(1.0 / np.square(_checked_weights(weights)).sum())
+
+
+def _checked_weights(weights: ArrayLike) -> FloatArray:
+    values = np.ascontiguousarray(as_floats(weights, "weights"))
+    if values.ndim != 1 or not len(values):
+        raise InvalidInputError(f"weights: expected shape (n,) with n at least 1, got {values.shape}")
+    total = float(values.sum())
+    if not (values >= 0.0).all() or abs(total - 1.0) > SUM_TOLERANCE:
+        raise InvalidInputError(f"weights: expected numbers >= 0 with the sum 1, got the sum {total:.9g}")
+    return values

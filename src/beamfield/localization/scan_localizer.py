@@ -1,0 +1,217 @@
+"""A particle filter run over a log of scans, from its first scan to its last."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from beamfield.arguments import as_count, check_fields, checked
+from beamfield.errors import TooLittleDataError
+from beamfield.finding import Finding, Severity, worst_first
+from beamfield.geometry import FloatArray
+from beamfield.localization.particle_filter import FilterOptions, ParticleFilter, Update
+from beamfield.localization.particles import belief_poses, free_poses
+from beamfield.localization.recovery import PoseSource
+from beamfield.localization.replay import PoseBelief, Replay
+from beamfield.localization.short_readings import ShortReadings
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.base import MeasurementModel
+from beamfield.models.motion import MotionModel
+from beamfield.sensors import Scan, SensorLog
+from beamfield.short_repr import short_repr
+
+# Called after each measurement used: the index of its scan, and what it did.
+Watch = Callable[[int, Update], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Localization(Replay):
+    """What our filter said while a log ran.
+
+    Parameters
+    ----------
+    findings
+        What was wrong with the log and what was done about it.
+    """
+
+    findings: tuple[Finding, ...] = ()
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class ScanLocalizer:
+    """Localizes a robot in a map by the scans and the odometry of a log: a `ReplayedFilter`.
+
+    Parameters
+    ----------
+    grid
+        The map: where a robot that can be anywhere may be.
+    model
+        Weighs scans.
+    motion
+        Moves particles.
+    options
+        Of the filter.
+    n_anywhere
+        Particles to begin with where the start is not known. They are weighed once; from then on there are as many as
+        the options say.
+    source
+        Where poses come from in a recovery.
+    short_readings
+        Leaves out readings of people; None uses all.
+
+    Raises
+    ------
+    InvalidInputError
+        If n_anywhere < 1, or the options ask for a recovery and there is no source.
+    """
+
+    grid: OccupancyGrid
+    model: MeasurementModel[Scan]
+    motion: MotionModel
+    options: FilterOptions = field(default_factory=FilterOptions)
+    n_anywhere: int = field(default=100_000, kw_only=True)
+    source: PoseSource[Scan] | None = field(default=None, kw_only=True)
+    short_readings: ShortReadings | None = field(default=None, kw_only=True)
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        as_count(self.n_anywhere, "n_anywhere", least=1, most=10_000_000)
+        self._filter(0)
+
+    @checked
+    def run(
+        self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator, *, watch: Watch | None = None
+    ) -> Localization:
+        """Filter a log.
+
+        Parameters
+        ----------
+        log
+            With odometry; the reference poses are not looked at.
+        start
+            Where the robot is at the first scan; None if it can be anywhere in the map's free cells.
+        rng
+            Source of all randomness.
+        watch
+            Called after each measurement used.
+
+        Returns
+        -------
+        The poses published at the scans (NaN where a scan has no odometry), the belief at each update, and findings.
+
+        Raises
+        ------
+        TooLittleDataError
+            If no scan has odometry.
+        InvalidInputError
+            If the start is not known and the map has no free cell.
+        """
+        if not log.has_odometry:
+            raise TooLittleDataError("log: no scan has odometry, which moves the particles; expected some")
+        own = self._filter(rng)
+        own.start(self._cloud(start, rng))
+        poses: FloatArray = np.full((len(log), 3), np.nan)
+        used, updates, seconds = [], [], []
+        counts = {"repeated-scans": 0, "impossible-scans": 0, "no-odometry": 0}
+        for i, scan in enumerate(log):
+            if not np.isfinite(log.odometry[i]).all():
+                counts["no-odometry"] += 1
+                continue
+            if i and _is_repeated(log, i):
+                counts["repeated-scans"] += 1
+            else:
+                begin = time.thread_time()
+                update = own.update(scan, log.odometry[i], scan.stamp)
+                if update is not None:
+                    used.append(i)
+                    seconds.append(time.thread_time() - begin)
+                    updates.append(_Moments.of(update))
+                    counts["impossible-scans"] += update.is_impossible
+                    if watch is not None:
+                        watch(i, update)
+            poses[i] = own.pose
+        counts["odometry-jumps"] = own.odometry_jumps
+        counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())
+        return Localization(
+            poses,
+            np.array(used, np.int64),
+            np.reshape([u.mean for u in updates], (-1, 3)),
+            np.reshape([u.covariance for u in updates], (-1, 3, 3)),
+            np.array([u.n for u in updates], np.int64),
+            np.array(seconds),
+            findings=_findings(counts, len(log)),
+        )
+
+    def _filter(self, rng: np.random.Generator | int) -> ParticleFilter[Scan]:
+        return ParticleFilter(
+            self.model, self.motion, self.options, source=self.source, short_readings=self.short_readings, rng=rng
+        )
+
+    def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> FloatArray:
+        if start is None:
+            return free_poses(self.grid, max(self.n_anywhere, self.options.n_particles), rng)
+        return belief_poses(start, self.options.n_particles, rng)
+
+
+class _Moments(NamedTuple):
+    """What is kept of an update: clouds are large."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    n: int
+
+    @classmethod
+    def of(cls, update: Update) -> _Moments:
+        whole = update.belief.whole
+        return cls(whole.pose, whole.covariance, len(update.belief))
+
+
+def _is_repeated(log: SensorLog, i: int) -> bool:
+    """Return whether a scan is the one before once more, stamp and readings."""
+    return bool(log.stamps[i] == log.stamps[i - 1] and np.array_equal(log.ranges[i], log.ranges[i - 1], equal_nan=True))
+
+
+# Severity, what was seen, why it matters and what was done.
+_TEXTS: Mapping[str, tuple[Severity, str, str]] = {
+    "no-odometry": (
+        "warning",
+        "{n} of {t} scans have no odometry",
+        "They were not used and have no pose; the next odometry bridges the gap.",
+    ),
+    "odometry-jumps": (
+        "warning",
+        "the odometry jumped {n} times farther than a robot can drive or turn",
+        "The jumps were not followed: the particles stayed, spread by 0.3 m and 0.3 rad.",
+    ),
+    "stamps-back": (
+        "warning",
+        "the stamps run backwards {n} times",
+        "The order of the log was kept: time only tells a fast robot from a jump of the odometry.",
+    ),
+    "repeated-scans": (
+        "info",
+        "{n} of {t} scans repeat the one before, stamp and readings",
+        "They were used once.",
+    ),
+    "impossible-scans": (
+        "warning",
+        "{n} scans used are impossible at every particle",
+        "They changed no weight. Give the model some z_rand, or begin with a wider cloud.",
+    ),
+}
+
+
+def _findings(counts: Mapping[str, int], n_scans: int) -> tuple[Finding, ...]:
+    return worst_first(
+        Finding(name, severity, text.format(n=counts[name], t=n_scans), {"count": float(counts[name])}, do=done)
+        for name, (severity, text, done) in _TEXTS.items()
+        if counts[name]
+    )

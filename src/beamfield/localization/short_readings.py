@@ -1,0 +1,102 @@
+"""Readings that are probably of people: much shorter than the map says, wherever in the cloud the robot is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import ndtr
+
+from beamfield.arguments import as_count, check_fields, check_magnitude
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.localization.particles import Particles
+from beamfield.localization.resampling import systematic_indices
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import Scan, usable_ranges
+from beamfield.short_repr import short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class ShortReadings:
+    """Leaves out readings that are probably shorter than expected, under the belief (the distance filter).
+
+    A reading z is left out if the probability that it is shorter than what the map lets expect, averaged over the
+    particles, P = sum_x w_x Phi((z*(x) - z) / sigma), exceeds `probability`: with 0.99 and sigma as the noise of hits,
+    where nearly all particles agree that something unknown to the map stands in the way.
+
+    While the cloud is wide, nothing is left out: a filter that has the wrong place would leave out what contradicts it.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    sigma
+        Standard deviation of a hit, metres.
+    probability
+        From which on a reading is left out, in (0.5, 1).
+    widest_cloud
+        Root of the summed variances of x and y, metres, beyond which nothing is left out.
+    n_poses
+        Particles whose expected ranges are computed, drawn by weight.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is out of range.
+
+    References
+    ----------
+    Fox, Burgard and Thrun, "Markov localization for mobile robots in dynamic environments" (1999), section 4.2.
+    """
+
+    grid: OccupancyGrid
+    sigma: float = field(default=0.1, kw_only=True)
+    probability: float = field(default=0.99, kw_only=True)
+    widest_cloud: float = field(default=0.5, kw_only=True)
+    n_poses: int = field(default=50, kw_only=True)
+    _caster: RayCaster = field(init=False, repr=False)
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_magnitude("sigma", self.sigma)
+        check_magnitude("widest_cloud", self.widest_cloud)
+        as_count(self.n_poses, "n_poses", least=1)
+        if not 0.5 < self.probability < 1.0:
+            raise InvalidInputError(f"probability: expected a number between 0.5 and 1, got {self.probability}")
+        object.__setattr__(self, "_caster", RayCaster(self.grid))
+
+    def leave_out(self, scan: Scan, belief: Particles, rng: np.random.Generator) -> Scan:
+        """Return the scan with NaN for the readings that are left out.
+
+        Parameters
+        ----------
+        scan
+            The measurement.
+        belief
+            Before the measurement.
+        rng
+            Source of randomness, for the choice of particles.
+        """
+        if not self._is_concentrated(belief):
+            return scan
+        poses = belief.poses[systematic_indices(belief.weights, self.n_poses, rng)]
+        short = self.probability_short(scan, poses) > self.probability
+        return Scan(np.where(short, np.nan, scan.ranges), scan.finder, scan.stamp) if short.any() else scan
+
+    def probability_short(self, scan: Scan, poses: FloatArray) -> FloatArray:
+        """Return the probability that each reading is shorter than expected, (k,): the mean over poses (n, 3).
+
+        0 for readings without return and for those that are no measurement.
+        """
+        ranges = usable_ranges(scan.ranges, scan.finder)
+        expected = self._caster.expected_ranges(poses, scan.finder)
+        probability = ndtr((expected - ranges) / self.sigma).mean(axis=0)
+        return np.where(ranges < scan.finder.max_range, probability, 0.0)
+
+    def _is_concentrated(self, belief: Particles) -> bool:
+        covariance = belief.whole.covariance
+        return bool(covariance[0, 0] + covariance[1, 1] <= self.widest_cloud**2)

@@ -8,6 +8,7 @@ import pytest
 from beamfield.kernels import cone as kernels
 from beamfield.kernels import raycast
 
+NOT_ASKED = np.empty((0, 0, 2)), np.empty((0, 0, 2), np.int32)
 HERE = (0.0, 0.0, 0.0)
 
 
@@ -56,10 +57,10 @@ def test_ranges_are_shortened_to_cells_in_the_cone_alone():
     stops[3, 33] = True
     poses = np.array([[0.5, 2.0, 0.0], [0.5, 2.0, 1.0], [0.5, 2.0, -0.3]])
     ranges = np.full((3, 1), 50.0)
-    kernels.shorten_to_cells(poses, HERE, 1.0, one_cone(0.1), *packed(stops), 40, ranges)
+    kernels.shorten_to_cells(poses, HERE, 1.0, one_cone(0.1), kernels.Bitmap(*packed(stops), 40), ranges, *NOT_ASKED)
     assert ranges[:, 0].tolist() == [np.hypot(32.5, 1.0), 50.0, 50.0]
     shorter = np.full((3, 1), 7.0)
-    kernels.shorten_to_cells(poses, HERE, 1.0, one_cone(0.1), *packed(stops), 40, shorter)
+    kernels.shorten_to_cells(poses, HERE, 1.0, one_cone(0.1), kernels.Bitmap(*packed(stops), 40), shorter, *NOT_ASKED)
     assert shorter[:, 0].tolist() == [7.0, 7.0, 7.0]
 
 
@@ -68,7 +69,8 @@ def test_points_and_cells_are_those_of_the_nearest():
     stops[0, 8] = stops[4, 33] = True
     poses = np.array([[20.5, 2.0, np.pi], [20.5, 2.0, 0.0]])
     ranges, points, cells = np.full((2, 1), 50.0), np.full((2, 1, 2), -9.0), np.full((2, 1, 2), -1, np.int32)
-    kernels.find_points(poses, HERE, 1.0, one_cone(0.5), *packed(stops), 40, ranges, points, cells)
+    bitmap = kernels.Bitmap(*packed(stops), 40)
+    kernels.shorten_to_cells(poses, HERE, 1.0, one_cone(0.5), bitmap, ranges, points, cells)
     assert ranges[:, 0] == pytest.approx([np.hypot(11.5, 1.0), np.hypot(12.5, 2.0)], rel=1e-15)
     np.testing.assert_allclose(points[:, 0], [[9.0, 1.0], [33.0, 4.0]], atol=1e-12)
     assert cells[:, 0].tolist() == [[0, 8], [4, 33]]

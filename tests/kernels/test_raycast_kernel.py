@@ -61,7 +61,7 @@ def test_rays_in_lockstep_equal_rays_one_by_one(rng):
     origins[::2, 2] *= np.pi / 4
     ranges, one_by_one, cells = np.empty(300), np.empty(300), np.empty((300, 2), np.int32)
     kernels.cast_rays(origins, (0.0, 0.0, 0.0), terrain, ranges)
-    kernels.trace_rays(origins, (0.0, 0.0, 0.0), terrain, one_by_one, cells)
+    kernels.trace_fan(origins, (0.0, 0.0, 0.0), kernels.one_beam(), terrain, one_by_one, cells, False)
     np.testing.assert_array_equal(ranges, one_by_one)
     np.testing.assert_array_equal(cells[:, 0] >= 0, ranges < 30.0)
 
@@ -76,7 +76,7 @@ def test_a_fan_equals_its_beams_one_by_one(rng, same_mount):
     fan[2, :61], fan[3, :61] = np.cos(bearings), np.sin(bearings)
     ranges, one_by_one, cells = np.empty(305), np.empty(305), np.empty((305, 2), np.int32)
     kernels.cast_fan(poses, (0.5, 0.5, 0.3), fan, same_mount, terrain, ranges)
-    kernels.trace_fan(poses, (0.5, 0.5, 0.3), fan, terrain, one_by_one, cells)
+    kernels.trace_fan(poses, (0.5, 0.5, 0.3), fan, terrain, one_by_one, cells, False)
     np.testing.assert_array_equal(ranges, one_by_one)
 
 

@@ -51,6 +51,14 @@ class Cones(NamedTuple):
     left_sin: Floats
 
 
+class Bitmap(NamedTuple):
+    """Occupied cells, as from `pack_rows`, and the number of columns."""
+
+    bits: Bits
+    bands: Bits
+    cols: int
+
+
 class Half(NamedTuple):
     """The half of a cone on one side of the apex's row, as if it were the upper side."""
 
@@ -95,16 +103,8 @@ def pack_rows(stops: NDArray[np.bool_], bits: Bits, bands: Bits) -> None:
 
 
 @kernel
-def shorten_to_cells(
-    poses: Floats,
-    frame: tuple[float, float, float],
-    resolution: float,
-    cones: Cones,
-    bits: Bits,
-    bands: Bits,
-    cols: int,
-    ranges: Floats,
-) -> None:
+def shorten_to_cells(poses: Floats, frame: tuple[float, float, float], resolution: float, cones: Cones,
+                     bitmap: Bitmap, ranges: Floats, points: Floats, cells: NDArray[np.int32]) -> None:  # fmt: skip
     """Shorten ranges to the nearest occupied cell in each cone.
 
     Parameters
@@ -117,48 +117,25 @@ def shorten_to_cells(
         Side of a cell, metres.
     cones
         The sensor.
-    bits, bands
-        Occupied cells, as from `pack_rows`.
-    cols
-        Columns of the map.
+    bitmap
+        Occupied cells.
     ranges
         (n, k) metres, changed: on entry no longer than both edges of the cone and the sensor's limit.
+    points, cells
+        (n, k, 2) in the grid's frame in cells, row and column: overwritten where a range is shortened. Empty if they
+        are not asked for.
     """
     for i in range(poses.shape[0]):
         x, y, c, s = _place(poses[i, 0], poses[i, 1], poses[i, 2], frame, resolution)
         for b in range(ranges.shape[1]):
-            nearest = _nearest(x, y, c, s, cones, b, bits, bands, cols, ranges[i, b] / resolution)
-            if nearest.col >= 0:
-                ranges[i, b] = min(ranges[i, b], math.sqrt(nearest.square) * resolution)
-
-
-@kernel
-def find_points(
-    poses: Floats,
-    frame: tuple[float, float, float],
-    resolution: float,
-    cones: Cones,
-    bits: Bits,
-    bands: Bits,
-    cols: int,
-    ranges: Floats,
-    points: Floats,
-    cells: NDArray[np.int32],
-) -> None:
-    """Do what `shorten_to_cells` does, and where it shortens, overwrite what was found at the cone's edges.
-
-    Points (n, k, 2) are in the grid's frame in cells, cells (n, k, 2) are row and column.
-    """
-    for i in range(poses.shape[0]):
-        x, y, c, s = _place(poses[i, 0], poses[i, 1], poses[i, 2], frame, resolution)
-        for b in range(ranges.shape[1]):
-            nearest = _nearest(x, y, c, s, cones, b, bits, bands, cols, ranges[i, b] / resolution)
+            nearest = _nearest(x, y, c, s, cones, b, bitmap, ranges[i, b] / resolution)
             metres = math.sqrt(nearest.square) * resolution
             if nearest.col >= 0 and metres < ranges[i, b]:
                 ranges[i, b] = metres
-                points[i, b, 0] = x + (c * cones.x[b] - s * cones.y[b]) + nearest.x
-                points[i, b, 1] = y + (s * cones.x[b] + c * cones.y[b]) + nearest.y
-                cells[i, b, 0], cells[i, b, 1] = nearest.row, nearest.col
+                if points.size > 0:
+                    points[i, b, 0] = x + (c * cones.x[b] - s * cones.y[b]) + nearest.x
+                    points[i, b, 1] = y + (s * cones.x[b] + c * cones.y[b]) + nearest.y
+                    cells[i, b, 0], cells[i, b, 1] = nearest.row, nearest.col
 
 
 @inlined_kernel
@@ -179,9 +156,7 @@ def _place(
 
 
 @kernel
-def _nearest(
-    x: float, y: float, c: float, s: float, cones: Cones, b: int, bits: Bits, bands: Bits, cols: int, limit: float
-) -> Nearest:
+def _nearest(x: float, y: float, c: float, s: float, cones: Cones, b: int, bitmap: Bitmap, limit: float) -> Nearest:
     """Return the nearest point of an occupied cell in one cone of a placed robot, if nearer than `limit`."""
     cell_x, offset_x = split(x + (c * cones.x[b] - s * cones.y[b]))
     cell_y, offset_y = split(y + (s * cones.x[b] + c * cones.y[b]))
@@ -194,14 +169,14 @@ def _nearest(
     rs = rs if abs(rs) >= PARALLEL else 0.0
     ls = ls if abs(ls) >= PARALLEL else 0.0
     if rs > 0.0 or ls > 0.0:
-        nearest = _search(nearest, _half(rc, rs, lc, ls), col, offset_x, row, 1, 1.0 - offset_y, bits, bands, cols)
+        nearest = _search(nearest, _half(rc, rs, lc, ls), col, offset_x, row, 1, 1.0 - offset_y, bitmap)
     if rs < 0.0 or ls < 0.0:
         half = _half(lc, -ls, rc, -rs)
         if offset_y > 0.0:
-            nearest = _search(nearest, half, col, offset_x, row, -1, offset_y, bits, bands, cols)
+            nearest = _search(nearest, half, col, offset_x, row, -1, offset_y, bitmap)
         else:
             # On the lower border of its row: what lies below begins with a whole row.
-            nearest = _search(nearest, half, col, offset_x, row - 1, -1, 1.0, bits, bands, cols)
+            nearest = _search(nearest, half, col, offset_x, row - 1, -1, 1.0, bitmap)
     return nearest
 
 
@@ -220,23 +195,14 @@ def _half(rc: float, rs: float, lc: float, ls: float) -> Half:
 
 
 @kernel
-def _search(
-    nearest: Nearest,
-    half: Half,
-    col: int,
-    offset: float,
-    row: int,
-    step: int,
-    first_top: float,
-    bits: Bits,
-    bands: Bits,
-    cols: int,
-) -> Nearest:
+def _search(nearest: Nearest, half: Half, col: int, offset: float, row: int, step: int, first_top: float,
+            bitmap: Bitmap) -> Nearest:  # fmt: skip
     """Return the nearest point on one side of the apex, if it is nearer than the one known.
 
     `col` and `offset` place the apex along the rows. The first row is `row`, its far border `first_top` away; the next
     rows follow in steps of `step`.
     """
+    bits, bands, cols = bitmap
     rows = bits.shape[0]
     square, found_x, found_y, found_col, found_row = nearest
     reach = math.sqrt(square)

@@ -16,6 +16,9 @@ from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 
+# What squares and products of the residuals in rho and alpha count: of rho^2, 2 rho alpha, alpha^2.
+Weights = tuple[float, float, float]
+
 # Poses of one pass of the vectorised loop: its columns of doubles stay in the nearest cache.
 BLOCK = 512
 PI, TWO_PI, TURNS_PER_RADIAN = math.pi, 2.0 * math.pi, 0.5 / math.pi
@@ -24,7 +27,7 @@ NEGLIGIBLE = 40.0
 
 
 @inlined_kernel
-def _both_squares(d: float, turn: float, rho: float, w_rr: float, two_w_ra: float, w_aa: float) -> tuple[float, float]:
+def _both_squares(d: float, turn: float, rho: float, weights: Weights) -> tuple[float, float]:
     """Return the squared Mahalanobis distances to (d, direction) and to (-d, direction + pi).
 
     `turn` is the measured minus the expected direction, radians, not wrapped.
@@ -32,50 +35,21 @@ def _both_squares(d: float, turn: float, rho: float, w_rr: float, two_w_ra: floa
     one = turn - TWO_PI * np.floor(turn * TURNS_PER_RADIAN + 0.5)
     other = one - PI if one > 0.0 else one + PI
     e, f = rho - d, rho + d
+    w_rr, two_w_ra, w_aa = weights
     return e * (w_rr * e + two_w_ra * one) + w_aa * one * one, f * (w_rr * f + two_w_ra * other) + w_aa * other * other
 
 
 @kernel
-def _for_poses(
-    x: Floats,
-    y: Floats,
-    heading: Floats,
-    cos: float,
-    sin: float,
-    r: float,
-    rho: float,
-    alpha: float,
-    w_rr: float,
-    two_w_ra: float,
-    w_aa: float,
-    best: Floats,
-    gap: Floats,
-) -> None:
-    """Fill in the larger exponent of the two pairs, and how much smaller the other is, for one line and many poses."""
-    for i in range(x.size):
-        d = r - x[i] * cos - y[i] * sin
-        one, other = _both_squares(d, alpha + heading[i], rho, w_rr, two_w_ra, w_aa)
+def _fill_exponents(d: Floats, turn: Floats, alpha: float, rho: float, weights: Weights, best: Floats, gap: Floats
+                    ) -> None:  # fmt: skip
+    """Fill in the larger exponent of the two pairs, and how much smaller the other is, of mapped lines seen alike.
+
+    A mapped line lies d (n,) from the sensor, in a direction of alpha - turn (n,) off the measured one.
+    """
+    for i in range(d.size):
+        one, other = _both_squares(d[i], alpha - turn[i], rho, weights)
         best[i] = -0.5 * (one if one < other else other)
         gap[i] = 0.5 * abs(one - other)
-
-
-@kernel
-def _for_lines(
-    d: Floats,
-    a: Floats,
-    rho: float,
-    alpha: float,
-    w_rr: float,
-    two_w_ra: float,
-    w_aa: float,
-    best: Floats,
-    gap: Floats,
-) -> None:
-    """Fill in the same for one pose and many mapped lines."""
-    for j in range(d.size):
-        one, other = _both_squares(d[j], alpha - a[j], rho, w_rr, two_w_ra, w_aa)
-        best[j] = -0.5 * (one if one < other else other)
-        gap[j] = 0.5 * abs(one - other)
 
 
 @kernel
@@ -105,24 +79,22 @@ def fill_known(
     out
         (n, ...) the result.
     """
-    x, y, heading, total = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    best, gap = np.empty(BLOCK), np.empty(BLOCK)
+    x, y, turn, total = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    d, best, gap = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for start in range(0, poses.shape[0], BLOCK):
         m = min(BLOCK, poses.shape[0] - start)
         for i in range(m):
-            heading[i] = poses[start + i, 2] + mount[2]
-            cos, sin = math.cos(heading[i]), math.sin(heading[i])
-            x[i] = poses[start + i, 0] + cos * mount[0] - sin * mount[1]
-            y[i] = poses[start + i, 1] + sin * mount[0] + cos * mount[1]
-            total[i] = 0.0
+            x[i], y[i], heading, _, _ = _sensor(poses[start + i], mount)
+            turn[i], total[i] = -heading, 0.0
         for k in range(features.shape[0]):
             cos, sin, r, a = lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3]
-            rho, alpha = features[k, 0], features[k, 1] - a
-            w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
-            _for_poses(x[:m], y[:m], heading[:m], cos, sin, r, rho, alpha, w_rr, two_w_ra, w_aa, best[:m], gap[:m])
+            for i in range(m):
+                d[i] = r - x[i] * cos - y[i] * sin
+            weights = features[k, 2], features[k, 3], features[k, 4]
+            _fill_exponents(d[:m], turn[:m], features[k, 1] - a, features[k, 0], weights, best[:m], gap[:m])
             _add_other_pair(best[:m], gap[:m])
             for i in range(m):
-                best[i] += constant
+                best[i] += base[k]
             if first >= 0:
                 for i in range(m):
                     out[start + i, first + k] = _never_nan(best[i])
@@ -144,20 +116,16 @@ def fill_candidates(poses: Floats, mount: Floats, features: Floats, lines: Float
     n_lines = r.size
     d, gap = np.empty(n_lines), np.empty(n_lines)
     for i in range(poses.shape[0]):
-        heading = poses[i, 2] + mount[2]
-        c, s = math.cos(heading), math.sin(heading)
-        x = poses[i, 0] + c * mount[0] - s * mount[1]
-        y = poses[i, 1] + s * mount[0] + c * mount[1]
+        x, y, heading, _, _ = _sensor(poses[i], mount)
         for j in range(n_lines):
             d[j] = r[j] - x * cos[j] - y * sin[j]
         for k in range(features.shape[0]):
-            rho, alpha = features[k, 0], features[k, 1] + heading
-            w_rr, two_w_ra, w_aa, constant = features[k, 2], features[k, 3], features[k, 4], base[k]
+            weights = features[k, 2], features[k, 3], features[k, 4]
             row = out[i, k]
-            _for_lines(d, a, rho, alpha, w_rr, two_w_ra, w_aa, row, gap)
+            _fill_exponents(d, a, features[k, 1] + heading, features[k, 0], weights, row, gap)
             _add_other_pair(row, gap)
             for j in range(n_lines):
-                row[j] = _never_nan(row[j] + constant)
+                row[j] = _never_nan(row[j] + base[k])
 
 
 @kernel
@@ -171,10 +139,7 @@ def exclude_apart(
     """
     cos, sin, a = lines[0], lines[1], lines[3]
     for i in range(poses.shape[0]):
-        heading = poses[i, 2] + mount[2]
-        c, s = math.cos(heading), math.sin(heading)
-        x = poses[i, 0] + c * mount[0] - s * mount[1]
-        y = poses[i, 1] + s * mount[0] + c * mount[1]
+        x, y, _, c, s = _sensor(poses[i], mount)
         for k in range(ends.shape[0]):
             x1, y1 = x + c * ends[k, 0] - s * ends[k, 1], y + s * ends[k, 0] + c * ends[k, 1]
             x2, y2 = x + c * ends[k, 2] - s * ends[k, 3], y + s * ends[k, 2] + c * ends[k, 3]
@@ -184,6 +149,14 @@ def exclude_apart(
                 low, high = (one, two) if one < two else (two, one)
                 beside = min(high, extents[1, j]) - max(low, extents[0, j])
                 row[j] = row[j] if beside >= min_overlap * (high - low) else -math.inf
+
+
+@inlined_kernel
+def _sensor(pose: Floats, mount: Floats) -> tuple[float, float, float, float, float]:
+    """Return position and heading of the sensor of a robot, and the heading's cosine and sine."""
+    heading = pose[2] + mount[2]
+    cos, sin = math.cos(heading), math.sin(heading)
+    return pose[0] + cos * mount[0] - sin * mount[1], pose[1] + sin * mount[0] + cos * mount[1], heading, cos, sin
 
 
 @inlined_kernel

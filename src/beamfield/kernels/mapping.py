@@ -15,6 +15,11 @@ from beamfield.kernels.elementary import split
 from beamfield.kernels.jit import kernel
 
 Floats = NDArray[np.float64]
+Cells = NDArray[np.float32]
+Kinds = NDArray[np.uint8]
+Stamps = NDArray[np.int32]
+# Start in cells, cosine and sine of the direction, in the grid's frame.
+Ray = tuple[float, float, float, float]
 
 # The ray caster's tolerances, see kernels/raycast.py; a test holds the two together.
 TIE = 1e-9
@@ -29,16 +34,8 @@ SKIP, HIT, PASS = 0, 1, 2
 
 
 @kernel
-def update_log_odds(
-    poses: Floats,
-    fan: Floats,
-    lengths: Floats,
-    kinds: NDArray[np.uint8],
-    steps: NDArray[np.float32],
-    first_stamp: int,
-    log_odds: NDArray[np.float32],
-    stamps: NDArray[np.int32],
-) -> int:
+def update_log_odds(poses: Floats, fan: Floats, lengths: Floats, kinds: Kinds, steps: Cells, first_stamp: int,
+                    log_odds: Cells, stamps: Stamps) -> int:  # fmt: skip
     """Enter scans into a grid of log-odds.
 
     Parameters
@@ -70,37 +67,20 @@ def update_log_odds(
     hit, passed, low, high = steps[0], steps[1], steps[2], steps[3]
     outside = 0
     for i in range(poses.shape[0]):
-        x, y, c, s = poses[i, 0], poses[i, 1], poses[i, 2], poses[i, 3]
         pass_stamp = first_stamp + 2 * i
         hit_stamp = pass_stamp + 1
         # Hits first: a cell that one beam hits and another one passes has been hit.
         for b in range(k):
             if kinds[i, b] == HIT:
-                col, row = _last_cell(
-                    x + c * fan[0, b] - s * fan[1, b],
-                    y + s * fan[0, b] + c * fan[1, b],
-                    c * fan[2, b] - s * fan[3, b],
-                    s * fan[2, b] + c * fan[3, b],
-                    lengths[i, b],
-                )
+                col, row = _last_cell(_beam(poses[i], fan, b), lengths[i, b])
                 if 0 <= col < cols and 0 <= row < rows and stamps[row, col] != hit_stamp:
                     stamps[row, col] = hit_stamp
                     log_odds[row, col] = min(max(log_odds[row, col] + hit, low), high)
         for b in range(k):
             if kinds[i, b] != SKIP:
+                is_pass = kinds[i, b] == PASS
                 outside += _pass(
-                    x + c * fan[0, b] - s * fan[1, b],
-                    y + s * fan[0, b] + c * fan[1, b],
-                    c * fan[2, b] - s * fan[3, b],
-                    s * fan[2, b] + c * fan[3, b],
-                    lengths[i, b],
-                    kinds[i, b] == PASS,
-                    pass_stamp,
-                    passed,
-                    low,
-                    high,
-                    log_odds,
-                    stamps,
+                    _beam(poses[i], fan, b), lengths[i, b], is_pass, pass_stamp, (passed, low, high), log_odds, stamps
                 )
     return outside
 
@@ -109,20 +89,12 @@ def update_log_odds(
 def last_cells(x: Floats, y: Floats, c: Floats, s: Floats, lengths: Floats, cells: NDArray[np.int64]) -> None:
     """Fill cells (n, 2) int64 with the (col, row) in which rays of the given lengths end."""
     for i in range(x.shape[0]):
-        cells[i, 0], cells[i, 1] = _last_cell(x[i], y[i], c[i], s[i], lengths[i])
+        cells[i, 0], cells[i, 1] = _last_cell((x[i], y[i], c[i], s[i]), lengths[i])
 
 
 @kernel
-def count_passes(
-    poses: Floats,
-    cones: Floats,
-    half: float,
-    lengths: Floats,
-    kinds: NDArray[np.uint8],
-    first_stamp: int,
-    passes: NDArray[np.float32],
-    stamps: NDArray[np.int32],
-) -> None:
+def count_passes(poses: Floats, cones: Floats, half: float, lengths: Floats, kinds: Kinds, first_stamp: int,
+                 passes: Cells, stamps: Stamps) -> None:  # fmt: skip
     """Count for each cell the scans in which it lies in a cone, nearer than the cone's reading.
 
     A cone is filled with rays, less than a cell apart at its end. The cells in which they end, the arc, are not passed
@@ -145,37 +117,21 @@ def count_passes(
         pass_stamp = first_stamp + 2 * i
         for b in range(cones.shape[0]):
             if kinds[i, b] == HIT:
-                x, y, direction = _aim(poses[i], cones[b])
                 n = _rays_in_cone(half, lengths[i, b])
                 for j in range(n):
-                    angle = direction + half * (2.0 * (j + 0.5) / n - 1.0)
-                    col, row = _last_cell(x, y, np.cos(angle), np.sin(angle), lengths[i, b])
+                    col, row = _last_cell(_ray_in_cone(poses[i], cones[b], half, j, n), lengths[i, b])
                     stamps[row, col] = pass_stamp + 1
         for b in range(cones.shape[0]):
             if kinds[i, b] != SKIP:
-                x, y, direction = _aim(poses[i], cones[b])
                 n = _rays_in_cone(half, lengths[i, b])
                 for j in range(n):
-                    angle = direction + half * (2.0 * (j + 0.5) / n - 1.0)
-                    _pass(
-                        x, y, np.cos(angle), np.sin(angle), lengths[i, b], kinds[i, b] == PASS, pass_stamp,
-                        1.0, 0.0, HUGE, passes, stamps,
-                    )  # fmt: skip
+                    ray = _ray_in_cone(poses[i], cones[b], half, j, n)
+                    _pass(ray, lengths[i, b], kinds[i, b] == PASS, pass_stamp, (1.0, 0.0, HUGE), passes, stamps)
 
 
 @kernel
-def share_hits(
-    poses: Floats,
-    cones: Floats,
-    half: float,
-    lengths: Floats,
-    kinds: NDArray[np.uint8],
-    first_mark: int,
-    log_odds_of_pass: float,
-    passes: NDArray[np.float32],
-    hits: NDArray[np.float32],
-    marks: NDArray[np.int32],
-) -> None:
+def share_hits(poses: Floats, cones: Floats, half: float, lengths: Floats, kinds: Kinds, first_mark: int,
+               log_odds_of_pass: float, passes: Cells, hits: Cells, marks: Stamps) -> None:  # fmt: skip
     """Share each reading among the cells of its arc: those that were passed least get a hit, others a part of one.
 
     A cell's part is exp(log_odds_of_pass (passes - fewest passes on the arc)).
@@ -198,13 +154,11 @@ def share_hits(
         for b in range(k):
             if kinds[i, b] != HIT:
                 continue
-            x, y, direction = _aim(poses[i], cones[b])
             n = _rays_in_cone(half, lengths[i, b])
             cells = np.empty((n, 2), np.int64)
             fewest = np.float32(np.inf)
             for j in range(n):
-                angle = direction + half * (2.0 * (j + 0.5) / n - 1.0)
-                cells[j, 0], cells[j, 1] = _last_cell(x, y, np.cos(angle), np.sin(angle), lengths[i, b])
+                cells[j, 0], cells[j, 1] = _last_cell(_ray_in_cone(poses[i], cones[b], half, j, n), lengths[i, b])
                 fewest = min(fewest, passes[cells[j, 1], cells[j, 0]])
             mark = first_mark + i * k + b
             for j in range(n):
@@ -215,10 +169,21 @@ def share_hits(
 
 
 @kernel
-def _aim(pose: Floats, cone: Floats) -> tuple[float, float, float]:
-    """Return apex and direction of a cone."""
+def _beam(pose: Floats, fan: Floats, b: int) -> Ray:
+    """Return where a beam starts and goes."""
     x, y, c, s = pose[0], pose[1], pose[2], pose[3]
-    return x + c * cone[0] - s * cone[1], y + s * cone[0] + c * cone[1], np.arctan2(s, c) + cone[2]
+    return (
+        x + c * fan[0, b] - s * fan[1, b], y + s * fan[0, b] + c * fan[1, b],
+        c * fan[2, b] - s * fan[3, b], s * fan[2, b] + c * fan[3, b],
+    )  # fmt: skip
+
+
+@kernel
+def _ray_in_cone(pose: Floats, cone: Floats, half: float, j: int, n: int) -> Ray:
+    """Return the j-th of n rays that fill a cone."""
+    x, y, c, s = pose[0], pose[1], pose[2], pose[3]
+    angle = np.arctan2(s, c) + cone[2] + half * (2.0 * (j + 0.5) / n - 1.0)
+    return x + c * cone[0] - s * cone[1], y + s * cone[0] + c * cone[1], np.cos(angle), np.sin(angle)
 
 
 @kernel
@@ -228,8 +193,9 @@ def _rays_in_cone(half: float, length: float) -> int:
 
 
 @kernel
-def _last_cell(x: float, y: float, c: float, s: float, length: float) -> tuple[int, int]:
+def _last_cell(ray: Ray, length: float) -> tuple[int, int]:
     """Return (col, row) of the cell that a ray has entered last."""
+    x, y, c, s = ray
     ox, first_col, inv_c, c_abs = _start(x, c)
     oy, first_row, inv_s, s_abs = _start(y, s)
     n_i, n_j = _edges_until(length, ox, c_abs, inv_c), _edges_until(length, oy, s_abs, inv_s)
@@ -239,21 +205,11 @@ def _last_cell(x: float, y: float, c: float, s: float, length: float) -> tuple[i
 
 
 @kernel
-def _pass(
-    x: float,
-    y: float,
-    c: float,
-    s: float,
-    length: float,
-    whole: bool,
-    stamp: int,
-    passed: float,
-    low: float,
-    high: float,
-    log_odds: NDArray[np.float32],
-    stamps: NDArray[np.int32],
-) -> int:
-    """Mark the cells of a ray, without the last one unless `whole`; return 1 if the ray leaves the grid."""
+def _pass(ray: Ray, length: float, whole: bool, stamp: int, step: tuple[float, float, float], log_odds: Cells,
+          stamps: Stamps) -> int:  # fmt: skip
+    """Step the cells of a ray, without the last one unless `whole`, within limits; return 1 if it leaves the grid."""
+    x, y, c, s = ray
+    passed, low, high = step
     rows, cols = log_odds.shape
     ox, first_col, inv_c, c_abs = _start(x, c)
     oy, first_row, inv_s, s_abs = _start(y, s)

@@ -176,15 +176,44 @@ def cast_fan(
         n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, filled, done, ranges)
     doubts += _finish_pool(scratch, n_free, terrain, ranges)
     if doubts > 0:
-        _settle_fan(poses, frame, fan, terrain, ranges, np.empty((0, 2), np.int32), True)
+        trace_fan(poses, frame, fan, terrain, ranges, np.empty((0, 2), np.int32), True)
 
 
 @kernel
-def trace_fan(
-    poses: Floats, frame: tuple[float, float, float], fan: Floats, terrain: Terrain, ranges: Floats, cells: Cells
-) -> None:
-    """Do what `cast_fan` does ray by ray in float64, and fill cells (n * k, 2) with (row, col) of the hit or -1."""
-    _settle_fan(poses, frame, fan, terrain, ranges, cells, False)
+def trace_fan(poses: Floats, frame: tuple[float, float, float], fan: Floats, terrain: Terrain, ranges: Floats,
+              cells: Cells, only_doubtful: bool) -> None:  # fmt: skip
+    """Do what `cast_fan` does ray by ray in float64.
+
+    With `only_doubtful` just the beams with a negative range; else all, and cells (n * k, 2) are filled with (row, col)
+    of the hit or -1.
+    """
+    k = fan.shape[1] - 8
+    fan_x, fan_y, fan_c, fan_s = fan[0], fan[1], fan[2], fan[3]
+    placed = np.zeros(4 * STRIDE)
+    of_pose = -1
+    for r in range(poses.shape[0] * k):
+        if only_doubtful and ranges[r] >= 0:
+            continue
+        i = r // k
+        b = r - i * k
+        if i != of_pose:
+            _place(poses, frame, terrain.resolution, i, SINGLE, placed)
+            of_pose = i
+        x, y, c, s = placed[0], placed[STRIDE], placed[2 * STRIDE], placed[3 * STRIDE]
+        cell_x, offset_x = split(x + (c * fan_x[b] - s * fan_y[b]))
+        cell_y, offset_y = split(y + (s * fan_x[b] + c * fan_y[b]))
+        beam_c, beam_s = c * fan_c[b] - s * fan_s[b], s * fan_c[b] + c * fan_s[b]
+        ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, beam_c, beam_s, terrain)
+        if not only_doubtful:
+            cells[r, 0], cells[r, 1] = row, col
+
+
+@kernel
+def one_beam() -> Floats:
+    """Return the fan of a sensor with one beam, straight ahead: with it, poses are rays."""
+    fan = np.zeros((4, 9))
+    fan[2, 0] = 1.0
+    return fan
 
 
 @kernel
@@ -207,15 +236,7 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
         n_free, doubts = _cast_block(scratch, n_free, doubts, terrain, count, done, ranges)
     doubts += _finish_pool(scratch, n_free, terrain, ranges)
     if doubts > 0:
-        _settle_rays(origins, frame, terrain, ranges, np.empty((0, 2), np.int32), True)
-
-
-@kernel
-def trace_rays(
-    origins: Floats, frame: tuple[float, float, float], terrain: Terrain, ranges: Floats, cells: Cells
-) -> None:
-    """Do what `cast_rays` does ray by ray in float64, and fill cells (n, 2) with (row, col) of the hit or -1."""
-    _settle_rays(origins, frame, terrain, ranges, cells, False)
+        trace_fan(origins, frame, one_beam(), terrain, ranges, np.empty((0, 2), np.int32), True)
 
 
 @kernel
@@ -278,61 +299,6 @@ def _trace_ray(
         else:
             j += 1
     return nothing
-
-
-@kernel
-def _settle_fan(
-    poses: Floats,
-    frame: tuple[float, float, float],
-    fan: Floats,
-    terrain: Terrain,
-    ranges: Floats,
-    cells: Cells,
-    only_doubtful: bool,
-) -> None:
-    """Trace the beams with a negative range, or all of them."""
-    k = fan.shape[1] - 8
-    fan_x, fan_y, fan_c, fan_s = fan[0], fan[1], fan[2], fan[3]
-    placed = np.zeros(4 * STRIDE)
-    of_pose = -1
-    for r in range(poses.shape[0] * k):
-        if only_doubtful and ranges[r] >= 0:
-            continue
-        i = r // k
-        b = r - i * k
-        if i != of_pose:
-            _place(poses, frame, terrain.resolution, i, SINGLE, placed)
-            of_pose = i
-        x, y, c, s = placed[0], placed[STRIDE], placed[2 * STRIDE], placed[3 * STRIDE]
-        cell_x, offset_x = split(x + (c * fan_x[b] - s * fan_y[b]))
-        cell_y, offset_y = split(y + (s * fan_x[b] + c * fan_y[b]))
-        beam_c, beam_s = c * fan_c[b] - s * fan_s[b], s * fan_c[b] + c * fan_s[b]
-        ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, beam_c, beam_s, terrain)
-        if not only_doubtful:
-            cells[r, 0], cells[r, 1] = row, col
-
-
-@kernel
-def _settle_rays(
-    origins: Floats,
-    frame: tuple[float, float, float],
-    terrain: Terrain,
-    ranges: Floats,
-    cells: Cells,
-    only_doubtful: bool,
-) -> None:
-    """Trace the rays with a negative range, or all of them."""
-    placed = np.zeros(4 * STRIDE)
-    for r in range(origins.shape[0]):
-        if only_doubtful and ranges[r] >= 0:
-            continue
-        _place(origins, frame, terrain.resolution, r, SINGLE, placed)
-        cell_x, offset_x = split(placed[0])
-        cell_y, offset_y = split(placed[STRIDE])
-        c, s = placed[2 * STRIDE], placed[3 * STRIDE]
-        ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, c, s, terrain)
-        if not only_doubtful:
-            cells[r, 0], cells[r, 1] = row, col
 
 
 @kernel

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, checked
 from beamfield.geometry import FloatArray, as_poses, compose, transform_points
@@ -123,15 +123,7 @@ class ConeCaster:
         edges = self._rays.expected_ranges(robots, _edges(finder))
         ranges: FloatArray = np.minimum(edges[..., :k], edges[..., k:])
         rows, results = pose_rows(robots), ranges.reshape(len(edges.reshape(-1, 2 * k)), k)
-        frame, cones = frame_of(self.grid), _cones(finder, self.grid.resolution)
-        resolution, cols = self.grid.resolution, self.grid.shape[1]
-
-        def work(start: int, stop: int) -> None:
-            kernels.shorten_to_cells(
-                rows[start:stop], frame, resolution, cones, self._bits, self._bands, cols, results[start:stop]
-            )  # fmt: skip
-
-        run_in_blocks(work, len(rows), work_per_row=k * RAYS_PER_CONE)
+        self._shorten(rows, finder, results, np.empty((0, 0, 2)), np.empty((0, 0, 2), np.int32))
         return ranges
 
     def expected_points(self, poses: ArrayLike, finder: RangeFinder) -> tuple[FloatArray, IntArray]:
@@ -145,20 +137,24 @@ class ConeCaster:
             (..., k, 2) row and column of the cells they belong to; -1 for none. Where cells touch, one of them.
         """
         robots = as_poses(poses)
-        rows, resolution, cols = pose_rows(robots), self.grid.resolution, self.grid.shape[1]
+        rows = pose_rows(robots)
         ranges, points, cells = self._points_on_edges(rows, finder)
         if finder.opening_angle > 0.0:
-            frame, cones = frame_of(self.grid), _cones(finder, resolution)
-
-            def work(a: int, b: int) -> None:
-                found = ranges[a:b], points[a:b], cells[a:b]
-                kernels.find_points(rows[a:b], frame, resolution, cones, self._bits, self._bands, cols, *found)
-
-            run_in_blocks(work, len(rows), work_per_row=finder.n_beams * RAYS_PER_CONE)
+            self._shorten(rows, finder, ranges, points, cells)
         in_map = self.grid.to_map(points)
         in_map[cells[..., 0] < 0] = np.nan
         shape = (*robots.shape[:-1], finder.n_beams, 2)
         return in_map.reshape(shape), cells.reshape(shape)
+
+    def _shorten(self, rows: FloatArray, finder: RangeFinder, *found: NDArray[Any]) -> None:
+        """Shorten ranges, and move their points and cells, to what lies between the edges of the cones."""
+        frame, resolution, cones = frame_of(self.grid), self.grid.resolution, _cones(finder, self.grid.resolution)
+        bitmap = kernels.Bitmap(self._bits, self._bands, self.grid.shape[1])
+
+        def work(a: int, b: int) -> None:
+            kernels.shorten_to_cells(rows[a:b], frame, resolution, cones, bitmap, *(part[a:b] for part in found))
+
+        run_in_blocks(work, len(rows), work_per_row=finder.n_beams * RAYS_PER_CONE)
 
     def _points_on_edges(self, poses: FloatArray, finder: RangeFinder) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return ranges (n, k), points (n, k, 2) in cells and their cells, of the edge of each cone that ends first."""

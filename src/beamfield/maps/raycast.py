@@ -162,7 +162,7 @@ class RayCaster:
 
         def work(start: int, stop: int) -> None:
             part = results[start * k : stop * k]
-            kernels.trace_fan(rows[start:stop], frame, fan, terrain, np.empty(len(part)), part)
+            kernels.trace_fan(rows[start:stop], frame, fan, terrain, np.empty(len(part)), part, False)
 
         run_in_blocks(work, len(rows), work_per_row=k)
         return cells
@@ -219,11 +219,11 @@ class RayCaster:
         rays = as_poses(origins, "origins")
         cells = np.empty((*rays.shape[:-1], 2), np.int32)
         rows, results = pose_rows(rays), cells.reshape(-1, 2)
-        frame, terrain = frame_of(self.grid), self._terrain(max_range)
+        frame, terrain, ahead = frame_of(self.grid), self._terrain(max_range), kernels.one_beam()
 
         def work(start: int, stop: int) -> None:
             part = results[start:stop]
-            kernels.trace_rays(rows[start:stop], frame, terrain, np.empty(len(part)), part)
+            kernels.trace_fan(rows[start:stop], frame, ahead, terrain, np.empty(len(part)), part, False)
 
         run_in_blocks(work, len(rows))
         return cells

@@ -21,6 +21,7 @@ from beamfield.cli import (
     figures,
     inspect,
     likelihood,
+    localize,
     simulate,
     translate,
 )
@@ -42,6 +43,7 @@ COMMANDS = (
     map_command,
     simulate,
     likelihood,
+    localize,
     figures,
     demo,
 )

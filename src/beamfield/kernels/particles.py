@@ -116,8 +116,7 @@ def draw_until_enough(
     k = 0
     for j in range(len(out)):
         point = offset + j * GOLDEN
-        point -= math.floor(point)
-        i = min(np.searchsorted(cumulated, point, side="right"), last)
+        i = min(int(np.searchsorted(cumulated, point - math.floor(point), side="right")), last)
         out[j] = i
         if not seen[bins[i]]:
             seen[bins[i]] = True

@@ -61,13 +61,13 @@ class ContinuousOdometry:
     def __init__(self, limits: OdometryLimits | None = None) -> None:
         self._limits = limits or OdometryLimits()
         self._last: Pose | None = None
-        self._last_stamp = 0.0
+        self._last_stamp: float | None = None
         self.pose: Pose = (0.0, 0.0, 0.0)
         """Where the track is now: x, y and theta in the frame of the first pose."""
         self.jumps = 0
         """Steps that were not followed."""
 
-    def add(self, pose: FloatArray, stamp: float) -> bool:
+    def add(self, pose: FloatArray, stamp: float | None) -> bool:
         """Go on to another pose.
 
         Parameters
@@ -75,7 +75,7 @@ class ContinuousOdometry:
         pose
             (3,) as the odometry reports it.
         stamp
-            Seconds.
+            Seconds; None: the step is followed, however long.
 
         Returns
         -------
@@ -88,15 +88,18 @@ class ContinuousOdometry:
             self.pose = (x, y, theta)
         else:
             step = step_between(self._last, (x, y, theta))
-            if self._is_possible(step, abs(stamp - self._last_stamp)):
+            if self._is_possible(step, stamp):
                 self.pose = after_step(self.pose, step)
             else:
                 self.jumps += 1
         self._last, self._last_stamp = (x, y, theta), stamp
         return True
 
-    def _is_possible(self, step: Pose, seconds: float) -> bool:
+    def _is_possible(self, step: Pose, stamp: float | None) -> bool:
+        if stamp is None:
+            return True
         most = self._limits
+        seconds = 0.0 if self._last_stamp is None else abs(stamp - self._last_stamp)
         seconds = seconds if math.isfinite(seconds) else 0.0
         return (
             math.hypot(step[0], step[1]) <= most.slack + most.speed * seconds

@@ -66,8 +66,8 @@ class FilterOptions:
 
     n_particles: int = 2000
     kld: KldSampling | None = None
-    update_distance: float = 0.2
-    update_turn: float = 0.2
+    update_distance: float = 0.5
+    update_turn: float = 0.5
     resample_below: float = 0.5
     least_effective: float = 0.02
     recovery: Recovery | None = None
@@ -224,7 +224,7 @@ class ParticleFilter(Generic[Z]):
         return self._odometry.jumps
 
     @checked
-    def update(self, z: Z, odometry: ArrayLike, stamp: float = 0.0) -> Update | None:
+    def update(self, z: Z, odometry: ArrayLike, stamp: float | None = None) -> Update | None:
         """Take in a measurement and where the odometry is.
 
         Parameters
@@ -234,7 +234,7 @@ class ParticleFilter(Generic[Z]):
         odometry
             (3,) pose in the odometry frame, at the time of the measurement; NaN where there is none.
         stamp
-            Seconds; only tells a fast robot from a jump of the odometry.
+            Seconds, to tell a fast robot from a jump of the odometry; None: every step is followed.
 
         Returns
         -------
@@ -249,7 +249,7 @@ class ParticleFilter(Generic[Z]):
         pose = as_floats(odometry, "odometry")
         if pose.shape != (3,):
             raise InvalidInputError(f"odometry: expected (x, y, theta), got shape {pose.shape}")
-        if not self._odometry.add(pose, float(stamp)) or not self._has_moved():
+        if not self._odometry.add(pose, stamp) or not self._has_moved():
             return None
         moved = self._moved(belief)
         if self._short is not None and isinstance(z, Scan):

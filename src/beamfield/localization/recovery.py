@@ -30,7 +30,7 @@ class Recovery:
     """When the filter draws poses anew: the averages w_slow and w_fast of the augmented filter.
 
     At each measurement the two averages of the likelihood move towards its value by the shares alpha_slow and
-    alpha_fast; when particles are drawn, each is replaced with probability max(0, 1 - w_fast / w_slow).
+    alpha_fast; when particles are drawn, each is replaced with probability max(0, 1 - w_fast / w_slow), at most `most`.
 
     Parameters
     ----------
@@ -40,6 +40,9 @@ class Recovery:
         The likelihood averaged is that of one reading, w^(1/readings): the likelihood of a whole scan varies over so
         many powers of ten that an average says only which scan was the best. 1 is the table to the letter. Sensible is
         the exponent of the model times its number of beams.
+    most
+        No particle is replaced with a higher probability. A stretch that the map does not know fits badly at the right
+        place, too, and a cloud replaced as a whole has lost it; 1 is the table to the letter.
 
     Raises
     ------
@@ -51,9 +54,10 @@ class Recovery:
     Probabilistic Robotics, Table 8.3 (Augmented_MCL).
     """
 
-    alpha_slow: float = 0.02
-    alpha_fast: float = 0.2
+    alpha_slow: float = 0.005
+    alpha_fast: float = 0.1
     readings: float = 1.0
+    most: float = 0.1
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -63,6 +67,8 @@ class Recovery:
                 f"{self.alpha_fast}"
             )
         check_magnitude("readings", self.readings)
+        if not 0.0 < self.most <= 1.0:
+            raise InvalidInputError(f"most: expected a probability above 0, got {self.most}")
 
 
 class LikelihoodAverages:
@@ -94,7 +100,7 @@ class LikelihoodAverages:
         """Probability that a particle is replaced, in [0, 1]."""
         if math.isnan(self._slow):
             return 0.0
-        return max(0.0, -math.expm1(min(0.0, self._fast - self._slow)))
+        return min(self._recovery.most, -math.expm1(min(0.0, self._fast - self._slow)))
 
 
 def _log_mix(old: float, new: float, share: float) -> float:

@@ -1,0 +1,317 @@
+"""Localize the robot of a log in a map with a particle filter.
+
+Run a particle filter over the scans and the odometry of a log, and write where the robot was (trajectory.tum), a
+picture of its way and of how sure the filter was (localization.png), and the numbers (localization.json), whole or not
+at all. Reference poses only judge the errors, but for the first, where the filter starts unless --start or --global say
+otherwise.
+
+for example:
+
+  beamfield localize run.bag --map map.yaml --start 2.0 1.5 90
+  beamfield localize run.bag --map map.yaml --global --params beamfield_calibration/likelihood_field.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beamfield.cli import options
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command, count, index, positive
+from beamfield.cli.provenance import provenance
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+
+if TYPE_CHECKING:
+    from beamfield.localization.particle_filter import Update
+    from beamfield.localization.replay import PoseBelief, ReplayErrors
+    from beamfield.localization.scan_localizer import Localization, ScanLocalizer
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
+
+# Without --params: a laser scanner in a building with a few people.
+DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.1, "lambda_short": 0.4}
+DEFAULT_BEAMS = 60
+# What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
+# Measured in docs/localization.md.
+INDEPENDENT_BEAMS = 2.4
+# Standard deviations of the odometry, for --odometry-noise 1: after one metre and after one radian.
+ODOMETRY_NOISE = {"forward": 0.06, "sideways": 0.02, "shift": 0.02, "drift": 0.04, "turn": 0.08}
+PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
+# Particles kept for an animation, and pictures of it, at most.
+DRAWN_PARTICLES, FRAMES = 500, 150
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
+    """Register the command."""
+    parser = add_command(subparsers, run, "localize", __doc__)
+    parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
+    options.add_map(parser, required=True)
+    options.add_poses(parser)
+    parser.add_argument("--model", choices=("likelihood_field", "beam"), default="likelihood_field",
+                        help="measurement model (default: likelihood_field)")  # fmt: skip
+    options.add_params(parser, "a likelihood_field.yaml or beam_model.yaml from beamfield calibrate (default: typical "
+                       "values)")  # fmt: skip
+    options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
+    parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
+    start = parser.add_argument_group("start").add_mutually_exclusive_group()
+    start.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "DEG"),
+                       help="the first pose, within about 0.5 m and 15 degrees (default: the first reference pose; "
+                       "without one --global)")  # fmt: skip
+    start.add_argument("--global", action="store_true", dest="anywhere", help="it can be anywhere on the map")
+    group = parser.add_argument_group("filter")
+    group.add_argument("--particles", type=count, metavar="N",
+                       help=f"particles of a cloud that knows its place (default: {PARTICLES})")  # fmt: skip
+    group.add_argument("--beams", type=index, metavar="N",
+                       help=f"beams of a scan that count, equally spaced; 0: all (default: {DEFAULT_BEAMS}, or as the "
+                       "file says)")  # fmt: skip
+    group.add_argument("--exponent", type=positive, metavar="E",
+                       help=f"power of each beam's likelihood (default: {INDEPENDENT_BEAMS} / beams)")  # fmt: skip
+    group.add_argument("--odometry-noise", type=positive, default=1.0, metavar="K",
+                       help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
+    group.add_argument("--recovery", action="store_true", help="find a robot again that was carried elsewhere")
+    group.add_argument("--leave-out-short", action="store_true", help="leave out readings that are likely of people")
+    options.add_log(parser)
+    options.add_seed(parser)
+    options.add_threads(parser)
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read, filter, judge, write."""
+    # The numerical libraries load here, so that --help answers at once.
+    import numpy as np
+
+    from beamfield.io.files.atomic import check_folder_writable, check_writable
+
+    check_folder_writable(arguments.out)
+    if arguments.animation is not None:
+        if arguments.animation.suffix.lower() != ".gif":
+            raise InvalidInputError(f"--animation: expected a name ending in .gif, got {arguments.animation.name!r}")
+        check_writable(arguments.animation)
+    with options.progress(arguments) as progress:
+        progress("reading the map", 0, 1)
+        grid = options.read_walls(arguments)
+        progress("reading the log", 0, 1)
+        sensor, notes = options.read_sensor(arguments)
+        log, start = _start(sensor, grid, arguments)
+        localizer = _localizer(log, grid, start, arguments)
+        film = _Film(len(log))
+
+        def watch(i: int, update: Update) -> None:
+            progress("localizing", i, len(log))
+            if arguments.animation is not None:
+                film.add(i, update)
+
+        progress("localizing", 0, len(log))
+        try:
+            found = localizer.run(log, start, np.random.default_rng(arguments.seed), watch=watch)
+        except TooLittleDataError as error:
+            raise FormatError(arguments.log, str(error)) from error
+        errors = _judged(found, log)
+        progress("drawing", 0, 1)
+        document = {"provenance": provenance(arguments), **_document(found, errors, log, start)}
+        wrote = _write(found, log, grid, film, document, arguments)
+    notes = (*notes, *(finding.full_text for finding in found.findings))
+    return Outcome(f"wrote {' and '.join(map(str, wrote))}", _summary(document, errors), document, notes, wrote)
+
+
+def _start(
+    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace
+) -> tuple[SensorLog, PoseBelief | None]:
+    """Return the log from where the filter starts, and what it knows there; None: nothing."""
+    from beamfield.localization.replay import PoseBelief, reference_start
+
+    if not sensor.has_odometry:
+        raise FormatError(arguments.log, "no scan has odometry, which moves the particles")
+    if not grid.free.any():
+        raise FormatError(arguments.map, "the map has no free cell, so there is no place for the robot")
+    if arguments.start is not None:
+        x, y, degrees = arguments.start
+        if not grid.look_up(grid.free, [x, y]).all():
+            raise InvalidInputError(f"--start: {x:g} {y:g} is not in a free cell of {arguments.map}")
+        return sensor, PoseBelief.around([x, y, math.radians(degrees)])
+    if arguments.anywhere or not sensor.has_poses:
+        return sensor, None
+    first, belief = reference_start(sensor)
+    return sensor[first:], belief
+
+
+def _localizer(
+    log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
+) -> ScanLocalizer:
+    from beamfield.localization.particle_filter import FilterOptions
+    from beamfield.localization.recovery import PosesFromScan, Recovery
+    from beamfield.localization.resampling import KldSampling
+    from beamfield.localization.scan_localizer import ScanLocalizer
+    from beamfield.localization.short_readings import ShortReadings
+    from beamfield.models.gaussian_motion import GaussianMotion
+
+    model = _model(log, grid, arguments)
+    least = arguments.particles or PARTICLES
+    wide = start is None or arguments.recovery
+    filter_options = FilterOptions(
+        n_particles=max(least, PARTICLES_ANYWHERE) if wide else least,
+        kld=KldSampling(least=least) if wide else None,
+        recovery=Recovery(readings=_independent_beams(model, log)) if arguments.recovery else None,
+    )
+    motion = GaussianMotion(**{name: arguments.odometry_noise * value for name, value in ODOMETRY_NOISE.items()})
+    return ScanLocalizer(
+        grid,
+        model,
+        motion,
+        filter_options,
+        source=PosesFromScan(grid, model) if arguments.recovery else None,
+        short_readings=ShortReadings(grid, sigma=model.parameters.sigma_hit) if arguments.leave_out_short else None,
+    )
+
+
+def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> Any:
+    from beamfield.io.parameters.beam_model_file import read_beam_model
+    from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
+    from beamfield.models.beam import BeamModel
+    from beamfield.models.beam_parameters import BeamParameters
+    from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters, SavedLikelihoodField
+    from beamfield.models.likelihood_field import LikelihoodFieldModel
+
+    is_field = arguments.model == "likelihood_field"
+    parameters: Any = BeamParameters(**DEFAULTS)
+    n_beams: int | None = DEFAULT_BEAMS if arguments.beams is None else arguments.beams or None
+    if arguments.params is not None and is_field and is_likelihood_field(arguments.params):
+        parameters = read_likelihood_field(arguments.params)
+        n_beams = parameters.n_beams if arguments.beams is None else n_beams
+    elif arguments.params is not None:
+        parameters = read_beam_model(arguments.params)
+    n_used = log.finder.n_beams if n_beams is None else min(n_beams, log.finder.n_beams)
+    how: dict[str, Any] = {
+        "n_beams": n_beams,
+        "exponent": arguments.exponent or min(1.0, INDEPENDENT_BEAMS / n_used),
+    }
+    if not is_field:
+        return BeamModel(grid, parameters, **how)
+    if isinstance(parameters, SavedLikelihoodField):
+        return LikelihoodFieldModel(grid, parameters.parameters, **how)
+    return LikelihoodFieldModel(
+        grid, LikelihoodFieldParameters.from_beam_parameters(parameters, drop=NOT_OF_A_FIELD), **how
+    )
+
+
+def _independent_beams(model: Any, log: SensorLog) -> float:
+    n = log.finder.n_beams if model.n_beams is None else min(model.n_beams, log.finder.n_beams)
+    return float(model.exponent * n)
+
+
+class _Film:
+    """A choice of particles for each picture of an animation."""
+
+    def __init__(self, n_scans: int) -> None:
+        self.frames: list[tuple[int, Any]] = []
+        self._step = max(1, n_scans // FRAMES)
+
+    def add(self, i: int, update: Update) -> None:
+        """Keep the particles after scan i, unless there is a picture of nearly the same time."""
+        if self.frames and i < self.frames[-1][0] + self._step:
+            return
+        poses = update.belief.poses
+        self.frames.append((i, poses[:: max(1, len(poses) // DRAWN_PARTICLES)].copy()))
+
+
+def _judged(found: Localization, log: SensorLog) -> ReplayErrors | None:
+    from beamfield.localization.replay import judge_replay
+
+    if not log.has_poses:
+        return None
+    try:
+        return judge_replay(found, log.poses)
+    except TooLittleDataError:  # reference poses only where there is no odometry
+        return None
+
+
+def _document(
+    found: Localization, errors: ReplayErrors | None, log: SensorLog, start: PoseBelief | None
+) -> dict[str, Any]:
+    import numpy as np
+
+    spread = np.sqrt(np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2))
+    # Not the mean: the first update makes the model's tables, and may compile.
+    seconds = float(np.median(found.seconds))
+    return {
+        "start": None if start is None else [float(value) for value in start.mean],
+        "n_scans": len(log),
+        "n_updates": len(found.updates),
+        "mean_particles": float(found.particles.mean()),
+        "updates_per_second": 1.0 / seconds if seconds > 0.0 else None,
+        "last_pose": [float(value) for value in found.poses[np.isfinite(found.poses).all(axis=1)][-1]],
+        "last_spread_m": float(spread[-1]),
+        "errors": None if errors is None else asdict(errors),
+        "found_after_s": None if errors is None else _found_after(found, log),
+        "findings": [asdict(finding) for finding in found.findings],
+    }
+
+
+# Metres from the reference within which a robot counts as found.
+FOUND_WITHIN = 0.5
+
+
+def _found_after(found: Localization, log: SensorLog) -> float | None:
+    """Return the seconds after which the published pose stays near the reference; None if it never does."""
+    import numpy as np
+
+    known = np.isfinite(log.poses).all(axis=1) & np.isfinite(found.poses).all(axis=1)
+    far = np.hypot(*(found.poses - log.poses)[known, :2].T) > FOUND_WITHIN
+    stamps = log.stamps[known]
+    last = int(np.flatnonzero(far)[-1]) if far.any() else -1
+    return None if last + 1 == len(stamps) else float(stamps[last + 1] - log.stamps[0])
+
+
+def _write(
+    found: Localization,
+    log: SensorLog,
+    grid: OccupancyGrid,
+    film: _Film,
+    document: Mapping[str, Any],
+    arguments: argparse.Namespace,
+) -> list[Path]:
+    import numpy as np
+
+    from beamfield.figures.gallery import save_figure
+    from beamfield.figures.localization import animation, localization_figure
+    from beamfield.io.files.atomic import atomic_folder, write_file
+    from beamfield.io.trajectory import write_tum
+    from beamfield.sensors import Track
+
+    known = np.isfinite(found.poses).all(axis=1)
+    with atomic_folder(arguments.out) as folder:
+        write_tum(folder / "trajectory.tum", Track(log.stamps[known], found.poses[known]))
+        save_figure(localization_figure(found, log, grid), folder / "localization.png")
+        text = json.dumps(document, indent=1, allow_nan=False)
+        (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
+    if arguments.animation is None:
+        return [arguments.out]
+    write_file(arguments.animation, animation(film.frames, found, log, grid))
+    return [arguments.out, arguments.animation]
+
+
+def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
+    rate = document["updates_per_second"]
+    speed = "" if rate is None else f", {rate:.0f} updates/s"
+    where = "anywhere on the map" if document["start"] is None else f"{_pose_text(document['start'])}"
+    lines = [
+        f"started from: {where}",
+        f"used {document['n_updates']} of {document['n_scans']} scans{speed}",
+        f"ended at: {_pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",
+    ]
+    if errors is None:
+        return "\n".join([*lines, "no reference poses to judge by"])
+    found = document["found_after_s"]
+    within = f"{FOUND_WITHIN:g} m of the reference"
+    lines.append(f"within {within} from {found:.1f} s on" if found is not None else f"not within {within} at the end")
+    return "\n".join([*lines, errors.summary()])
+
+
+def _pose_text(pose: Any) -> str:
+    return f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, heading {math.degrees(pose[2]):.1f} deg"

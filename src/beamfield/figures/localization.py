@@ -1,0 +1,135 @@
+"""What a localization did: the way in the map, the errors over time, the particles as they moved."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from beamfield.figures.drawing import framed_map, mark_robot
+from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.localization.replay import Replay
+from beamfield.maps.end_points import end_points
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.plot import draw_trajectory
+from beamfield.report.drawing import legend, new_figure, style
+from beamfield.sensors import SensorLog
+
+ESTIMATE, REFERENCE, BOUND = "#0072B2", "#D55E00", "#8A949E"
+# Of a chi-square variable with 2 degrees of freedom, and of a standard normal one.
+BOUND_2D, BOUND_1D = 5.991, 1.960
+MARGIN = 2.0
+# Of an animation.
+FRAMES_PER_SECOND, ANIMATED_BEAMS, COLOURS = 10, 180, 64
+
+
+def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> Figure:
+    """Draw where the filter was in the map, and over time how far off and how sure.
+
+    Parameters
+    ----------
+    found
+        What the filter said.
+    log
+        The same scans, with reference poses if there are any.
+    grid
+        The map.
+    """
+    figure = new_figure(12.0, 6.0)
+    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    figure.delaxes(right)
+    top, bottom = figure.add_subplot(2, 2, 2), figure.add_subplot(2, 2, 4)
+    _draw_way(found, log, grid, left)
+    _draw_errors(found, log, top, bottom)
+    return figure
+
+
+def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: SensorLog, grid: OccupancyGrid) -> bytes:
+    """Return the particles over time as a GIF.
+
+    Parameters
+    ----------
+    frames
+        For each picture the index of a scan and particles (n, 3); at least one.
+    found, log, grid
+        As for `localization_figure`.
+    """
+    figure = new_figure(6.4, 6.0)
+    canvas = FigureCanvasAgg(figure)
+    ax = figure.add_subplot()
+    framed_map(grid, ax)
+    _zoom(ax, np.concatenate([found.poses, log.poses]), grid)
+    style(ax, x="x [m]", y="y [m]", grid="none")
+    cloud = ax.scatter([], [], s=4.0, color=ESTIMATE, alpha=0.35, linewidths=0, zorder=5)
+    scan = ax.scatter([], [], s=5.0, color=REFERENCE, linewidths=0, zorder=4)
+    (way,) = ax.plot([], [], color=ESTIMATE, linewidth=1.2, zorder=4)
+    beams = np.unique(np.linspace(0, log.finder.n_beams - 1, ANIMATED_BEAMS).astype(np.int64))
+    finder = log.finder.subset(beams)
+    pictures = []
+    for i, particles in frames:
+        ends = end_points(log.ranges[i, beams], finder, found.poses[i])
+        cloud.set_offsets(particles[:, :2])
+        scan.set_offsets(ends[np.isfinite(ends).all(axis=1)])
+        way.set_data(found.poses[: i + 1, 0], found.poses[: i + 1, 1])
+        ax.set_title(f"{log.stamps[i] - log.stamps[0]:.1f} s: particles, scan and estimate", fontsize=10)
+        canvas.draw()  # type: ignore[no-untyped-call]
+        # Few colours: a third of the size.
+        pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        pictures.append(Image.fromarray(pixels[..., :3].copy()).quantize(COLOURS))
+    out = io.BytesIO()
+    pictures[0].save(
+        out, format="GIF", save_all=True, append_images=pictures[1:], duration=1000 // FRAMES_PER_SECOND, loop=0
+    )
+    return out.getvalue()
+
+
+def _draw_way(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes) -> None:
+    framed_map(grid, ax)
+    if log.has_poses:
+        draw_trajectory(log.poses, ax, label="reference", color=REFERENCE, ends=False)
+    draw_trajectory(found.poses, ax, label="estimate", color=ESTIMATE, ends=False)
+    known = found.poses[np.isfinite(found.poses).all(axis=1)]
+    _zoom(ax, np.concatenate([known, log.poses]), grid)
+    low, high = ax.get_xlim()
+    mark_robot(known[-1], ax, size=0.02 * (high - low), color=ESTIMATE, label="end")
+    style(ax, title="The way in the map", x="x [m]", y="y [m]", grid="none")
+    legend(ax, loc="best")
+
+
+def _zoom(ax: Axes, poses: FloatArray, grid: OccupancyGrid) -> None:
+    """Show the part of the map that the poses are in."""
+    known = poses[np.isfinite(poses).all(axis=1), :2]
+    margin = MARGIN + 0.1 * float(np.ptp(known, axis=0).max())
+    rows, cols = grid.shape
+    corners = grid.to_map(np.array([[0, 0], [cols, 0], [0, rows], [cols, rows]]))
+    low = np.maximum(known.min(axis=0) - margin, corners.min(axis=0))
+    high = np.minimum(known.max(axis=0) + margin, corners.max(axis=0))
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
+
+
+def _draw_errors(found: Replay, log: SensorLog, top: Axes, bottom: Axes) -> None:
+    """Draw the errors of position and heading, and what the particles say of them."""
+    time = log.stamps - log.stamps[0]
+    at = time[found.updates]
+    widest = np.linalg.eigvalsh(found.covariances[:, :2, :2])[:, -1]
+    top.plot(at, np.sqrt(BOUND_2D * np.maximum(widest, 0.0)), color=BOUND, linewidth=1.0, label="95 % of the particles")
+    heading = np.degrees(np.sqrt(found.covariances[:, 2, 2]))
+    bottom.plot(at, BOUND_1D * heading, color=BOUND, linewidth=1.0, label="95 % of the particles")
+    if log.has_poses:
+        off = found.poses - log.poses
+        top.plot(time, np.hypot(off[:, 0], off[:, 1]), color=ESTIMATE, linewidth=1.0, label="error")
+        turn = np.degrees(np.abs(wrap_angle(off[:, 2])))
+        bottom.plot(time, turn, color=ESTIMATE, linewidth=1.0, label="error")
+    for ax, title, unit in ((top, "Position", "m"), (bottom, "Heading", "deg")):
+        style(
+            ax, title=title, x="time [s]", y=f"distance from the reference [{unit}]" if log.has_poses else f"[{unit}]"
+        )
+        ax.set_ylim(bottom=0.0)
+        ax.set_xlim(0.0, max(float(time[-1]), 1e-3))
+        legend(ax, loc="upper right")

@@ -123,7 +123,7 @@ def test_mean_and_covariance_are_those_of_a_sample_with_headings_across_pi(rng):
     poses = rng.normal([1.0, 2.0, 0.0], [0.5, 0.2, 0.3], (5000, 3))
     poses[:, 2] += 0.3 * poses[:, 0]
     weights = np.full(5000, 1.0 / 5000)
-    turned = poses + [0.0, 0.0, np.pi]
+    turned = poses + np.array([0.0, 0.0, np.pi])
     mean = particle_mean(turned, weights)
     assert float(wrap_angle(mean[2] - np.pi - poses[:, 2].mean())) == pytest.approx(0.0, abs=0.01)
     np.testing.assert_allclose(particle_covariance(turned, weights, mean), np.cov(poses.T), atol=2e-3)

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from beamfield.localization.replay_comparison import ReplayTrials
-from beamfield.report.drawing import CAUSE_COLOURS, MODEL, QUIET, WIDE, new_figure, style
+from beamfield.report.colours import CAUSE_COLOURS, MODEL, QUIET
+from beamfield.report.drawing import WIDE, new_figure, style
 from beamfield.report.evaluation import Evaluation
 
 # Rows of one log lie a unit apart, logs a little more.

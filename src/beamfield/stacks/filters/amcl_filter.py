@@ -17,13 +17,15 @@ from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
+from beamfield.stacks.filters.loop import run_loop
 from beamfield.stacks.filters.particles import (
     draw_by_weight,
+    n_effective,
     normal_poses,
     particle_mean,
+    reweighed,
     uniform_poses,
 )
-from beamfield.stacks.filters.recording import Recording
 from beamfield.stacks.filters.recovery import WeightAverages
 from beamfield.stacks.filters.scan_weights import ScanWeights
 
@@ -141,23 +143,7 @@ class AmclFilter:
         TooLittleDataError
             If no scan has odometry.
         """
-        recording = Recording(log)
-        particles = _Particles(self, start, rng)
-        last: FloatArray | None = None
-        for i in recording.scans:
-            odometry = log.odometry[i]
-            if last is not None and not self._has_moved(last, odometry):
-                continue
-            recording.start_update()
-            if last is not None:
-                particles.move(np.stack([last, odometry]))
-            particles.weigh(log.scan(i))
-            answer = particles.resample_when_due()
-            recording.updated(i, particles.poses, particles.weights)
-            if answer is not None:
-                recording.published(i, answer)
-            last = odometry
-        return recording.replay()
+        return run_loop(log, _Particles(self, start, rng), self._has_moved)
 
     def _has_moved(self, last: FloatArray, now: FloatArray) -> bool:
         turn = abs(float(wrap_angle(now[2] - last[2])))
@@ -166,7 +152,7 @@ class AmclFilter:
 
 
 class _Particles:
-    """The particles of one run, and what the filter remembers of earlier scans."""
+    """A `Cloud`."""
 
     def __init__(self, amcl: AmclFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
         values = amcl.parameters
@@ -181,34 +167,24 @@ class _Particles:
         self.weights = np.full(n, 1.0 / n)
 
     def move(self, odometry: FloatArray) -> None:
-        """Move by an odometry step (2, 3)."""
         self.poses = self._amcl.motion.sample(self.poses, odometry, self._rng)
 
     def weigh(self, scan: Scan) -> None:
-        """Multiply weights by those of a scan, and normalise them."""
-        with np.errstate(under="ignore"):
-            weights = self.weights * np.exp(self._weights_of(scan, self.poses, converged=self._converged))
-        total = float(weights.sum())
+        log_weights = self._weights_of(scan, self.poses, converged=self._converged)
+        self.weights, total = reweighed(self.weights, log_weights)
         if total > 0.0:
-            self._averages.add(total / len(weights))
-            self.weights = weights / total
-        else:
-            self.weights = np.full(len(weights), 1.0 / len(weights))
+            self._averages.add(total / len(self.weights))
         self._n_updates += 1
 
     def resample_when_due(self) -> FloatArray | None:
-        """Resample at every so many-th update; return the filter's answer if it has a new one."""
         if self._n_updates % self._amcl.parameters.resample_interval == 0:
-            if not self._amcl.selective_resampling or self._n_effective() <= 0.5 * len(self.weights):
+            if not self._amcl.selective_resampling or n_effective(self.weights) <= 0.5 * len(self.weights):
                 self._resample()
             return self._heaviest_cluster(self.weights)
         if self._n_updates == 1:
             # Clusters are counted when particles are drawn: the first scan has not told on them yet.
             return self._heaviest_cluster(np.full(len(self.weights), 1.0 / len(self.weights)))
         return None
-
-    def _n_effective(self) -> float:
-        return 1.0 / float(self.weights @ self.weights)
 
     def _resample(self) -> None:
         random_share = self._averages.random_share()

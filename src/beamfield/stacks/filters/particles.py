@@ -25,6 +25,22 @@ def uniform_poses(seen: OccupancyGrid, n: int, rng: np.random.Generator) -> Floa
     return np.column_stack([transform_points(seen.origin, centres), rng.uniform(-np.pi, np.pi, n)])
 
 
+def reweighed(weights: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, float]:
+    """Return weights (n,) times others, normalised, and what they summed up to.
+
+    Where that is 0, as weights may be too small for a double, the particles become equal.
+    """
+    with np.errstate(under="ignore"):
+        product = weights * np.exp(log_weights)
+    total = float(product.sum())
+    return (product / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))), total
+
+
+def n_effective(weights: FloatArray) -> float:
+    """Return the effective number of particles with weights (n,) that sum to 1."""
+    return 1.0 / float(weights @ weights)
+
+
 def draw_by_weight(weights: FloatArray, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Return n indices of particles, each drawn for itself by their weights, which sum to 1."""
     sums = np.cumsum(weights)

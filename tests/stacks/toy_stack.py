@@ -7,10 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from beamfield.geometry import as_poses
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.coordinates import SIGMAS, FitInputs, FitSpace, log_of, share
-from beamfield.stacks.emulation.emulator import FieldEvidence, FieldModel
+from beamfield.stacks.emulation.emulator import FieldModel, ScanEnds
 from beamfield.stacks.emulation.field_table import AMCL_BRUSHFIRE, FieldTable, end_points, field_table
 from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers
 from beamfield.stacks.emulation.stack_map import read_as_stack
@@ -46,12 +45,10 @@ class ToyField(FieldModel[ToyParameters]):
         seen = read_as_stack(self.grid)
         object.__setattr__(self, "_table", field_table(seen, seen.occupied, "exact", AMCL_BRUSHFIRE, 1.0))
 
-    def evidence(self, z, poses):
+    def scan_ends(self, z):
         beams = np.arange(0, len(z.ranges), self.parameters.toy_step)
         beams = beams[np.isfinite(z.ranges[beams])]
-        ends = end_points(z.finder.mounts[beams], z.ranges[beams])
-        distances, places = self._table.look_up(as_poses(poses).reshape(-1, 3), ends)
-        return FieldEvidence(beams, self.parameters.toy_range, distances, places, settings=self._settings())
+        return ScanEnds(beams, self.parameters.toy_range, end_points(z.finder.mounts[beams], z.ranges[beams]))
 
     def beam_values(self, evidence, parameters=None):
         values = self._parameters_for(evidence, parameters)

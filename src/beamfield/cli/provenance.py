@@ -52,6 +52,9 @@ def provenance(arguments: argparse.Namespace) -> dict[str, Any]:
     for name, value in sorted(vars(arguments).items(), key=lambda item: (item[0] not in ("log", "map"), item[0])):
         if name in _NO_OPTIONS:
             continue
+        if isinstance(value, list) and value and all(isinstance(one, Path) for one in value):
+            inputs.update({f"{name.replace('_', ' ')} {i}": one for i, one in enumerate(value, 1)})
+            continue
         if not isinstance(value, Path):
             options[name] = list(value) if isinstance(value, tuple) else value
             continue

@@ -183,6 +183,47 @@ def look_up_ends(
 
 
 @kernel
+def sum_ends(
+    poses: Floats,
+    frame: tuple[float, float, float],
+    resolution: float,
+    ends: Floats,
+    terms: Floats,
+    off_map: float,
+    sums: Floats,
+) -> None:
+    """Add up what the cells of all beams' end points hold.
+
+    Parameters
+    ----------
+    poses, frame, resolution, ends
+        As for `look_up_ends`, which finds the same cells.
+    terms
+        (rows, cols) what each cell adds.
+    off_map
+        What an end point off the map adds.
+    sums
+        (n,) overwritten.
+    """
+    rows, cols = terms.shape
+    cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
+    for i in range(len(poses)):
+        dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
+        x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
+        heading = poses[i, 2] - frame[2]
+        c, s = math.cos(heading), math.sin(heading)
+        total = 0.0
+        for b in range(ends.shape[1]):
+            u = (x + (c * ends[0, b] - s * ends[1, b])) / resolution
+            v = (y + (s * ends[0, b] + c * ends[1, b])) / resolution
+            if u >= 0.0 and v >= 0.0 and u < cols and v < rows:
+                total += terms[math.floor(v), math.floor(u)]
+            else:
+                total += off_map
+        sums[i] = total
+
+
+@kernel
 def cast_bresenham(
     poses: Floats,
     frame: tuple[float, float, float],

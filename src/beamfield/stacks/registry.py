@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from beamfield.errors import InvalidInputError
+from beamfield.localization.replay import ReplayedFilter
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.beluga.stack import BELUGA
 from beamfield.stacks.emulation.emulator import StackModel
@@ -59,3 +60,28 @@ def build_model(stack: str, model: str, grid: OccupancyGrid, parameters: Any, **
     kind: Any = model_named(stack, model).emulator
     made: StackModel[Any, Any] = kind(grid, parameters, **options)
     return made
+
+
+def build_filter(stack: str, model: StackModel[Any, Any], motion: Any = None, parameters: Any = None) -> ReplayedFilter:
+    """Return a stack's particle filter with one of its measurement models.
+
+    Parameters
+    ----------
+    stack
+        For example "nav2".
+    model
+        One of its models on a map.
+    motion, parameters
+        Of the classes that its description names; by default the program's defaults.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such stack, its filter is not emulated, or the map has no free cell.
+    """
+    described = stack_named(stack).filter
+    if described is None:
+        known = ", ".join(name for name, one in STACKS.items() if one.filter is not None)
+        raise InvalidInputError(f"stack: the filter of {stack} is not emulated, only those of {known}")
+    chosen = described.motion() if motion is None else motion
+    return described.build(model, chosen, described.parameters() if parameters is None else parameters)

@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
+from beamfield.localization.replay import ReplayedFilter
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.coordinates import FitInputs, FitSpace
 from beamfield.stacks.emulation.emulator import StackModel
@@ -198,6 +199,24 @@ class OtherNode:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StackFilter:
+    """The particle filter of a program.
+
+    Parameters
+    ----------
+    motion, parameters
+        Dataclasses of what its files say about the odometry and about the particles, under its names; `motion` is a
+        `MotionModel`.
+    build
+        Returns the filter, from a measurement model, a motion model and parameters of these classes.
+    """
+
+    motion: type[Any]
+    parameters: type[Any]
+    build: Callable[[StackModel[Any, Any], Any, Any], ReplayedFilter]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Stack:
     """A program that localises.
 
@@ -255,6 +274,8 @@ class Stack:
         What an end point off the map is worth, if not what the maximum distance is.
     flatter
         What makes its weights flatter.
+    filter
+        Its particle filter; None if that is not emulated.
     checks
         Findings of its own: called with what `beamfield.stacks.doctor` looks at.
     """
@@ -287,6 +308,7 @@ class Stack:
     beams_taken: str = ""
     off_map: str = ""
     flatter: str = "fewer beams or a wider sigma_hit"
+    filter: StackFilter | None = None
     checks: tuple[Callable[[Any], Iterator[Finding]], ...] = ()
 
     @property

@@ -8,15 +8,14 @@ from functools import partial
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.amcl.parameters import AmclParameters, AsAmcl
 from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.emulation.beam_selection import Indices, floor_step_beams
-from beamfield.stacks.emulation.emulator import OFF_MAP, FieldEvidence, FieldModel
+from beamfield.stacks.emulation.emulator import OFF_MAP, FieldEvidence, FieldModel, ScanEnds
 from beamfield.stacks.emulation.field_table import (
     AMCL_BRUSHFIRE,
     DistanceChoice,
@@ -77,16 +76,14 @@ class AmclField(FieldModel[P], Generic[P]):
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
         return self.beam_rule(n_beams, self.parameters.as_amcl().max_beams)
 
-    def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
-        """Return distances of end points; see `StackModel.evidence`."""
-        robot = as_poses(poses).reshape(-1, 3)
+    def scan_ends(self, z: Scan) -> ScanEnds:
+        """Return the end points that the program looks up; see `FieldModel.scan_ends`."""
         parameters = self.parameters.as_amcl()
         _, range_max = range_limits(z.finder, parameters)
         ranges = amcl_ranges(z, parameters)
         beams = self.selected_beams(len(ranges))
         beams = beams[ranges[beams] < range_max]
-        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges[beams]))
-        return FieldEvidence(beams, range_max, distances, places, settings=self._settings())
+        return ScanEnds(beams, range_max, end_points(z.finder.mounts[beams], ranges[beams]))
 
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""

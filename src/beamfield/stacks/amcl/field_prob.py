@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -60,6 +60,10 @@ class AmclFieldProb(AmclField[P]):
             elif terms.shape[1] < values.max_beams:
                 return np.full(len(terms), -np.inf)
         return np.asarray(terms.sum(axis=1))
+
+    def in_filter(self, *, converged: bool) -> Self:
+        """Return the model as it weighs particles; see `StackModel.in_filter`."""
+        return self if converged == self.converged else self._sharing(converged=converged)
 
     def takes_poses_alone(self) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for: not with beam skipping."""

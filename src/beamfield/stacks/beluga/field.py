@@ -7,15 +7,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries
 from beamfield.stacks.emulation.beam_selection import even_beams
-from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
+from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel, ScanEnds
 from beamfield.stacks.emulation.field_table import BELUGA_BRUSHFIRE, DistanceChoice, FieldTable, end_points, field_table
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
@@ -86,12 +85,10 @@ class BelugaField(FieldModel[BelugaParameters]):
             return replace(self, parameters=parameters)
         return super().with_parameters(parameters)
 
-    def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
-        """Return distances of end points; see `StackModel.evidence`."""
-        robot = as_poses(poses).reshape(-1, 3)
+    def scan_ends(self, z: Scan) -> ScanEnds:
+        """Return the end points that the program looks up; see `FieldModel.scan_ends`."""
         beams, ranges = beluga_beams(z, self.parameters, self.no_return)
-        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], ranges))
-        return FieldEvidence(beams, self.parameters.laser_max_range, distances, places, settings=self._settings())
+        return ScanEnds(beams, self.parameters.laser_max_range, end_points(z.finder.mounts[beams], ranges))
 
     def beam_values(self, evidence: FieldEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""

@@ -7,10 +7,22 @@ from typing import Any
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.amcl.chapter import amcl_fit_space, beam_notes, plain_from_chapter
 from beamfield.stacks.amcl.parameters import ROS_1_DEFAULTS, ROS_1_NAMES
+from beamfield.stacks.beluga.filter import BelugaFilterParameters, beluga_filter
 from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
+from beamfield.stacks.beluga.motion import BelugaMotion
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.emulation.emulator import StackModel
-from beamfield.stacks.stack import FIELD_CUBES, FIELD_PRODUCT, RAY_CUBES, SURE, Model, OtherNode, Stack, models
+from beamfield.stacks.stack import (
+    FIELD_CUBES,
+    FIELD_PRODUCT,
+    RAY_CUBES,
+    SURE,
+    Model,
+    OtherNode,
+    Stack,
+    StackFilter,
+    models,
+)
 from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 PACKAGE = "beluga_amcl"
@@ -86,4 +98,5 @@ BELUGA = Stack(
     wants_extremes=True,
     beams_taken="max_beams evenly",
     off_map="1 / laser_max_range",
+    filter=StackFilter(motion=BelugaMotion, parameters=BelugaFilterParameters, build=beluga_filter),
 )  # fmt: skip

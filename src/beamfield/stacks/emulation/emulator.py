@@ -12,15 +12,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.emulation.beam_selection import Indices
+from beamfield.stacks.emulation.field_table import CellTerms, FieldTable
 
 # What an end point lies in: values of `FieldEvidence.places`.
 KNOWN, UNKNOWN, OFF_MAP = 0, 1, 2
@@ -60,6 +62,17 @@ class FieldEvidence(Evidence):
 
     distances: NDArray[np.floating[Any]]
     places: NDArray[np.int8]
+
+
+class ScanEnds(NamedTuple):
+    """The end points of a scan that a likelihood field looks up."""
+
+    beams: Indices
+    """(k,) which beams they are of."""
+    max_range: float
+    """The range limit that the stack divides by, metres."""
+    points: FloatArray
+    """(2, k) in the robot frame, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +122,7 @@ class StackModel(ABC, Generic[P, E]):
     fitted_parameters: ClassVar[tuple[str, ...]]
     tests_nan: ClassVar[bool] = True
 
+    grid: OccupancyGrid
     parameters: P
 
     @staticmethod
@@ -157,6 +171,10 @@ class StackModel(ABC, Generic[P, E]):
         InvalidInputError
             If the parameters differ in one that the evidence depends on.
         """
+
+    def in_filter(self, *, converged: bool) -> Self:  # noqa: ARG002
+        """Return the model as it weighs the particles of a filter that has converged, or has not."""
+        return self
 
     def takes_poses_alone(self) -> bool:
         """Whether a pose's weight is the same whatever other poses are asked for (not so with beam skipping)."""
@@ -208,6 +226,32 @@ class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
     """
 
     is_product: ClassVar[bool] = False
+    _table: FieldTable
+
+    @abstractmethod
+    def scan_ends(self, z: Scan) -> ScanEnds:
+        """Return the end points that the program looks up for a scan."""
+
+    def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
+        """Return distances of end points; see `StackModel.evidence`."""
+        robot = as_poses(poses).reshape(-1, 3)
+        ends = self.scan_ends(z)
+        return self._evidence_of(ends.beams, ends.max_range, *self._table.look_up(robot, ends.points))
+
+    def cell_terms(self, max_range: float) -> CellTerms:
+        """Return what `beam_terms` has for an end point in each cell, with the model's own parameters.
+
+        Parameters
+        ----------
+        max_range
+            Of `scan_ends`: the range limit that the program divides by, metres.
+        """
+        table = self._table
+        distances = np.append(table.distance.ravel(), table.distance.dtype.type(np.inf))
+        places = np.append(np.where(table.unknown.ravel(), UNKNOWN, KNOWN), OFF_MAP).astype(np.int8)
+        cells = np.arange(len(places))
+        terms = self.beam_terms(self._evidence_of(cells, max_range, distances[None], places[None]))[0]
+        return CellTerms(table.grid, terms[:-1].reshape(table.distance.shape), float(terms[-1]))
 
     @abstractmethod
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
@@ -230,3 +274,9 @@ class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
         values = self._parameters_for(evidence, parameters)
         terms = self.beam_terms(evidence, values)
         return self.log_of_sums(terms.sum(axis=1), terms.shape[1], values)
+
+    def _evidence_of(
+        self, beams: Indices, max_range: float, distances: NDArray[np.floating[Any]], places: NDArray[np.int8]
+    ) -> FieldEvidence:
+        """Return what was looked up, as evidence."""
+        return FieldEvidence(beams, max_range, distances, places, settings=self._settings())

@@ -73,6 +73,29 @@ class FieldTable(NamedTuple):
         return distances, places
 
 
+class CellTerms(NamedTuple):
+    """What an end point adds to the logarithm or the sum that makes a scan's weight, for each cell it may lie in."""
+
+    grid: OccupancyGrid
+    terms: FloatArray
+    """(rows, cols)."""
+    off_map: float
+
+    def sums(self, poses: FloatArray, ends: FloatArray) -> FloatArray:
+        """Return the sums (n,) over end points (2, k) in the robot frame at poses (n, 3)."""
+        sums = np.empty(len(poses))
+        rows = np.require(poses, requirements=["C", "W"])
+        x, y, yaw = self.grid.origin.tolist()
+        run_in_blocks(
+            lambda a, b: kernels.sum_ends(
+                rows[a:b], (x, y, yaw), self.grid.resolution, ends, self.terms, self.off_map, sums[a:b]
+            ),
+            len(rows),
+            work_per_row=ends.shape[1],
+        )
+        return sums
+
+
 def field_table(
     grid: OccupancyGrid, obstacles: BoolArray, distance: DistanceChoice, order: BrushfireOrder, max_distance: float
 ) -> FieldTable:

@@ -86,6 +86,34 @@ def checked_values(file: StackFile) -> Any:
     return typed.parameters
 
 
+def checked_fields(file: StackFile, kind: type[Any]) -> Any:
+    """Return other parameters of the stack that a file asks for: of its motion model, or of its filter.
+
+    Parameters
+    ----------
+    file
+        From `read_stack_file`.
+    kind
+        Their dataclass; its defaults hold where the file says nothing.
+
+    Raises
+    ------
+    FormatError
+        If a value cannot be used; names the line.
+    """
+    usable: dict[str, Value] = {}
+    for item in fields(kind):
+        entry = file.section.entries.get(item.name)
+        if entry is None:
+            continue
+        value, wrong = _read(file, entry, item)
+        wrong = wrong or _refusal(kind, usable, item.name, value, is_model=False)
+        if wrong is not None:
+            raise file.section.error(item.name, wrong[1])
+        usable[item.name] = value
+    return kind(**usable)
+
+
 def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[Fault, str] | None]:
     """Return the value in the type of the parameter, and what is wrong with it, if anything."""
     if entry.filled_in and entry.value is None:

@@ -6,14 +6,15 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose
+from beamfield.geometry import FloatArray, compose
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
-from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel
+from beamfield.stacks.emulation.beam_selection import Indices
+from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel, ScanEnds
 from beamfield.stacks.emulation.field_table import FieldTable, end_points
 from beamfield.stacks.emulation.parameter_checks import check_choice
 from beamfield.stacks.emulation.stack_map import MapMode
@@ -77,16 +78,11 @@ class MrptField(FieldModel[MrptFieldParameters]):
             raise InvalidInputError(f"least_spacing: expected a number >= 0 or None, got {self.least_spacing!r}")
         object.__setattr__(self, "_table", _table(mrpt_grid(self.grid, self.map_mode)))
 
-    def evidence(self, z: Scan, poses: ArrayLike) -> FieldEvidence:
-        """Return distances of end points; see `StackModel.evidence`."""
-        robot = as_poses(poses).reshape(-1, 3)
+    def scan_ends(self, z: Scan) -> ScanEnds:
+        """Return the end points that the program looks up; see `FieldModel.scan_ends`."""
         spacing = self._table.grid.resolution / 2.0 if self.least_spacing is None else self.least_spacing
         beams = thinned_out(scan_points(z, spacing), self.parameters.LF_decimation)
-        distances, places = self._table.look_up(robot, end_points(z.finder.mounts[beams], z.ranges[beams]))
-        # The table calls "unknown" what is on the map and does not count.
-        places[places == UNKNOWN] = OFF_MAP
-        distances[places == OFF_MAP] = np.inf
-        return FieldEvidence(beams, self.parameters.LF_maxRange, distances, places, settings=self._settings())
+        return ScanEnds(beams, self.parameters.LF_maxRange, end_points(z.finder.mounts[beams], z.ranges[beams]))
 
     def beam_values(self, evidence: FieldEvidence, parameters: MrptFieldParameters | None = None) -> FloatArray:
         """Return p of each point that counts, (n, k)."""
@@ -117,6 +113,14 @@ class MrptField(FieldModel[MrptFieldParameters]):
             return sums
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(np.asarray(n_beams) > 0, np.log(sums / np.maximum(n_beams, 1)), 0.0))
+
+    def _evidence_of(
+        self, beams: Indices, max_range: float, distances: NDArray[np.floating[Any]], places: NDArray[np.int8]
+    ) -> FieldEvidence:
+        # The table calls "unknown" what is on the map and does not count.
+        places[places == UNKNOWN] = OFF_MAP
+        distances[places == OFF_MAP] = np.inf
+        return super()._evidence_of(beams, max_range, distances, places)
 
 
 def _table(seen: OccupancyGrid) -> FieldTable:

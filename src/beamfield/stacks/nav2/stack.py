@@ -6,11 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 from beamfield.finding import Finding
+from beamfield.stacks.amcl.filter import amcl_filter
 from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
+from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
+from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
-from beamfield.stacks.stack import SURE
+from beamfield.stacks.stack import SURE, StackFilter
 from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 PACKAGE = "nav2_amcl"
@@ -51,5 +54,6 @@ NAV2 = amcl_stack(
     layout=("amcl:", "  ros__parameters:"),
     unknown_model="nav2 runs likelihood_field instead, without a message",
     is_typed=True,
+    filter=StackFilter(motion=Nav2Motion, parameters=AmclFilterParameters, build=amcl_filter),
     checks=(uninitialised_queue,),
 )  # fmt: skip

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
+from beamfield.stacks.ros1.filter import Ros1FilterParameters, ros1_filter
 from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
+from beamfield.stacks.ros1.motion import Ros1Motion
 from beamfield.stacks.ros1.parameters import Ros1Parameters
-from beamfield.stacks.stack import SURE
+from beamfield.stacks.stack import SURE, StackFilter
 from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 PACKAGE = "amcl"
@@ -35,5 +37,6 @@ ROS1 = amcl_stack(
     in_launch_files=True,
     unknown_model="amcl runs likelihood_field instead; it only logs a warning",
     wrong_type="amcl uses its default without a message",
+    filter=StackFilter(motion=Ros1Motion, parameters=Ros1FilterParameters, build=ros1_filter),
     flatter="fewer beams or a wider laser_sigma_hit",
 )

@@ -1,0 +1,217 @@
+"""Replay robots' own particle filters on logs, side by side.
+
+Run the filter that each parameter file sets up (nav2, ROS 1 amcl or Beluga, emulated) over logs with reference poses,
+with many seeds, and compare: position and heading error, how often the particles hold the truth, lost runs, processor
+time, and which differences are more than chance. The first file is what others are compared with. Every run starts
+from a belief around the first reference pose. With --global and --kidnap, also how often and how soon a lost robot is
+found. Prints tables and writes evaluation.json, evaluation.csv (one line per run) and evaluation.svg, whole or not at
+all.
+
+for example:
+
+  beamfield evaluate run.bag --map map.yaml --params nav2_before.yaml nav2_after.yaml
+  beamfield evaluate run1.bag run2.bag --map map.yaml --params nav2.yaml --seeds 20 --global
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beamfield.cli import options
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command, count, positive
+from beamfield.cli.progress import StageProgress
+from beamfield.cli.provenance import file_name, provenance
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+
+if TYPE_CHECKING:
+    from beamfield.localization.replay import PoseBelief, ReplayedFilter
+    from beamfield.localization.replay_comparison import ReplayTrials
+    from beamfield.report.evaluation import Evaluation, FindTrials
+    from beamfield.sensors import SensorLog
+    from beamfield.stacks.files.filter_file import FilterSettings
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
+    """Register the command."""
+    parser = add_command(subparsers, run, "evaluate", __doc__)
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help=options.LOG_FORMATS)
+    options.add_map(parser, required=True)
+    parser.add_argument("--params", type=Path, nargs="+", required=True, metavar="FILE",
+                        help="parameter files of nav2, ROS 1 amcl or Beluga")  # fmt: skip
+    parser.add_argument("--poses", type=Path, nargs="+", metavar="FILE",
+                        help="reference poses of each LOG, TUM or CSV (default: those in the logs)")  # fmt: skip
+    parser.add_argument("--seeds", type=count, default=50, metavar="N",
+                        help="runs of each filter on each log (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--start-error", type=positive, nargs=2, default=(0.5, 15.0), metavar=("M", "DEG"),
+                        help="standard deviations of the start's position and heading (default: 0.5 15)")  # fmt: skip
+    parser.add_argument("--global", action="store_true", dest="from_anywhere",
+                        help="also start without any idea where the robot is")  # fmt: skip
+    parser.add_argument("--kidnap", action="store_true",
+                        help="also cut out the middle third of each log, unnoticed by the odometry")  # fmt: skip
+    group = parser.add_argument_group("the parameter files")
+    group.add_argument("--stack", metavar="NAME", help="nav2, ros1 or beluga (default: find out for each file)")
+    group.add_argument("--section", metavar="LABEL", help="which section, if several have such parameters")
+    options.add_out(parser, "beamfield_evaluation", metavar="DIR", what="output folder")
+    options.add_log(parser)
+    options.add_seed(parser)
+    options.add_threads(parser)
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read, replay, compare, write."""
+    from beamfield.figures.gallery import save_figure
+    from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+    from beamfield.report.evaluation import evaluation_as_dict, evaluation_csv, evaluation_line, evaluation_tables
+    from beamfield.report.evaluation_figure import evaluation_figure
+
+    _check(arguments)
+    check_folder_writable(arguments.out)
+    settings, notes = _read_settings(arguments)
+    with options.progress(arguments) as progress:
+        progress("reading the map", 0, 1)
+        grid = options.read_grid(arguments)
+        filters = {}
+        for name, one in settings.items():
+            progress(f"preparing {name}", 0, 1)
+            try:
+                filters[name] = one.filter(grid)
+            except InvalidInputError as error:
+                raise FormatError(arguments.map, str(error)) from error
+        progress("reading the logs", 0, 1)
+        logs, more = _read_logs(arguments)
+        evaluation = _evaluate(arguments, filters, logs, progress)
+        document = {
+            "provenance": provenance(arguments),
+            "stacks": {name: {"stack": one.stack, "model": one.model} for name, one in settings.items()},
+            **evaluation_as_dict(evaluation),
+        }
+        with atomic_folder(arguments.out) as folder:
+            (folder / "evaluation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+            (folder / "evaluation.csv").write_text(evaluation_csv(evaluation))
+            save_figure(evaluation_figure(evaluation), folder / "evaluation.svg")
+    text = evaluation_tables(evaluation)
+    return Outcome(evaluation_line(evaluation), text, document, (*notes, *more), [arguments.out])
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if arguments.poses is not None and len(arguments.poses) != len(arguments.logs):
+        raise InvalidInputError(
+            f"--poses: expected one file for each LOG, got {len(arguments.poses)} for {len(arguments.logs)}"
+        )
+
+
+def _read_settings(arguments: argparse.Namespace) -> tuple[dict[str, FilterSettings], list[str]]:
+    """Return what each parameter file sets up, by a short name, and what was noticed."""
+    from beamfield.stacks.files.filter_file import read_filter_settings
+    from beamfield.stacks.files.parameter_file import read_stack_file
+
+    settings: dict[str, FilterSettings] = {}
+    notes: list[str] = []
+    for name, path in _short_names(arguments.params).items():
+        file = read_stack_file(path, stack=arguments.stack, section=arguments.section)
+        settings[name] = read_filter_settings(file)
+        if not file.stack_is_certain:
+            others = " or ".join(other for other in file.possible if other != file.stack)
+            notes.append(f"{name} is taken for a file of {file.stack}; it may be one of {others}, see --stack")
+    return settings, notes
+
+
+def _read_logs(arguments: argparse.Namespace) -> tuple[dict[str, SensorLog], list[str]]:
+    logs: dict[str, SensorLog] = {}
+    notes: list[str] = []
+    poses = arguments.poses or [None] * len(arguments.logs)
+    for (name, path), reference in zip(_short_names(arguments.logs).items(), poses, strict=True):
+        log = options.read_scans(arguments, path, reference)
+        sensor = options.require_poses(log.only_sensor(arguments.sensor[0] if arguments.sensor else None), path)
+        if not sensor.has_odometry:
+            raise FormatError(path, "the log has no odometry, by which a filter moves its particles")
+        logs[name] = sensor
+        notes += [f"{name}: {note}" for note in log.notes]
+    return logs, notes
+
+
+def _evaluate(
+    arguments: argparse.Namespace,
+    filters: Mapping[str, ReplayedFilter],
+    logs: Mapping[str, SensorLog],
+    progress: StageProgress,
+) -> Evaluation:
+    from beamfield.report.evaluation import Evaluation
+
+    trials: dict[str, list[ReplayTrials]] = {name: [] for name in filters}
+    finds: dict[str, list[FindTrials]] = {name: [] for name in filters}
+    for log_name, log in logs.items():
+        for name, replayed in filters.items():
+            try:
+                trials[name].append(_track(arguments, f"{name} on {log_name}", replayed, log_name, log, progress))
+                finds[name] += _find(arguments, f"{name} on {log_name}", replayed, log_name, log, progress)
+            except TooLittleDataError as error:
+                raise TooLittleDataError(f"{log_name}: {error}") from error
+    return Evaluation(trials, finds)
+
+
+def _track(
+    arguments: argparse.Namespace,
+    stage: str,
+    replayed: ReplayedFilter,
+    log_name: str,
+    log: SensorLog,
+    progress: StageProgress,
+) -> ReplayTrials:
+    from beamfield.localization.replay_trials import run_trials
+
+    distance, degrees = arguments.start_error
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
+    spread = (distance, options.radians(degrees) or 0.0)
+    return run_trials(
+        replayed, log, seeds, name=log_name, spread=spread, progress=lambda done, total: progress(stage, done, total)
+    )
+
+
+def _find(
+    arguments: argparse.Namespace,
+    stage: str,
+    replayed: ReplayedFilter,
+    log_name: str,
+    log: SensorLog,
+    progress: StageProgress,
+) -> list[FindTrials]:
+    """Return how often a robot was found in the tasks that were asked for."""
+    import numpy as np
+
+    from beamfield.localization.found import kidnapped, time_to_find
+    from beamfield.localization.replay import reference_start
+    from beamfield.report.evaluation import FindTrials
+
+    first, start = reference_start(log)
+    part = log[first:]
+    tasks: list[tuple[str, SensorLog, PoseBelief | None, int]] = []
+    if arguments.from_anywhere:
+        tasks.append(("global start", part, None, 0))
+    if arguments.kidnap:
+        cut, after = kidnapped(part)
+        tasks.append(("kidnapping", cut, start, after))
+    found = []
+    for task, its_log, belief, since in tasks:
+        seconds = []
+        for i in range(arguments.seeds):
+            progress(f"{stage}, {task}", i, arguments.seeds)
+            replay = replayed.run(its_log, belief, np.random.default_rng(arguments.seed + i))
+            seconds.append(time_to_find(replay, its_log, since))
+        found.append(FindTrials(task, log_name, tuple(seconds)))
+    return found
+
+
+def _short_names(paths: list[Path]) -> dict[str, Path]:
+    """Return the files by name; those of one name with their folder, or a number, before it."""
+    names = [file_name(path) for path in paths]
+    if len(set(names)) < len(names):
+        names = [f"{file_name(path.resolve().parent)}/{name}" for name, path in zip(names, paths, strict=True)]
+    if len(set(names)) < len(names):
+        names = [f"{i}. {name}" for i, name in enumerate(names, 1)]
+    return dict(zip(names, paths, strict=True))

@@ -1,0 +1,98 @@
+"""Particles in the bins of a histogram, by open addressing: how many bins are met, and which of them touch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.jit import kernel
+
+Integers = NDArray[np.int64]
+
+
+@kernel
+def number_bins(
+    codes: Integers, limits: NDArray[np.float64], slots: Integers, bins: Integers, bin_of: Integers
+) -> tuple[int, int, bool]:
+    """Number the bins as they are met, until there are more particles than the bins so far ask for.
+
+    Parameters
+    ----------
+    codes
+        (n,) of each particle, equal in one bin only.
+    limits
+        (m,) how many particles are asked for with 1, 2, ... bins; no limit with more.
+    slots
+        (s,) all -1; s is a power of two and greater than n. Overwritten with the table of bins.
+    bins
+        (n,) overwritten: the codes of the bins.
+    bin_of
+        (n,) overwritten: the bin of each particle.
+
+    Returns
+    -------
+    How many particles were looked at, how many bins they are in, and whether they are more than asked for.
+    """
+    n_bins = 0
+    for i in range(len(codes)):
+        slot = _slot_of(codes[i], slots, bins)
+        if slots[slot] < 0:
+            slots[slot] = n_bins
+            bins[n_bins] = codes[i]
+            n_bins += 1
+        bin_of[i] = slots[slot]
+        if n_bins <= len(limits) and i + 1 > limits[n_bins - 1]:
+            return i + 1, n_bins, True
+    return len(codes), n_bins, False
+
+
+@kernel
+def join_bins(slots: Integers, bins: Integers, offsets: Integers, stack: Integers, labels: Integers) -> int:
+    """Give bins that touch one label.
+
+    Parameters
+    ----------
+    slots
+        From `number_bins`.
+    bins
+        (b,) codes of the bins.
+    offsets
+        What is added to a bin's code to get its neighbours'.
+    stack
+        (b,) room to work.
+    labels
+        (b,) overwritten: from 0 on.
+
+    Returns
+    -------
+    How many labels there are.
+    """
+    labels[:] = -1
+    n_labels = 0
+    for first in range(len(bins)):
+        if labels[first] >= 0:
+            continue
+        labels[first] = n_labels
+        stack[0] = first
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            code = bins[stack[depth]]
+            for j in range(len(offsets)):
+                other = slots[_slot_of(code + offsets[j], slots, bins)]
+                if other >= 0 and labels[other] < 0:
+                    labels[other] = n_labels
+                    stack[depth] = other
+                    depth += 1
+        n_labels += 1
+    return n_labels
+
+
+@kernel
+def _slot_of(code: int, slots: Integers, bins: Integers) -> int:
+    """Return the slot that holds a bin, or the empty one where it would be."""
+    mixed = code ^ (code >> 21) ^ (code >> 42)
+    slot = (mixed * 0x9E3779B1) & (len(slots) - 1)
+    while slots[slot] >= 0 and bins[slots[slot]] != code:
+        slot = (slot + 1) & (len(slots) - 1)
+    return slot

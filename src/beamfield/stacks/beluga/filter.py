@@ -1,0 +1,195 @@
+"""Beluga's AMCL: its particle filter, with the names and defaults of its ROS node."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, between, wrap_angle
+from beamfield.localization.replay import PoseBelief, Replay
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.motion import MotionModel
+from beamfield.sensors import Scan, SensorLog
+from beamfield.stacks.beluga.clusters import heaviest_cluster
+from beamfield.stacks.beluga.scan import beluga_grid
+from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers, check_switches
+from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
+from beamfield.stacks.filters.loop import run_loop
+from beamfield.stacks.filters.particles import (
+    draw_by_weight,
+    n_effective,
+    normal_poses,
+    reweighed,
+    uniform_poses,
+)
+from beamfield.stacks.filters.recovery import WeightAverages
+from beamfield.stacks.filters.scan_weights import ScanWeights
+
+
+@dataclass(frozen=True)
+class BelugaFilterParameters:
+    """What stands under ``amcl: ros__parameters:`` about the particles.
+
+    Parameters
+    ----------
+    min_particles, max_particles
+        Bounds of the number of particles; the maximum holds where it is below the minimum.
+    pf_err, pf_z
+        Bound of the divergence and quantile of KLD sampling, see `kld_limits`.
+    spatial_resolution_x, spatial_resolution_y, spatial_resolution_theta
+        Sides of its bins, metres and radians.
+    resample_interval
+        Particles are resampled at every so many-th update.
+    selective_resampling
+        Only if the effective number of particles is below half their number.
+    update_min_d, update_min_a
+        The filter updates when odometry has moved farther than this, metres, or turned by more, radians.
+    recovery_alpha_slow, recovery_alpha_fast
+        Rates of the averages of weights by which random poses are mixed in; 0 for none.
+
+    Raises
+    ------
+    InvalidInputError
+        If a count is below 1, pf_err or a side is not positive, or another number is negative or not finite.
+    """
+
+    min_particles: int = 500
+    max_particles: int = 2000
+    pf_err: float = 0.05
+    pf_z: float = 0.99
+    spatial_resolution_x: float = field(default=0.5, metadata={"unit": "m"})
+    spatial_resolution_y: float = field(default=0.5, metadata={"unit": "m"})
+    spatial_resolution_theta: float = field(default=math.radians(10.0), metadata={"unit": "rad"})
+    resample_interval: int = 1
+    selective_resampling: bool = False
+    update_min_d: float = field(default=0.25, metadata={"unit": "m"})
+    update_min_a: float = field(default=0.2, metadata={"unit": "rad"})
+    recovery_alpha_slow: float = 0.0
+    recovery_alpha_fast: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_counts(self, min_particles=1, max_particles=1, resample_interval=1)
+        check_numbers(
+            self,
+            positive=("pf_err", "spatial_resolution_x", "spatial_resolution_y", "spatial_resolution_theta"),
+            at_least_zero=("pf_z", "update_min_d", "update_min_a", "recovery_alpha_slow", "recovery_alpha_fast"),
+        )
+        check_switches(self, "selective_resampling")
+
+
+def beluga_filter(model: Any, motion: MotionModel, parameters: BelugaFilterParameters) -> BelugaFilter:
+    """Return the filter that runs one of Beluga's models on its map."""
+    return BelugaFilter(model, beluga_grid(model.grid, model.map_mode), motion, parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class BelugaFilter:
+    """Beluga's AMCL on a map, as it is.
+
+    The loop is AMCL's with these differences: motion counts by its length; particles are drawn until they are more
+    than KLD sampling asks for, and the one too many is left out; one and two bins ask for as many as there may be;
+    headings are wrapped before they are counted in bins; every update has a new answer, the mean of the heaviest of
+    `heaviest_cluster`'s clusters.
+
+    Parameters
+    ----------
+    model
+        The measurement model on the map.
+    seen
+        The map as the program reads it, whose free cells random poses are drawn from.
+    motion
+        Moves the particles.
+    parameters
+        The rest.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map has no free cell.
+
+    Notes
+    -----
+    Re-derived from Beluga's amcl.cpp, take_while_kld.hpp and cluster_based_estimation.hpp. Its averages of weights
+    are taken after the weights have been normalised, so that they tell only how many particles there are: with
+    recovery rates above 0, random poses come in after the number of particles has grown. That is emulated. Where all
+    weights are 0 the program computes NaN; here all particles become equal.
+    """
+
+    model: StackModel[Any, Any]
+    seen: OccupancyGrid
+    motion: MotionModel
+    parameters: BelugaFilterParameters = BelugaFilterParameters()
+
+    def __post_init__(self) -> None:
+        if not self.seen.free.any():
+            raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
+
+    def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
+        """Filter a log; see `ReplayedFilter.run`.
+
+        Raises
+        ------
+        TooLittleDataError
+            If no scan has odometry.
+        """
+        return run_loop(log, _Particles(self, start, rng), self._has_moved)
+
+    def _has_moved(self, last: FloatArray, now: FloatArray) -> bool:
+        step = between(last, now)
+        return bool(
+            np.hypot(step[0], step[1]) > self.parameters.update_min_d or abs(step[2]) > self.parameters.update_min_a
+        )
+
+
+class _Particles:
+    """A `Cloud`."""
+
+    def __init__(self, beluga: BelugaFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
+        values = beluga.parameters
+        self._beluga, self._rng = beluga, rng
+        self._weights_of = ScanWeights(beluga.model)
+        n = values.max_particles
+        self._sizes = BinSizes(
+            values.spatial_resolution_x, values.spatial_resolution_y, values.spatial_resolution_theta
+        )
+        self._limits = np.maximum(kld_limits(n, values.pf_err, values.pf_z), values.min_particles)
+        self._limits[:2] = np.inf
+        self._averages = WeightAverages(values.recovery_alpha_slow, values.recovery_alpha_fast)
+        self._n_updates = 0
+        self.poses = uniform_poses(beluga.seen, n, rng) if start is None else normal_poses(start, n, rng)
+        self.weights = np.full(n, 1.0 / n)
+
+    def move(self, odometry: FloatArray) -> None:
+        self.poses = self._beluga.motion.sample(self.poses, odometry, self._rng)
+        self.poses[:, 2] = wrap_angle(self.poses[:, 2])
+
+    def weigh(self, scan: Scan) -> None:
+        self.weights, _ = reweighed(self.weights, self._weights_of(scan, self.poses))
+        self._averages.add(1.0 / len(self.weights))
+        self._n_updates += 1
+
+    def resample_when_due(self) -> FloatArray:
+        values = self._beluga.parameters
+        is_due = self._n_updates % values.resample_interval == 0
+        if is_due and (not values.selective_resampling or n_effective(self.weights) < 0.5 * len(self.weights)):
+            self._resample()
+        return heaviest_cluster(self.poses, self.weights)
+
+    def _resample(self) -> None:
+        most = self._beluga.parameters.max_particles
+        poses = self.poses[draw_by_weight(self.weights, most, self._rng)]
+        random_share = self._averages.random_share()
+        if random_share > 0.0:
+            # The first is never random.
+            is_random = self._rng.random(most) < random_share
+            is_random[0] = False
+            poses[is_random] = uniform_poses(self._beluga.seen, int(is_random.sum()), self._rng)
+            self._averages.reset()
+        drawn = Histogram(poses, self._sizes, self._limits)
+        n = drawn.n_particles - 1 if drawn.is_enough else most
+        self.poses, self.weights = poses[:n], np.full(n, 1.0 / n)

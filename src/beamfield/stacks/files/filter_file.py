@@ -1,0 +1,70 @@
+"""The particle filter that a parameter file sets up: measurement model, motion model and particles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from beamfield.errors import FormatError
+from beamfield.localization.replay import ReplayedFilter
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.files.parameter_file import StackFile
+from beamfield.stacks.files.typed_values import checked_fields, checked_values
+from beamfield.stacks.registry import STACKS, build_filter, build_model
+
+
+@dataclass(frozen=True, eq=False)
+class FilterSettings:
+    """All that a parameter file says about a filter; the program's defaults where it says nothing.
+
+    Parameters
+    ----------
+    stack, model
+        The program, and its measurement model.
+    sensor, motion, particles
+        Parameters of the measurement model, of the motion model, and of the filter, under the program's names.
+    """
+
+    stack: str
+    model: str
+    sensor: Any
+    motion: Any
+    particles: Any
+
+    def emulator(self, grid: OccupancyGrid) -> StackModel[Any, Any]:
+        """Return the measurement model on a map, with the program's own distances where it has such."""
+        kind: Any = STACKS[self.stack].model(self.model).emulator
+        options = {"distance": "brushfire"} if "distance" in {item.name for item in fields(kind)} else {}
+        return build_model(self.stack, self.model, grid, self.sensor, **options)
+
+    def filter(self, grid: OccupancyGrid) -> ReplayedFilter:
+        """Return the filter on a map."""
+        return build_filter(self.stack, self.emulator(grid), self.motion, self.particles)
+
+
+def read_filter_settings(file: StackFile) -> FilterSettings:
+    """Return the settings of the filter that a file asks for.
+
+    Parameters
+    ----------
+    file
+        From `read_stack_file`.
+
+    Raises
+    ------
+    FormatError
+        If a value cannot be used (names the line), or the program's filter is not emulated.
+    """
+    described = file.program.filter
+    if described is None or file.is_of_other_node:
+        which = f"{file.program.title}'s node for ROS 1" if file.is_of_other_node else file.program.title
+        known = ", ".join(stack.title for stack in STACKS.values() if stack.filter is not None)
+        raise FormatError(file.section.path, f"the particle filter of {which} is not emulated, only those of {known}")
+    return FilterSettings(
+        file.stack,
+        file.model,
+        checked_values(file),
+        checked_fields(file, described.motion),
+        checked_fields(file, described.parameters),
+    )

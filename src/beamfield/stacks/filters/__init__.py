@@ -1,0 +1,1 @@
+"""The particle filters of the stacks as they are, for replaying logs."""

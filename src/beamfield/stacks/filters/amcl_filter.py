@@ -1,0 +1,204 @@
+"""AMCL's particle filter, as nav2 and ROS 1 run it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.localization.replay import PoseBelief, Replay
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.motion import MotionModel
+from beamfield.sensors import Scan, SensorLog
+from beamfield.stacks.emulation.emulator import StackModel
+from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers
+from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
+from beamfield.stacks.filters.loop import run_loop
+from beamfield.stacks.filters.particles import (
+    draw_by_weight,
+    n_effective,
+    normal_poses,
+    particle_mean,
+    reweighed,
+    uniform_poses,
+)
+from beamfield.stacks.filters.recovery import WeightAverages
+from beamfield.stacks.filters.scan_weights import ScanWeights
+
+BINS = BinSizes(0.5, 0.5, np.radians(10.0))
+# A filter has converged when all particles are as close to their mean in x and in y, metres.
+CONVERGED_DISTANCE = 0.5
+
+
+@dataclass(frozen=True)
+class AmclFilterParameters:
+    """What amcl's files say about the particles, with nav2's names and defaults.
+
+    Parameters
+    ----------
+    min_particles, max_particles
+        Bounds of the number of particles; a maximum below the minimum is raised to it.
+    pf_err, pf_z
+        Bound of the divergence and quantile of KLD sampling, see `kld_limits`.
+    resample_interval
+        Particles are resampled at every so many-th update.
+    update_min_d, update_min_a
+        The filter updates when odometry has moved by more than this in x or in y, metres, or turned by more, radians.
+    recovery_alpha_slow, recovery_alpha_fast
+        Rates of the averages of weights by which random poses are mixed in; 0 for none.
+
+    Raises
+    ------
+    InvalidInputError
+        If a count is below 1, pf_err is not positive, or another number is negative or not finite.
+    """
+
+    min_particles: int = 500
+    max_particles: int = 2000
+    pf_err: float = 0.05
+    pf_z: float = 0.99
+    resample_interval: int = 1
+    update_min_d: float = field(default=0.25, metadata={"unit": "m"})
+    update_min_a: float = field(default=0.2, metadata={"unit": "rad"})
+    recovery_alpha_slow: float = 0.0
+    recovery_alpha_fast: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_filter(self, {})
+
+
+def check_filter(parameters: Any, names: Mapping[str, str]) -> None:
+    """Refuse values that AMCL's filter cannot compute with.
+
+    Parameters
+    ----------
+    parameters
+        The dataclass, in its `__post_init__`.
+    names
+        What it calls a parameter of nav2's, where that differs.
+    """
+    check_counts(parameters, min_particles=1, max_particles=1, resample_interval=1)
+    pf_err, pf_z = (names.get(name, name) for name in ("pf_err", "pf_z"))
+    rest = pf_z, "update_min_d", "update_min_a", "recovery_alpha_slow", "recovery_alpha_fast"
+    check_numbers(parameters, positive=(pf_err,), at_least_zero=rest)
+
+
+@dataclass(frozen=True, eq=False)
+class AmclFilter:
+    """AMCL on a map: the filter of nav2 and ROS 1 as it is.
+
+    It starts with max_particles from the start's normal distribution (or uniform over the centres of free cells). The
+    first scan, and every scan after enough motion, updates it: particles move, their weights are multiplied by the
+    measurement model's and normalised, and (every resample_interval updates) particles are drawn by weight until KLD
+    sampling has enough, counted in bins of 0.5 m, 0.5 m and 10 degrees. Its answer is the mean of the heaviest cluster
+    of bins that touch; between updates it goes on with the odometry. Where no update resamples, the answer stays the
+    last one, continued by odometry.
+
+    Parameters
+    ----------
+    model
+        The measurement model on the map.
+    seen
+        The map as the program reads it, whose free cells random poses are drawn from.
+    motion
+        Moves the particles.
+    parameters
+        The rest.
+    selective_resampling
+        Whether particles are kept while the effective number of them is above half their number (ROS 1).
+
+    Raises
+    ------
+    InvalidInputError
+        If the map has no free cell.
+
+    Notes
+    -----
+    Re-derived from nav2's and ROS 1's pf.c, pf_kdtree.c and amcl_node.cpp. Random numbers are NumPy's, so that runs
+    agree with the programs' in distribution only. Where all weights are 0, or too small for a double, all particles
+    become equal. Headings of particles run on past pi, as the programs' do: particles that differ by a full turn lie
+    in different bins. (The programs wrap the noisy first and second rotation of a step each, so that a step backwards
+    can put such a turn between particles; the motion models here do not.) Scans without odometry are left out.
+    """
+
+    model: StackModel[Any, Any]
+    seen: OccupancyGrid
+    motion: MotionModel
+    parameters: AmclFilterParameters = AmclFilterParameters()
+    selective_resampling: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.seen.free.any():
+            raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
+
+    def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
+        """Filter a log; see `ReplayedFilter.run`.
+
+        Raises
+        ------
+        TooLittleDataError
+            If no scan has odometry.
+        """
+        return run_loop(log, _Particles(self, start, rng), self._has_moved)
+
+    def _has_moved(self, last: FloatArray, now: FloatArray) -> bool:
+        turn = abs(float(wrap_angle(now[2] - last[2])))
+        most = float(np.abs(now[:2] - last[:2]).max())
+        return most > self.parameters.update_min_d or turn > self.parameters.update_min_a
+
+
+class _Particles:
+    """A `Cloud`."""
+
+    def __init__(self, amcl: AmclFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
+        values = amcl.parameters
+        self._amcl, self._rng = amcl, rng
+        self._weights_of = ScanWeights(amcl.model)
+        self._most = n = max(values.min_particles, values.max_particles)
+        self._limits = np.clip(kld_limits(n, values.pf_err, values.pf_z), values.min_particles, n)
+        self._averages = WeightAverages(values.recovery_alpha_slow, values.recovery_alpha_fast)
+        self._n_updates = 0
+        self._converged = False
+        self.poses = uniform_poses(amcl.seen, n, rng) if start is None else normal_poses(start, n, rng)
+        self.weights = np.full(n, 1.0 / n)
+
+    def move(self, odometry: FloatArray) -> None:
+        self.poses = self._amcl.motion.sample(self.poses, odometry, self._rng)
+
+    def weigh(self, scan: Scan) -> None:
+        log_weights = self._weights_of(scan, self.poses, converged=self._converged)
+        self.weights, total = reweighed(self.weights, log_weights)
+        if total > 0.0:
+            self._averages.add(total / len(self.weights))
+        self._n_updates += 1
+
+    def resample_when_due(self) -> FloatArray | None:
+        if self._n_updates % self._amcl.parameters.resample_interval == 0:
+            if not self._amcl.selective_resampling or n_effective(self.weights) <= 0.5 * len(self.weights):
+                self._resample()
+            return self._heaviest_cluster(self.weights)
+        if self._n_updates == 1:
+            # Clusters are counted when particles are drawn: the first scan has not told on them yet.
+            return self._heaviest_cluster(np.full(len(self.weights), 1.0 / len(self.weights)))
+        return None
+
+    def _resample(self) -> None:
+        random_share = self._averages.random_share()
+        poses = self.poses[draw_by_weight(self.weights, self._most, self._rng)]
+        if random_share > 0.0:
+            is_random = self._rng.random(self._most) < random_share
+            poses[is_random] = uniform_poses(self._amcl.seen, int(is_random.sum()), self._rng)
+            self._averages.reset()
+        n = Histogram(poses, BINS, self._limits).n_particles
+        self.poses, self.weights = poses[:n], np.full(n, 1.0 / n)
+        off = np.abs(self.poses[:, :2] - self.poses[:, :2].mean(axis=0))
+        self._converged = bool(off.max() <= CONVERGED_DISTANCE)
+
+    def _heaviest_cluster(self, weights: FloatArray) -> FloatArray:
+        labels = Histogram(self.poses, BINS).clusters()
+        heaviest = labels == np.argmax(np.bincount(labels, weights))
+        return particle_mean(self.poses[heaviest], weights[heaviest])

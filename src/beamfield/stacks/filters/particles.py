@@ -1,0 +1,61 @@
+"""What particle filters do with particles: draw them, and take their mean and covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.geometry import FloatArray, transform_points, wrap_angle
+from beamfield.localization.replay import PoseBelief
+from beamfield.maps.occupancy import OccupancyGrid
+
+
+def normal_poses(belief: PoseBelief, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return n poses (n, 3) from a normal belief; headings are not wrapped."""
+    values, vectors = np.linalg.eigh(belief.covariance)
+    scaled = rng.standard_normal((n, 3)) * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(belief.mean + scaled @ vectors.T)
+
+
+def uniform_poses(seen: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return n poses (n, 3) at the centres of free cells, with any heading."""
+    rows, cols = np.nonzero(seen.free)
+    drawn = rng.integers(len(rows), size=n)
+    centres = (np.column_stack([cols[drawn], rows[drawn]]) + 0.5) * seen.resolution
+    return np.column_stack([transform_points(seen.origin, centres), rng.uniform(-np.pi, np.pi, n)])
+
+
+def reweighed(weights: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, float]:
+    """Return weights (n,) times others, normalised, and what they summed up to.
+
+    Where that is 0, as weights may be too small for a double, the particles become equal.
+    """
+    with np.errstate(under="ignore"):
+        product = weights * np.exp(log_weights)
+    total = float(product.sum())
+    return (product / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))), total
+
+
+def n_effective(weights: FloatArray) -> float:
+    """Return the effective number of particles with weights (n,) that sum to 1."""
+    return 1.0 / float(weights @ weights)
+
+
+def draw_by_weight(weights: FloatArray, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return n indices of particles, each drawn for itself by their weights, which sum to 1."""
+    sums = np.cumsum(weights)
+    # Rounding may leave the last sum below 1; a draw beyond it would be of no particle.
+    return np.searchsorted(sums / sums[-1], rng.random(n), side="right")
+
+
+def particle_mean(poses: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the mean pose (3,) of poses (n, 3) with weights (n,): its heading is that of the mean direction."""
+    sine, cosine = weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2])
+    return np.array([*(weights @ poses[:, :2] / weights.sum()), np.arctan2(sine, cosine)])
+
+
+def particle_covariance(poses: FloatArray, weights: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) of poses (n, 3) with weights (n,) that sum to 1, around a pose (3,)."""
+    off = poses - mean
+    off[:, 2] = wrap_angle(off[:, 2])
+    return np.asarray((weights[:, None] * off).T @ off)

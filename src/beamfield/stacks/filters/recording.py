@@ -1,0 +1,63 @@
+"""Collects what a filter says while a log runs."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from beamfield.errors import TooLittleDataError
+from beamfield.geometry import FloatArray, compose, invert
+from beamfield.localization.replay import Replay
+from beamfield.sensors import SensorLog
+from beamfield.stacks.filters.particles import particle_covariance, particle_mean
+
+
+class Recording:
+    """A replay while it grows.
+
+    Parameters
+    ----------
+    log
+        The log that runs.
+
+    Raises
+    ------
+    TooLittleDataError
+        If no scan has odometry.
+    """
+
+    def __init__(self, log: SensorLog) -> None:
+        if not log.has_odometry:
+            raise TooLittleDataError("log: no scan has an odometry pose, by which the filter moves its particles")
+        self._odometry = log.odometry
+        self._rows: list[tuple[int, FloatArray, FloatArray, int, float]] = []
+        self._answers: list[tuple[int, FloatArray]] = []
+        self._started = 0.0
+
+    @property
+    def scans(self) -> list[int]:
+        """The scans that have odometry."""
+        return np.flatnonzero(np.isfinite(self._odometry).all(axis=1)).tolist()
+
+    def start_update(self) -> None:
+        """Take the time from here on."""
+        self._started = time.thread_time()
+
+    def updated(self, scan: int, poses: FloatArray, weights: FloatArray) -> None:
+        """Note what the particles (n, 3) are after a scan, with weights (n,) that sum to 1."""
+        seconds = time.thread_time() - self._started
+        mean = particle_mean(poses, weights)
+        self._rows.append((scan, mean, particle_covariance(poses, weights, mean), len(poses), seconds))
+
+    def published(self, scan: int, pose: FloatArray) -> None:
+        """Note an answer, which odometry continues until the next one."""
+        self._answers.append((scan, compose(pose, invert(self._odometry[scan]))))
+
+    def replay(self) -> Replay:
+        """Return the whole."""
+        poses = np.full(self._odometry.shape, np.nan)
+        ends = [*(scan for scan, _ in self._answers[1:]), len(poses)]
+        for (scan, map_from_odom), end in zip(self._answers, ends, strict=True):
+            poses[scan:end] = compose(map_from_odom, self._odometry[scan:end])
+        return Replay(poses, *(np.array(column) for column in zip(*self._rows, strict=True)))

@@ -1,0 +1,65 @@
+"""The particle filter of ROS 1's amcl, with its names and defaults."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from beamfield.models.motion import MotionModel
+from beamfield.stacks.amcl.filter import amcl_filter
+from beamfield.stacks.emulation.parameter_checks import check_switches
+from beamfield.stacks.filters.amcl_filter import AmclFilter, AmclFilterParameters, check_filter
+
+
+@dataclass(frozen=True)
+class Ros1FilterParameters:
+    """The node's private parameters about the particles.
+
+    Parameters
+    ----------
+    min_particles, max_particles, resample_interval, update_min_d, update_min_a
+        As for `AmclFilterParameters`.
+    recovery_alpha_slow, recovery_alpha_fast
+        As for `AmclFilterParameters`.
+    kld_err, kld_z
+        What nav2 calls pf_err and pf_z.
+    selective_resampling
+        Whether particles are kept while the effective number of them is above half their number.
+
+    Raises
+    ------
+    InvalidInputError
+        As for `AmclFilterParameters`.
+    """
+
+    min_particles: int = 100
+    max_particles: int = 5000
+    kld_err: float = 0.01
+    kld_z: float = 0.99
+    resample_interval: int = 2
+    update_min_d: float = field(default=0.2, metadata={"unit": "m"})
+    update_min_a: float = field(default=math.pi / 6.0, metadata={"unit": "rad"})
+    recovery_alpha_slow: float = 0.001
+    recovery_alpha_fast: float = 0.1
+    selective_resampling: bool = False
+
+    def __post_init__(self) -> None:
+        check_filter(self, {"pf_err": "kld_err", "pf_z": "kld_z"})
+        check_switches(self, "selective_resampling")
+
+
+def ros1_filter(model: Any, motion: MotionModel, parameters: Ros1FilterParameters) -> AmclFilter:
+    """Return the filter that runs one of ROS 1 amcl's models."""
+    values = AmclFilterParameters(
+        parameters.min_particles,
+        parameters.max_particles,
+        parameters.kld_err,
+        parameters.kld_z,
+        parameters.resample_interval,
+        parameters.update_min_d,
+        parameters.update_min_a,
+        parameters.recovery_alpha_slow,
+        parameters.recovery_alpha_fast,
+    )
+    return amcl_filter(model, motion, values, selective_resampling=parameters.selective_resampling)

@@ -17,9 +17,9 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from beamfield.calibration.calibrate import calibrate
-from beamfield.calibration.field.exponent import EXPONENTS, best_exponent, score_exponents, window_log_likelihoods
+from beamfield.calibration.context.exponent import EXPONENTS, best_exponent, score_exponents, window_log_likelihoods
+from beamfield.calibration.context.posterior_judge import PosteriorScores
 from beamfield.calibration.field.learning import learn_field_parameters
-from beamfield.calibration.field.posterior_judge import PosteriorScores
 from beamfield.calibration.pose_windows import HELD_OUT, Rivals, Window, WindowOptions, cut_windows, draw_rivals
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid

@@ -17,7 +17,7 @@ import pytest
 from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.main import main
 from beamfield.finding import Finding
-from beamfield.io.parameters.beam_model_file import read_beam_model, read_saved_beam_model
+from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.models.beam_parameters import BeamParameters
@@ -75,11 +75,11 @@ class TestResult:
         assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
 
     def test_the_yaml_holds_the_same_parameters_as_the_json(self, out: Path):
-        parameters, max_range, _ = read_saved_beam_model(out / "beam_model.yaml")
+        parameters = read_beam_model(out / "beam_model.yaml")
         document = json.loads((out / "calibration.json").read_text())
         for name, entry in document["parameters"].items():
             assert getattr(parameters, name) == pytest.approx(entry["value"], rel=5e-6, abs=1e-9)
-        assert max_range == 12.0
+        assert parameters.max_range == 12.0
 
     def test_the_likelihood_field_is_learned_too(self, out: Path):
         saved = read_likelihood_field(out / "likelihood_field.yaml")
@@ -116,7 +116,7 @@ def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.Captur
     assert json.loads((tmp_path / "out" / "calibration.json").read_text())["verdict"] in text
     for words in (
         "scans used", "sigma_hit", "95 % interval", "nav2 defaults", "ROS 1 defaults", "uniform", "likelihood field",
-        "beam model's, exponent 1", "The exponent is for 60 beams",
+        "beam model's, exponent 1", "The exponents are for 60 beams", "A scan of 61 beams is worth about",
     ):  # fmt: skip
         assert words in text
 
@@ -364,11 +364,11 @@ def test_a_beam_model_file_has_six_digits_and_weights_that_sum_to_one(tmp_path, 
     path = tmp_path / "beam_model.yaml"
     text = beam_model_text(parameters, finder, intervals={"z_hit": (0.1 / 3, 0.2), "lambda_short": (0.0, np.inf)})
     path.write_text(text)
-    read, max_range, low = read_saved_beam_model(path)
+    read = read_beam_model(path)
     for name, value in asdict(parameters).items():
         assert getattr(read, name) == pytest.approx(value, abs=1e-6), name
     assert sum(read.weights) == pytest.approx(1.0, abs=1e-11)
-    assert (max_range, low) == (29.999999, pytest.approx(min_range, abs=1e-6))
+    assert (read.max_range, read.min_range) == (29.999999, pytest.approx(min_range, abs=1e-6))
     numbers = re.findall(r"^  z_\w+: (\S+)$", text, flags=re.MULTILINE)
     assert len(numbers) == 4
     assert sum(len(number) > len("0.123456") + 2 for number in numbers) <= 1  # the largest weight takes the rest

@@ -9,12 +9,11 @@ import numpy as np
 
 from beamfield.detection_log import DetectionLog
 from beamfield.io.bags.fiducial_detections import FiducialDetections
-from beamfield.io.parameters.beam_model_file import SavedBeamModel
 from beamfield.io.trajectory import IndexedTrack
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
 from beamfield.models.camera_intrinsics import CameraIntrinsics
 from beamfield.models.field_parameters import SavedLikelihoodField
 from beamfield.models.landmark_parameters import LandmarkParameters

@@ -14,7 +14,7 @@ from beamfield.io.landmarks.landmark_files import read_landmarks
 from beamfield.io.landmarks.line_files import read_line_map
 from beamfield.io.landmarks.sightings import read_sightings
 from beamfield.io.maps.ros_map import between_share, ros_map_notes
-from beamfield.io.parameters.beam_model_file import read_saved_beam_model
+from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.landmark_model_file import read_landmark_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
@@ -141,7 +141,7 @@ TARGETS: tuple[Target, ...] = (
     Target("landmarks", landmarks.landmark_maps, read_landmarks, sane.landmarks),
     Target("lines", landmarks.line_maps, read_line_map, sane.lines),
     Target("sightings", landmarks.sightings, _sightings, sane.sightings),
-    Target("beam_model", parameters.beam_models, read_saved_beam_model, sane.beam_model),
+    Target("beam_model", parameters.beam_models, read_beam_model, sane.beam_model),
     Target("field_model", parameters.field_models, read_likelihood_field, sane.field_model),
     Target("landmark_model", parameters.landmark_models, read_landmark_model, sane.landmark_model),
     Target("stack_yaml", parameters.stack_yamls, _parameters, sane.stack_file, weight=2.0),

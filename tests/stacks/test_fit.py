@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from beamfield.calibration.field.posterior_judge import PosteriorScores, judge_weights
+from beamfield.calibration.context.posterior_judge import PosteriorScores, judge_weights
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import as_poses, between, compose
@@ -132,7 +132,7 @@ def test_weights_that_say_nothing_score_nothing(drive, office):
     for scores in score_windows(model, evidence, [1e9, 0.0], rivals, options):
         np.testing.assert_allclose(scores.log_score, 0.0, atol=1e-9)
         # The prior's own region misses the truth as often as it says.
-        np.testing.assert_allclose(scores.covered, 0.95, atol=0.051)
+        assert scores.coverage == pytest.approx(0.95, abs=0.051)
 
 
 def test_being_sure_of_another_place_is_no_coverage(office):
@@ -140,10 +140,10 @@ def test_being_sure_of_another_place_is_no_coverage(office):
     rivals = draw_rivals(options, office)
     log_weights = np.zeros((1, 2, 60))
     log_weights[0, 0, 55] = 40.0
-    log_score, covered = judge_weights(log_weights, 50, rivals, options)
-    np.testing.assert_array_equal(covered, [[0.0, 1.0]])
+    sure, calm = judge_weights(log_weights, 50, rivals, options)
+    assert (sure.coverage, calm.coverage) == (0.0, 1.0)
     # All but nothing of the posterior lies at one of ten far poses, half the prior.
-    assert log_score[0, 0] == pytest.approx(np.log(20.0) - 40.0, abs=1e-6)
+    assert sure.log_score[0] == pytest.approx(np.log(20.0) - 40.0, abs=1e-6)
 
 
 def test_a_factor_of_all_weights_changes_no_score(office):
@@ -151,10 +151,12 @@ def test_a_factor_of_all_weights_changes_no_score(office):
     options = WindowOptions(near=50, far=10)
     rivals = draw_rivals(options, office)
     log_weights = np.random.default_rng(4).normal(0.0, 2.0, (2, 3, 60))
-    (score, covered), (shifted, still) = (judge_weights(log_weights + by, 50, rivals, options) for by in (0.0, -3000.0))
-    np.testing.assert_allclose(shifted, score, rtol=1e-9)
-    np.testing.assert_allclose(still, covered, rtol=1e-9)
-    assert np.ptp(score) > 0.1
+    for as_it_is, shifted in zip(
+        *(judge_weights(log_weights + by, 50, rivals, options) for by in (0.0, -3000.0)), strict=True
+    ):
+        np.testing.assert_allclose(shifted.log_score, as_it_is.log_score, rtol=1e-9)
+        np.testing.assert_allclose(shifted.denser, as_it_is.denser, rtol=1e-9)
+        assert np.ptp(as_it_is.log_score) > 0.1
 
 
 def test_rivals_make_sums_integrals(office):
@@ -222,8 +224,9 @@ def test_windows_move_their_rivals_with_the_reference_and_keep_to_one_block(driv
 
 
 def test_missing_coverage_has_its_price():
-    sure = PosteriorScores(np.full(10, 3.0), np.array([1.0] * 5 + [0.0] * 5))
-    calm = PosteriorScores(np.full(10, 2.5), np.ones(10))
+    sure = PosteriorScores(np.full(10, 3.0), np.array([0.5] * 5 + [0.96] * 5)[:, None])
+    calm = PosteriorScores(np.full(10, 2.5), np.full((10, 1), 0.5))
+    assert (sure.coverage, calm.coverage) == (0.5, 1.0)
     assert sure.mean > calm.mean
     assert net_score(calm) > net_score(sure)
 

@@ -58,6 +58,8 @@ from beamfield.short_repr import short_repr
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from beamfield.calibration.context.exponent import ExponentLearning
+
 __all__ = ["Calibration", "CalibrationOptions", "calibrate"]
 
 FEWEST_BEAMS = 500
@@ -148,17 +150,19 @@ class Calibration:
 
         return plot_calibration(self)
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, *, exponent: ExponentLearning | None = None) -> None:
         """Write a beam_model.yaml, which `read_beam_model` and the commands read.
 
         Parameters
         ----------
         path
             The file; one that is there is replaced.
+        exponent
+            The result of `learn_exponent`, to be written beside the parameters.
         """
         from beamfield.report.results import save_calibration
 
-        save_calibration(self, path)
+        save_calibration(self, path, exponent)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the parameters, warnings and the main picture."""

@@ -198,11 +198,12 @@ def cut_windows(
     if len(groups) > options.windows:
         groups = [groups[i] for i in np.linspace(0, len(groups) - 1, options.windows).astype(np.int64)]
     rng = np.random.default_rng(options.seed + 1)
+    free = np.argwhere(grid.free)
     windows = []
     for group in groups:
         motion = between(log.poses[group[0]], log.poses[group])[:, None]
         near = compose(compose(log.poses[group[0]], rivals.offsets)[None], motion)
-        far = compose(_anywhere(grid, options.far, rng)[None], motion)
+        far = compose(_anywhere(grid, free, options.far, rng)[None], motion)
         # Every third block of time is held out, from the second on, as in `held_out_mask`.
         windows.append(Window(group, near, far, (0, HELD_OUT, 1)[int(blocks[group[0]]) % 3]))
     counts = [sum(window.fold == fold for window in windows) for fold in range(3)]
@@ -263,13 +264,11 @@ def _block_length(log: SensorLog, groups: list[NDArray[np.int64]]) -> float | No
     return max(default, min(WINDOWS_PER_BLOCK * window, duration / 6.0)) or None
 
 
-def _anywhere(grid: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatArray:
-    """Draw poses with their position in a free cell."""
-    rows, cols = np.nonzero(grid.free)
-    if n == 0 or len(rows) == 0:
+def _anywhere(grid: OccupancyGrid, free: NDArray[np.int64], n: int, rng: np.random.Generator) -> FloatArray:
+    """Draw poses with their position in one of the free cells (f, 2): row and column."""
+    if n == 0 or len(free) == 0:
         return np.zeros((0, 3))
-    chosen = rng.integers(0, len(rows), n)
-    within = (np.column_stack([cols[chosen], rows[chosen]]) + rng.random((n, 2))) * grid.resolution
+    within = (free[rng.integers(0, len(free), n), ::-1] + rng.random((n, 2))) * grid.resolution
     local = np.column_stack([within, rng.uniform(-np.pi, np.pi, n)])
     return compose(grid.origin, local)
 

@@ -19,9 +19,9 @@ NAME = "likelihood_field"
 def learn_field(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> ReportPart:
     """Learn the likelihood field from the log and the map that the beam model was learned from."""
     from beamfield.calibration.field.learning import learn_field_parameters
-    from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
     from beamfield.report.as_json import plain
     from beamfield.report.field_section import field_missing, field_section, field_tables
+    from beamfield.report.results import field_text
 
     job.progress("learning the likelihood field", 0, 1)
     try:
@@ -37,14 +37,7 @@ def learn_field(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, res
     except TooLittleDataError as error:
         why = str(error)
         return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, field_missing(why), {})
-    text = likelihood_field_text(
-        learned.parameters,
-        sensor.finder,
-        exponent=learned.exponent,
-        n_beams=learned.n_beams,
-        intervals=learned.intervals,
-        provenance=job.origin,
-    )
+    text = field_text(learned, provenance=job.origin)
     return ReportPart(
         NAME, field_tables(learned), plain(learned), field_section(learned, text), {f"{NAME}.yaml": text},
         learned.findings,

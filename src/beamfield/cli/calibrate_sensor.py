@@ -12,21 +12,22 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import CrossFitMaps, build_cross_fit_maps
+from beamfield.cli.calibrate_exponent import learn_beam_exponent
 from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.report_part import ReportPart, StackPart
 from beamfield.cli.wording import in_options
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
-from beamfield.io.parameters.beam_model_file import beam_model_text
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.report.as_json import calibration_as_dict
-from beamfield.report.results import calibration_summary
+from beamfield.report.results import calibration_summary, calibration_text
 from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import SensorLog
 
 if TYPE_CHECKING:
+    from beamfield.calibration.context.exponent import ExponentLearning
     from beamfield.stacks.files.parameter_file import StackFile
 
 
@@ -88,7 +89,7 @@ class CalibrationJob:
     def learn(self, sensor: SensorLog) -> SensorResult:
         """Learn the beam model, the likelihood field and the stack's parameters, and draw the report."""
         try:
-            maps, result, parts = self._learn(sensor)
+            maps, result, exponents, parts = self._learn(sensor)
         except InvalidInputError as error:  # the options were checked before, so it is about the data
             raise FormatError(self.arguments.log, str(error)) from error
         except TooLittleDataError as error:
@@ -102,9 +103,7 @@ class CalibrationJob:
             **calibration_as_dict(result, scan_fit),
             **{part.name: part.document for part in parts},
         }
-        model = beam_model_text(
-            result.parameters, sensor.finder, intervals=result.intervals.intervals, provenance=self.origin
-        )
+        model = calibration_text(result, exponents, provenance=self.origin)
         page = html.render_report(
             result,
             maps,
@@ -124,20 +123,23 @@ class CalibrationJob:
         stack = next((part for part in parts if isinstance(part, StackPart)), None)
         return SensorResult(files, _table(result, parts), document, stack, tuple(problems))
 
-    def _learn(self, sensor: SensorLog) -> tuple[OccupancyGrid | CrossFitMaps, Calibration, list[ReportPart]]:
-        """Return the map, or those drawn, what was learned, and what else was learned with a map."""
+    def _learn(
+        self, sensor: SensorLog
+    ) -> tuple[OccupancyGrid | CrossFitMaps, Calibration, ExponentLearning | None, list[ReportPart]]:
+        """Return the map, or those drawn, what was learned, how much beams count, and what else a map teaches."""
         if self.grid is None:
             resolution = self.arguments.resolution or 0.05
             maps = build_cross_fit_maps(sensor, resolution=resolution, progress=self.progress)
-            return maps, calibrate(sensor, maps, self.options, progress=self.progress), []
+            return maps, calibrate(sensor, maps, self.options, progress=self.progress), None, []
         if self.arguments.stack is not None:
             warn_if_too_short(self, sensor, self.grid)
         result = calibrate(sensor, self.grid, self.options, progress=self.progress)
-        parts = [learn_field(self, sensor, self.grid, result)]
-        result = replace(result, findings=(*result.findings, *parts[0].findings))
+        counting, exponents = learn_beam_exponent(self, sensor, self.grid, result)
+        parts = [counting, learn_field(self, sensor, self.grid, result)]
+        result = replace(result, findings=(*result.findings, *(found for part in parts for found in part.findings)))
         if self.arguments.stack is not None:
             parts.append(fit_for_stack(self, sensor, self.grid, result))
-        return self.grid, result, parts
+        return self.grid, result, exponents, parts
 
 
 def _table(result: Calibration, parts: Sequence[ReportPart]) -> str:

@@ -129,7 +129,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
-    from beamfield.io.parameters.beam_model_file import read_saved_beam_model
+    from beamfield.io.parameters.beam_model_file import read_beam_model
 
     progress("reading the map", 0, 1)
     grid = options.read_walls(arguments)
@@ -139,7 +139,8 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     good, more = (log, ()) if is_own else _sensor(arguments, arguments.good, arguments.good_poses)
     parameters, limit = None, good.finder.max_range
     if arguments.params is not None:
-        parameters, limit, _ = read_saved_beam_model(arguments.params)
+        saved = read_beam_model(arguments.params)
+        parameters, limit = saved.parameters, saved.max_range
     reference = None if arguments.good_scans is None else _read_reference(arguments.good_scans)
     log, note = _with_limit(log, limit, arguments.log)
     good, _ = _with_limit(good, limit, arguments.good or arguments.log)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.2, "lambda_short": 0.4}
 # And a sonar: many echoes are lost or take a detour.
 SONAR_DEFAULTS = {"z_hit": 0.5, "z_short": 0.05, "z_max": 0.2, "z_rand": 0.25, "sigma_hit": 0.1, "lambda_short": 0.4}
-# Without --beams, unless a file of a learned field says.
+# Without --beams, unless a file of parameters says.
 DEFAULT_BEAMS = 30
 # Local maps for map matching have cells of at least this size, metres: time is proportional to their number.
 LOCAL_RESOLUTION = 0.2
@@ -66,8 +66,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                          help="do not widen the noise of hits by what lies between the poses")  # fmt: skip
     model = parser.add_argument_group("model")
     model.add_argument("--beams", type=index, metavar="N",
-                       help="beams of the scan that count, equally spaced; 0: all (default: 30, or as a "
-                       "likelihood_field.yaml says; with another number its exponent is scaled)")  # fmt: skip
+                       help="beams of the scan that count, equally spaced; 0: all (default: 30, or as the "
+                       "file of --params says; with another number its exponent is scaled)")  # fmt: skip
     model.add_argument("--local-scans", type=count, default=10, metavar="N",
                        help="map matching: scans in the local map, up to this one (default: 10)")  # fmt: skip
     options.add_log(parser)
@@ -144,17 +144,17 @@ def _measurement_and_model(
     if arguments.model == "map_matching":
         return _local_map(sensor, grid, arguments), MapMatchingModel(grid), []
     lattice = {"resolution": arguments.resolution, "headings": arguments.headings}
-    n_beams = DEFAULT_BEAMS if arguments.beams is None else arguments.beams or None
-    more: dict[str, Any] = {"n_beams": n_beams}
     if arguments.model == "beam":
         parameters = _parameters(arguments, scan)
+        more = _counting(parameters, arguments, scan)
         if not arguments.no_widening:
             parameters = widened_for_lattice(parameters, **lattice)
         return scan, (SonarModel if scan.finder.opening_angle > 0.0 else BeamModel)(grid, parameters, **more), []
-    of_field, learned, notes = _field(arguments, scan)
+    of_field, notes = _field(arguments, scan)
+    more = _counting(of_field, arguments, scan)
     if not arguments.no_widening:
         of_field = widened_field_for_lattice(of_field, scan, **lattice)
-    return scan, LikelihoodFieldModel(grid, of_field, **more | learned), notes
+    return scan, LikelihoodFieldModel(grid, of_field, **more), notes
 
 
 def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
@@ -166,18 +166,30 @@ def _parameters(arguments: argparse.Namespace, scan: Scan) -> BeamParameters:
     return read_beam_model(arguments.params)
 
 
-def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, dict[str, Any], list[str]]:
-    """Return the parameters of the field, the options that a file of learned ones adds, and what was left out."""
+def _counting(
+    parameters: BeamParameters | LikelihoodFieldParameters, arguments: argparse.Namespace, scan: Scan
+) -> dict[str, Any]:
+    """Return how many beams of the scan count, and how much."""
+    from beamfield.models.beam_parameters import SavedBeamModel
+    from beamfield.models.field_parameters import SavedLikelihoodField
+
+    if not isinstance(parameters, SavedBeamModel | SavedLikelihoodField) or parameters.n_beams is None:
+        return {"n_beams": DEFAULT_BEAMS if arguments.beams is None else arguments.beams or None, "exponent": 1.0}
+    if arguments.beams is None:
+        return {"n_beams": parameters.n_beams, "exponent": parameters.single_scan_exponent}
+    # A scan is worth about as many independent beams, however many of its beams are used.
+    used = min(arguments.beams or scan.finder.n_beams, scan.finder.n_beams)
+    exponent = parameters.single_scan_exponent * parameters.n_beams / used
+    return {"n_beams": arguments.beams or None, "exponent": min(1.0, exponent)}
+
+
+def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldParameters, list[str]]:
+    """Return the parameters of the field, and what was left out."""
     from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
     from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
 
     if arguments.params is not None and is_likelihood_field(arguments.params):
-        saved = read_likelihood_field(arguments.params)
-        if arguments.beams is None:
-            return saved.parameters, {"exponent": saved.exponent, "n_beams": saved.n_beams}, []
-        # A scan is worth about as many independent beams, however many of its beams are used.
-        used = min(arguments.beams or scan.finder.n_beams, scan.finder.n_beams)
-        return saved.parameters, {"exponent": min(1.0, saved.exponent * saved.n_beams / used)}, []
+        return read_likelihood_field(arguments.params), []
     beam = _parameters(arguments, scan)
     notes = [
         f"{arguments.params} has {name} {getattr(beam, name):.4g}, which a likelihood field cannot have; it is left "
@@ -185,7 +197,7 @@ def _field(arguments: argparse.Namespace, scan: Scan) -> tuple[LikelihoodFieldPa
         for name in NOT_OF_A_FIELD
         if getattr(beam, name) != 0.0
     ]
-    return LikelihoodFieldParameters.from_beam_parameters(beam, drop=NOT_OF_A_FIELD), {}, notes
+    return LikelihoodFieldParameters.from_beam_parameters(beam, drop=NOT_OF_A_FIELD), notes
 
 
 def _local_map(sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> OccupancyGrid:

@@ -106,11 +106,10 @@ def judge_posteriors(
     density: NDArray[np.float64],
     far_mass: float,
     far_density: float,
-    level: float,
     ratios: NDArray[np.float64],
-    covered: NDArray[np.float64],
+    denser: NDArray[np.float64],
 ) -> None:
-    """Fill the posterior density at the truth over the prior's, and whether it is in the densest region.
+    """Fill the posterior density at the truth over the prior's, and how much of the posterior is denser.
 
     There are c guesses at what is not known, each with a truth, which is the pose of that number, and a prior.
 
@@ -124,15 +123,12 @@ def judge_posteriors(
         (c, n) each near pose's share of the prior and the prior's density there.
     far_mass, far_density
         The same of each far pose.
-    level
-        Probability of the region.
     ratios
         (r, c) overwritten: weight of the truth over the mean weight under the prior; 0 if it has none.
-    covered
-        (r,) overwritten: share of the guesses whose posterior has less than `level` denser than the truth.
+    denser
+        (r, c) overwritten: posterior probability of the poses that are denser than the truth; 1 if none has a weight.
     """
     for r in range(len(near)):
-        inside = 0
         for c in range(len(mass)):
             here = near[r, c] * density[c, c]
             total = above = 0.0
@@ -145,5 +141,4 @@ def judge_posteriors(
                 total += part
                 above += part if far[r, i] * far_density > here else 0.0
             ratios[r, c] = near[r, c] / total if total > 0.0 else 0.0
-            inside += above < level * total
-        covered[r] = inside / len(mass)
+            denser[r, c] = above / total if total > 0.0 else 1.0

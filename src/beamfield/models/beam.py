@@ -50,13 +50,15 @@ class BeamModel(RangeMixtureModel):
     grid
         The map.
     parameters
-        Weights and shapes of the four densities.
+        Weights and shapes of the four densities; or what `read_beam_model` returns, which brings exponent and n_beams
+        too.
     exponent
-        Power of each beam's value (the alpha of 6.3.4), because neighbouring beams are dependent; 1 leaves the product
-        as it is. With another value the result is no longer normalised over z.
+        Power of each beam's value (the alpha of 6.3.4), because neighbouring beams are dependent; None: 1, which leaves
+        the product as it is, or what the parameters bring. With another value than 1 the result is no longer
+        normalised over z.
     n_beams
         Use only so many beams of each scan (6.3.4): about equally spaced among those that carry a measurement, so that
-        NaN and too close readings do not use up the number. None uses all.
+        NaN and too close readings do not use up the number. None: all, or what the parameters bring.
     unknown
         Whether rays pass unknown cells ("free") or stop there ("occupied").
     finder
@@ -97,7 +99,7 @@ class BeamModel(RangeMixtureModel):
 
     grid: OccupancyGrid
     parameters: BeamParameters
-    exponent: float = field(default=1.0, kw_only=True)
+    exponent: float = field(default=None, kw_only=True)  # type: ignore[assignment]  # always there once constructed
     n_beams: int | None = field(default=None, kw_only=True)
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     finder: RangeFinder | None = field(default=None, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class BeamParameters:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for item in fields(self):
+        for item in fields(BeamParameters):
             value = float(getattr(self, item.name))
             if not np.isfinite(value):
                 raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
@@ -82,3 +82,34 @@ class BeamParameters:
     def weights(self) -> tuple[float, float, float, float]:
         """(z_hit, z_short, z_max, z_rand)."""
         return self.z_hit, self.z_short, self.z_max, self.z_rand
+
+
+@dataclass(frozen=True)
+class SavedBeamModel(BeamParameters):
+    """What a beam_model.yaml says: parameters, how much each beam counts, and the sensor they were learned of.
+
+    `BeamModel` and `SonarModel` take exponent and n_beams from it where they are not given.
+
+    Parameters
+    ----------
+    z_hit, z_short, z_max, z_rand, sigma_hit, lambda_short, range_offset, sigma_slope
+        As for `BeamParameters`.
+    exponent, n_beams
+        How much each beam counts in a filter, and how many of a scan are used; 1 and None (all) if the file does not
+        say.
+    single_scan_exponent
+        The exponent for one scan on its own; that of a filter if the file does not say.
+    max_range, min_range
+        The limits of the sensor, metres.
+    """
+
+    exponent: float = field(default=1.0, kw_only=True)
+    n_beams: int | None = field(default=None, kw_only=True)
+    single_scan_exponent: float = field(default=1.0, kw_only=True)
+    max_range: float = field(kw_only=True)
+    min_range: float = field(default=0.0, kw_only=True)
+
+    @property
+    def parameters(self) -> BeamParameters:
+        """The parameters alone."""
+        return BeamParameters(*(getattr(self, item.name) for item in fields(BeamParameters)))

@@ -112,13 +112,16 @@ class SavedLikelihoodField(LikelihoodFieldParameters):
     z_hit, z_rand, sigma_hit
         As for `LikelihoodFieldParameters`.
     exponent, n_beams
-        How much each beam counts, and how many of a scan are used.
+        How much each beam counts in a filter, and how many of a scan are used.
+    single_scan_exponent
+        The exponent for one scan on its own; that of a filter if the file does not say.
     max_range, min_range
         The limits of the sensor, metres.
     """
 
     exponent: float = field(kw_only=True)
     n_beams: int = field(kw_only=True)
+    single_scan_exponent: float = field(kw_only=True)
     max_range: float = field(kw_only=True)
     min_range: float = field(kw_only=True)
 

@@ -14,7 +14,7 @@ from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities, read_only
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.blind_zone import counted_from, expected_from
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
@@ -62,11 +62,22 @@ class RangeMixtureModel(ABC):
 
     def __post_init__(self) -> None:
         check_fields(self)
+        self._complete()
         if not 0.0 < self.exponent < np.inf:
             raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
         if self.n_beams is not None and self.n_beams < 1:
             raise InvalidInputError(f"n_beams: expected at least 1 or None, got {self.n_beams}")
         object.__setattr__(self, "_source", self._make_source())
+
+    def _complete(self) -> None:
+        """Take exponent and n_beams of what a file says, where they are not given."""
+        learned: dict[str, Any] = {"exponent": 1.0}
+        if isinstance(self.parameters, SavedBeamModel):
+            learned = {"exponent": self.parameters.exponent, "n_beams": self.parameters.n_beams}
+            object.__setattr__(self, "parameters", self.parameters.parameters)
+        for name, value in learned.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
 
     @property
     def is_normalized(self) -> bool:

@@ -77,7 +77,7 @@ class SonarModel(RangeMixtureModel):
 
     map: OccupancyGrid | LandmarkMap
     parameters: BeamParameters
-    exponent: float = field(default=1.0, kw_only=True)
+    exponent: float = field(default=None, kw_only=True)  # type: ignore[assignment]  # always there once constructed
     n_beams: int | None = field(default=None, kw_only=True)
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     landmark_radius: ArrayLike = field(default=0.0, kw_only=True)

@@ -15,7 +15,8 @@ MEANINGS = {
     "z_hit": ("-", "share of readings that end near an obstacle on their beam's axis"),
     "z_rand": ("-", "share of readings that nothing explains, spread evenly over all ranges"),
     "sigma_hit": ("m", "deviation of a hit from its obstacle, with the error of the reference poses"),
-    "exponent": ("-", "power of each beam's value, because beams depend on each other"),
+    "exponent": ("-", "power of each beam's value in a filter, because beams and scans depend on each other"),
+    "single_scan_exponent": ("-", "the same for one scan on its own"),
 }
 PARAMETER_HEADER = ("likelihood field", "value", "95 % interval", "unit", "meaning")
 SCORE_HEADER = ("held-out blocks", "nats per reading ± s.e.", "nats per posterior ± s.e.", "covered")
@@ -32,7 +33,7 @@ def field_tables(learned: FieldLearning) -> str:
     parts = [
         aligned(PARAMETER_HEADER, _parameter_rows(learned), right=(1,)),
         aligned(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3)),
-        f"The exponent is for {learned.n_beams} beams of each scan.",
+        f"The exponents are for {learned.n_beams} beams of each scan.",
     ]
     return "\n\n".join(parts)
 
@@ -51,13 +52,13 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         f"{table(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), css='parameters')}"
         f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "
         "sigma_hit make the readings most likely along the axes of their beams; without the reference poses' error "
-        f"sigma_hit is {learned.density_sigma:.4g} m. The exponent is the one whose posteriors around the reference "
-        f"poses hold them best.</p>"
+        f"sigma_hit is {learned.density_sigma:.4g} m. With the exponents, the 90 % regions of posteriors around the "
+        f"reference poses hold the truth in 90 % of the cases: of drives of some scans, and of single scans.</p>"
         f"{table(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3))}"
         "<p>Nats per reading: mean log density along the axis, given that the reading is a range. Nats per posterior: "
         "mean logarithm of the posterior's density at the reference over the prior's, of a few scans each; 0 for a "
         "field that says nothing, far below 0 for one that is certain and wrong. Covered: share of those posteriors "
-        f"whose 95 % region holds the reference.</p><p>The file:</p><pre>{escaped(file_text)}</pre>"
+        f"whose 90 % region holds the truth.</p><p>The file:</p><pre>{escaped(file_text)}</pre>"
     )
     return PageSection("field", TITLE, markup)
 
@@ -80,9 +81,12 @@ def _parameter_rows(learned: FieldLearning) -> list[tuple[str, ...]]:
         "sigma_hit": learned.parameters.sigma_hit,
         "exponent": learned.exponent,
     }
+    if learned.exponents is not None:
+        values["single_scan_exponent"] = learned.exponents.single.value
     return [
         (name, f"{values[name]:.3g}", _interval_text(*learned.intervals[name]), unit, meaning)
         for name, (unit, meaning) in MEANINGS.items()
+        if name in values
     ]
 
 

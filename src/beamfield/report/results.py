@@ -6,13 +6,15 @@ The methods of the results come here when they are called, so that learning need
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from beamfield.calibration.calibrate import Calibration
+from beamfield.calibration.context.exponent import ExponentLearning
 from beamfield.calibration.field.learning import FieldLearning
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.atomic import write_file
@@ -81,7 +83,7 @@ def calibration_markup(result: Calibration) -> str:
     return f'{parameters}{warnings}<div style="max-width: 700px; background: white">{picture}</div>'
 
 
-def save_calibration(result: Calibration, path: str | Path) -> None:
+def save_calibration(result: Calibration, path: str | Path, exponent: ExponentLearning | None) -> None:
     """Write a beam_model.yaml.
 
     Parameters
@@ -90,8 +92,41 @@ def save_calibration(result: Calibration, path: str | Path) -> None:
         The result of `calibrate`.
     path
         The file; one that is there is replaced.
+    exponent
+        The result of `learn_exponent`, to be written beside the parameters.
     """
-    write_file(path, beam_model_text(result.parameters, result.finder, intervals=result.intervals.intervals))
+    write_file(path, calibration_text(result, exponent))
+
+
+def calibration_text(
+    result: Calibration, exponent: ExponentLearning | None, *, provenance: Mapping[str, Any] | None = None
+) -> str:
+    """Return the text of a beam_model.yaml.
+
+    Parameters
+    ----------
+    result, exponent
+        What was learned; None: beams count as if they were independent.
+    provenance
+        As for `beam_model_text`.
+    """
+    intervals = dict(result.intervals.intervals)
+    if exponent is None:
+        return beam_model_text(result.parameters, result.finder, intervals=intervals, provenance=provenance)
+    return beam_model_text(
+        result.parameters,
+        result.finder,
+        exponent=exponent.drive.value,
+        single_scan_exponent=exponent.single.value,
+        n_beams=exponent.n_beams,
+        intervals=intervals | exponent_intervals(exponent),
+        provenance=provenance,
+    )
+
+
+def exponent_intervals(learned: ExponentLearning) -> dict[str, tuple[float, float]]:
+    """Return the intervals of both exponents by their names in files."""
+    return {"exponent": learned.drive.interval, "single_scan_exponent": learned.single.interval}
 
 
 def field_summary(result: FieldLearning) -> str:
@@ -115,10 +150,28 @@ def save_field(result: FieldLearning, path: str | Path) -> None:
     path
         The file; one that is there is replaced.
     """
-    text = likelihood_field_text(
-        result.parameters, result.finder, exponent=result.exponent, n_beams=result.n_beams, intervals=result.intervals
+    write_file(path, field_text(result))
+
+
+def field_text(result: FieldLearning, *, provenance: Mapping[str, Any] | None = None) -> str:
+    """Return the text of a likelihood_field.yaml.
+
+    Parameters
+    ----------
+    result
+        What was learned.
+    provenance
+        As for `likelihood_field_text`.
+    """
+    return likelihood_field_text(
+        result.parameters,
+        result.finder,
+        exponent=result.exponent,
+        single_scan_exponent=None if result.exponents is None else result.exponents.single.value,
+        n_beams=result.n_beams,
+        intervals=result.intervals,
+        provenance=provenance,
     )
-    write_file(path, text)
 
 
 def landmark_summary(result: LandmarkLearningResult) -> str:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from beamfield.calibration.block_errors import block_interval
 from beamfield.calibration.field.axis_density import DensityFit, Mixture, density_gradient, share_bounds, sigma_bounds
 from beamfield.calibration.field.axis_table import AxisTable
-from beamfield.calibration.field.block_errors import block_interval
 from beamfield.calibration.field.findings import has_no_hits
 from beamfield.geometry import FloatArray
 

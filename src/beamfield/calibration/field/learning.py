@@ -9,14 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.calibration.context.exponent import (
+    LEVEL,
+    ExponentLearning,
+    exponents_of,
+    scan_log_likelihoods,
+    score_exponents,
+)
+from beamfield.calibration.context.posterior_judge import PosteriorScores
 from beamfield.calibration.evaluation import block_standard_error
 from beamfield.calibration.field.axis_density import Mixture, fit_axis_density, log_axis_density
 from beamfield.calibration.field.axis_intervals import axis_intervals
 from beamfield.calibration.field.axis_table import AxisTable, build_axis_table
-from beamfield.calibration.field.block_errors import block_interval, jackknife_error
-from beamfield.calibration.field.exponent import EXPONENTS, best_exponent, score_exponents, window_log_likelihoods
 from beamfield.calibration.field.findings import density_findings, exponent_findings
-from beamfield.calibration.field.posterior_judge import PosteriorScores
 from beamfield.calibration.pose_windows import (
     HELD_OUT,
     REFERENCE_LEVER,
@@ -58,7 +63,7 @@ class FieldScore:
         Mean log of the posterior's density at the reference pose over the prior's, per window, and its standard error,
         nats; 0 for a field that says nothing. None if the log has no windows to judge by.
     coverage
-        Share of the windows whose 95 % region holds the reference; None likewise.
+        Share of the windows whose 90 % region holds the truth around the reference; None likewise.
     """
 
     name: str
@@ -78,7 +83,9 @@ class FieldLearning:
     parameters
         z_hit and z_rand, and sigma_hit with the reference poses' error added: what `LikelihoodFieldModel` takes.
     exponent
-        How much each of n_beams beams counts; 1 if the log is too short to learn it, which a finding says.
+        How much each of n_beams beams counts in a filter; 1 if the log is too short to learn it, which a finding says.
+    exponents
+        The same with what it rests on, and the exponent for one scan on its own; None if the log is too short.
     n_beams
         Beams of a scan that the exponent is for.
     intervals
@@ -101,6 +108,7 @@ class FieldLearning:
 
     parameters: LikelihoodFieldParameters
     exponent: float
+    exponents: ExponentLearning | None
     n_beams: int
     intervals: Mapping[str, tuple[float, float]]
     density_sigma: float
@@ -150,8 +158,9 @@ def learn_field_parameters(
 
     z_hit, z_rand and sigma_hit make the readings most likely along the axes of their beams, where the field can be
     normalised: (6.33), (6.34). Multiplied over a scan as Table 6.3 does, such values would be far too certain, since
-    the beams' errors hang together: the exponent (the alpha of 6.3.4) is the one under which posteriors around the
-    reference poses hold them best. docs/likelihood_field.md compares this with other ways.
+    the beams' errors hang together: the exponent (the alpha of 6.3.4) is the one whose posteriors around the reference
+    poses hold the truth as often as they say, see `learn_exponent`. docs/likelihood_field.md compares this with other
+    ways.
 
     Parameters
     ----------
@@ -214,8 +223,10 @@ def learn_field_parameters(
     except TooLittleDataError as error:
         reason = str(error)
     judge = _Judge(log, grid, windows, rivals, options, n_beams)
-    if windows:
-        exponent, intervals["exponent"] = judge.learn_exponent(widened, blocks)
+    exponents = judge.learn_exponents(widened, blocks) if windows else None
+    if exponents is not None:
+        exponent, intervals["exponent"] = exponents.drive.value, exponents.drive.interval
+        intervals["single_scan_exponent"] = exponents.single.interval
 
     # 3. Judge it on held-out blocks.
     fields: dict[str, tuple[LikelihoodFieldParameters, float, Mixture]] = {"learned": (widened, exponent, fit.mixture)}
@@ -234,6 +245,7 @@ def learn_field_parameters(
     return FieldLearning(
         parameters=widened,
         exponent=exponent,
+        exponents=exponents,
         n_beams=n_beams,
         intervals=intervals,
         density_sigma=parameters.sigma_hit,
@@ -279,27 +291,16 @@ class _Judge:
     options: WindowOptions
     n_beams: int
 
-    def learn_exponent(
-        self, parameters: LikelihoodFieldParameters, blocks: NDArray[np.int64]
-    ) -> tuple[float, tuple[float, float]]:
-        """Return the exponent that suits the windows to fit to, and its interval."""
-        fitted = [window for window in self.windows if window.fold != HELD_OUT]
-        values = window_log_likelihoods(self._model(parameters), self.log, fitted)
-        each = np.column_stack([s.log_score for s in score_exponents(values, EXPONENTS, self.rivals, self.options)])
-        _, block = np.unique([blocks[window.scans[0]] for window in fitted], return_inverse=True)
-        exponent = best_exponent(each.mean(axis=0))
-        n_blocks = int(block.max()) + 1
-        if n_blocks < 2:
-            return exponent, (0.0, np.inf)
-        without = [[np.log(best_exponent(each[block != b].mean(axis=0)))] for b in range(n_blocks)]
-        error = exponent * float(jackknife_error(np.array(without))[0])
-        low, high = block_interval(exponent, error, n_blocks)
-        return exponent, (low, min(high, 1.0))
+    def learn_exponents(self, parameters: LikelihoodFieldParameters, blocks: NDArray[np.int64]) -> ExponentLearning:
+        """Return the exponents that suit the windows to fit to."""
+        model = self._model(parameters)
+        values = scan_log_likelihoods(model, self.log, self.windows)
+        return exponents_of(values, self.windows, blocks, self.rivals, self.options, self.n_beams, self.log)
 
     def score(self, parameters: LikelihoodFieldParameters, exponent: float) -> PosteriorScores:
         """Return the scores of the held-out windows."""
         held_out = [window for window in self.windows if window.fold == HELD_OUT]
-        values = window_log_likelihoods(self._model(parameters), self.log, held_out)
+        values = scan_log_likelihoods(self._model(parameters), self.log, held_out).sum(axis=1)
         return score_exponents(values, np.array([exponent]), self.rivals, self.options)[0]
 
     def _model(self, parameters: LikelihoodFieldParameters) -> LikelihoodFieldModel:
@@ -322,4 +323,4 @@ def _score(
     scores = judge.score(parameters, exponent)
     held_out = [blocks[window.scans[0]] for window in judge.windows if window.fold == HELD_OUT]
     posterior_error = block_standard_error(scores.log_score, np.array(held_out))
-    return FieldScore(name, float(density.mean()), error, scores.mean, posterior_error, scores.coverage)
+    return FieldScore(name, float(density.mean()), error, scores.mean, posterior_error, scores.coverage_at(LEVEL))

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
-from beamfield.io.parameters.document import document_text, named_numbers, sensor_section, six_digits
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.io.parameters.document import (
+    COUNTING,
+    counting_section,
+    document_text,
+    named_numbers,
+    read_counting,
+    sensor_section,
+    six_digits,
+)
+from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
@@ -21,32 +29,22 @@ HEADER = """\
 # max_range is the range in metres from which a reading means "no return"; opening_angle is the cone's in radians.
 # Readings below min_range (metres) are dropped: each density is cut to [min_range, max_range], and the weights are
 # shares of the readings that are left.
+# Beams depend on each other: with n_beams beams of a scan, each beam's value counts to the power of exponent in a
+# filter, which multiplies the values of scan after scan, and to that of single_scan_exponent for one scan on its own,
+# which is worth about single_scan_exponent * n_beams independent beams.
 """
 # Left out, they have the defaults of `BeamParameters`.
 OPTIONAL = ("range_offset", "sigma_slope")
 WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 
 
-class SavedBeamModel(NamedTuple):
-    """What a beam_model.yaml says.
-
-    Parameters
-    ----------
-    parameters
-        The parameters.
-    max_range, min_range
-        The limits of the sensor that they belong to, metres; min_range is 0 if the file does not say.
-    """
-
-    parameters: BeamParameters
-    max_range: float
-    min_range: float
-
-
 def beam_model_text(
     parameters: BeamParameters,
     finder: RangeFinder,
     *,
+    exponent: float = 1.0,
+    single_scan_exponent: float | None = None,
+    n_beams: int | None = None,
     intervals: Mapping[str, tuple[float, float]] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
@@ -58,11 +56,17 @@ def beam_model_text(
         The parameters, written with six digits; the largest weight has more, so that the weights sum to 1.
     finder
         The sensor they belong to.
+    exponent, single_scan_exponent, n_beams
+        How much beams count, with n_beams of each scan; written if there are n_beams.
     intervals, provenance
         As for `beamfield.io.parameters.document.document_text`.
     """
+    counting = {}
+    if n_beams is not None:
+        single = exponent if single_scan_exponent is None else single_scan_exponent
+        counting = counting_section(exponent, single, n_beams)
     document: dict[str, Any] = {
-        "beam_model": _rounded(parameters),
+        "beam_model": {**_rounded(parameters), **counting},
         "sensor": sensor_section(finder),
     }
     if finder.opening_angle > 0.0:
@@ -72,30 +76,15 @@ def beam_model_text(
 
 
 def _rounded(parameters: BeamParameters) -> dict[str, float]:
-    rounded = {name: six_digits(value) for name, value in asdict(parameters).items()}
+    values = {item.name: getattr(parameters, item.name) for item in fields(BeamParameters)}
+    rounded = {name: six_digits(value) for name, value in values.items()}
     largest = max(WEIGHTS, key=lambda name: rounded[name])
     rounded[largest] = round(1.0 - sum(rounded[name] for name in WEIGHTS if name != largest), 12)
     return rounded
 
 
-def read_beam_model(path: str | Path) -> BeamParameters:
-    """Read the parameters of a beam_model.yaml, as `BeamModel` and `SonarModel` take them.
-
-    Parameters
-    ----------
-    path
-        The file; what else it says: `read_saved_beam_model`.
-
-    Raises
-    ------
-    FormatError
-        If a parameter is missing, no number, or outside its range, or a limit of the sensor is; names the line.
-    """
-    return read_saved_beam_model(path).parameters
-
-
-def read_saved_beam_model(path: str | Path) -> SavedBeamModel:
-    """Read a beam_model.yaml with the limits of its sensor.
+def read_beam_model(path: str | Path) -> SavedBeamModel:
+    """Read a beam_model.yaml, as `BeamModel` and `SonarModel` take it: exponent and n_beams included.
 
     Parameters
     ----------
@@ -104,7 +93,7 @@ def read_saved_beam_model(path: str | Path) -> SavedBeamModel:
 
     Returns
     -------
-    (parameters, max_range, min_range): the parameters, and the sensor's limits in metres.
+    The parameters, how much each beam counts, and the limits of the sensor. A file without exponent has 1.
 
     Raises
     ------
@@ -113,13 +102,15 @@ def read_saved_beam_model(path: str | Path) -> SavedBeamModel:
     """
     file = read_yaml(path)
     names = [item.name for item in fields(BeamParameters)]
-    values = named_numbers(file, "beam_model", names, required=[name for name in names if name not in OPTIONAL])
+    required = [name for name in names if name not in OPTIONAL]
+    values = named_numbers(file, "beam_model", [*names, *COUNTING], required=required)
+    counting = read_counting(file, "beam_model", values)
     max_range = file.number("sensor", "max_range")
     sensor = file.value("sensor")
     min_range = file.number("sensor", "min_range") if isinstance(sensor, dict) and "min_range" in sensor else 0.0
     if not 0.0 <= min_range < max_range:
         raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
     try:
-        return SavedBeamModel(BeamParameters(**values), max_range, min_range)
+        return SavedBeamModel(**values, **counting, max_range=max_range, min_range=min_range)
     except InvalidInputError as error:
         raise file.error(str(error), "beam_model") from error

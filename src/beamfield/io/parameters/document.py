@@ -13,6 +13,9 @@ from beamfield.io.files.yaml_file import YamlFile
 from beamfield.printable import printable
 from beamfield.sensors import RangeFinder
 
+# How much beams count (6.3.4).
+COUNTING = ("exponent", "single_scan_exponent", "n_beams")
+
 
 def document_text(
     header: str,
@@ -98,3 +101,40 @@ def named_numbers(
             is_null = name in may_be_null and file.value(section, name) is None
             values[name] = None if is_null else file.number(section, name)
     return values
+
+
+def counting_section(exponent: float, single_scan_exponent: float, n_beams: int) -> dict[str, Any]:
+    """Return how much beams count, with six digits."""
+    return {
+        "exponent": six_digits(exponent),
+        "single_scan_exponent": six_digits(single_scan_exponent),
+        "n_beams": int(n_beams),
+    }
+
+
+def read_counting(file: YamlFile, section: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Return what a section says of how much beams count, checked, as keyword arguments of a saved model.
+
+    Parameters
+    ----------
+    file, section
+        The file, and the key of the section.
+    values
+        From `named_numbers`; exponent, n_beams and single_scan_exponent are taken out.
+
+    Raises
+    ------
+    FormatError
+        If an exponent is not in (0, 1] or n_beams is not a whole number >= 1; names the line.
+    """
+    counting = {name: values.pop(name) for name in COUNTING if name in values}
+    for name, value in counting.items():
+        if name == "n_beams":
+            if value < 1 or value != int(value):
+                raise file.error(f"expected a whole number >= 1, got {value:g}", section, name)
+            counting[name] = int(value)
+        elif not 0.0 < value <= 1.0:
+            raise file.error(f"expected a number in (0, 1], got {value}", section, name)
+    if "exponent" in counting:
+        counting.setdefault("single_scan_exponent", counting["exponent"])
+    return counting

@@ -8,7 +8,15 @@ from typing import Any
 
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
-from beamfield.io.parameters.document import document_text, named_numbers, sensor_section, six_digits
+from beamfield.io.parameters.document import (
+    COUNTING,
+    counting_section,
+    document_text,
+    named_numbers,
+    read_counting,
+    sensor_section,
+    six_digits,
+)
 from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
 from beamfield.sensors import RangeFinder
 
@@ -16,11 +24,12 @@ HEADER = """\
 # Likelihood field q(z | x, m) of a range finder: parameters, their 95 % intervals, and where they come from.
 # An interval of null: the log does not determine that parameter.
 # sigma_hit in metres, z_hit + z_rand <= 1. Each beam's value counts to the power of exponent, with n_beams beams of a
-# scan: a scan is worth about exponent * n_beams independent beams.
+# scan, in a filter, which multiplies the values of scan after scan: each is worth about exponent * n_beams independent
+# beams. One scan on its own is worth more, single_scan_exponent * n_beams.
 # max_range is the range in metres from which a reading means "no return"; readings below min_range are dropped.
 """
 PARAMETERS = ("z_hit", "z_rand", "sigma_hit")
-NUMBERS = (*PARAMETERS, "exponent", "n_beams")
+REQUIRED = (*PARAMETERS, "exponent", "n_beams")
 
 
 def likelihood_field_text(
@@ -29,6 +38,7 @@ def likelihood_field_text(
     *,
     exponent: float,
     n_beams: int,
+    single_scan_exponent: float | None = None,
     intervals: Mapping[str, tuple[float, float]] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
@@ -40,14 +50,17 @@ def likelihood_field_text(
         The parameters, written with six digits.
     finder
         The sensor they belong to.
+    single_scan_exponent
+        The exponent for one scan on its own; None: the same.
     intervals, provenance
         As for `beamfield.io.parameters.document.document_text`.
     """
     rounded = {name: six_digits(getattr(parameters, name)) for name in PARAMETERS}
     if rounded["z_hit"] + rounded["z_rand"] > 1.0:
         rounded["z_rand"] = round(1.0 - rounded["z_hit"], 12)
+    single = exponent if single_scan_exponent is None else single_scan_exponent
     document = {
-        "likelihood_field": {**rounded, "exponent": six_digits(exponent), "n_beams": int(n_beams)},
+        "likelihood_field": {**rounded, **counting_section(exponent, single, n_beams)},
         "sensor": sensor_section(finder),
     }
     return document_text(HEADER, document, intervals=intervals, provenance=provenance)
@@ -84,19 +97,13 @@ def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
         line.
     """
     file = read_yaml(path)
-    values = named_numbers(file, "likelihood_field", NUMBERS, required=NUMBERS)
+    values = named_numbers(file, "likelihood_field", (*PARAMETERS, *COUNTING), required=REQUIRED)
+    counting = read_counting(file, "likelihood_field", values)
     min_range, max_range = file.number("sensor", "min_range"), file.number("sensor", "max_range")
     if not 0.0 <= min_range < max_range:
         raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
-    exponent, n_beams = values["exponent"], values["n_beams"]
-    if not 0.0 < exponent <= 1.0:
-        raise file.error(f"expected a number in (0, 1], got {exponent}", "likelihood_field", "exponent")
-    if n_beams < 1 or n_beams != int(n_beams):
-        raise file.error(f"expected a whole number >= 1, got {n_beams:g}", "likelihood_field", "n_beams")
     weights = (values[name] for name in PARAMETERS)
     try:
-        return SavedLikelihoodField(
-            *weights, exponent=exponent, n_beams=int(n_beams), max_range=max_range, min_range=min_range
-        )
+        return SavedLikelihoodField(*weights, **counting, max_range=max_range, min_range=min_range)
     except InvalidInputError as error:
         raise file.error(str(error), "likelihood_field") from error

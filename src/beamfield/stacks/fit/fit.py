@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from beamfield.calibration.field.posterior_judge import PosteriorScores
+from beamfield.calibration.context.posterior_judge import PosteriorScores
 from beamfield.calibration.pose_windows import HELD_OUT, Rivals, Window, WindowOptions, cut_windows, draw_rivals
 from beamfield.calibration.selection import SelectionOptions
 from beamfield.geometry import FloatArray

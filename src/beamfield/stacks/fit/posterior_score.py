@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from beamfield.calibration.field.posterior_judge import PosteriorScores, judge_weights
+from beamfield.calibration.context.posterior_judge import PosteriorScores, judge_weights
 from beamfield.calibration.pose_windows import Rivals, WindowOptions
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.fit.window_evidence import LANES, WindowEvidence
@@ -32,10 +32,9 @@ def score_windows(
     rivals, options
         As the windows were cut with.
     """
-    scores = []
+    scores: list[PosteriorScores] = []
     for first in range(0, len(candidates), LANES):
         chunk = candidates[first : first + LANES]
         log_weights = evidence.log_weights(model, chunk)
-        log_score, covered = judge_weights(log_weights, evidence.n_near, rivals, options)
-        scores += [PosteriorScores(*pair) for pair in zip(log_score.T, covered.T, strict=True)]
+        scores += judge_weights(log_weights, evidence.n_near, rivals, options)
     return scores

@@ -13,7 +13,7 @@ import numpy as np
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.files.yaml_file import read_yaml
-from beamfield.io.parameters.beam_model_file import read_saved_beam_model
+from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
@@ -150,7 +150,7 @@ def _choose(stack: Stack, model: str | None) -> tuple[Model, list[str]]:
 
 
 def _read(path: Path, typical_range: float | None) -> _Own:
-    saved = read_saved_beam_model(path)
+    saved = read_beam_model(path)
     sensor = read_yaml(path).values.get("sensor")
     if isinstance(sensor, Mapping) and sensor.get("opening_angle"):
         raise FormatError(path, "is a model of cones (opening_angle), such as a sonar's; no stack has one")

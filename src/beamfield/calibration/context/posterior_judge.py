@@ -11,7 +11,6 @@ from beamfield.calibration.pose_windows import Rivals, WindowOptions
 from beamfield.geometry import FloatArray
 from beamfield.kernels.posterior import judge_posteriors
 
-LEVEL = 0.95
 # Nats that a window can lose at most.
 LOWEST = -50.0
 
@@ -26,12 +25,13 @@ class PosteriorScores:
         (w,) nats: log of the posterior density at the truth over the prior's there, mean over guesses at both. 0 for
         weights that say nothing; wrong and certain is punished, so that it is largest in the mean for a calibrated
         posterior.
-    covered
-        (w,) share of the guesses whose posterior holds the truth in its 95 % region.
+    denser
+        (w, c) probability of the poses that the posterior has denser than the truth, for each guess: the highest
+        density region of more than that holds the truth. Uniform on (0, 1) for a calibrated posterior.
     """
 
     log_score: FloatArray
-    covered: FloatArray
+    denser: FloatArray
 
     @property
     def mean(self) -> float:
@@ -41,21 +41,31 @@ class PosteriorScores:
     @property
     def coverage(self) -> float:
         """Share of the guesses at the truth, over all windows, that the 95 % region holds."""
-        return float(self.covered.mean())
+        return self.coverage_at(0.95)
+
+    def coverage_at(self, level: float) -> float:
+        """Return the share of the guesses at the truth, over all windows, that the region of a probability holds.
+
+        Parameters
+        ----------
+        level
+            Probability of the region.
+        """
+        return float((self.denser < level).mean())
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> PosteriorScores:
         """Return the scores of some of the windows."""
-        return PosteriorScores(self.log_score[chosen], self.covered[chosen])
+        return PosteriorScores(self.log_score[chosen], self.denser[chosen])
 
     def __add__(self, other: PosteriorScores) -> PosteriorScores:
         """Return the scores of both sets of windows."""
-        return PosteriorScores(np.append(self.log_score, other.log_score), np.append(self.covered, other.covered))
+        return PosteriorScores(np.append(self.log_score, other.log_score), np.concatenate([self.denser, other.denser]))
 
 
 def judge_weights(
     log_weights: FloatArray, n_near: int, rivals: Rivals, options: WindowOptions
-) -> tuple[FloatArray, FloatArray]:
-    """Return log scores and coverage (w, c) of log weights (w, c, n), near poses before far ones."""
+) -> list[PosteriorScores]:
+    """Return the scores of c sets of log weights (w, c, n), near poses before far ones."""
     shape = log_weights.shape[:2]
     rows = log_weights.reshape(-1, log_weights.shape[2])
     top = rows.max(axis=1, keepdims=True)
@@ -63,11 +73,12 @@ def judge_weights(
     weights = np.exp(np.where(top > -np.inf, rows - np.where(top > -np.inf, top, 0.0), 0.0))
     near, far = np.ascontiguousarray(weights[:, :n_near]), np.ascontiguousarray(weights[:, n_near:])
     share = options.far_share if far.shape[1] else 0.0
-    ratios, covered = np.empty((len(rows), len(rivals.mass))), np.empty(len(rows))
+    ratios, denser = np.empty((len(rows), len(rivals.mass))), np.empty((len(rows), len(rivals.mass)))
     judge_posteriors(
         near, far, (1.0 - share) * rivals.mass, (1.0 - share) * rivals.density, share / max(1, far.shape[1]),
-        share * rivals.far_density, LEVEL, ratios, covered,
+        share * rivals.far_density, ratios, denser,
     )  # fmt: skip
     # A weight that underflows next to the best pose is a loss that no fit should follow for ever.
-    scores = np.log(np.maximum(ratios, np.exp(LOWEST))).mean(axis=1)
-    return scores.reshape(shape), covered.reshape(shape)
+    scores = np.log(np.maximum(ratios, np.exp(LOWEST))).mean(axis=1).reshape(shape)
+    denser = denser.reshape(*shape, -1)
+    return [PosteriorScores(scores[:, i], denser[:, i]) for i in range(shape[1])]

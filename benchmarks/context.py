@@ -1,0 +1,250 @@
+"""How much beams may count, and what parameters learned in context gain (docs/in_context.md).
+
+    python benchmarks/context.py coverage [FOLDER]   what exponents learned from one log hold in others, and in blocks
+    python benchmarks/context.py lattice [FOLDER]    the same for single scans, by posteriors on a lattice of poses
+    python benchmarks/context.py learning [FOLDER]   the start (EM), an exponent alone, and parameters by gradient
+    python benchmarks/context.py beams [FOLDER]      4 to all beams of a scan
+
+FOLDER holds the logs and maps (default: ../shared/data beside the checkout). Simulated logs need none.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beamfield.calibration.calibrate import calibrate
+from beamfield.calibration.context.exponent import (
+    LEVEL,
+    ExponentLearning,
+    learn_exponent,
+    scan_log_likelihoods,
+    score_exponents,
+)
+from beamfield.calibration.context.learning import learn_in_context
+from beamfield.calibration.cross_fit import build_cross_fit_maps
+from beamfield.calibration.evaluation import block_standard_error
+from beamfield.calibration.field.learning import learn_field_parameters
+from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
+from beamfield.calibration.time_split import time_blocks
+from beamfield.geometry import compose
+from beamfield.io.read_log import read_log
+from beamfield.localization.pose_posterior import PoseLattice, pose_posterior
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.dependence import Dependence
+from beamfield.simulation.floor_plan import draw_floor_plan
+from beamfield.simulation.log import simulate_log
+from real_logs import LOGS, read_log_and_map
+from tables import print_table
+
+WEAN_MAP = "wean_hall/derived_wean.yaml"
+CORRECTED = ("belgioioso", "intel", "freiburg-079")
+BEAM_COUNTS = (4, 8, 15, 30, 60, 120, 180)
+N_BEAMS = {"beam": 30, "field": 60}
+# Many drives of few scans: coverage of 100 posteriors is known to 3 %.
+MANY = 150
+TRUTH = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A log to learn from, with its map, and logs of the same place to judge by."""
+
+    name: str
+    log: SensorLog
+    grid: OccupancyGrid
+    others: dict[str, SensorLog]
+    reference_error: float = 0.04
+
+
+def places(folder: Path) -> Iterator[Place]:
+    """Yield simulated and real logs."""
+    yield from simulated()
+    wean = [
+        read_log_and_map(folder, f"wean_hall/robotdata{i}.log.gz", WEAN_MAP, f"wean_hall/reference_robotdata{i}.csv.gz")
+        for i in (1, 3, 5)
+    ]
+    yield Place("Wean Hall 1", *wean[0], {"Wean Hall 3": wean[1][0], "Wean Hall 5": wean[2][0]})
+    for name, *paths in LOGS[2:]:
+        yield Place(name, *read_log_and_map(folder, *paths), {}, 0.01 if "Stage" in name else 0.04)
+    for name in CORRECTED:
+        log = read_log(folder / f"carmen_radish_corrected/{name}-corrected.log.gz").only_sensor()
+        maps = build_cross_fit_maps(log)
+        yield Place(f"{name}, map from the other half", log.select(maps.half == 0), maps.halves[1], {})
+
+
+def simulated() -> Iterator[Place]:
+    """Yield drives through an office: independent beams, dependent ones, and boxes that the map does not have."""
+    office, finder = draw_floor_plan(seed=3), RangeFinder.from_bearings(np.linspace(-1.57, 1.57, 180), 12.0)
+    near = Dependence(float(np.radians(4.0)), 1.0)
+    for name, world, dependence in (
+        ("independent", office, Dependence()),
+        ("dependent", office, near),
+        ("dependent, wrong map", with_boxes(office), near),
+    ):
+        logs = [
+            simulate_log(world, finder, TRUTH, duration=300.0, scan_rate=4.0, seed=seed, dependence=dependence)
+            for seed in (1, 2)
+        ]
+        learned, judged = (log.only_sensor() for log in logs)
+        yield Place(f"simulated, {name}", learned, office, {"another drive": judged}, 0.01)
+
+
+def with_boxes(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return the map with thirty boxes of 0.4 m in its free space."""
+    rng, free = np.random.default_rng(0), np.argwhere(grid.free)
+    cells, size = grid.probability.copy(), round(0.4 / grid.resolution)
+    for row, col in free[rng.integers(0, len(free), 30)]:
+        cells[row : row + size, col : col + size] = 1.0
+    return OccupancyGrid(cells, grid.resolution, grid.origin)
+
+
+def models_of(place: Place) -> dict[str, BeamModel | LikelihoodFieldModel]:
+    """Return the models learned from a log by EM."""
+    field = learn_field_parameters(place.log, place.grid, reference_error=place.reference_error)
+    return {
+        "beam": BeamModel(place.grid, calibrate(place.log, place.grid).parameters, n_beams=N_BEAMS["beam"]),
+        "field": LikelihoodFieldModel(place.grid, field.parameters, n_beams=N_BEAMS["field"]),
+    }
+
+
+def options_of(place: Place, windows: int = MANY) -> WindowOptions:
+    error = place.reference_error
+    return WindowOptions(reference_error=error, reference_turn_error=error / 4.0, windows=windows)
+
+
+def coverage(folder: Path) -> list[dict[str, Any]]:
+    """Return one row per log to learn from, model and log to judge by."""
+    rows = []
+    for place in places(folder):
+        for name, model in models_of(place).items():
+            learned = learn_exponent(model, place.log, place.grid, reference_error=place.reference_error)
+            for where, log in {"held-out blocks": place.log, **place.others}.items():
+                rows.append(
+                    {"learned from": place.name, "model": name, "judged by": where, **_exponents(learned)}
+                    | _coverages(place, model, log, learned, only_held_out=log is place.log)
+                )
+    return rows
+
+
+def _exponents(learned: ExponentLearning) -> dict[str, float]:
+    return {
+        "beams, one scan": learned.independent_beams,
+        "in a drive": learned.independent_beams_in_drive,
+        "if exact": learned.single.if_reference_exact * learned.n_beams,
+    }
+
+
+def _coverages(
+    place: Place, model: BeamModel | LikelihoodFieldModel, log: SensorLog, learned: ExponentLearning, *,
+    only_held_out: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the share of 90 % regions that hold the truth, of single scans and drives, in percent."""
+    options = options_of(place)
+    rivals = draw_rivals(options, place.grid)
+    windows = cut_windows(log, place.grid, rivals, options)
+    if only_held_out:
+        windows = [window for window in windows if window.fold == HELD_OUT]
+    values = scan_log_likelihoods(model, log, windows)
+    blocks = time_blocks(log.stamps)[[window.scans[0] for window in windows]]
+    row: dict[str, Any] = {"n": len(windows)}
+    for name, power, each in (
+        ("one scan [%]", learned.single.value, values[:, 0]),
+        ("drive [%]", learned.drive.value, values.sum(axis=1)),
+        ("exponent 1 [%]", 1.0, values[:, 0]),
+    ):
+        (scores,) = score_exponents(each, np.array([power]), rivals, options)
+        error = block_standard_error((scores.denser < LEVEL).mean(axis=1), blocks)
+        row[name] = f"{100.0 * scores.coverage_at(LEVEL):.0f} ± {100.0 * error:.0f}"
+    return row
+
+
+def lattice(folder: Path) -> list[dict[str, Any]]:
+    """Return the coverage of single scans at exponents learned from Wean Hall 1, on a lattice of poses.
+
+    The prior is uniform over a box of 1.5 m and 0.5 rad whose centre is off the truth; nothing but the model is shared
+    with what the exponents were learned by.
+    """
+    place = next(place for place in places(folder) if place.name == "Wean Hall 1")
+    rng, rows = np.random.default_rng(5), []
+    for name, model in models_of(place).items():
+        learned = learn_exponent(model, place.log, place.grid)
+        tempered = type(model)(
+            place.grid, model.parameters, n_beams=model.n_beams, exponent=learned.single.value
+        )  # fmt: skip
+        for where, log in place.others.items():
+            held = []
+            usable = np.flatnonzero(np.isfinite(log.poses).all(axis=1))
+            for scan in usable[np.linspace(0, len(usable) - 1, 60).astype(int)]:
+                for _ in range(2):
+                    truth = compose(log.poses[scan], rng.normal(0.0, (0.04, 0.04, 0.01)))
+                    held.append(_mass_above(tempered, log, int(scan), truth, rng) < LEVEL)
+            rows.append({"model": name, "judged by": where, "n": len(held), "one scan [%]": 100.0 * np.mean(held)})
+    return rows
+
+
+def _mass_above(
+    model: BeamModel | LikelihoodFieldModel, log: SensorLog, scan: int, truth: Any, rng: np.random.Generator
+) -> float:
+    """Return the posterior probability of the cells of a lattice that are denser than the truth's."""
+    middle = compose(truth, rng.uniform((-0.5, -0.5, -0.15), (0.5, 0.5, 0.15)))
+    grid = PoseLattice.around(middle, reach=0.75, resolution=0.03, heading_reach=0.25, heading_step=0.015)
+    mass = pose_posterior(model, log.scan(scan), grid).log_mass
+    here = float(model.log_likelihood(log.scan(scan), truth) - model.log_likelihood(log.scan(scan), grid_pose(grid)))
+    return float(np.exp(mass[mass > mass[0, 0] + here]).sum())
+
+
+def grid_pose(grid: PoseLattice) -> Any:
+    """Return the lattice's first pose."""
+    return np.array([*grid.centres()[0], grid.headings[0]])
+
+
+def learning(folder: Path) -> list[dict[str, Any]]:
+    """Return one row per log, model and way of learning: held-out scores."""
+    rows = []
+    for place in places(folder):
+        for name, model in models_of(place).items():
+            result = learn_in_context(model, place.log, place.grid, options=options_of(place, 90))
+            for way in result.held_out:
+                error = way.scores.log_score.std(ddof=1) / np.sqrt(len(way.scores.log_score))
+                rows.append({
+                    "log": place.name, "model": name, "way": way.name, "steps": result.steps, "exponent": way.exponent,
+                    "sigma_hit [m]": way.parameters.sigma_hit, "z_hit": way.parameters.z_hit,
+                    "z_rand": way.parameters.z_rand, "nats": way.scores.mean, "s.e.": float(error),
+                    "covered [%]": 100.0 * way.scores.coverage_at(LEVEL),
+                })  # fmt: skip
+    return rows
+
+
+def beams(folder: Path) -> list[dict[str, Any]]:
+    """Return one row per log, model and number of beams."""
+    rows = []
+    for place in places(folder):
+        if place.name.startswith("simulated") or "other half" in place.name:
+            continue
+        for name, model in models_of(place).items():
+            for n in BEAM_COUNTS:
+                fewer = type(model)(place.grid, model.parameters, n_beams=n)
+                learned = learn_exponent(fewer, place.log, place.grid, reference_error=place.reference_error)
+                rows.append({
+                    "log": place.name, "model": name, "beams": n, "independent, one scan": learned.independent_beams,
+                    "nats, one scan": learned.single.score, "in a drive": learned.independent_beams_in_drive,
+                    "nats, drive": learned.drive.score,
+                })  # fmt: skip
+    return rows
+
+
+if __name__ == "__main__":
+    here = Path(__file__).resolve().parents[1]
+    what, *rest = sys.argv[1:]
+    data = Path(rest[0]) if rest else here.parent / "shared" / "data"
+    print_table({"coverage": coverage, "lattice": lattice, "learning": learning, "beams": beams}[what](data), digits=3)

@@ -1,0 +1,231 @@
+"""Learn a model's parameters for the posteriors that they make, by gradient (6.3.4; Thrun 1998)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from beamfield.calibration.context.evidence import BeamEvidence, Evidence, FieldEvidence
+from beamfield.calibration.context.exponent import EXPONENTS, LEVEL, score_exponents, suited_exponent
+from beamfield.calibration.context.posterior_judge import LOWEST, PosteriorScores
+from beamfield.calibration.pose_windows import Rivals, Window, WindowOptions, cut_windows, draw_rivals
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.models.range_mixture import RangeMixtureModel
+from beamfield.sensors import SensorLog
+
+__all__ = ["ContextLearning", "ContextScore", "learn_in_context"]
+
+# Steps of the quasi-Newton method; it stops before if the windows that stop it have not gained in so many.
+MOST_STEPS = 30
+PATIENCE = 5
+# How far a coordinate may go, mostly a logarithm: a factor of 150.
+REACH = 5.0
+
+
+@dataclass(frozen=True)
+class ContextScore:
+    """How the posteriors of one set of parameters do on held-out windows.
+
+    Parameters
+    ----------
+    name
+        Which parameters.
+    parameters, exponent
+        The parameters, and how much beams count.
+    scores
+        Of the held-out windows.
+    """
+
+    name: str
+    parameters: BeamParameters | LikelihoodFieldParameters
+    exponent: float
+    scores: PosteriorScores
+
+
+@dataclass(frozen=True, eq=False)
+class ContextLearning:
+    """Result of `learn_in_context`.
+
+    Parameters
+    ----------
+    parameters, exponent
+        What was learned; the exponent is for drives, as in a filter.
+    steps
+        Number of the gradient's step that is best on the windows that stop it; 0: the start is.
+    fitted, stopping
+        Mean score after each step, the start's first, nats: of the windows whose gradient is followed, which never
+        falls, and of those that stop it.
+    held_out
+        Scores on windows that had no part in it: of the start with exponent 1, of the start with an exponent, and of
+        what was learned.
+    """
+
+    parameters: BeamParameters | LikelihoodFieldParameters
+    exponent: float
+    steps: int
+    fitted: tuple[float, ...]
+    stopping: tuple[float, ...]
+    held_out: tuple[ContextScore, ...]
+
+
+def learn_in_context(
+    model: RangeMixtureModel | LikelihoodFieldModel,
+    log: SensorLog,
+    grid: OccupancyGrid,
+    *,
+    options: WindowOptions | None = None,
+    block_s: float | None = None,
+) -> ContextLearning:
+    """Return the parameters and the exponent whose posteriors over drives of a few scans are best.
+
+    The objective is the mean log of the posterior's density at the truth, over drives of a few updates of a filter. Its
+    gradient is exact: the derivative of log p(z | x, m) at the truth, less its mean under the posterior. It is followed
+    on one part of the log's blocks of time, from the model's parameters (learned by EM, say) and their exponent, until
+    another part no longer gains; a third judges.
+
+    docs/in_context.md has what this gains on real logs over an exponent alone: nothing that is sure. Use
+    `learn_exponent` unless you know better.
+
+    Parameters
+    ----------
+    model
+        The model to start from, with its number of beams. Its exponent does not matter.
+    log
+        Scans with reference poses in the map frame.
+    grid
+        The map.
+    options, block_s
+        How drives are cut from the log, see `cut_windows`.
+
+    Raises
+    ------
+    InvalidInputError
+        If the log has no reference poses on the map, or the field treats unknown space by itself.
+    TooLittleDataError
+        If the log is too short.
+
+    References
+    ----------
+    Probabilistic Robotics, 6.3.4: intrinsic parameters in the context of the application.
+    """
+    options = options or WindowOptions()
+    rivals = draw_rivals(options, grid)
+    windows = cut_windows(log, grid, rivals, options, None, block_s)
+    parts = [[window for window in windows if window.fold == fold] for fold in range(3)]
+    followed, stopping, held_out = (_evidence(model, log, part) for part in parts)
+    both = [followed.log_likelihood(followed.start), stopping.log_likelihood(stopping.start)]
+    start = np.append(followed.start, np.log(_exponent(both, rivals, options)))
+    climb = _climb(followed, stopping, start, rivals, options)
+    point = climb.points[climb.best]
+    both = [followed.log_likelihood(point[:-1]), stopping.log_likelihood(point[:-1])]
+    exponent = _exponent(both, rivals, options)
+
+    def judged(name: str, at: FloatArray, power: float) -> ContextScore:
+        (scores,) = score_exponents(held_out.log_likelihood(at), np.array([power]), rivals, options)
+        return ContextScore(name, held_out.parameters(at), power, scores)
+
+    return ContextLearning(
+        followed.parameters(point[:-1]), exponent, climb.best, tuple(climb.fitted), tuple(climb.stopping),
+        (
+            judged("start, exponent 1", held_out.start, 1.0),
+            judged("start", held_out.start, float(np.exp(start[-1]))),
+            judged("in context", point[:-1], exponent),
+        ),
+    )  # fmt: skip
+
+
+def score_and_weights(values: FloatArray, rivals: Rivals, options: WindowOptions) -> tuple[FloatArray, FloatArray]:
+    """Return the log scores of posteriors, and the weights of log-likelihoods whose sum has the score's derivative.
+
+    Parameters
+    ----------
+    values
+        (w, n) log-likelihoods of windows, near poses before far ones, times the exponent.
+    rivals, options
+        As the windows were cut with.
+
+    Returns
+    -------
+    (w,) nats, as `PosteriorScores.log_score`; (w, n): 1 at the truth less the posterior, mean over guesses at both.
+    """
+    n_truths, n_near = rivals.mass.shape
+    n_far = values.shape[1] - n_near
+    share = options.far_share if n_far else 0.0
+    elsewhere = np.full((n_truths, n_far), share / max(1, n_far))
+    prior = np.concatenate([(1.0 - share) * rivals.mass, elsewhere], axis=1)
+    top = values.max(axis=1, keepdims=True)
+    weights = np.exp(np.where(top > -np.inf, values - np.where(top > -np.inf, top, 0.0), 0.0))
+    total = weights @ prior.T
+    ratios = np.divide(weights[:, :n_truths], total, out=np.zeros_like(total), where=total > 0.0)
+    alive = ratios > np.exp(LOWEST)
+    shares = np.divide(alive, total, out=np.zeros_like(total), where=alive) / n_truths
+    slopes = -weights * (shares @ prior)
+    slopes[:, :n_truths] += alive / n_truths
+    return np.log(np.maximum(ratios, np.exp(LOWEST))).mean(axis=1), slopes
+
+
+@dataclass(eq=False)
+class _Climb:
+    """Points of a climb, with their mean scores."""
+
+    points: list[FloatArray]
+    fitted: list[float]
+    stopping: list[float]
+
+    @property
+    def best(self) -> int:
+        return int(np.argmax(self.stopping))
+
+
+def _climb(followed: Evidence, stopping: Evidence, start: FloatArray, rivals: Rivals, options: WindowOptions) -> _Climb:
+    """Follow the gradient on some windows until others no longer gain."""
+    climb = _Climb([], [], [])
+
+    def mean_score(evidence: Evidence, point: FloatArray) -> float:
+        values = np.exp(point[-1]) * evidence.log_likelihood(point[:-1])
+        return float(score_and_weights(values, rivals, options)[0].mean())
+
+    def loss(point: FloatArray) -> tuple[float, FloatArray]:
+        power, values = np.exp(point[-1]), followed.log_likelihood(point[:-1])
+        scores, weights = score_and_weights(power * values, rivals, options)
+        by_power = float((weights * np.where(weights == 0.0, 0.0, values)).sum())
+        slope = power * np.append(followed.gradient(point[:-1], weights), by_power) / len(values)
+        return -float(scores.mean()), -slope
+
+    def note(point: FloatArray) -> None:
+        climb.points.append(point.copy())
+        climb.fitted.append(mean_score(followed, point))
+        climb.stopping.append(mean_score(stopping, point))
+        if len(climb.points) - 1 - climb.best >= PATIENCE:
+            raise StopIteration
+
+    note(start)
+    bounds = [*((x - REACH, x + REACH) for x in start[:-1]), (np.log(EXPONENTS[0]), 0.0)]
+    minimize(
+        loss, start, jac=True, method="L-BFGS-B", bounds=bounds, callback=note, options={"maxiter": MOST_STEPS}
+    )  # fmt: skip
+    return climb
+
+
+def _exponent(values: Sequence[FloatArray], rivals: Rivals, options: WindowOptions) -> float:
+    """Return the exponent whose 90 % regions hold the truth in 90 % of the windows."""
+    scores = score_exponents(np.concatenate(values), EXPONENTS, rivals, options)
+    return suited_exponent(np.array([each.coverage_at(LEVEL) for each in scores]))
+
+
+def _evidence(
+    model: RangeMixtureModel | LikelihoodFieldModel, log: SensorLog, windows: Sequence[Window]
+) -> BeamEvidence | FieldEvidence:
+    if isinstance(model, LikelihoodFieldModel):
+        if model.unknown != "free":
+            raise InvalidInputError(f"unknown: expected a field with 'free', got {model.unknown!r}")
+        return FieldEvidence(model, log, windows)
+    return BeamEvidence(model, log, windows)

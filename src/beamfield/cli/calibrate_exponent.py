@@ -1,0 +1,53 @@
+"""The part of ``beamfield calibrate`` that learns how many independent beams a scan is worth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from beamfield.cli.report_part import ReportPart
+from beamfield.errors import TooLittleDataError
+
+if TYPE_CHECKING:
+    from beamfield.calibration.calibrate import Calibration
+    from beamfield.calibration.context.exponent import ExponentLearning
+    from beamfield.cli.calibrate_sensor import CalibrationJob
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
+
+NAME = "independent_beams"
+# More than 30 beams add nothing to a beam model's posteriors, and each costs a ray: docs/in_context.md.
+N_BEAMS = 30
+
+
+def learn_beam_exponent(
+    job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration
+) -> tuple[ReportPart, ExponentLearning | None]:
+    """Learn the exponent of the beam model from the log and the map that its parameters were learned from."""
+    from beamfield.calibration.context.exponent import learn_exponent
+    from beamfield.models.beam import BeamModel
+    from beamfield.models.sonar import SonarModel
+    from beamfield.report.exponent_section import (
+        exponent_as_dict,
+        exponent_missing,
+        exponent_section,
+        exponent_table,
+    )
+
+    job.progress("learning how much beams count", 0, 1)
+    kind = SonarModel if sensor.finder.opening_angle > 0.0 else BeamModel
+    unknown: Literal["free", "occupied"] = "occupied" if result.options.unknown == "occupied" else "free"
+    try:
+        learned = learn_exponent(
+            kind(grid, result.parameters, n_beams=N_BEAMS, unknown=unknown),
+            sensor,
+            grid,
+            reference_error=job.arguments.reference_error,
+            selection=result.options.selection,
+            block_s=job.arguments.block,
+            seed=job.arguments.seed,
+        )
+    except TooLittleDataError as error:
+        why = str(error)
+        table = f"how many independent beams a scan is worth was not learned: {why}"
+        return ReportPart(NAME, table, {"missing": why}, exponent_missing(why), {}), None
+    return ReportPart(NAME, exponent_table(learned), exponent_as_dict(learned), exponent_section(learned), {}), learned

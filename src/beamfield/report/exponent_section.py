@@ -1,0 +1,112 @@
+"""How many independent beams a scan is worth: text for the terminal, a section of the page, plain values."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from beamfield.calibration.context.exponent import ExponentLearning, LearnedExponent
+from beamfield.report.as_json import plain
+from beamfield.report.escape import escaped
+from beamfield.report.page import table
+from beamfield.report.page_section import PageSection
+from beamfield.report.text_table import aligned
+
+TITLE = "Independent beams"
+HEADER = ("how beams count", "exponent", "95 % interval", "independent beams", "covered", "nats ± s.e.", "exponent 1")
+# Beyond this the stated error of the reference poses, and not the beams' dependence, sets the exponent.
+LIMITED = 1.5
+
+
+def exponent_table(learned: ExponentLearning) -> str:
+    """Return what is printed.
+
+    Parameters
+    ----------
+    learned
+        The result of `learn_exponent`.
+    """
+    return "\n\n".join([exponent_sentence(learned), aligned(HEADER, _rows(learned), right=(1, 3, 4, 5, 6))])
+
+
+def exponent_sentence(learned: ExponentLearning) -> str:
+    """Return in words how many independent beams a scan is worth.
+
+    Parameters
+    ----------
+    learned
+        The result of `learn_exponent`.
+    """
+    said = (
+        f"A scan of {learned.beams_of_scan} beams is worth about {learned.independent_beams:.2g} independent ones; in "
+        f"a filter, where the errors of scan after scan go together, about {learned.independent_beams_in_drive:.2g}."
+    )
+    single = learned.single
+    if single.if_reference_exact > LIMITED * single.value:
+        said += (
+            f" The error of the reference poses, {learned.reference_error:g} m, limits this: with exact ones a scan "
+            f"would be worth at least {single.if_reference_exact * learned.n_beams:.2g}."
+        )
+    return said
+
+
+def exponent_section(learned: ExponentLearning) -> PageSection:
+    """Return the section of the report.
+
+    Parameters
+    ----------
+    learned
+        The result of `learn_exponent`.
+    """
+    markup = (
+        f"<p>{escaped(exponent_sentence(learned))}</p>{table(HEADER, _rows(learned), right=(1, 3, 4, 5, 6))}"
+        f"<p>For the beam model with {learned.n_beams} beams of each scan. Neighbouring beams err together: each "
+        "beam's value to the power of the exponent makes posteriors around the reference poses whose 90 % regions "
+        "hold the truth in 90 % of the cases. Covered: the share on held-out blocks of time. Nats: mean logarithm of "
+        "the posterior's density at the truth over the prior's; 0 says nothing, far below 0 is certain and wrong.</p>"
+    )
+    return PageSection("independent-beams", TITLE, markup)
+
+
+def exponent_missing(reason: str) -> PageSection:
+    """Return the section of a report whose log is too short.
+
+    Parameters
+    ----------
+    reason
+        Why.
+    """
+    return PageSection("independent-beams", TITLE, f"<p>Not learned: {escaped(reason)}.</p>")
+
+
+def exponent_as_dict(learned: ExponentLearning) -> dict[str, Any]:
+    """Return plain values for JSON.
+
+    Parameters
+    ----------
+    learned
+        The result of `learn_exponent`.
+    """
+    return {
+        "independent_beams": learned.independent_beams,
+        "independent_beams_in_drive": learned.independent_beams_in_drive,
+        **plain(learned),
+    }
+
+
+def _rows(learned: ExponentLearning) -> list[tuple[str, ...]]:
+    what = {
+        f"one scan, {learned.n_beams} beams": learned.single,
+        f"in a filter, {learned.n_scans} scans": learned.drive,
+    }
+    return [_row(name, exponent, learned.n_beams) for name, exponent in what.items()]
+
+
+def _row(name: str, exponent: LearnedExponent, n_beams: int) -> tuple[str, ...]:
+    low, high = exponent.interval
+    interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(high) else "not determined"
+    score = f"{exponent.score:.2f} ± {exponent.score_se:.2f}" if math.isfinite(exponent.score_se) else ""
+    return (
+        name, f"{exponent.value:.3g}", interval, f"{exponent.value * n_beams:.2g}", f"{exponent.coverage:.0%}",
+        score, f"{exponent.score_independent:.2f}",
+    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 FOLDER holds ``data`` and ``oracle`` (default: ../shared beside the checkout): other people's logs and what nav2's
 compiled filter did on them; neither is part of this repository. ``--sets prob_default,lf_default`` and ``--logs
-wean1,sim`` do a part, ``--seeds N`` fewer runs than the oracle has.
+wean1,sim`` do a part, ``--seeds N`` sets how many runs of ours there are.
 
 For each set of parameters and log the table has the mean position error of both over seeds, how many runs each lost,
 the share of references inside the particles' ellipse, their spread and number, and how surprising the difference
@@ -103,7 +103,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).resolve().parents[2] / "shared")
     parser.add_argument("--sets", help="names of sets of parameters, by commas (default: all)")
     parser.add_argument("--logs", default=",".join(LOGS))
-    parser.add_argument("--seeds", type=int, default=1000)
+    parser.add_argument("--seeds", type=int, help="runs of ours (default: as many as the oracle has)")
     arguments = parser.parse_args()
     wanted = arguments.sets and arguments.sets.split(",")
     inputs: dict[str, tuple[OccupancyGrid, SensorLog]] = {}
@@ -114,7 +114,7 @@ def main() -> None:
             continue
         if name not in inputs:
             inputs[name] = read_inputs(arguments.folder, name)
-        n = min(arguments.seeds, len(run["seeds"]))
+        n = arguments.seeds or len(run["seeds"])
         began = time.process_time()
         # Seeds of ours are independent of theirs whatever they are called.
         ours = emulate(run, *inputs[name], range(n))

@@ -11,19 +11,26 @@ import pytest
 
 import beamfield
 from beamfield.cli.main import main
-from beamfield.errors import InvalidInputError
+from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.parameters.beam_model_file import beam_model_text
+from beamfield.localization.replay import PoseBelief
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder
 from beamfield.stacks.doctor.examine import examine
+from beamfield.stacks.emulation.stack_map import read_as_stack
+from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.new_file import new_file_text
 from beamfield.stacks.files.parameter_file import read_stack_file, write_values
 from beamfield.stacks.files.typed_values import checked_values
+from beamfield.stacks.filters.amcl_filter import AmclFilter, AmclFilterParameters
 from beamfield.stacks.fit.fit_space import fit_space
+from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.registry import STACKS, build_model
+from beamfield.stacks.stack import StackFilter
 from beamfield.stacks.translation.translate import translate
 from beamfield.stacks.translation.translate_beam_model import translate_beam_model
 from tests.stacks.small_room import small_room, small_scan
+from tests.stacks.test_filters import drive
 from tests.stacks.toy_stack import TOY, ToyParameters
 
 FILE = "toy_localizer:\n  toy_peak: 0.8   # mine\n  toy_floor: 0.2\n  toy_width: 0.15\n"
@@ -51,6 +58,25 @@ def test_its_file_is_recognised_and_its_values_weigh_poses(path):
     weights = model.log_likelihood(small_scan(), [[1.0, 1.0, 0.0], [0.5, 0.7, 1.0]])
     assert np.isfinite(weights).all()
     assert weights[0] != weights[1]
+
+
+def test_its_filter_is_a_field_of_its_description(path, monkeypatch):
+    with pytest.raises(FormatError, match="the particle filter of the toy is not emulated"):
+        read_filter_settings(read_stack_file(path))
+
+    def build(model, motion, particles):
+        return AmclFilter(model, read_as_stack(model.grid), motion, particles)
+
+    described = StackFilter(motion=Nav2Motion, parameters=AmclFilterParameters, build=build)
+    monkeypatch.setitem(STACKS, "toy", replace(TOY, filter=described))
+    path.write_text(FILE + "  alpha3: 0.02\n  max_particles: 700\n")
+    settings = read_filter_settings(read_stack_file(path))
+    assert settings.sensor.toy_width == 0.15
+    assert (settings.motion.alpha3, settings.motion.alpha1) == (0.02, 0.2)
+    assert (settings.particles.max_particles, settings.particles.min_particles) == (700, 500)
+    start = PoseBelief.around([1.0, 1.0, 0.0])
+    replay = settings.filter(small_room()).run(drive(4), start, np.random.default_rng(1))
+    assert len(replay.updates) == 2
 
 
 def test_it_is_fitted_by_its_own_coordinates():

@@ -124,8 +124,10 @@ class BelugaFilter:
     seen: OccupancyGrid
     motion: MotionModel
     parameters: BelugaFilterParameters = BelugaFilterParameters()
+    _weights_of: ScanWeights = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "_weights_of", ScanWeights(self.model))
         if not self.seen.free.any():
             raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
 
@@ -152,7 +154,7 @@ class _Particles:
     def __init__(self, beluga: BelugaFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
         values = beluga.parameters
         self._beluga, self._rng = beluga, rng
-        self._weights_of = ScanWeights(beluga.model)
+        self._weights_of = beluga._weights_of
         n = values.max_particles
         self._sizes = BinSizes(
             values.spatial_resolution_x, values.spatial_resolution_y, values.spatial_resolution_theta

@@ -130,8 +130,10 @@ class AmclFilter:
     motion: MotionModel
     parameters: AmclFilterParameters = AmclFilterParameters()
     selective_resampling: bool = False
+    _weights_of: ScanWeights = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "_weights_of", ScanWeights(self.model))
         if not self.seen.free.any():
             raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
 
@@ -157,7 +159,7 @@ class _Particles:
     def __init__(self, amcl: AmclFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
         values = amcl.parameters
         self._amcl, self._rng = amcl, rng
-        self._weights_of = ScanWeights(amcl.model)
+        self._weights_of = amcl._weights_of
         self._most = n = max(values.min_particles, values.max_particles)
         self._limits = np.clip(kld_limits(n, values.pf_err, values.pf_z), values.min_particles, n)
         self._averages = WeightAverages(values.recovery_alpha_slow, values.recovery_alpha_fast)

@@ -1,0 +1,126 @@
+"""``beamfield evaluate``: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from beamfield.cli.main import main
+
+SEEDS = 10
+# Weights that say nothing, and odometry that is trusted too little: the particles drift apart.
+FEW = "    min_particles: 100\n    max_particles: 300\n"
+BLIND = f"amcl:\n  ros__parameters:\n    z_hit: 0.0\n    alpha2: 0.5\n    alpha3: 0.5\n    sigma_hit: 0.2\n{FEW}"
+SIGHTED = (
+    "amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n    max_beams: 20\n"
+    f"    model_unknown_space: false\n{FEW}    alpha1: 0.05\n    alpha2: 0.05\n    alpha3: 0.05\n    alpha4: 0.05\n"
+)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive through a building, and a parameter file of nav2 and one of Beluga."""
+    folder = tmp_path_factory.mktemp("evaluate")
+    drive = ("--duration", "30", "--scan-rate", "4", "--beams", "61", "--quiet", "--seed", "4")
+    assert main(["simulate", "--out", str(folder / "drive"), *drive]) == 0
+    (folder / "blind.yaml").write_text(BLIND)
+    (folder / "sighted.yaml").write_text(SIGHTED)
+    return folder
+
+
+def evaluate(world: Path, out: Path, *words: str, params: tuple[str, ...] = ("blind.yaml", "sighted.yaml")) -> int:
+    return main([
+        "evaluate", str(world / "drive" / "log.carmen"), "--map", str(world / "drive" / "map.yaml"), "--out", str(out),
+        "--params", *(str(world / name) for name in params), *words,
+    ])  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("result") / "out"
+    assert evaluate(world, out, "--seeds", str(SEEDS), "--kidnap", "--quiet") == 0
+    return out
+
+
+def test_it_writes_all_runs_and_a_figure(result):
+    assert sorted(path.name for path in result.iterdir()) == ["evaluation.csv", "evaluation.json", "evaluation.svg"]
+    with (result / "evaluation.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * SEEDS
+    assert {row["filter"] for row in rows} == {"blind.yaml", "sighted.yaml"}
+    document = json.loads((result / "evaluation.json").read_text())
+    runs = document["filters"]["sighted.yaml"]["tracking"][0]["runs"]
+    assert [f"{run['mean']:.6g}" for run in runs] == [row["mean"] for row in rows if row["filter"] == "sighted.yaml"]
+    assert (result / "evaluation.svg").read_text().startswith("<?xml")
+
+
+def test_it_says_which_program_runs_and_which_differences_are_real(result):
+    document = json.loads((result / "evaluation.json").read_text())
+    assert document["stacks"]["blind.yaml"] == {"stack": "nav2", "model": "likelihood_field"}
+    assert document["stacks"]["sighted.yaml"] == {"stack": "beluga", "model": "likelihood_field_prob"}
+    differences = {one["measure"]: one for one in document["differences"]["sighted.yaml"]}
+    assert differences["mean"]["for_sure"] == "lower"
+    assert differences["mean"]["high"] < 0.0
+    assert document["verdicts"]["sighted.yaml"]["is_better"] is True
+    assert document["provenance"]["inputs"].keys() >= {"logs 1", "map", "params 1", "params 2"}
+
+
+def test_it_counts_the_runs_that_recover_from_a_kidnapping(result):
+    document = json.loads((result / "evaluation.json").read_text())
+    (found,) = document["filters"]["blind.yaml"]["finding"]
+    assert found["task"] == "kidnapping"
+    assert found["share"] == 0.0  # it cannot see
+    assert len(found["seconds"]) == SEEDS
+
+
+def test_it_prints_tables_and_the_result_last(world, tmp_path, capsys):
+    assert evaluate(world, tmp_path / "out", "--seeds", "2", "--global", params=("sighted.yaml",)) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0].split()[:3] == ["log", "filter", "position"]
+    assert any(line.startswith("log.carmen  sighted.yaml") for line in lines)
+    assert any("global start" in line and " of 2" in line for line in lines)
+    assert lines[-1].startswith("mean position error sighted.yaml 0.")
+    assert "sighted.yaml on log.carmen" in err  # progress
+
+
+def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
+    assert evaluate(world, tmp_path / "out", "--seeds", "1", params=("blind.yaml",)) == 0
+    assert "blind.yaml is taken for a file of nav2; it may be one of beluga, see --stack" in capsys.readouterr().err
+    assert evaluate(world, tmp_path / "out", "--seeds", "1", "--stack", "nav2", params=("blind.yaml",)) == 0
+    assert "see --stack" not in capsys.readouterr().err
+
+
+def test_files_of_one_name_are_told_apart(world, tmp_path):
+    (world / "other").mkdir()
+    (world / "other" / "blind.yaml").write_text(BLIND)
+    assert evaluate(world, tmp_path / "out", "--seeds", "1", params=("blind.yaml", "other/blind.yaml")) == 0
+    document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert list(document["filters"]) == [f"{world.name}/blind.yaml", "other/blind.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (BLIND.replace("alpha2: 0.5", "alpha2: -0.5"), "alpha2: expected a number >= 0, got -0.5"),
+        (BLIND.replace("300", "many"), "max_particles: expected a number, got 'many'"),
+        (BLIND + "    robot_model_type: hovercraft\n", "robot_model_type: expected one of"),
+        ("[MetricMap_occupancyGrid_00_likelihoodOpts]\nLF_stdHit = 0.1\n", "the particle filter of MRPT is not"),
+    ],
+)
+def test_a_file_that_cannot_be_run_is_refused_on_one_line(world, tmp_path, capsys, text, message):
+    name = "bad.ini" if text.startswith("[") else "bad.yaml"
+    (world / name).write_text(text)
+    assert evaluate(world, tmp_path / "out", params=(name,)) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_poses_must_go_with_the_logs(world, tmp_path, capsys):
+    assert evaluate(world, tmp_path / "out", "--poses", "a.tum", "b.tum") == 2
+    assert "--poses: expected one file for each LOG, got 2 for 1" in capsys.readouterr().err

@@ -13,11 +13,12 @@ from scipy.special import stdtrit
 
 from beamfield.arguments import check_magnitude, checked
 from beamfield.calibration.intrinsic.block_intervals import share_interval
-from beamfield.calibration.selection import SelectionOptions, select_scans
+from beamfield.calibration.selection import Selection, SelectionOptions, select_scans
 from beamfield.calibration.time_split import LONGEST_BLOCK_S, block_length
 from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
+from beamfield.indices import as_indices
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.scan_fit.place_beams import PlaceBeams, judge_beams
@@ -203,11 +204,12 @@ def find_changed_places(
       longer, by as much, than the expected range of all rays within two standard deviations of the pose. A beam whose
       expected range changes by more within these, as at grazing incidence, says nothing about the wall.
     - Visits count, not beams: a person who stands somewhere once makes five hundred readings in one visit, furniture
-      some in every visit. The numbers of visits are taken as a mixture of two binomial distributions, one for places
-      that differ for good and one for all others, learned from all squares that beams crossed. A square differs for
-      good if it does so in at least two visits, in at least half of them, and with a probability of 0.95.
-    - Adjoining squares make up a place. Whatever is thinner than the tolerance or as near to a mapped obstacle is not
-      found, and behind glass nobody knows.
+      some in every visit. How often windows of 0.5 m differ is a mixture of two kinds, learned from all windows that
+      beams crossed: those that differ for good, and all others, where what comes may stand still for half a minute. A
+      window differs for good if it does so in at least two visits, in at least half of them, and with a probability of
+      0.95.
+    - Squares of 0.25 m in such windows that adjoin are one place. What is thinner than the tolerance, or as near to a
+      mapped obstacle, is not found, and behind glass nobody knows.
 
     References
     ----------
@@ -229,14 +231,15 @@ def find_changed_places(
     check_magnitude("reference_error", reference_error)
     if log.finder.opening_angle > 0.0:
         raise InvalidInputError("log: expected a laser; where in a sonar's cone an echo arose is not known")
-    chosen = np.arange(len(log)) if scans is None else np.arange(len(log))[np.asarray(scans)]
-    posed = select_scans(log.select(chosen), grid, SelectionOptions(min_scans=0)).used
-    used = chosen[posed]
-    lattice = Lattice.over(grid, SIDE)
+    chosen = np.arange(len(log)) if scans is None else as_indices(scans, len(log), "scans")
+    selection = select_scans(log.select(chosen), grid, SelectionOptions(min_scans=0))
+    used = chosen[selection.used]
+    lattice, visit_s = Lattice.over(grid, SIDE), block_length(log.stamps[used], block_s)
+    if not len(used):
+        return ChangedPlaces((), lattice.side, reference_error, 0, 0, visit_s, (_no_scan(selection),))
     beams = judge_beams(
-        log, grid, parameters, used, reference_error=reference_error, longest_error=lattice.side, block_s=block_s
+        log, grid, parameters, used, reference_error=reference_error, longest_error=lattice.side, block_s=visit_s
     )
-    visit_s = block_length(log.stamps[used], block_s)
     places = [
         place
         for evidence in (
@@ -247,7 +250,7 @@ def find_changed_places(
         for place in _places(evidence)
     ]
     places.sort(key=lambda place: (KINDS.index(place.kind), -place.readings))
-    n_visits = int(beams.visit.max(initial=-1)) + 1
+    n_visits = len(np.unique(beams.visit))
     findings = tuple(_findings(places, n_visits, visit_s))
     return ChangedPlaces(tuple(places), lattice.side, reference_error, len(used), n_visits, visit_s, findings)
 
@@ -343,6 +346,10 @@ def _rate_interval(readings: NDArray[np.int64], beams: NDArray[np.int64]) -> tup
     return share_interval(rate, max(variance, rate * (1.0 - rate) / total) * wider**2, 1.0 - LEVEL)
 
 
+def _no_scan(selection: Selection) -> Finding:
+    return Finding("no-usable-scan", "warning", f"No place could be compared with the map: {selection.describe()}.")
+
+
 def _findings(places: list[ChangedPlace], n_visits: int, visit_s: float) -> Iterator[Finding]:
     lasting = [place for place in places if place.kind in KINDS[:3]]
     if lasting:
@@ -351,14 +358,14 @@ def _findings(places: list[ChangedPlace], n_visits: int, visit_s: float) -> Iter
         yield Finding(
             "map-changed",
             "warning",
-            f"The world differs from the map in {len(lasting)} places ("
+            f"The world differs from the map in {len(lasting)} place{'s' if len(lasting) > 1 else ''} ("
             + ", ".join(f"{n} {kind}" for kind, n in counts.items() if n)
             + f"), most at x {worst.x:.1f} m, y {worst.y:.1f} m.",
             {"n_places": float(len(lasting)), "x": worst.x, "y": worst.y},
             why="Readings there speak against the true pose, and a robot may lose itself.",
             do="Update the map in these places, or map the building anew.",
         )
-    if n_visits and visit_s < LONGEST_BLOCK_S:
+    if visit_s < 0.95 * LONGEST_BLOCK_S:
         yield Finding(
             "short-visits",
             "info",

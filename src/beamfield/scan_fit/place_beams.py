@@ -20,7 +20,7 @@ from beamfield.sensors import SensorLog
 from beamfield.short_repr import short_repr
 
 # Scans are thinned beyond so many beams: neighbouring scans say the same.
-MOST_BEAMS = 1_000_000
+MOST_BEAMS = 500_000
 # Pose and range may be off by so many standard deviations before a reading disagrees with the map.
 TOLERATED_SIGMAS = 3.0
 # Rays around the reference ray, in standard deviations of place and heading together.
@@ -78,7 +78,7 @@ def judge_beams(
     *,
     reference_error: float,
     longest_error: float,
-    block_s: float | None = None,
+    block_s: float,
 ) -> PlaceBeams:
     """Compare every beam with the map, with what the sensor's noise and the reference poses may be off in mind.
 
@@ -93,7 +93,7 @@ def judge_beams(
     longest_error
         Beams are followed until the pose's error has moved them aside by so many metres (one standard deviation).
     block_s
-        Length of a block of time, seconds; see `time_blocks`.
+        Length of a block of time, seconds; 0 where no time passes.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def judge_beams(
     # Nothing is known of the path of a beam that did not return from an obstacle.
     known = returned | table.hits_nothing
     return PlaceBeams(
-        visit=time_blocks(table.stamps, block_s),
+        visit=time_blocks(table.stamps, block_s or None),
         rays=rays,
         followed=np.where(known, np.minimum(measured, reach), 0.0),
         ends=ends,

@@ -214,7 +214,7 @@ class TwoKinds:
 
         >>> visits = Visits(np.array([0, 1, 1, 2, 2]), np.array([7, 7, 8, 7, 52]), np.ones(5, bool))
         >>> TwoKinds(0.01, 0.9, 0.01, 0.8, stay=0.5).probability(visits, 3).round(2).tolist()
-        [0.48, 0.62, 0.99]
+        [0.48, 0.67, 0.99]
         """
         passing = self.passing + (1.0 - self.passing) * self.standing * self.stay**visits.gaps
         lasting = np.where(visits.differs, self.lasting, 1.0 - self.lasting)

@@ -14,19 +14,11 @@ from beamfield.calibration.pose_windows import REFERENCE_LEVER
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report.as_json import plain
-from beamfield.report.drawing import (
-    CAUSE_COLOURS,
-    MODEL,
-    THROUGH,
-    WIDE,
-    Panel,
-    ReportFigure,
-    legend_above,
-    new_axes,
-    png_panel,
-)
+from beamfield.report.colours import CAUSE_COLOURS, MODEL, THROUGH
+from beamfield.report.drawing import WIDE, legend_above, new_axes
 from beamfield.report.map_figures import MARGIN, draw_map, frame
 from beamfield.report.page import finding_list, table
+from beamfield.report.panel import Panel, ReportFigure, png_panel
 from beamfield.scan_fit.changed_places import KINDS, LASTING, MOST_LISTED, ChangedPlaces, Kind
 from beamfield.scan_fit.place_visits import FEWEST_BEAMS
 
@@ -78,7 +70,7 @@ def places_figure(found: ChangedPlaces, grid: OccupancyGrid, path: FloatArray) -
     alt = "Map with the places where readings differ from it: " + ", ".join(
         f"{len(found.of_kind(kind))} {kind}" for kind in KINDS
     )
-    panels = [png_panel(figure, f"{alt}.", wide=True)]
+    panels = [png_panel(figure, f"{alt}.")]
     if listed:
         panels.append(Panel(table(COLUMNS, _rows(found), right=(2, 3, 5)), wide=True))
     if found.findings:

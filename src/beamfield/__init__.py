@@ -59,6 +59,7 @@ _NAMES = {
     "landmark_noise.learning": ("learn_landmark_parameters",),
     "scan_fit.reference": ("calibrate_scan_fit",),
     "scan_fit.scan_fit": ("judge_scan", "judge_log"),
+    "scan_fit.changed_places": ("find_changed_places",),
     # Where the robot is
     "localization.likelihood_map": ("likelihood_map",),
     "localization.alignment": ("align",),

@@ -67,6 +67,7 @@ from beamfield.calibration.options import CalibrationOptions as CalibrationOptio
 from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters as learn_intrinsic_parameters
 from beamfield.calibration.field.learning import learn_field_parameters as learn_field_parameters
 from beamfield.landmark_noise.learning import learn_landmark_parameters as learn_landmark_parameters
+from beamfield.scan_fit.changed_places import find_changed_places as find_changed_places
 from beamfield.scan_fit.reference import calibrate_scan_fit as calibrate_scan_fit
 from beamfield.scan_fit.scan_fit import judge_scan as judge_scan, judge_log as judge_log
 from beamfield.localization.likelihood_map import likelihood_map as likelihood_map

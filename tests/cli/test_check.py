@@ -78,6 +78,13 @@ class TestResult:
         for name in FILES:
             assert str(world) not in (result / name).read_text()
 
+    def test_places_are_judged_where_the_robot_was_not_lost(self, result: Path):
+        places = json.loads((result / "scan_fit.json").read_text())["changed_places"]
+        assert places["reference_error"] == 0.04
+        assert 80 < places["n_scans"] <= 190
+        assert not [place for place in places["places"] if place["kind"] == "missing wall"]
+        assert 'id="changed-places"' in (result / "scan_fit.html").read_text()
+
     def test_the_page_shows_both_figures(self, result: Path):
         page = (result / "scan_fit.html").read_text()
         assert page.count("<html") == 1
@@ -98,6 +105,7 @@ def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, cap
     assert "of this log" in text
     assert "lost probability never above 0.5" in text
     assert len(re.findall(r"^ +[0-9]+ +1[0-9]{2}\.[0-9]{3} ", text, re.M)) == 3
+    assert "differs from the map: 0 new obstacle, 0 missing wall" in text
 
 
 def test_what_was_learned_can_be_used_again(world, result, tmp_path):
@@ -126,10 +134,11 @@ def test_a_sensor_of_another_reach_is_refused(world, result, tmp_path, capsys):
         (("--good-scans", "a.json"), "--good-scans: needs the parameters", 2),
         (("--good", "a.log", "--good-scans", "a.json", "--params", "b"), "--good-scans: is in place of --good", 2),
         (("--lose-rate", "0"), "--lose-rate: expected a number > 0", 2),
+        (("--reference-error", "0"), "--reference-error: expected a number > 0", 2),
         (("--sensor", "RLASER"), "no sensor 'RLASER'", 2),
         (("--min-range", "11.9"), "need", 3),
     ],
-    ids=["poses", "good", "worst", "good-poses", "reference", "both", "rate", "sensor", "too-little"],
+    ids=["poses", "good", "worst", "good-poses", "reference", "both", "rate", "error", "sensor", "too-little"],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(world, tmp_path, capsys, words, message, code):
     assert check(world, tmp_path / "out", *words) == code

@@ -59,6 +59,7 @@ from beamfield.models.line_detections import LineDetections
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.models.marker import MarkerDetections, MarkerModel, MarkerParameters
 from beamfield.models.sonar import SonarModel
+from beamfield.scan_fit.changed_places import find_changed_places
 from beamfield.scan_fit.scan_fit import judge_scan
 from beamfield.sensors import RangeFinder, Scan, SensorLog, usable_ranges
 from beamfield.simulation.log import simulate_log
@@ -282,6 +283,7 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (SelectionOptions, {}),
     (CalibrationOptions, {}),
     (calibrate, {"log": LOG, "grid": GRID}),
+    (find_changed_places, {"log": LOG, "grid": GRID, "parameters": BEAM, "reference_error": 0.04, "block_s": 5.0}),
     (judge_scan, {"model": BeamModel(GRID, BEAM), "scan": SCAN, "pose": POSES[0]}),
     (sonar_ring, {"n_sensors": 8, "radius": 0.2, "opening_angle": 0.3, "max_range": 5.0}),
     (

@@ -1,7 +1,8 @@
 """Check whether scans fit the map, and whether the robot is lost.
 
 Judge every scan of a log at its pose: a p-value (how many good scans fit the map as badly) and a running probability
-that the robot is lost. What good scans look like is learned from the log itself, or from another one with --good.
+that the robot is lost. Draw over the map where the world differs from it: new obstacles, missing walls, glass, people.
+What good scans look like is learned from the log itself, or from another one with --good.
 Prints a table and writes scan_fit.json, scan_fit.csv, scan_fit.html, and what it learned (beam_model.yaml,
 scan_fit_reference.json), whole or not at all.
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.models.beam_parameters import BeamParameters
     from beamfield.models.range_mixture import RangeMixtureModel
+    from beamfield.scan_fit.changed_places import ChangedPlaces
     from beamfield.scan_fit.reference import ScanFitReference
     from beamfield.scan_fit.scan_fit import ScanFits
     from beamfield.sensors import SensorLog
@@ -58,6 +60,9 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                         help="how often the robot gets lost, before any scan is seen (default: 1/600)")  # fmt: skip
     parser.add_argument("--find-rate", type=positive, default=1.0 / 60.0, metavar="HZ",
                         help="how often a lost robot finds its place (default: 1/60)")  # fmt: skip
+    parser.add_argument("--reference-error", type=positive, default=0.04, metavar="M",
+                        help="how wrong the poses may be where the map is right, standard deviation per axis, and a "
+                        "quarter of it in radians (default: 0.04)")  # fmt: skip
     options.add_log(parser)
     options.add_seed(parser)
     options.add_threads(parser)
@@ -80,6 +85,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Read, calibrate, judge, write."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+    from beamfield.report.places_figure import places_as_dict
     from beamfield.report.scan_fit_page import fit_as_dict, fit_table
     from beamfield.scan_fit.lost import LostRates
     from beamfield.scan_fit.scan_fit import judge_log
@@ -98,6 +104,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 model, given.log, reference, is_own=given.is_own, rates=rates,
                 progress=lambda done, total: progress("judging scans", done, total),
             )  # fmt: skip
+            progress("comparing places with the map", 0, 1)
+            places = _changed_places(given, parameters, fits, arguments.reference_error)
         except InvalidInputError as error:  # the options were checked before, so it is about the data
             raise FormatError(arguments.log, str(error)) from error
         except TooLittleDataError as error:
@@ -108,12 +116,15 @@ def run(arguments: argparse.Namespace) -> Outcome:
             "provenance": origin,
             "notes": list(given.notes),
             **fit_as_dict(fits, reference, worst, own=given.is_own),
+            "changed_places": None if places is None else places_as_dict(places),
         }
-        files = _files(fits, worst, model, reference, given, document)
+        files = _files(fits, worst, places, model, reference, given, document)
     with atomic_folder(arguments.out) as folder:
         for name, content in files.items():
             (folder / name).write_text(content, encoding="utf-8")
-    text = f"{_basis(reference, given)}\n{fit_table(fits, worst)}"
+    text = f"{_basis(reference, given)}\n{fit_table(fits, worst)}" + (
+        "" if places is None else f"\n\n{places.summary()}"
+    )
     return Outcome(f"wrote {', '.join(files)} into {arguments.out}", text, document, given.notes, [arguments.out])
 
 
@@ -219,20 +230,35 @@ def _reference(
     )
 
 
+def _changed_places(
+    given: _Inputs, parameters: BeamParameters, fits: ScanFits, reference_error: float
+) -> ChangedPlaces | None:
+    """Find them where the robot was not lost; None for a sonar, or where it always was."""
+    from beamfield.scan_fit.changed_places import find_changed_places
+
+    scans = (fits.problem == 0) & (fits.lost <= 0.5)
+    if given.log.finder.opening_angle > 0.0 or not scans.any():
+        return None
+    return find_changed_places(given.log, given.grid, parameters, scans=scans, reference_error=reference_error)
+
+
 def _files(
     fits: ScanFits,
     worst: Any,
+    places: ChangedPlaces | None,
     model: RangeMixtureModel,
     reference: ScanFitReference,
     given: _Inputs,
     document: Mapping[str, Any],
 ) -> dict[str, str]:
     from beamfield.io.parameters.beam_model_file import beam_model_text
+    from beamfield.report.places_figure import places_figure
     from beamfield.report.scan_fit_figures import fit_over_time, worst_scans
     from beamfield.report.scan_fit_page import fit_csv, render_fit_page
 
     drawn = (
         fit_over_time(fits, reference, own=given.is_own),
+        None if places is None else places_figure(places, given.grid, given.log.poses[:, :2]),
         worst_scans(fits, model, given.log, given.grid, worst),
     )
     origin = document["provenance"]

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from beamfield.sensors import SensorLog
 
 # Without --params: a laser scanner in a building with a few people.
-DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.1, "lambda_short": 0.4}
+DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.15, "lambda_short": 0.4}
 DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
 # Measured in docs/localization.md.
-INDEPENDENT_BEAMS = 2.4
+INDEPENDENT_BEAMS = 1.8
 # Standard deviations of the odometry, for --odometry-noise 1: after one metre and after one radian.
 ODOMETRY_NOISE = {"forward": 0.06, "sideways": 0.02, "shift": 0.02, "drift": 0.04, "turn": 0.08}
 PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000

@@ -41,11 +41,9 @@ def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> F
         The map.
     """
     figure = new_figure(12.0, 6.0)
-    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    figure.delaxes(right)
-    top, bottom = figure.add_subplot(2, 2, 2), figure.add_subplot(2, 2, 4)
-    _draw_way(found, log, grid, left)
-    _draw_errors(found, log, top, bottom)
+    axes = figure.subplot_mosaic([["way", "position"], ["way", "heading"]], width_ratios=(1.15, 1.0))
+    _draw_way(found, log, grid, axes["way"])
+    _draw_errors(found, log, axes["position"], axes["heading"])
     return figure
 
 
@@ -68,6 +66,13 @@ def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: Sens
     cloud = ax.scatter([], [], s=4.0, color=ESTIMATE, alpha=0.35, linewidths=0, zorder=5)
     scan = ax.scatter([], [], s=5.0, color=REFERENCE, linewidths=0, zorder=4)
     (way,) = ax.plot([], [], color=ESTIMATE, linewidth=1.2, zorder=4)
+    clock = ax.text(0.5, 1.02, "", ha="center", transform=ax.transAxes)
+    moving = (way, scan, cloud, clock)
+    for artist in moving:
+        artist.set_animated(True)
+    # The map takes a hundred times as long as what moves on it.
+    canvas.draw()  # type: ignore[no-untyped-call]
+    still = canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
     beams = np.unique(np.linspace(0, log.finder.n_beams - 1, ANIMATED_BEAMS).astype(np.int64))
     finder = log.finder.subset(beams)
     pictures = []
@@ -76,11 +81,13 @@ def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: Sens
         cloud.set_offsets(particles[:, :2])
         scan.set_offsets(ends[np.isfinite(ends).all(axis=1)])
         way.set_data(found.poses[: i + 1, 0], found.poses[: i + 1, 1])
-        ax.set_title(f"{log.stamps[i] - log.stamps[0]:.1f} s: particles, scan and estimate", fontsize=10)
-        canvas.draw()  # type: ignore[no-untyped-call]
-        # Few colours: a third of the size.
+        clock.set_text(f"{log.stamps[i] - log.stamps[0]:.1f} s: particles, scan and estimate")
+        canvas.restore_region(still)  # type: ignore[no-untyped-call]
+        for artist in moving:
+            ax.draw_artist(artist)
         pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-        pictures.append(Image.fromarray(pixels[..., :3].copy()).quantize(COLOURS))
+        # Few colours: a third of the size.
+        pictures.append(Image.fromarray(pixels[..., :3].copy()).quantize(COLOURS, Image.Quantize.FASTOCTREE))
     out = io.BytesIO()
     pictures[0].save(
         out, format="GIF", save_all=True, append_images=pictures[1:], duration=1000 // FRAMES_PER_SECOND, loop=0
@@ -127,9 +134,7 @@ def _draw_errors(found: Replay, log: SensorLog, top: Axes, bottom: Axes) -> None
         turn = np.degrees(np.abs(wrap_angle(off[:, 2])))
         bottom.plot(time, turn, color=ESTIMATE, linewidth=1.0, label="error")
     for ax, title, unit in ((top, "Position", "m"), (bottom, "Heading", "deg")):
-        style(
-            ax, title=title, x="time [s]", y=f"distance from the reference [{unit}]" if log.has_poses else f"[{unit}]"
-        )
+        style(ax, title=title, x="time [s]", y=f"{'error' if log.has_poses else '95 % of the particles'} [{unit}]")
         ax.set_ylim(bottom=0.0)
         ax.set_xlim(0.0, max(float(time[-1]), 1e-3))
         legend(ax, loc="upper right")

@@ -75,7 +75,7 @@ class ScanLocalizer:
     model: MeasurementModel[Scan]
     motion: MotionModel
     options: FilterOptions = field(default_factory=FilterOptions)
-    n_anywhere: int = field(default=100_000, kw_only=True)
+    n_anywhere: int = field(default=200_000, kw_only=True)
     source: PoseSource[Scan] | None = field(default=None, kw_only=True)
     short_readings: ShortReadings | None = field(default=None, kw_only=True)
 

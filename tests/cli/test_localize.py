@@ -1,0 +1,139 @@
+"""``beamfield localize``: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from beamfield.cli.main import main
+from beamfield.io.logs.carmen import write_carmen
+from beamfield.io.maps.ros_map import write_map
+from beamfield.io.parameters.beam_model_file import beam_model_text
+from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
+from beamfield.io.trajectory import read_trajectory, write_tum
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.sensors import ScanLog, Track
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, office, drive, truth) -> Path:
+    place = tmp_path_factory.mktemp("localize")
+    log = drive[:120]
+    write_map(office, place / "map.yaml")
+    write_map(OccupancyGrid(np.ones((10, 10)), 0.1), place / "solid.yaml")
+    # One pose per scan: either a reference or odometry.
+    write_carmen(place / "bare.log", ScanLog({"FLASER": log.with_poses(log.odometry)}))
+    write_carmen(place / "drive.log", ScanLog({"FLASER": log}, Track(log.stamps, log.odometry)))
+    write_tum(place / "truth.tum", Track(log.stamps, log.poses))
+    provenance = {"program": "test"}
+    (place / "beam_model.yaml").write_text(beam_model_text(truth, log.finder, provenance=provenance))
+    field = likelihood_field_text(
+        LikelihoodFieldParameters(0.8, 0.1, 0.08), log.finder, exponent=0.2, n_beams=20, provenance=provenance
+    )
+    (place / "likelihood_field.yaml").write_text(field)
+    return place
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
+    """The output folder has a default name."""
+    monkeypatch.chdir(tmp_path)
+
+
+def run(folder: Path, *words: str, poses: bool = True, map_name: str = "map.yaml") -> int:
+    log = ("drive.log", "--poses", str(folder / "truth.tum")) if poses else ("bare.log", "--lone-poses", "odometry")
+    given = [str(folder / word) if word.endswith(("l.yaml", "d.yaml")) else word for word in words]
+    return main(["localize", str(folder / log[0]), "--map", str(folder / map_name), *log[1:], *given])
+
+
+def document(capsys) -> dict:
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path, drive):
+    assert run(folder, "--particles", "500", "--animation", "way.gif") == 0
+    text = capsys.readouterr().out
+    assert "position error 0.0" in text
+    assert "within 0.5 m of the reference from 0.0 s on" in text
+    out = tmp_path / "beamfield_localization"
+    assert {path.name for path in out.iterdir()} == {"trajectory.tum", "localization.png", "localization.json"}
+    written = read_trajectory(out / "trajectory.tum")
+    off = np.hypot(*(written.poses - drive.poses[:120])[:, :2].T)
+    said = json.loads((out / "localization.json").read_text())
+    assert said["errors"]["mean"] == pytest.approx(off.mean(), abs=1e-6)
+    assert said["errors"]["mean"] < 0.1
+    assert said["found_after_s"] == 0.0
+    with Image.open("way.gif") as film:
+        assert film.n_frames > 10
+    with Image.open(out / "localization.png") as picture:
+        assert len(np.unique(np.asarray(picture.convert("L")))) > 20
+
+
+def test_json_has_what_the_docs_list(folder, capsys):
+    assert run(folder, "--json", "--start", "-100", "0", "0", "-q", poses=False) == 2
+    assert "free cell" in capsys.readouterr().err
+    assert run(folder, "--json", "-q") == 0
+    found = document(capsys)
+    assert {"start", "n_scans", "n_updates", "mean_particles", "updates_per_second", "last_pose", "last_spread_m",
+            "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
+    assert found["n_scans"] == 120
+    assert 0 < found["n_updates"] < 120
+
+
+def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
+    assert run(folder, "--particles", "1000", poses=False) == 0
+    text = capsys.readouterr().out
+    assert "started from: anywhere on the map" in text
+    assert "no reference poses to judge by" in text
+
+
+def test_a_start_given_is_where_it_starts(folder, capsys, drive):
+    x, y, theta = drive.poses[0]
+    words = ("--start", f"{x:.2f}", f"{y:.2f}", f"{np.degrees(theta):.0f}", "--json", "-q", "--seed", "4")
+    assert run(folder, *words) == 0
+    found = document(capsys)
+    assert found["start"] == pytest.approx([x, y, theta], abs=0.02)
+    assert found["errors"]["mean"] < 0.1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--params", "beam_model.yaml", "--model", "beam", "--beams", "15"),
+        ("--params", "beam_model.yaml"),
+        ("--params", "likelihood_field.yaml", "--exponent", "0.1"),
+        ("--leave-out-short", "--recovery", "--beams", "0", "--odometry-noise", "2"),
+    ],
+)
+def test_models_and_options_are_taken(folder, capsys, words):
+    assert run(folder, *words, "--particles", "300", "--json", "-q") == 0
+    assert document(capsys)["errors"]["mean"] < 0.15
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("--start", "1", "1", "0", "--global"), "not allowed with"),
+        (("--animation", "film.mp4"), ".gif"),
+        (("--model", "ray"), "likelihood_field, beam"),
+        (("--particles", "0"), "whole number >= 1"),
+        (("--params", "likelihood_field.yaml", "--model", "beam"), "likelihood_field.yaml"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_on_one_line(folder, capsys, words, what):
+    assert run(folder, *words) in (1, 2)
+    said = capsys.readouterr()
+    assert what in said.err.splitlines()[-1]
+    assert not Path("beamfield_localization").exists()
+
+
+def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsys):
+    assert run(folder, "--global", map_name="solid.yaml") == 1
+    assert "no free cell" in capsys.readouterr().err
+    assert main(["localize", str(folder / "bare.log"), "--map", str(folder / "map.yaml")]) == 1
+    assert "no scan has odometry" in capsys.readouterr().err

@@ -1,0 +1,124 @@
+"""When poses are drawn anew, and from where."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from beamfield.detections import Detections
+from beamfield.errors import InvalidInputError
+from beamfield.localization.recovery import (
+    FreePoses,
+    LikelihoodAverages,
+    PosesFromLandmarks,
+    PosesFromScan,
+    Recovery,
+)
+from beamfield.maps.landmarks import LandmarkMap
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.landmark import LandmarkModel
+from beamfield.models.landmark_parameters import LandmarkParameters
+from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.sensors import RangeFinder, Scan
+
+
+def test_the_share_is_that_of_the_table():
+    """Table 8.3, transcribed: the averages start with the first measurement."""
+    recovery = Recovery(alpha_slow=0.05, alpha_fast=0.3, readings=4.0, most=1.0)
+    averages = LikelihoodAverages(recovery)
+    slow = fast = None
+    for log_likelihood in [-3.0, -2.0, -8.0, -30.0, -math.inf, -1.0, 5.0, 5.0]:
+        w = math.exp(log_likelihood / 4.0)
+        slow, fast = (w, w) if slow is None else (slow + 0.05 * (w - slow), fast + 0.3 * (w - fast))
+        averages.add(log_likelihood)
+        assert averages.share == pytest.approx(max(0.0, 1.0 - fast / slow), abs=1e-12)
+
+
+def test_the_share_has_a_bound_and_takes_no_harm_from_extremes():
+    averages = LikelihoodAverages(Recovery(most=0.25))
+    for value in (-math.inf, -math.inf):
+        averages.add(value)
+        assert averages.share == 0.0
+    averages.add(5000.0)
+    assert averages.share == 0.0
+    averages.add(-5000.0)
+    assert averages.share == pytest.approx(1.0 - 0.9 / 0.995)
+    for _ in range(20):
+        averages.add(-math.inf)
+    assert averages.share == 0.25
+
+
+@pytest.fixture(scope="module")
+def room() -> OccupancyGrid:
+    cells = np.zeros((60, 90))
+    cells[[0, -1]] = cells[:, [0, -1]] = cells[:30, 35] = cells[40, 50:80] = 1.0
+    return OccupancyGrid(cells, 0.1, np.array([1.0, -2.0, 0.0]))
+
+
+def test_poses_from_a_scan_lie_where_it_was_taken(room):
+    finder = RangeFinder.from_bearings(np.linspace(-2.5, 2.5, 60), 12.0)
+    truth = np.array([6.2, 0.4, 2.0])
+    scan = Scan(RayCaster(room).expected_ranges(truth, finder), finder)
+    model = LikelihoodFieldModel(room, LikelihoodFieldParameters(0.8, 0.1, 0.2), exponent=0.5)
+    poses = PosesFromScan(room, model, n_candidates=20_000).draw(scan, 500, np.random.default_rng(0))
+    assert poses.shape == (500, 3)
+    assert room.look_up(room.free, poses[:, :2]).all()
+    near = np.hypot(*(poses[:, :2] - truth[:2]).T) < 0.5
+    # A grid of candidates 0.06 m^2 x 2 pi apart: some lie elsewhere, as all but one in 60 would by chance.
+    assert near.mean() > 0.6
+    assert len(np.unique(poses, axis=0)) > 10
+
+
+def test_an_impossible_scan_says_nothing_of_the_pose(room):
+    class Never:
+        is_normalized = False
+
+        def log_likelihood(self, z, poses):  # noqa: ARG002
+            return np.full(len(poses), -np.inf)
+
+    finder = RangeFinder.from_bearings([0.0], 12.0)
+    poses = PosesFromScan(room, Never(), n_candidates=2000).draw(Scan([1.0], finder), 1000, np.random.default_rng(0))
+    assert np.ptp(poses[:, 0]) > 7.0
+    assert np.ptp(poses[:, 2]) > 6.0
+
+
+def test_poses_from_landmarks_lie_on_the_ring_around_one_or_are_none(room):
+    model = LandmarkModel(
+        LandmarkMap([[5.0, 1.0]]), LandmarkParameters(sigma_range=0.05, sigma_bearing=0.02), correspondence="known"
+    )
+    source = PosesFromLandmarks(model, room)
+    rng = np.random.default_rng(0)
+    poses = source.draw(Detections([1.5], [0.2], ids=[1]), 200, rng)
+    assert np.hypot(poses[:, 0] - 5.0, poses[:, 1] - 1.0) == pytest.approx(np.full(200, 1.5), abs=0.25)
+    assert len(source.draw(Detections([], []), 10, rng)) == 0
+    assert len(source.draw(Detections([500.0], [0.0], ids=[1]), 10, rng)) == 0
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"alpha_slow": 0.0},
+        {"alpha_fast": 1.5},
+        {"alpha_slow": 0.3, "alpha_fast": 0.2},
+        {"readings": 0.0},
+        {"most": 0.0},
+    ],
+)
+def test_shares_out_of_range_are_refused(numbers):
+    with pytest.raises(InvalidInputError, match="|".join(numbers)):
+        Recovery(**numbers)
+
+
+def test_a_map_without_room_and_too_few_candidates_are_refused(room):
+    solid = OccupancyGrid(np.ones((4, 4)), 0.1)
+    model = LikelihoodFieldModel(room, LikelihoodFieldParameters(0.8, 0.1, 0.2))
+    with pytest.raises(InvalidInputError, match="no free cell"):
+        FreePoses(solid)
+    with pytest.raises(InvalidInputError, match="no free cell"):
+        PosesFromScan(solid, model)
+    with pytest.raises(InvalidInputError, match="least_effective"):
+        PosesFromScan(room, model, n_candidates=10)

@@ -1,0 +1,149 @@
+"""A filter run over whole logs: simulated ones with exact truth, and broken ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.localization.particle_filter import FilterOptions
+from beamfield.localization.recovery import Recovery
+from beamfield.localization.replay import PoseBelief, judge_replay, reference_start
+from beamfield.localization.scan_localizer import ScanLocalizer
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.gaussian_motion import GaussianMotion
+from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.sensors import SensorLog
+
+
+@pytest.fixture(scope="module")
+def localizer(office) -> ScanLocalizer:
+    model = LikelihoodFieldModel(office, LikelihoodFieldParameters(0.8, 0.1, 0.1), exponent=0.05)
+    return ScanLocalizer(office, model, GaussianMotion(), FilterOptions(n_particles=1000))
+
+
+def run(localizer: ScanLocalizer, log: SensorLog, start="reference", seed=0):
+    start = reference_start(log)[1] if start == "reference" else start
+    return localizer.run(log, start, np.random.default_rng(seed))
+
+
+def test_a_simulated_robot_is_followed_and_its_truth_lies_in_the_cloud(localizer, drive):
+    errors = judge_replay(run(localizer, drive), drive.poses)
+    assert errors.mean < 0.08
+    assert errors.inside > 0.9
+    assert not errors.lost
+
+
+def test_the_beam_model_follows_it_as_well(localizer, drive, truth):
+    model = BeamModel(localizer.grid, truth, n_beams=20, exponent=0.1)
+    errors = judge_replay(run(replace(localizer, model=model), drive[:240]), drive.poses[:240])
+    assert errors.mean < 0.08
+    assert not errors.lost
+
+
+def test_the_same_seed_gives_the_same_bits(localizer, drive):
+    first, again, other = (run(localizer, drive[:60], seed=seed) for seed in (1, 1, 2))
+    for name in ("poses", "updates", "means", "covariances", "particles"):
+        assert np.array_equal(getattr(first, name), getattr(again, name))
+    assert not np.array_equal(first.poses, other.poses)
+
+
+def test_what_is_published_between_updates_is_the_last_belief_moved_on(localizer, drive):
+    seen = {}
+    found = localizer.run(
+        drive[:80],
+        reference_start(drive)[1],
+        np.random.default_rng(0),
+        watch=lambda i, update: seen.update({i: update}),
+    )
+    assert list(seen) == found.updates.tolist()
+    assert len(seen) < 60
+    for k, i in enumerate(found.updates):
+        assert found.poses[i] == pytest.approx(seen[i].belief.best_cluster.pose)
+        assert found.means[k] == pytest.approx(seen[i].belief.whole.pose)
+        assert found.particles[k] == len(seen[i].belief)
+    assert len(found.seconds) == len(found.updates)
+
+
+def broken(log: SensorLog, **columns) -> SensorLog:
+    changed = {}
+    for name, change in columns.items():
+        array = np.array(getattr(log, name))
+        changed[name] = change(array)
+        if changed[name] is None:
+            changed[name] = array
+    return replace(log, **changed)
+
+
+def test_reset_odometry_gaps_and_repeated_scans_are_said_and_survived(localizer, drive):
+    log = drive[:240]
+    cases = {
+        "odometry-jumps": broken(
+            log, odometry=lambda a: a.__setitem__(slice(100, None), a[100:] + np.array([40.0, -7.0, 0.0]))
+        ),
+        "no-odometry": broken(log, odometry=lambda a: a.__setitem__(slice(50, 70), np.nan)),
+        "stamps-back": broken(log, stamps=lambda a: a - 1000.0 * (np.arange(len(a)) > 90)),
+        "repeated-scans": log[np.repeat(np.arange(240), 2)],
+    }
+    for name, bad in cases.items():
+        found = run(localizer, bad)
+        assert [finding.name for finding in found.findings] == [name]
+        assert found.findings[0].do
+        errors = judge_replay(found, bad.poses)
+        assert errors.mean < 0.12, name
+        assert not errors.lost
+        known = np.isfinite(bad.odometry).all(axis=1)
+        assert np.array_equal(np.isfinite(found.poses).all(axis=1), known)
+    assert run(localizer, log).findings == ()
+
+
+def test_scans_that_are_impossible_everywhere_are_said(localizer, drive):
+    sure = LikelihoodFieldModel(localizer.grid, LikelihoodFieldParameters(1.0, 0.0, 0.001))
+    found = run(replace(localizer, model=sure), drive[:20])
+    assert found.findings[0].name == "impossible-scans"
+    assert np.isfinite(found.poses).all()
+
+
+def test_a_log_without_odometry_and_a_map_without_room_are_refused(localizer, drive):
+    with pytest.raises(TooLittleDataError, match="odometry"):
+        run(localizer, replace(drive, odometry=np.full((len(drive), 3), np.nan)))
+    solid = replace(localizer, grid=OccupancyGrid(np.ones((4, 4)), 0.1))
+    with pytest.raises(InvalidInputError, match="no free cell"):
+        run(solid, drive[:5], start=None)
+    with pytest.raises(InvalidInputError, match="source"):
+        replace(localizer, options=FilterOptions(recovery=Recovery()))
+    with pytest.raises(InvalidInputError, match="n_anywhere"):
+        replace(localizer, n_anywhere=0)
+
+
+def test_a_start_off_the_map_does_not_stop_the_filter(localizer, drive):
+    found = run(localizer, drive[:40], start=PoseBelief.around([500.0, 500.0, 0.0]))
+    assert np.isfinite(found.poses).all()
+    assert len(found.updates) > 5
+
+
+@pytest.mark.real
+def test_wean_hall_is_followed_and_found_from_anywhere(data):
+    import beamfield as bf
+    from beamfield.io.trajectory import attach_poses, read_trajectory
+    from beamfield.localization.resampling import KldSampling
+
+    folder = data / "wean_hall"
+    grid = bf.read_map(folder / "derived_wean.yaml")
+    log = attach_poses(
+        bf.read_log(folder / "robotdata1.log.gz"), read_trajectory(folder / "reference_robotdata1.csv.gz")
+    ).only_sensor()
+    log = log[reference_start(log)[0] :]
+    model = LikelihoodFieldModel(grid, LikelihoodFieldParameters(0.8, 0.1, 0.15), n_beams=60, exponent=0.03)
+    options = FilterOptions(n_particles=50_000, kld=KldSampling(least=2000))
+    localizer = ScanLocalizer(grid, model, GaussianMotion(), options)
+    errors = judge_replay(run(localizer, log), log.poses)
+    assert errors.mean < 0.15
+    assert not errors.lost
+    found = run(localizer, log, start=None)
+    late = slice(len(log) // 3, None)
+    assert np.nanmax(np.hypot(*(found.poses - log.poses)[late, :2].T)) < 0.6

@@ -1,18 +1,19 @@
 """How much beams may count, and what parameters learned in context gain (docs/in_context.md).
 
-    python benchmarks/context.py coverage [FOLDER]   what exponents learned from one log hold in others, and in blocks
-    python benchmarks/context.py lattice [FOLDER]    the same for single scans, by posteriors on a lattice of poses
-    python benchmarks/context.py learning [FOLDER]   the start (EM), an exponent alone, and parameters by gradient
-    python benchmarks/context.py beams [FOLDER]      4 to all beams of a scan
+    python benchmarks/context.py coverage   what exponents learned from one log hold in others, and in blocks
+    python benchmarks/context.py lattice    the same for single scans, by posteriors on a lattice of poses
+    python benchmarks/context.py learning   the start (EM), an exponent alone, and parameters by gradient
+    python benchmarks/context.py beams      4 to all beams of a scan
 
-FOLDER holds the logs and maps (default: ../shared/data beside the checkout). Simulated logs need none.
+Real logs and maps are in ../shared/data beside the checkout. Names after the table's choose logs: `beams Wean TurtleBot`.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,10 @@ from beamfield.simulation.log import simulate_log
 from real_logs import LOGS, read_log_and_map
 from tables import print_table
 
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WEAN_MAP = "wean_hall/derived_wean.yaml"
+NEAR = Dependence(float(np.radians(4.0)), 1.0)
+WORLDS = {"independent": Dependence(), "dependent": NEAR, "dependent, wrong map": NEAR}
 CORRECTED = ("belgioioso", "intel", "freiburg-079")
 BEAM_COUNTS = (4, 8, 15, 30, 60, 120, 180)
 N_BEAMS = {"beam": 30, "field": 60}
@@ -66,37 +70,50 @@ class Place:
     reference_error: float = 0.04
 
 
-def places(folder: Path) -> Iterator[Place]:
-    """Yield simulated and real logs."""
-    yield from simulated()
-    wean = [
-        read_log_and_map(folder, f"wean_hall/robotdata{i}.log.gz", WEAN_MAP, f"wean_hall/reference_robotdata{i}.csv.gz")
+def places(chosen: Sequence[str]) -> Iterator[Place]:
+    """Yield simulated and real logs, those whose name has one of the words, or all."""
+    makers = {
+        **{f"simulated, {name}": partial(simulated, name) for name in WORLDS},
+        "Wean Hall 1": wean,
+        **{name: partial(real, name, *paths) for name, *paths in LOGS[2:]},
+        **{f"{name}, map from the other half": partial(corrected, name) for name in CORRECTED},
+    }
+    for name, make in makers.items():
+        if not chosen or any(word.lower() in name.lower() for word in chosen):
+            yield make()
+
+
+def wean() -> Place:
+    """Return three logs of one hall."""
+    logs = [
+        read_log_and_map(DATA, f"wean_hall/robotdata{i}.log.gz", WEAN_MAP, f"wean_hall/reference_robotdata{i}.csv.gz")
         for i in (1, 3, 5)
     ]
-    yield Place("Wean Hall 1", *wean[0], {"Wean Hall 3": wean[1][0], "Wean Hall 5": wean[2][0]})
-    for name, *paths in LOGS[2:]:
-        yield Place(name, *read_log_and_map(folder, *paths), {}, 0.01 if "Stage" in name else 0.04)
-    for name in CORRECTED:
-        log = read_log(folder / f"carmen_radish_corrected/{name}-corrected.log.gz").only_sensor()
-        maps = build_cross_fit_maps(log)
-        yield Place(f"{name}, map from the other half", log.select(maps.half == 0), maps.halves[1], {})
+    return Place("Wean Hall 1", *logs[0], {"Wean Hall 3": logs[1][0], "Wean Hall 5": logs[2][0]})
 
 
-def simulated() -> Iterator[Place]:
-    """Yield drives through an office: independent beams, dependent ones, and boxes that the map does not have."""
+def real(name: str, *paths: str) -> Place:
+    """Return a log with a map of its own."""
+    return Place(name, *read_log_and_map(DATA, *paths), {}, 0.01 if "Stage" in name else 0.04)
+
+
+def corrected(name: str) -> Place:
+    """Return every other group of a log's scans, with the map that the others draw."""
+    log = read_log(DATA / f"carmen_radish_corrected/{name}-corrected.log.gz").only_sensor()
+    maps = build_cross_fit_maps(log)
+    return Place(f"{name}, map from the other half", log.select(maps.half == 0), maps.halves[1], {})
+
+
+def simulated(name: str) -> Place:
+    """Return drives through an office: independent beams, dependent ones, or boxes that the map does not have."""
     office, finder = draw_floor_plan(seed=3), RangeFinder.from_bearings(np.linspace(-1.57, 1.57, 180), 12.0)
-    near = Dependence(float(np.radians(4.0)), 1.0)
-    for name, world, dependence in (
-        ("independent", office, Dependence()),
-        ("dependent", office, near),
-        ("dependent, wrong map", with_boxes(office), near),
-    ):
-        logs = [
-            simulate_log(world, finder, TRUTH, duration=300.0, scan_rate=4.0, seed=seed, dependence=dependence)
-            for seed in (1, 2)
-        ]
-        learned, judged = (log.only_sensor() for log in logs)
-        yield Place(f"simulated, {name}", learned, office, {"another drive": judged}, 0.01)
+    world = with_boxes(office) if "wrong" in name else office
+    logs = [
+        simulate_log(world, finder, TRUTH, duration=300.0, scan_rate=4.0, seed=seed, dependence=WORLDS[name])
+        for seed in (1, 2)
+    ]
+    learned, judged = (log.only_sensor() for log in logs)
+    return Place(f"simulated, {name}", learned, office, {"another drive": judged}, 0.01)
 
 
 def with_boxes(grid: OccupancyGrid) -> OccupancyGrid:
@@ -122,10 +139,10 @@ def options_of(place: Place, windows: int = MANY) -> WindowOptions:
     return WindowOptions(reference_error=error, reference_turn_error=error / 4.0, windows=windows)
 
 
-def coverage(folder: Path) -> list[dict[str, Any]]:
+def coverage(chosen: Sequence[str]) -> list[dict[str, Any]]:
     """Return one row per log to learn from, model and log to judge by."""
     rows = []
-    for place in places(folder):
+    for place in places(chosen):
         for name, model in models_of(place).items():
             learned = learn_exponent(model, place.log, place.grid, reference_error=place.reference_error)
             for where, log in {"held-out blocks": place.log, **place.others}.items():
@@ -168,13 +185,14 @@ def _coverages(
     return row
 
 
-def lattice(folder: Path) -> list[dict[str, Any]]:
+def lattice(chosen: Sequence[str]) -> list[dict[str, Any]]:
     """Return the coverage of single scans at exponents learned from Wean Hall 1, on a lattice of poses.
 
     The prior is uniform over a box of 1.5 m and 0.5 rad whose centre is off the truth; nothing but the model is shared
     with what the exponents were learned by.
     """
-    place = next(place for place in places(folder) if place.name == "Wean Hall 1")
+    del chosen
+    place = wean()
     rng, rows = np.random.default_rng(5), []
     for name, model in models_of(place).items():
         learned = learn_exponent(model, place.log, place.grid)
@@ -208,10 +226,10 @@ def grid_pose(grid: PoseLattice) -> Any:
     return np.array([*grid.centres()[0], grid.headings[0]])
 
 
-def learning(folder: Path) -> list[dict[str, Any]]:
+def learning(chosen: Sequence[str]) -> list[dict[str, Any]]:
     """Return one row per log, model and way of learning: held-out scores."""
     rows = []
-    for place in places(folder):
+    for place in places(chosen):
         for name, model in models_of(place).items():
             result = learn_in_context(model, place.log, place.grid, options=options_of(place, 90))
             for way in result.held_out:
@@ -225,10 +243,10 @@ def learning(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def beams(folder: Path) -> list[dict[str, Any]]:
+def beams(chosen: Sequence[str]) -> list[dict[str, Any]]:
     """Return one row per log, model and number of beams."""
     rows = []
-    for place in places(folder):
+    for place in places(chosen):
         if place.name.startswith("simulated") or "other half" in place.name:
             continue
         for name, model in models_of(place).items():
@@ -244,7 +262,5 @@ def beams(folder: Path) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    here = Path(__file__).resolve().parents[1]
-    what, *rest = sys.argv[1:]
-    data = Path(rest[0]) if rest else here.parent / "shared" / "data"
-    print_table({"coverage": coverage, "lattice": lattice, "learning": learning, "beams": beams}[what](data), digits=3)
+    what, *words = sys.argv[1:]
+    print_table({"coverage": coverage, "lattice": lattice, "learning": learning, "beams": beams}[what](words), digits=3)

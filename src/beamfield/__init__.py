@@ -56,6 +56,8 @@ _NAMES = {
     "calibration.options": ("CalibrationOptions",),
     "calibration.intrinsic.em": ("learn_intrinsic_parameters",),
     "calibration.field.learning": ("learn_field_parameters",),
+    "calibration.context.exponent": ("learn_exponent",),
+    "calibration.context.learning": ("learn_in_context",),
     "landmark_noise.learning": ("learn_landmark_parameters",),
     "scan_fit.reference": ("calibrate_scan_fit",),
     "scan_fit.scan_fit": ("judge_scan", "judge_log"),

@@ -66,6 +66,8 @@ from beamfield.calibration.calibrate import calibrate as calibrate
 from beamfield.calibration.options import CalibrationOptions as CalibrationOptions
 from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters as learn_intrinsic_parameters
 from beamfield.calibration.field.learning import learn_field_parameters as learn_field_parameters
+from beamfield.calibration.context.exponent import learn_exponent as learn_exponent
+from beamfield.calibration.context.learning import learn_in_context as learn_in_context
 from beamfield.landmark_noise.learning import learn_landmark_parameters as learn_landmark_parameters
 from beamfield.scan_fit.changed_places import find_changed_places as find_changed_places
 from beamfield.scan_fit.reference import calibrate_scan_fit as calibrate_scan_fit

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -99,7 +98,13 @@ def translate_beam_model(
             raise InvalidInputError(f"model: {CHAPTER} has {', '.join(CHAPTER_WEIGHTS)}, got {name!r}")
         notes = _folded(own)
         values = _chapter_beam(own) if name == "beam" else chapter_values(_field(own, notes), notes)
-        return Translation(CHAPTER, name, values, _compared_chapter(name, as_written(values), own), (), tuple(notes))
+        written = as_written(values)
+        made = (
+            BeamParameters(**_normalised(written))
+            if name == "beam"
+            else ChapterField(**written, max_range=own.max_range)
+        )
+        return Translation(CHAPTER, name, values, _compared(made, own, cell), (), tuple(notes))
     stack = stack_named(to)
     chosen, notes = _choose(stack, model)
     if chosen.counts_in_cells and resolution is None:
@@ -186,30 +191,18 @@ def _folded(own: _Own) -> list[str]:
     return notes
 
 
-def _compared_chapter(name: str, values: Mapping[str, Any], own: _Own) -> Comparison:
-    """Compare weights before with those of the chapter's own models; see `_compared`."""
-    ranges, expected, before = _sample(own)
-    if name == "beam":
-        return compare(before, _densities(BeamParameters(**_normalised(values)), 0.0, own.max_range, ranges, expected))
-    field = ChapterField(**values, max_range=own.max_range)
-    return compare(before, field.field_weights(np.abs(ranges - expected), own.max_range))
-
-
-def _compared(formula: Formula, own: _Own, cell: float) -> Comparison:
+def _compared(made: Formula | ChapterField | BeamParameters, own: _Own, cell: float) -> Comparison:
     """Compare weights: beamfield's product of densities, and the stack's of the same readings.
 
     A field gets the differences between reading and expected range for distances: beams meet walls at right angles.
     """
-    ranges, expected, before = _sample(own)
-    if formula.model.weight.of_field:
-        return compare(before, formula.field_weights(np.abs(ranges - expected), own.max_range))
-    return compare(before, formula.ray_weights(ranges, expected, own.max_range, cell))
-
-
-def _sample(own: _Own) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return readings, expected ranges and beamfield's log-weights."""
     ranges, expected = sample_ranges(own.plain.sigma_hit, own.typical_range, own.max_range)
-    return ranges, expected, _densities(own.full, own.min_range, own.max_range, ranges, expected)
+    before = _densities(own.full, own.min_range, own.max_range, ranges, expected)
+    if isinstance(made, BeamParameters):
+        return compare(before, _densities(made, 0.0, own.max_range, ranges, expected))
+    if isinstance(made, ChapterField) or made.model.weight.of_field:
+        return compare(before, made.field_weights(np.abs(ranges - expected), own.max_range))
+    return compare(before, made.ray_weights(ranges, expected, own.max_range, cell))
 
 
 def _densities(

@@ -15,7 +15,7 @@ from dataclasses import fields
 from functools import cache, wraps
 from numbers import Integral, Real
 from types import UnionType
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -173,6 +173,33 @@ def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
     return np.random.default_rng(as_count(rng, "rng", least=0))
 
 
+def require(condition: object, name: str, expected: str, got: object) -> None:
+    """Raise unless a condition holds.
+
+    Parameters
+    ----------
+    condition
+        What must be true of the argument.
+    name, expected, got
+        Of the argument: its name, what it should be, and what it is (a text is shown in quotes).
+
+    Raises
+    ------
+    InvalidInputError
+        ``name: expected expected, got got``.
+    """
+    if not condition:
+        raise InvalidInputError(f"{name}: expected {expected}, got {repr(got) if isinstance(got, str) else got}")
+
+
+def keep(instance: object, **values: object) -> None:
+    """Set fields of a frozen dataclass, in its `__post_init__`; arrays become read-only."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+        object.__setattr__(instance, name, value)
+
+
 def check_magnitude(name: str, sigma: float) -> None:
     """Refuse a standard deviation whose density cannot be computed.
 
@@ -214,8 +241,9 @@ def _hints(annotated: Any) -> dict[str, Any]:
 
 
 def _expect(name: str, value: Any, hint: Any) -> None:
-    if not _test_of(hint)(value):
-        raise InvalidInputError(f"{name}: expected {_wanted(hint)}, got {_described(value)}{_advice(hint, value)}")
+    kind = _kind_of(hint)
+    if not kind.test(value):
+        raise InvalidInputError(f"{name}: expected {kind.words}, got {_described(value)}{_advice(hint, value)}")
 
 
 def _expect_each(name: str, values: Any, hint: Any) -> None:
@@ -225,49 +253,50 @@ def _expect_each(name: str, values: Any, hint: Any) -> None:
             _expect(f"{name}[{index}]", value, get_args(hint)[0])
 
 
+class _Kind(NamedTuple):
+    """What may stand where an annotation is: a test, and in words; what the annotation leaves open, may."""
+
+    test: Callable[[Any], bool]
+    words: str
+
+
 @cache
-def _test_of(hint: Any) -> Callable[[Any], bool]:
-    """Return the test of whether a value may stand where the annotation is; what it leaves open, it may."""
+def _kind_of(hint: Any) -> _Kind:
     if isinstance(hint, TypeVar):
         hint = hint.__bound__ or Any
     origin, inner = get_origin(hint), get_args(hint)
     if hint == ArrayLike or origin is np.ndarray:
-        return _is_array_of_numbers
+        return _Kind(_is_array_of_numbers, "an array of numbers")
     if origin in (Union, UnionType):
-        tests = [_test_of(one) for one in inner]
-        return lambda value: any(test(value) for test in tests)
+        kinds = [_kind_of(one) for one in inner]
+        words = " or ".join(dict.fromkeys(kind.words for kind in kinds))
+        return _Kind(lambda value: any(kind.test(value) for kind in kinds), words)
     if origin is Literal:
         # Which of the values it is, is checked where it is used, and said better there.
-        kinds = tuple({type(one) for one in inner})
-        return lambda value: isinstance(value, kinds)
+        types = tuple({type(one) for one in inner})
+        return _Kind(lambda value: isinstance(value, types), " or ".join(map(repr, inner)))
     if hint in _SIMPLE:
-        return _SIMPLE[hint][0]
-    if _is_fixed_tuple(hint):
-        tests = [_test_of(one) for one in inner]
-        return lambda value: (
-            _is_row(value)
-            and len(value) == len(tests)
-            and all(test(one) for test, one in zip(tests, value, strict=True))
-        )
+        return _SIMPLE[hint]
+    if origin is tuple and inner and inner[-1] is not Ellipsis:
+        kinds = [_kind_of(one) for one in inner]
+        words = f"({', '.join(kind.words for kind in kinds)})"
+        return _Kind(lambda v: _is_row(v) and len(v) == len(kinds) and all(k.test(o) for k, o in zip(kinds, v)), words)  # noqa: B905
     if origin in (collections.abc.Sequence, list, tuple):
-        return _is_row
+        return _Kind(_is_row, "a sequence")
     kind = origin or hint
+    words = "a function" if kind is Callable else _with_article(getattr(kind, "__name__", str(hint)))
     if kind is Any or not isinstance(kind, type):
-        return lambda _: True
+        return _Kind(lambda _: True, words)
     if getattr(kind, "_is_protocol", False):
         members = _members(kind)
-        return lambda value: all(hasattr(value, member) for member in members)
-    return lambda value: isinstance(value, kind)
+        return _Kind(lambda value: all(hasattr(value, member) for member in members), words)
+    return _Kind(lambda value: isinstance(value, kind), words)
 
 
 def _members(protocol: type) -> set[str]:
     """Return the names of what a protocol asks for."""
     own = {name for base in protocol.__mro__ for name in vars(base) if getattr(base, "_is_protocol", False)}
     return {name for name in own if not name.startswith("_")}
-
-
-def _is_fixed_tuple(hint: Any) -> bool:
-    return get_origin(hint) is tuple and bool(get_args(hint)) and get_args(hint)[-1] is not Ellipsis
 
 
 def _is_row(value: Any) -> bool:
@@ -287,27 +316,6 @@ def _is_array_of_numbers(value: Any) -> bool:
         return np.asarray(value).dtype.kind in _NUMBERS
     except (ValueError, TypeError):
         return False
-
-
-def _wanted(hint: Any) -> str:
-    """Return an annotation in words."""
-    hint = hint.__bound__ if isinstance(hint, TypeVar) else hint
-    origin, inner = get_origin(hint), get_args(hint)
-    if hint == ArrayLike or origin is np.ndarray:
-        return "an array of numbers"
-    if origin in (Union, UnionType):
-        return " or ".join(dict.fromkeys(_wanted(one) for one in inner))
-    if origin is Literal:
-        return " or ".join(repr(one) for one in inner)
-    if _is_fixed_tuple(hint):
-        return "(" + ", ".join(_wanted(one) for one in inner) + ")"
-    if origin in (collections.abc.Sequence, list, tuple):
-        return "a sequence"
-    if hint in _SIMPLE:
-        return _SIMPLE[hint][1]
-    if origin is collections.abc.Callable:
-        return "a function"
-    return _with_article(getattr(origin or hint, "__name__", str(hint)))
 
 
 def _advice(hint: Any, value: Any) -> str:
@@ -346,10 +354,7 @@ _WHAT_TO_DO = {
     ("LineMap", "path"): "read_line_map(path) reads one",
     ("BeamParameters", "path"): "read_beam_model(path) reads them",
     ("LikelihoodFieldParameters", "path"): "read_likelihood_field(path) reads them",
-    (
-        "LikelihoodFieldParameters",
-        "BeamParameters",
-    ): "LikelihoodFieldParameters.from_beam_parameters(...) makes some",
+    ("LikelihoodFieldParameters", "BeamParameters"): "LikelihoodFieldParameters.from_beam_parameters(...) makes some",
     ("LandmarkParameters", "path"): "read_landmark_model(path) reads them",
     ("RangeFinder", "array"): "RangeFinder.from_bearings(bearings, max_range) makes one",
     ("RangeFinder", "Scan"): "it is the scan's .finder",
@@ -373,14 +378,13 @@ def _described(value: Any) -> str:
     return _with_article(type(value).__name__)
 
 
-# Tests of the simplest annotations, and these in words.
-_SIMPLE: dict[Any, tuple[Callable[[Any], bool], str]] = {
-    float: (lambda value: isinstance(value, float | int | Real) or _is_scalar_array(value), "a number"),
-    int: (lambda value: isinstance(value, int | Integral), "a whole number"),
-    bool: (lambda value: isinstance(value, bool | np.bool_), "True or False"),
-    str: (lambda value: isinstance(value, str), "a text"),
-    type(None): (lambda value: value is None, "None"),
-    None: (lambda value: value is None, "None"),
+_SIMPLE = {
+    float: _Kind(lambda value: isinstance(value, float | int | Real) or _is_scalar_array(value), "a number"),
+    int: _Kind(lambda value: isinstance(value, int | Integral), "a whole number"),
+    bool: _Kind(lambda value: isinstance(value, bool | np.bool_), "True or False"),
+    str: _Kind(lambda value: isinstance(value, str), "a text"),
+    type(None): _Kind(lambda value: value is None, "None"),
+    None: _Kind(lambda value: value is None, "None"),
 }
 
 

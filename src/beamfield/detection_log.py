@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, keep, require
 from beamfield.detections import Detections, as_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -53,10 +53,9 @@ class DetectionLog:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        object.__setattr__(self, "detections", tuple(self.detections))
+        keep(self, detections=tuple(self.detections))
         poses = np.array(self.poses, dtype=np.float64)
-        if poses.shape != (len(self), 3):
-            raise InvalidInputError(f"poses: expected shape ({len(self)}, 3), got {poses.shape}")
+        require(poses.shape == (len(self), 3), "poses", f"shape ({len(self)}, 3)", poses.shape)
         if np.isinf(poses).any():
             raise InvalidInputError(f"poses: expected finite numbers or NaN, got {poses[np.isinf(poses)][0]}")
         missing = np.isnan(poses)
@@ -64,8 +63,7 @@ class DetectionLog:
         if partly.any():
             i = int(partly.argmax())
             raise InvalidInputError(f"poses: expected numbers or a row of NaN, got {poses[i].tolist()} at index {i}")
-        poses.flags.writeable = False
-        object.__setattr__(self, "poses", poses)
+        keep(self, poses=poses)
         stamps = self.stamps
         if not np.isfinite(stamps).all():
             raise InvalidInputError(f"stamps: expected finite numbers, got {stamps[~np.isfinite(stamps)][0]}")
@@ -75,7 +73,7 @@ class DetectionLog:
                 f"stamps: expected numbers that do not decrease, got {stamps[i + 1]} after {stamps[i]}"
             )
         if self.places is not None:
-            object.__setattr__(self, "places", as_ids(self.places, len(self), 0))
+            keep(self, places=as_ids(self.places, len(self), 0))
 
     def __len__(self) -> int:
         return len(self.detections)
@@ -108,12 +106,9 @@ class DetectionLog:
             If the choice is neither indices that are there nor a mask of the right length.
         """
         chosen = np.sort(as_indices(observations, len(self), "observations"))
-        return replace(
-            self,
-            poses=self.poses[chosen],
-            detections=tuple(self.detections[i] for i in chosen),
-            places=None if self.places is None else self.places[chosen],
-        )
+        detections, places = tuple(self.detections[i] for i in chosen), self.places
+        places = None if places is None else places[chosen]
+        return replace(self, poses=self.poses[chosen], detections=detections, places=places)
 
 
 def group_detections(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import LARGEST, check_fields
+from beamfield.arguments import LARGEST, check_fields, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.indices import subset_of
@@ -63,17 +63,13 @@ class Detections:
     def __post_init__(self) -> None:
         check_fields(self)
         ranges = _frozen(self.ranges, "ranges")
-        if ranges.ndim != 1:
-            raise InvalidInputError(f"ranges: expected shape (k,), got {ranges.shape}")
-        object.__setattr__(self, "ranges", ranges)
-        object.__setattr__(self, "bearings", _frozen(self.bearings, "bearings"))
-        if self.bearings.shape != ranges.shape:
-            raise InvalidInputError(f"bearings: expected shape {ranges.shape}, got {self.bearings.shape}")
+        require(ranges.ndim == 1, "ranges", "shape (k,)", ranges.shape)
+        keep(self, ranges=ranges, bearings=_frozen(self.bearings, "bearings"))
+        require(self.bearings.shape == ranges.shape, "bearings", f"shape {ranges.shape}", self.bearings.shape)
         if self.signatures is not None:
-            object.__setattr__(self, "signatures", self._checked_signatures(self.signatures))
+            keep(self, signatures=self._checked_signatures(self.signatures))
         if self.ids is not None:
-            ids = as_ids(self.ids, len(ranges), UNKNOWN)
-            object.__setattr__(self, "ids", ids)
+            keep(self, ids=as_ids(self.ids, len(ranges), UNKNOWN))
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -146,10 +142,8 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
         If they are not whole numbers, not n of them, or one is below `lowest`.
     """
     given = np.asarray(ids)
-    if given.shape != (n,):
-        raise InvalidInputError(f"ids: expected shape ({n},), got {given.shape}")
-    if given.size and given.dtype.kind not in "iu":
-        raise InvalidInputError(f"ids: expected whole numbers, got {given.dtype}")
+    require(given.shape == (n,), "ids", f"shape ({n},)", given.shape)
+    require(not given.size or given.dtype.kind in "iu", "ids", "whole numbers", given.dtype)
     result = np.array(given, dtype=np.int64)
     if (result < lowest).any():
         raise InvalidInputError(f"ids: expected at least {lowest}, got {result.min()}")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, checked
+from beamfield.arguments import as_floats, checked, require
 from beamfield.errors import InvalidInputError
 
 FloatArray = NDArray[np.float64]
@@ -49,6 +49,13 @@ def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
         raise InvalidInputError(
             f"{name}: expected finite numbers, got {array[tuple(where)]} at index {tuple(where.tolist())}"
         )
+    return array
+
+
+def as_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
+    """Return one pose as a new array (3,); raise if it is none."""
+    array = np.array(as_poses(pose, name))
+    require(array.shape == (3,), name, "shape (3,)", array.shape)
     return array
 
 
@@ -128,14 +135,8 @@ def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> FloatArray:
     a, b = _rows(a_from_b, 3, "a_from_b"), _rows(b_from_c, 3, "b_from_c")
     with np.errstate(over="ignore", invalid="ignore"):
         cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-        return np.stack(
-            [
-                a[..., 0] + cos * b[..., 0] - sin * b[..., 1],
-                a[..., 1] + sin * b[..., 0] + cos * b[..., 1],
-                wrap_angle(a[..., 2] + b[..., 2]),
-            ],
-            axis=-1,
-        )
+        x, y = a[..., 0] + cos * b[..., 0] - sin * b[..., 1], a[..., 1] + sin * b[..., 0] + cos * b[..., 1]
+        return np.stack([x, y, wrap_angle(a[..., 2] + b[..., 2])], axis=-1)
 
 
 def invert(a_from_b: ArrayLike) -> FloatArray:
@@ -159,10 +160,8 @@ def invert(a_from_b: ArrayLike) -> FloatArray:
     a = _rows(a_from_b, 3, "a_from_b")
     with np.errstate(over="ignore", invalid="ignore"):
         cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-        return np.stack(
-            [-cos * a[..., 0] - sin * a[..., 1], sin * a[..., 0] - cos * a[..., 1], wrap_angle(-a[..., 2])],
-            axis=-1,
-        )
+        x, y = -cos * a[..., 0] - sin * a[..., 1], sin * a[..., 0] - cos * a[..., 1]
+        return np.stack([x, y, wrap_angle(-a[..., 2])], axis=-1)
 
 
 def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
@@ -207,10 +206,8 @@ def transform_points(a_from_b: ArrayLike, points: ArrayLike) -> FloatArray:
     a, p = _rows(a_from_b, 3, "a_from_b"), _rows(points, 2, "points")
     with np.errstate(over="ignore", invalid="ignore"):
         cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
-        return np.stack(
-            [a[..., 0] + cos * p[..., 0] - sin * p[..., 1], a[..., 1] + sin * p[..., 0] + cos * p[..., 1]],
-            axis=-1,
-        )
+        x, y = a[..., 0] + cos * p[..., 0] - sin * p[..., 1], a[..., 1] + sin * p[..., 0] + cos * p[..., 1]
+        return np.stack([x, y], axis=-1)
 
 
 @checked
@@ -244,13 +241,9 @@ def interpolate_poses(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike, *, max
     """
     times, track = as_floats(stamps, "stamps"), _rows(poses, 3, "poses")
     when = np.atleast_1d(as_floats(at, "at"))
-    for name, array, shape in (
-        ("poses", track, (len(track), 3)),
-        ("stamps", times, (len(track),)),
-        ("at", when, (when.size,)),
-    ):
-        if array.shape != shape:
-            raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
+    n = len(track)
+    for name, array, shape in (("poses", track, (n, 3)), ("stamps", times, (n,)), ("at", when, (when.size,))):
+        require(array.shape == shape, name, f"shape {shape}", array.shape)
     result: FloatArray = np.full((len(when), 3), np.nan)
     if len(times) == 0:
         return result

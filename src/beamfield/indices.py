@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError
 
 Table = TypeVar("Table")
@@ -53,8 +53,7 @@ def as_indices(choice: ArrayLike, n: int, name: str) -> NDArray[np.int64]:
     if array.ndim != 1 or array.dtype.kind not in "iub":
         raise InvalidInputError(f"{name}: expected indices (m,) or a mask ({n},), got {array.dtype} {array.shape}")
     if array.dtype == np.bool_:
-        if len(array) != n:
-            raise InvalidInputError(f"{name}: expected a mask of length {n}, got {len(array)}")
+        require(len(array) == n, name, f"a mask of length {n}", len(array))
         return np.flatnonzero(array)
     there = (-n <= array) & (array < n)
     if not there.all():

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 from beamfield.features.corners import Corner
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.minima import LocalMinimum
 from beamfield.features.poles import Pole
 from beamfield.features.straight_line import Line
-from beamfield.geometry import FloatArray, as_poses, compose, transform_points
+from beamfield.geometry import FloatArray, as_pose, compose, transform_points
 from beamfield.maps.end_points import end_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
@@ -64,14 +65,13 @@ def draw_map(grid: OccupancyGrid, ax: Axes, *, max_side: int = 2000) -> Axes:
     InvalidInputError
         If `max_side` is not positive.
     """
-    if max_side < 1:
-        raise InvalidInputError(f"max_side: expected at least 1, got {max_side}")
+    require(max_side >= 1, "max_side", "at least 1", max_side)
     step = -(-max(grid.shape) // max_side)
     # The last pixel of a coarser picture may stand over the map's edge.
     draw_cells(categories(grid, step), step * grid.resolution, grid.origin, ax)
     corners = grid.to_map([[0, 0], [grid.shape[1], 0], grid.shape[::-1], [0, grid.shape[0]]])
-    ax.set_xlim(corners[:, 0].min(), corners[:, 0].max())
-    ax.set_ylim(corners[:, 1].min(), corners[:, 1].max())
+    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    ax.set(xlim=(left, right), ylim=(bottom, top))
     return _in_metres(ax)
 
 
@@ -174,16 +174,13 @@ def draw_trajectory(
         If the shape is another.
     """
     track = np.asarray(poses, dtype=np.float64)
-    if track.ndim != 2 or track.shape[1] not in (2, 3):
-        raise InvalidInputError(f"poses: expected shape (t, 3) or (t, 2), got {track.shape}")
+    require(track.ndim == 2 and track.shape[1] in (2, 3), "poses", "shape (t, 3) or (t, 2)", track.shape)
     ax.plot(track[:, 0], track[:, 1], color=color, linewidth=1.3, label=label, zorder=4)
     known = track[np.isfinite(track[:, :2]).all(axis=1)]
     if ends and len(known):
         for position, marker, name in ((known[0], "o", "start"), (known[-1], "s", "end")):
-            ax.plot(
-                position[0], position[1], marker, color=color, markeredgecolor="white", markersize=7, label=name,
-                linestyle="none", zorder=5,
-            )  # fmt: skip
+            look: dict[str, Any] = {"color": color, "markeredgecolor": "white", "markersize": 7, "zorder": 5}
+            ax.plot(position[0], position[1], marker, label=name, linestyle="none", **look)
     return _in_metres(ax)
 
 
@@ -226,9 +223,7 @@ def draw_scan(
     """
     from matplotlib.collections import LineCollection
 
-    place = as_poses(pose, "pose")
-    if place.shape != (3,):
-        raise InvalidInputError(f"pose: expected (x, y, theta), got shape {place.shape}")
+    place = as_pose(pose)
     points = end_points(scan.ranges, scan.finder, place)
     if rays:
         starts = compose(place, scan.finder.mounts)
@@ -241,11 +236,8 @@ def draw_scan(
         ):
             seen = np.isfinite(ends).all(axis=1)
             lines = np.stack([starts[seen, :2], ends[seen]], axis=1)
-            collection = LineCollection(
-                list(lines), colors=shade, linewidths=0.6, alpha=0.45, linestyles=style, zorder=2,
-                label=name if seen.any() else None,
-            )  # fmt: skip
-            ax.add_collection(collection)
+            look: dict[str, Any] = {"colors": shade, "linewidths": 0.6, "alpha": 0.45, "linestyles": style, "zorder": 2}
+            ax.add_collection(LineCollection(list(lines), label=name if seen.any() else None, **look))
         ax.autoscale_view()
     ax.scatter(points[:, 0], points[:, 1], s=size, color=color, linewidths=0, label=label, zorder=3)
     return _in_metres(ax)
@@ -274,9 +266,7 @@ def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes, *, ell
     InvalidInputError
         If the pose is not finite (3,).
     """
-    place = as_poses(pose, "pose")
-    if place.shape != (3,):
-        raise InvalidInputError(f"pose: expected (x, y, theta), got shape {place.shape}")
+    place = as_pose(pose)
     for kind, name, colour, marker in FEATURE_STYLES:
         chosen = [feature for feature in features if isinstance(feature, kind)]
         label = f"{name} ({len(chosen)})"
@@ -341,8 +331,7 @@ def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes, *, bins: int =
     rest = np.isnan(usable).mean()
     if rest > 0:
         ax.plot([], [], linestyle="none", label=f"too close or no measurement: {rest:.1%}")
-    ax.set_xlabel("range [m]")
-    ax.set_ylabel("readings per bin")
+    ax.set(xlabel="range [m]", ylabel="readings per bin")
     ax.legend(loc="upper right", fontsize=8, framealpha=1.0)
     return ax
 
@@ -369,7 +358,5 @@ def _any_in_block(mask: NDArray[np.bool_], step: int) -> NDArray[Any]:
 
 
 def _in_metres(ax: Axes) -> Axes:
-    ax.set_aspect("equal", adjustable="box")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
+    ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     return ax

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import LARGEST, as_floats, check_fields, checked
+from beamfield.arguments import LARGEST, as_floats, check_fields, checked, keep, require
 from beamfield.data_frame import data_frame
 from beamfield.errors import InvalidInputError, NoSuchIndexError
 from beamfield.geometry import FloatArray, as_poses, compose
@@ -68,17 +68,14 @@ class RangeFinder:
     def __post_init__(self) -> None:
         check_fields(self)
         mounts = np.array(as_poses(self.mounts, "mounts"))
-        if mounts.ndim != 2:
-            raise InvalidInputError(f"mounts: expected shape (k, 3), got {mounts.shape}")
-        mounts.flags.writeable = False
-        object.__setattr__(self, "mounts", mounts)
+        require(mounts.ndim == 2, "mounts", "shape (k, 3)", mounts.shape)
+        keep(self, mounts=mounts)
         if not (0.0 <= self.min_range <= self.max_range - SHORTEST_SPAN and self.max_range <= LARGEST):
             raise InvalidInputError(
                 f"range limits: expected 0 <= min_range < max_range <= {LARGEST:g}, {SHORTEST_SPAN:g} m or more apart, "
                 f"got min_range {self.min_range} and max_range {self.max_range}"
             )
-        if not 0.0 <= self.opening_angle < np.pi:
-            raise InvalidInputError(f"opening_angle: expected [0, pi) radians, got {self.opening_angle}")
+        require(0.0 <= self.opening_angle < np.pi, "opening_angle", "[0, pi) radians", self.opening_angle)
 
     @classmethod
     @checked
@@ -108,8 +105,7 @@ class RangeFinder:
             are, nearly always), or as for the class.
         """
         angles = as_floats(bearings, "bearings")
-        if angles.ndim != 1:
-            raise InvalidInputError(f"bearings: expected shape (k,), got {angles.shape}")
+        require(angles.ndim == 1, "bearings", "shape (k,)", angles.shape)
         _require_radians("bearings", angles)
         _require_radians("heading of mount", as_poses(mount, "mount")[..., 2])
         in_sensor = np.column_stack([np.zeros_like(angles), np.zeros_like(angles), angles])
@@ -182,10 +178,8 @@ class Scan:
     def __post_init__(self) -> None:
         check_fields(self)
         ranges = np.array(as_floats(self.ranges, "ranges"))
-        if ranges.shape != (self.finder.n_beams,):
-            raise InvalidInputError(f"ranges: expected shape ({self.finder.n_beams},), got {ranges.shape}")
-        ranges.flags.writeable = False
-        object.__setattr__(self, "ranges", ranges)
+        require(ranges.shape == (self.finder.n_beams,), "ranges", f"shape ({self.finder.n_beams},)", ranges.shape)
+        keep(self, ranges=ranges)
 
     @checked
     def subset(self, beams: ArrayLike) -> Scan:
@@ -241,8 +235,7 @@ class Scan:
         ----------
         Probabilistic Robotics, section 6.3.4.
         """
-        if n_beams < 1:
-            raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
+        require(n_beams >= 1, "n_beams", "at least 1", n_beams)
         k = self.finder.n_beams
         if n_beams >= k:
             return self
@@ -358,10 +351,8 @@ class SensorLog:
         t, k = np.size(self.stamps), self.finder.n_beams
         for name, shape in (("stamps", (t,)), ("ranges", (t, k)), ("poses", (t, 3)), ("odometry", (t, 3))):
             array = np.array(as_floats(getattr(self, name), name))
-            if array.shape != shape:
-                raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+            require(array.shape == shape, name, f"shape {shape}", array.shape)
+            keep(self, **{name: array})
 
     def __len__(self) -> int:
         return len(self.stamps)

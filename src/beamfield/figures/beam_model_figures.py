@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from matplotlib.figure import Figure
 
 from beamfield.calibration.calibrate import Calibration
@@ -18,21 +20,19 @@ CHAPTER_RANGE = 3.0
 
 def components_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.3: the four densities of the first sensor, at a typical expected range."""
-    calibration = _first(world)
-    figure = new_figure(7.2, 5.0)
-    table = calibration.table
-    draw_components(
-        figure, _group(calibration).centre, calibration.parameters, table.max_range, min_range=table.min_range
-    )
-    return figure
+    return _drawn(draw_components, new_figure(7.2, 5.0), world)
 
 
 def mixture_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.4: their mixture."""
-    calibration = _first(world)
-    figure = new_figure(7.2, 4.2)
-    table = calibration.table
-    draw_mixture(figure, _group(calibration).centre, calibration.parameters, table.max_range, min_range=table.min_range)
+    return _drawn(draw_mixture, new_figure(7.2, 4.2), world)
+
+
+def _drawn(draw: Callable[..., None], figure: Figure, world: FigureWorld) -> Figure:
+    """Draw the model of the first sensor at a typical expected range."""
+    calibration = next(iter(world.calibrations.values()))
+    centre, table = _group(calibration).centre, calibration.table
+    draw(figure, centre, calibration.parameters, table.max_range, min_range=table.min_range)
     return figure
 
 
@@ -62,10 +62,6 @@ def histograms_figure(world: FigureWorld) -> Figure:
 
 def _panel_name(letter: str, sensor: str, world: FigureWorld) -> str:
     return f"({letter}) {sensor}" if len(world.calibrations) > 1 else sensor
-
-
-def _first(world: FigureWorld) -> Calibration:
-    return next(iter(world.calibrations.values()))
 
 
 def _group(calibration: Calibration) -> RangeBin:

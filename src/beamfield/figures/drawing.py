@@ -14,6 +14,7 @@ from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import MAP_COLOURS, categories, draw_cells
 from beamfield.report.colours import GRID
+from beamfield.report.drawing import style
 from beamfield.sensors import Scan
 
 # Share of a scan's end points that may lie outside a picture at each side.
@@ -35,10 +36,15 @@ def framed_map(grid: OccupancyGrid, ax: Axes, *, colours: Sequence[str] = MAP_CO
         Of free, unknown and occupied cells.
     """
     draw_cells(categories(grid), grid.resolution, grid.origin, ax, colours=colours)
-    x_low, x_high, y_low, y_high = known_limits(grid)
-    ax.set_xlim(x_low, x_high)
-    ax.set_ylim(y_low, y_high)
-    ax.set_aspect("equal", adjustable="box")
+    limits = known_limits(grid)
+    ax.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
+
+
+def frame(ax: Axes, low: ArrayLike, high: ArrayLike, title: str, *, x: str = "x [m]", y: str = "y [m]") -> None:
+    """Show what lies between two corners (2,), in metres, under a title."""
+    (left, bottom), (right, top) = np.asarray(low), np.asarray(high)
+    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    style(ax, title=title, x=x, y=y, grid="none")
 
 
 def known_limits(grid: OccupancyGrid, margin: float = 0.5) -> Limits:

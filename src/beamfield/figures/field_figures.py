@@ -8,7 +8,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
-from beamfield.figures.drawing import colour_bar, framed_map, known_limits, mark_robot
+from beamfield.figures.drawing import colour_bar, frame, framed_map, known_limits, mark_robot
 from beamfield.figures.obstacle_scene import ObstacleScene
 from beamfield.figures.world import FigureWorld
 from beamfield.geometry import FloatArray
@@ -38,13 +38,10 @@ def obstacles_figure(world: FigureWorld) -> Figure:
     model = LikelihoodFieldModel(scene.grid, scene.parameters)
     density = field_density(model, scene.finder.max_range)
     image = draw_array(density, scene.grid.resolution, scene.grid.origin, right, cmap="gray", vmin=0.0)
-    right.contour(
-        *_cell_centres(scene.grid), scene.grid.occupied, levels=[0.5], colors=ROBOT_COLOUR, linewidths=0.7, alpha=0.8
-    )
+    outline = {"levels": [0.5], "colors": ROBOT_COLOUR, "linewidths": 0.7, "alpha": 0.8}
+    right.contour(*_cell_centres(scene.grid), scene.grid.occupied, **outline)
     _draw_beam(scene, right)
-    right.set_xlim(left.get_xlim())
-    right.set_ylim(left.get_ylim())
-    right.set_aspect("equal", adjustable="box")
+    right.set(xlim=left.get_xlim(), ylim=left.get_ylim(), aspect="equal")
     style(right, title="(b) the likelihood field", x="x [m]", y="y [m]", grid="none")
     colour_bar(image, right, "z_hit prob(dist, sigma_hit) + z_rand / z_max [1/m]")
     for ax in (left, right):
@@ -63,8 +60,7 @@ def beam_profile_figure(world: FigureWorld) -> Figure:
     _draw_with_uniforms(profile, scene, right)
     z_max = max(0.0, 1.0 - scene.parameters.z_hit - scene.parameters.z_rand)
     mass.bar([0], [z_max], width=0.7, color=CAUSE_COLOURS[2])
-    mass.set_xlim(-0.6, 0.6)
-    mass.set_ylim(0.0, max(0.1, 1.4 * z_max))
+    mass.set(xlim=(-0.6, 0.6), ylim=(0.0, max(0.1, 1.4 * z_max)))
     mass.set_xticks([0], [f"{scene.finder.max_range:.4g}"])
     mass.annotate(f"z_max\n{z_max:.2f}", (0, z_max), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=8)
     style(mass, x="z [m]", y="probability [1]", grid="y")
@@ -75,9 +71,7 @@ def map_field_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.10: (a) an occupancy grid map, (b) its likelihood field; constant where nothing is known."""
     grid = world.grid
     sigma = max(0.15, 2.0 * grid.resolution)
-    model = LikelihoodFieldModel(
-        grid, LikelihoodFieldParameters(z_hit=0.8, z_rand=0.15, sigma_hit=sigma), unknown="uniform"
-    )
+    model = LikelihoodFieldModel(grid, LikelihoodFieldParameters(0.8, 0.15, sigma), unknown="uniform")
     max_range = world.log.finder.max_range
     density = np.where(grid.unknown, 1.0 / max_range, field_density(model, max_range))
     limits = known_limits(grid)
@@ -91,11 +85,8 @@ def map_field_figure(world: FigureWorld) -> Figure:
     framed_map(grid, above)
     style(above, title="(a) the map: free white, occupied dark, unknown grey", x="x [m]", y="y [m]", grid="none")
     image = draw_array(density, grid.resolution, grid.origin, below, cmap="gray", norm=LogNorm())
-    below.set_xlim(limits[:2])
-    below.set_ylim(limits[2:])
-    below.set_aspect("equal", adjustable="box")
-    style_title = f"(b) its likelihood field, sigma_hit {sigma:.2g} m; in unknown cells 1 / z_max"
-    style(below, title=style_title, x="x [m]", y="y [m]", grid="none")
+    title = f"(b) its likelihood field, sigma_hit {sigma:.2g} m; in unknown cells 1 / z_max"
+    frame(below, limits[::2], limits[1::2], title)
     below.set_facecolor(image.cmap(image.norm(np.array(1.0 / max_range))))
     colour_bar(image, below, "likelihood of an end point, log scale [1/m]")
     return figure
@@ -112,11 +103,11 @@ def field_density(model: LikelihoodFieldModel, max_range: float) -> FloatArray:
 
 def _draw_beam(scene: ObstacleScene, ax: Axes) -> None:
     x, y, heading = scene.ray
-    end = np.array([x, y]) + scene.finder.max_range * np.array([np.cos(heading), np.sin(heading)])
+    reach = scene.finder.max_range
     limits = ax.get_xlim(), ax.get_ylim()
-    ax.plot([x, end[0]], [y, end[1]], "--", color=BEAM_COLOUR, linewidth=1.6, label="sensor axis", zorder=4)
-    ax.set_xlim(limits[0])
-    ax.set_ylim(limits[1])
+    end_x, end_y = x + reach * np.cos(heading), y + reach * np.sin(heading)
+    ax.plot([x, end_x], [y, end_y], "--", color=BEAM_COLOUR, linewidth=1.6, label="sensor axis", zorder=4)
+    ax.set(xlim=limits[0], ylim=limits[1])
     width = float(np.diff(limits[0])[0])
     mark_robot(scene.pose, ax, size=0.04 * width, color=ROBOT_COLOUR, label="robot")
 
@@ -128,8 +119,7 @@ def _draw_hit(profile: BeamProfile, ax: Axes) -> None:
         height = float(np.interp(z, profile.ranges, profile.hit))
         ax.plot([z, z], [0.0, height], color=QUIET, linewidth=0.8, linestyle=":")
         ax.annotate(f"$o_{number}$", (z, height), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=11)
-    ax.set_xlim(0.0, _shown_end(profile))
-    ax.set_ylim(0.0, 1.22 * max(float(profile.hit.max()), 1e-9))
+    ax.set(xlim=(0.0, _shown_end(profile)), ylim=(0.0, 1.22 * max(float(profile.hit.max()), 1e-9)))
     style(ax, title="(a) p_hit along the sensor axis", x="z [m]", y="p_hit(z) [1/m]", grid="none")
 
 
@@ -139,8 +129,7 @@ def _draw_with_uniforms(profile: BeamProfile, scene: ObstacleScene, ax: Axes) ->
     ax.fill_between(profile.ranges, uniform, profile.density, color=CAUSE_COLOURS[0], alpha=0.2, linewidth=0,
                     label="z_hit p_hit")  # fmt: skip
     ax.plot(profile.ranges, profile.density, color="#111111", linewidth=1.4, label="sum, with z_max p_max beside")
-    ax.set_xlim(0.0, _shown_end(profile))
-    ax.set_ylim(0.0, 1.45 * float(profile.density.max()))
+    ax.set(xlim=(0.0, _shown_end(profile)), ylim=(0.0, 1.45 * float(profile.density.max())))
     style(ax, title="(b) p(z | x, m)", x="z [m]", y="density [1/m]", grid="none")
     ax.legend(loc="upper left", fontsize=8, frameon=False, ncols=2)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -28,21 +29,21 @@ class ChapterFigure:
     ----------
     number
         As in the chapter: "6.7".
+    section
+        Where it belongs.
+    function
+        What draws it, "module.function" of this package.
     title
         What it shows.
     caption
         What to see in it.
-    section
-        Where it belongs.
-    draw
-        Draws it from a world.
     """
 
     number: str
+    section: str
+    function: str
     title: str
     caption: str
-    section: str
-    draw: Callable[[FigureWorld], Figure]
 
     @property
     def stem(self) -> str:
@@ -54,125 +55,84 @@ class ChapterFigure:
         """How the chapter calls it: Figure 6.7."""
         return f"Figure {self.number}"
 
-
-def _drawn_by(where: str) -> Callable[[FigureWorld], Figure]:
-    """Return a function of this package; its module, and with it the numerical libraries, loads when it is called."""
-    module, name = where.split(".")
-
-    def draw(world: FigureWorld) -> Figure:
+    def draw(self, world: FigureWorld) -> Figure:
+        """Draw it from a world; only now its module, and with it the numerical libraries, is loaded."""
+        module, name = self.function.split(".")
         figure: Figure = getattr(importlib.import_module(f"beamfield.figures.{module}"), name)(world)
         return figure
-
-    return draw
 
 
 _ALL = (
     ChapterFigure(
-        "6.1",
-        "A sonar scan, and how sonars misread",
+        "6.1", "6.1", "sonar_figures.sonar_figure", "A sonar scan, and how sonars misread",
         "(a) A ring of sonars simulated in the map, the first of 30 scans with readings of every kind. Cones end where "
         "something was heard: most at the nearest thing in them, some too far or too near, and the dashed ones "
         "heard nothing although there is a wall. (b) A smooth wall mirrors the pulse: if the angle to its normal "
         "exceeds half the opening angle, the echo goes elsewhere. (c) What a scanner measured at the same pose, with "
         "a few random readings.",
-        "6.1",
-        _drawn_by("sonar_figures.sonar_figure"),
     ),
     ChapterFigure(
-        "6.3",
-        "Components of the range finder sensor model",
+        "6.3", "6.3.1", "beam_model_figures.components_figure", "Components of the range finder sensor model",
         "Each cause of a reading alone, for one expected range z* (dashed): (a) a hit with noise, (b) an "
         "unexpected object before it, (c) no return, which is a probability and no density, (d) an unexplained "
         "reading.",
-        "6.3.1",
-        _drawn_by("beam_model_figures.components_figure"),
     ),
     ChapterFigure(
-        "6.4",
-        "A typical mixture distribution p(z | x, m)",
+        "6.4", "6.3.1", "beam_model_figures.mixture_figure", "A typical mixture distribution p(z | x, m)",
         "The densities of Figure 6.3 times their weights, and in grey their sum, on a logarithmic scale. The "
         "probability of no return has an axis of its own.",
-        "6.3.1",
-        _drawn_by("beam_model_figures.mixture_figure"),
     ),
     ChapterFigure(
-        "6.5",
-        "Readings for one expected range",
+        "6.5", "6.3.2", "beam_model_figures.readings_figure", "Readings for one expected range",
         "Every reading whose expected range lies near one value (dashed; 3 m as in the chapter if the log has such "
         "readings), in the order of the log, coloured by its most likely cause. Where a sonar is beside a laser "
         "scanner, it has much more noise and far more readings without return.",
-        "6.3.2",
-        _drawn_by("beam_model_figures.readings_figure"),
     ),
     ChapterFigure(
-        "6.6",
-        "Learned beam models and the data",
+        "6.6", "6.3.2", "beam_model_figures.histograms_figure", "Learned beam models and the data",
         "Histograms of readings for a near and a far expected range, and the density that was learned from all "
         "data. Above the hits on a linear scale, below all ranges on a logarithmic one.",
-        "6.3.2",
-        _drawn_by("beam_model_figures.histograms_figure"),
     ),
     ChapterFigure(
-        "6.7",
-        "A scan, and its likelihood over the map",
+        "6.7", "6.3.2", "scan_figures.likelihood_over_map_figure", "A scan, and its likelihood over the map",
         "(a) A range scan at its reference pose in the map. (b) The likelihood of this scan at every free place, "
         "with the heading that suits it best: the darker, the more likely. The scan alone leaves several places "
         "possible. Of four scans with far and near readings, the first whose maximum is at the robot's pose.",
-        "6.3.2",
-        _drawn_by("scan_figures.likelihood_over_map_figure"),
     ),
     ChapterFigure(
-        "6.8",
-        "Obstacles and their likelihood field",
+        "6.8", "6.4.1", "field_figures.obstacles_figure", "Obstacles and their likelihood field",
         "(a) A robot, obstacles (grey) and the axis of one beam (dashed). (b) The likelihood field: the darker a "
         "place, the less likely is an end point there. Obstacles are outlined.",
-        "6.4.1",
-        _drawn_by("field_figures.obstacles_figure"),
     ),
     ChapterFigure(
-        "6.9",
-        "What one beam sees of a likelihood field",
+        "6.9", "6.4.1", "field_figures.beam_profile_figure", "What one beam sees of a likelihood field",
         "(a) The field along the beam of Figure 6.8, normalised: p_hit has a peak where the beam passes an "
         "obstacle's nearest point. It does not know that the first obstacle would hide the others. (b) With the "
         "two uniform parts of (6.34); no return is a probability at z_max.",
-        "6.4.1",
-        _drawn_by("field_figures.beam_profile_figure"),
     ),
     ChapterFigure(
-        "6.10",
-        "A map and its likelihood field",
+        "6.10", "6.4.2", "field_figures.map_field_figure", "A map and its likelihood field",
         "(a) An occupancy grid map. (b) The likelihood of an end point: bright near obstacles, dark in free "
         "space, constant where nothing is known.",
-        "6.4.2",
-        _drawn_by("field_figures.map_field_figure"),
     ),
     ChapterFigure(
-        "6.11",
-        "A scan and its own likelihood field",
+        "6.11", "6.4.2", "scan_figures.scan_field_figure", "A scan and its own likelihood field",
         "(a) The end points of one scan. (b) The field it makes for other scans: the darker, the less likely is "
         "an end point there. Space that beams passed is dark; what is hidden behind surfaces is white and costs "
         "nothing.",
-        "6.4.2",
-        _drawn_by("scan_figures.scan_field_figure"),
     ),
     ChapterFigure(
-        "6.12",
-        "A local map for map matching",
+        "6.12", "6.5", "scan_figures.local_map_figure", "A local map for map matching",
         "(a) A local map from 10 scans with the last of them: free white, occupied dark, "
         "unknown grey. (b) Its correlation with the global map, moved around the reference pose without turning.",
-        "6.5",
-        _drawn_by("scan_figures.local_map_figure"),
     ),
     ChapterFigure(
-        "6.13",
-        "Where a robot can be that sees one landmark",
+        "6.13", "6.6.4", "landmark_figures.poses_of_detection_figure", "Where a robot can be that sees one landmark",
         "A landmark (star) was seen at a range of 5 m and a bearing of 30 degrees. (a) The posterior over "
         "positions is a ring: nothing tells from which side it was seen. (b) Poses drawn from it: each has a "
         "heading that puts the landmark 30 degrees to its left, so that in x, y and theta the ring is a spiral.",
-        "6.6.4",
-        _drawn_by("landmark_figures.poses_of_detection_figure"),
     ),
-)
+)  # fmt: skip
 
 FIGURES: Mapping[str, ChapterFigure] = {figure.number: figure for figure in _ALL}
 """Every figure that can be drawn, by number, in the chapter's order."""
@@ -215,8 +175,7 @@ def save_figure(figure: Figure, path: Path) -> None:
         If the ending is another.
     """
     kind = path.suffix.lower().lstrip(".")
-    if kind not in FORMATS:
-        raise InvalidInputError(f"picture: expected a name ending in .svg, .png or .pdf, got {path.name!r}")
+    require(kind in FORMATS, "picture", "a name ending in .svg, .png or .pdf", path.name)
     without_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
     import matplotlib
 

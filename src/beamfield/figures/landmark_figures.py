@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from beamfield.detections import Detections
-from beamfield.figures.drawing import colour_bar
+from beamfield.figures.drawing import colour_bar, frame
 from beamfield.figures.world import FigureWorld
 from beamfield.geometry import FloatArray
 from beamfield.maps.landmarks import LandmarkMap
@@ -16,7 +16,7 @@ from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.landmark_poses import sample_poses
 from beamfield.plot import draw_array
-from beamfield.report.drawing import legend, new_figure, style
+from beamfield.report.drawing import legend, new_figure
 
 # What was seen, as in the chapter, and how well.
 RANGE, BEARING_DEG = 5.0, 30.0
@@ -48,10 +48,7 @@ def poses_of_detection_figure(world: FigureWorld) -> Figure:
     for ax, title in ((left, f"(a) p(x, y | f, c, m): {what}"), (right, f"(b) {N_POSES} poses drawn from it")):
         ax.plot(0.0, 0.0, "*", color=LANDMARK_COLOUR, markersize=13, markeredgecolor="white", linestyle="none",
                 label="landmark", zorder=5)  # fmt: skip
-        ax.set_xlim(-REACH, REACH)
-        ax.set_ylim(-REACH, REACH)
-        ax.set_aspect("equal", adjustable="box")
-        style(ax, title=title, x="x [m]", y="y [m]", grid="none")
+        frame(ax, [-REACH, -REACH], [REACH, REACH], title)
         legend(ax, loc="upper right")
     colour_bar(image, left, "density [1/m²]")
     return figure

@@ -9,8 +9,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from scipy.ndimage import maximum_filter
 
-from beamfield.errors import InvalidInputError
-from beamfield.figures.drawing import colour_bar, framed_map, known_limits, mark_robot, scan_limits
+from beamfield.arguments import require
+from beamfield.figures.drawing import colour_bar, frame, framed_map, known_limits, mark_robot, scan_limits
 from beamfield.geometry import FloatArray
 from beamfield.localization.likelihood_map import LikelihoodMap
 from beamfield.maps.occupancy import OccupancyGrid
@@ -93,9 +93,7 @@ def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes
     draw_scan(scan, pose, ax, label="end points", color=BEST_COLOUR, size=9.0, rays=True)
     low, high = scan_limits(scan, pose, MARGIN)
     mark_robot(pose, ax, size=0.03 * float((high - low).max()), color=REFERENCE_COLOUR, label="robot")
-    ax.set_xlim(low[0], high[0])
-    ax.set_ylim(low[1], high[1])
-    style(ax, title=title, x="x [m]", y="y [m]", grid="none")
+    frame(ax, low, high, title)
     ax.set_facecolor("#E1E5EA")
     legend(ax, loc="best")
 
@@ -150,8 +148,7 @@ def draw_likelihood_map(
     """
     if span is None:
         span = _fitting_span(result)
-    if not 0.0 < span < np.inf:
-        raise InvalidInputError(f"span: expected a positive number of nats, got {span}")
+    require(0.0 < span < np.inf, "span", "a positive number of nats", span)
     framed_map(grid, ax, colours=PALE_MAP)
     row, col = result.best_cell
     top = result.log_likelihood[row, col]

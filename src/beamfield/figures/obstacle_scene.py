@@ -80,6 +80,4 @@ def scene_of_scan(grid: OccupancyGrid, scan: Scan, pose: FloatArray) -> Obstacle
         corner = compose(grid.origin, np.array([*(low * grid.resolution), 0.0]))
         grid = OccupancyGrid(part, grid.resolution, corner, grid.occupied_thresh, grid.free_thresh)
     sigma = max(0.25, 2.0 * grid.resolution)
-    return ObstacleScene(
-        grid, pose, scan.finder, beam, LikelihoodFieldParameters(z_hit=0.8, z_rand=0.15, sigma_hit=sigma)
-    )
+    return ObstacleScene(grid, pose, scan.finder, beam, LikelihoodFieldParameters(0.8, 0.15, sigma))

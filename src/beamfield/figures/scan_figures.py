@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from beamfield.figures.drawing import colour_bar, framed_map, mark_robot, scan_limits
+from beamfield.figures.drawing import colour_bar, frame, framed_map, mark_robot, scan_limits
 from beamfield.figures.likelihood_over_map import likelihood_figure
 from beamfield.figures.world import FigureWorld
-from beamfield.geometry import FloatArray
 from beamfield.localization.lattice_noise import widened_for_lattice
 from beamfield.localization.likelihood_map import likelihood_map
 from beamfield.maps.mapping import local_map
@@ -19,7 +17,7 @@ from beamfield.maps.scan_field import ScanField
 from beamfield.models.beam import BeamModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.plot import draw_array, draw_scan
-from beamfield.report.drawing import legend, new_figure, style
+from beamfield.report.drawing import legend, new_figure
 
 Progress = Callable[[int, int], None]
 
@@ -62,24 +60,19 @@ def scan_field_figure(world: FigureWorld) -> Figure:
     figure = new_figure(11.0, float(np.clip(5.0 * height / width + 0.6, 3.0, 9.5)))
     left, right = figure.subplots(1, 2)
     draw_scan(scan, np.zeros(3), left, label="end points", color=SCAN_COLOUR, size=9.0)
-    style(left, title="(a) the scan, from above", x="x in the robot's frame [m]", y="y [m]", grid="none")
     step = max(width, height) / 500.0
     cols, rows = (int(np.ceil(v / step)) for v in (width, height))
     row, col = np.indices((rows, cols))
     value = field.log_density(low + (np.stack([col, row], axis=-1) + 0.5) * step)
     # White from what is not seen upwards: neither an end point there nor one on a surface contradicts the scan.
     neutral = -np.log(scan.finder.max_range)
-    origin = np.array([*low, 0.0])
-    floor = float(value.min())
-    image = draw_array(
-        np.minimum(value, neutral) - neutral, step, origin, right, cmap="gray", vmin=floor - neutral, vmax=0
-    )
+    shown, origin = np.minimum(value, neutral) - neutral, np.array([*low, 0.0])
+    image = draw_array(shown, step, origin, right, cmap="gray", vmin=float(value.min()) - neutral, vmax=0)
     draw_scan(scan, np.zeros(3), right, label="end points", color=SCAN_COLOUR, size=3.0)
-    style(right, title="(b) its likelihood field", x="x in the robot's frame [m]", y="y [m]", grid="none")
     colour_bar(image, right, "log-likelihood of an end point, against unseen places [nats]")
-    for ax in (left, right):
+    for ax, title in ((left, "(a) the scan, from above"), (right, "(b) its likelihood field")):
         mark_robot(np.zeros(3), ax, size=0.025 * float(max(width, height)), color=ROBOT_COLOUR, label="robot")
-        _frame(ax, low, high)
+        frame(ax, low, high, title, x="x in the robot's frame [m]")
         legend(ax, loc="best")
     return figure
 
@@ -94,10 +87,9 @@ def local_map_figure(world: FigureWorld) -> Figure:
     scan = world.log.scan(index)
     draw_scan(scan, np.zeros(3), left, label="last scan", color=SCAN_COLOUR, size=5.0)
     low, high = scan_limits(scan, np.zeros(3), 1.0)
-    _frame(left, low, high)
     mark_robot(np.zeros(3), left, size=0.03 * float((high - low).max()), color=ROBOT_COLOUR, label="robot")
     title = f"(a) local map from {min(LOCAL_SCANS, index + 1)} scans"
-    style(left, title=title, x="x in the robot's frame [m]", y="y [m]", grid="none")
+    frame(left, low, high, title, x="x in the robot's frame [m]")
     left.set_facecolor("#E1E5EA")
     legend(left, loc="best")
     offsets = np.arange(-OFFSET, OFFSET + OFFSET_STEP / 2, OFFSET_STEP)
@@ -111,15 +103,8 @@ def local_map_figure(world: FigureWorld) -> Figure:
     right.plot(0.0, 0.0, "+", color="white", markersize=13, markeredgewidth=2.0, linestyle="none", label="reference")
     right.plot(offsets[best[1]], offsets[best[0]], "o", color=SCAN_COLOUR, markerfacecolor="none", markersize=11,
                markeredgewidth=2.0, linestyle="none", label=f"best: {rho.max():.2f}")  # fmt: skip
-    _frame(right, np.array([corner, corner]), np.array([-corner, -corner]))
-    style(right, title="(b) correlation with the map", x="x beside the reference pose [m]", y="y beside it [m]",
-          grid="none")  # fmt: skip
+    labels = {"x": "x beside the reference pose [m]", "y": "y beside it [m]"}
+    frame(right, [corner, corner], [-corner, -corner], "(b) correlation with the map", **labels)
     colour_bar(image, right, "correlation rho of (6.35) [1]")
     right.legend(loc="lower left", fontsize=8, facecolor="#9AA3AB", framealpha=0.9)
     return figure
-
-
-def _frame(ax: Axes, low: FloatArray, high: FloatArray) -> None:
-    ax.set_xlim(low[0], high[0])
-    ax.set_ylim(low[1], high[1])
-    ax.set_aspect("equal", adjustable="box")

@@ -10,14 +10,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Patch, Polygon, Wedge
 from numpy.typing import ArrayLike
 
-from beamfield.figures.drawing import framed_map, mark_robot
+from beamfield.figures.drawing import frame, framed_map, mark_robot
 from beamfield.figures.world import FigureWorld
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.cone import ConeCaster
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.plot import draw_scan
 from beamfield.report.colours import QUIET
-from beamfield.report.drawing import new_figure, style
+from beamfield.report.drawing import new_figure
 from beamfield.sensors import RangeFinder
 from beamfield.simulation.log import drawn_readings
 from beamfield.simulation.sonar import heard_ranges, sonar_ring
@@ -61,11 +61,8 @@ def sonar_figure(world: FigureWorld) -> Figure:
     draw_scan(world.scan, pose, right, label="measured", color=SCAN_COLOUR, size=8.0, rays=True)
     for ax, title in ((left, f"(a) {N_SENSORS} sonars"), (right, f"(c) a scanner, {world.scan.finder.n_beams} beams")):
         mark_robot(pose, ax, size=0.28, color=ROBOT_COLOUR, label="robot")
-        ax.set_xlim(pose[0] - REACH, pose[0] + REACH)
-        ax.set_ylim(pose[1] - REACH, pose[1] + REACH)
-        ax.set_aspect("equal", adjustable="box")
+        frame(ax, pose[:2] - REACH, pose[:2] + REACH, title)
         ax.set_anchor("N")
-        style(ax, title=title, x="x [m]", y="y [m]", grid="none")
     handles = [Patch(facecolor=colour, alpha=0.6, label=label) for label, colour in KINDS]
     # Axes of equal scales move after the layout has made room, so the room for the legend is given.
     figure.set_layout_engine("constrained", rect=(0.0, 0.08, 1.0, 0.92))
@@ -155,9 +152,8 @@ def draw_misreading(ax: Axes) -> None:
     ax.add_patch(Polygon([low, low_end, high_end, high], facecolor="#D55E00", alpha=0.22, linewidth=0.0, zorder=2))
     away = np.array([1.0, 0.0]) - 2.0 * normal[0] * normal
     for start, end, colour in (((0.0, 0.0), hit, "#0072B2"), (hit, hit + 1.75 * away, "#D55E00")):
-        ax.annotate(
-            "", _xy(end), _xy(start), arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.6}, zorder=4
-        )
+        arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.6}
+        ax.annotate("", _xy(end), _xy(start), arrowprops=arrow, zorder=4)
     foot = hit + 1.25 * normal
     ax.plot(*np.column_stack([hit, foot]), "--", color=QUIET, linewidth=1.0, zorder=3)
     ax.text(*_xy(foot + 0.1 * normal), "normal", ha="center", va="bottom", fontsize=8.5, color=QUIET)
@@ -171,11 +167,8 @@ def draw_misreading(ax: Axes) -> None:
     ax.text(*_xy(hit + 1.55 * away - [0.12, 0.0]), "the echo\ngoes elsewhere", ha="right", va="center", fontsize=8.5,
             color="#B24700")  # fmt: skip
     mark_robot(np.zeros(3), ax, size=0.16, color=ROBOT_COLOUR, label="sonar")
-    ax.set_xlim(-0.4, 2.9)
-    ax.set_ylim(-1.3, 2.3)
-    ax.set_aspect("equal", adjustable="box")
+    frame(ax, [-0.4, -1.3], [2.9, 2.3], "(b) a misreading")
     ax.set_anchor("N")
-    style(ax, title="(b) a misreading", x="x [m]", y="y [m]", grid="none")
     ax.set_axis_off()
 
 

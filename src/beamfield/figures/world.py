@@ -160,15 +160,9 @@ def world_of_log(
     others = {name: other for name, other in log.sensors.items() if other is not shown and other.has_poses}
     name = next(name for name, other in log.sensors.items() if other is shown)
     scene = scene_of_scan(grid, shown.scan(chosen), shown.poses[chosen])
-    return FigureWorld(
-        Path(log.source).name,
-        grid,
-        {**others, name: shown},
-        chosen,
-        scene,
-        _open_scan(shown) if index is None else index,
-        tuple(more),
-    )
+    open_index = _open_scan(shown) if index is None else index
+    sensors = {**others, name: shown}
+    return FigureWorld(Path(log.source).name, grid, sensors, chosen, scene, open_index, tuple(more))
 
 
 def check_scan(log: SensorLog, index: int) -> None:

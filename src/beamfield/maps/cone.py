@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import check_fields, checked, keep
 from beamfield.geometry import FloatArray, as_poses, compose, transform_points
 from beamfield.kernels import cone as kernels
 from beamfield.kernels.threads import run_in_blocks
@@ -81,14 +81,11 @@ class ConeCaster:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        object.__setattr__(self, "_rays", RayCaster(self.grid, unknown=self.unknown))
         rows, cols = self.grid.shape
         bits = np.empty((rows, (cols + 31) // 32), np.uint32)
         bands = np.empty((-(-rows // kernels.BAND), bits.shape[1]), np.uint32)
         kernels.pack_rows(self.grid.occupied if self.unknown == "free" else ~self.grid.free, bits, bands)
-        bits.flags.writeable = bands.flags.writeable = False
-        object.__setattr__(self, "_bits", bits)
-        object.__setattr__(self, "_bands", bands)
+        keep(self, _rays=RayCaster(self.grid, unknown=self.unknown), _bits=bits, _bands=bands)
 
     @property
     def table_bytes(self) -> int:

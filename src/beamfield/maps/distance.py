@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.kernels.distance import MAX_SIDE_CELLS, fill_heights, fill_metres
 from beamfield.kernels.threads import run_in_blocks
@@ -73,8 +73,7 @@ def distance_to_obstacles(
         raise InvalidInputError(
             f"max_distance: expected a positive, finite number of metres or None, got {max_distance}"
         )
-    if margin_cells < 0:
-        raise InvalidInputError(f"margin_cells: expected a number >= 0, got {margin_cells}")
+    require(margin_cells >= 0, "margin_cells", "a number >= 0", margin_cells)
     shape = (grid.shape[0] + 2 * margin_cells, grid.shape[1] + 2 * margin_cells)
     if max(shape) > MAX_SIDE_CELLS or shape[0] * shape[1] > MAX_CELLS:
         raise InvalidInputError(
@@ -103,14 +102,9 @@ def _to_nearest(obstacles: BoolArray, resolution: float, limit: float) -> Distan
     heights = distance.view(np.int32)
     # One more, so that rounding leaves nothing beyond it that is less than the limit.
     reach = math.ceil(min(limit / resolution, rows + cols)) + 1
-    run_in_blocks(
-        lambda a, b: fill_heights(obstacles, a, b, heights), cols, work_per_row=rows / HEIGHTS_PER_UNIT_OF_WORK
-    )
-    run_in_blocks(
-        lambda a, b: fill_metres(reach, resolution, limit, distance[a:b]),
-        rows,
-        work_per_row=cols / DISTANCES_PER_UNIT_OF_WORK,
-    )
+    per_col, per_row = rows / HEIGHTS_PER_UNIT_OF_WORK, cols / DISTANCES_PER_UNIT_OF_WORK
+    run_in_blocks(lambda a, b: fill_heights(obstacles, a, b, heights), cols, work_per_row=per_col)
+    run_in_blocks(lambda a, b: fill_metres(reach, resolution, limit, distance[a:b]), rows, work_per_row=per_row)
     return distance
 
 
@@ -160,22 +154,15 @@ class DistanceField:
             )
         if not distance.min() >= 0.0:
             raise InvalidInputError(f"distance: expected metres >= 0, got {distance.min()}")
-        if not self.max_distance > 0.0:
-            raise InvalidInputError(f"max_distance: expected a positive number of metres, got {self.max_distance}")
-        distance = distance.view()
-        distance.flags.writeable = False
-        object.__setattr__(self, "distance", distance)
+        require(self.max_distance > 0.0, "max_distance", "a positive number of metres", self.max_distance)
+        keep(self, distance=distance.view())
 
     @classmethod
     @checked
     def from_grid(
-        cls,
-        grid: OccupancyGrid,
-        *,
-        max_distance: float | None = None,
-        only_boundaries: bool = False,
+        cls, grid: OccupancyGrid, *, max_distance: float | None = None, only_boundaries: bool = False,
         margin: float = 0.0,
-    ) -> DistanceField:
+    ) -> DistanceField:  # fmt: skip
         """Work out the field of a map.
 
         Parameters

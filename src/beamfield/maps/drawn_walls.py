@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -205,24 +206,17 @@ def _window_moments(counts: HitCounts, keys: NDArray[np.int64], inner: int, oute
     around = counts.moments + np.roll(counts.moments, 1, axis=1) + np.roll(counts.moments, -1, axis=1)
     row, col, sector = keys // N_SECTORS // cols, keys // N_SECTORS % cols, keys % N_SECTORS
     sums = np.zeros((len(keys), N_MOMENTS))
-    for dr in range(-outer, outer + 1):
-        for dc in range(-outer, outer + 1):
+    steps = range(-outer, outer + 1)
+    for dr, dc in product(steps, steps):
+        if max(abs(dr), abs(dc)) > inner:
             r, c = row + dr, col + dc
-            if max(abs(dr), abs(dc)) <= inner:
-                continue
             inside = np.flatnonzero((r >= 0) & (r < rows) & (c >= 0) & (c < cols))
             index = where[r[inside] * cols + c[inside]]
             hit = inside[index >= 0]
             n, x, y, xx, xy, yy = around[index[index >= 0], sector[hit]].T
-            moved = (
-                n,
-                x + dc * n,
-                y + dr * n,
-                xx + 2 * dc * x + dc * dc * n,
-                xy + dc * y + dr * x + dc * dr * n,
-                yy + 2 * dr * y + dr * dr * n,
-            )
-            sums[hit] += np.column_stack(moved)
+            first = n, x + dc * n, y + dr * n, xx + 2 * dc * x + dc * dc * n
+            second = xy + dc * y + dr * x + dc * dr * n, yy + 2 * dr * y + dr * dr * n
+            sums[hit] += np.column_stack([*first, *second])
     return sums
 
 
@@ -253,25 +247,13 @@ def _meet(lines: _Lines, noise: float, rays: _Rays, to_cell: FloatArray) -> tupl
     x, y = rays.x + length * rays.dx - lines.x, rays.y + length * rays.dy - lines.y
     reach = np.abs(y * lines.nx - x * lines.ny)
     behind = length - to_cell
-    good = (
-        lines.flat
-        & (lines.across <= UNUSUAL_NOISE * noise)
-        & steep
-        & (reach <= WIDEST_REACH * lines.along)
-        & (behind >= -AHEAD_CELLS)
-        & (behind <= max(BEHIND_CELLS, BEHIND_DEVIATIONS * noise))
-        & (length > 0.0)
-    )
+    good = lines.flat & (lines.across <= UNUSUAL_NOISE * noise) & steep & (reach <= WIDEST_REACH * lines.along)
+    good &= (behind >= -AHEAD_CELLS) & (behind <= max(BEHIND_CELLS, BEHIND_DEVIATIONS * noise)) & (length > 0.0)
     return np.where(good, length, to_cell), good
 
 
 def _profile(
-    hits: NDArray[np.float32],
-    passes: NDArray[np.float32],
-    rays: _Rays,
-    length: FloatArray,
-    first: float,
-    last: float,
+    hits: NDArray[np.float32], passes: NDArray[np.float32], rays: _Rays, length: FloatArray, first: float, last: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Look at cells along rays, from `first` to `last` cells before or behind a length.
 

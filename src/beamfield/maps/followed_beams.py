@@ -38,15 +38,8 @@ class FollowedBeams(NamedTuple):
     def rays(self) -> FloatArray:
         """Return x, y, cos and sin of every beam, shape (4, t, k)."""
         x, y, c, s = (self.starts[:, i, None] for i in range(4))
-        fan = self.fan
-        return np.stack(
-            [
-                x + c * fan[0] - s * fan[1],
-                y + s * fan[0] + c * fan[1],
-                c * fan[2] - s * fan[3],
-                s * fan[2] + c * fan[3],
-            ]
-        )
+        u, v, cos, sin = self.fan
+        return np.stack([x + c * u - s * v, y + s * u + c * v, c * cos - s * sin, s * cos + c * sin])
 
     def extent(self) -> tuple[FloatArray, FloatArray] | None:
         """Return lowest and highest (col, row) that the beams can touch, as whole floats; None if they touch none."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, require
 from beamfield.errors import InvalidInputError
 
 
@@ -61,19 +61,15 @@ class InverseSensorModel:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0.5 < self.hit < 1.0:
-            raise InvalidInputError(f"hit: expected a probability in (0.5, 1), got {self.hit}")
-        if not 0.0 < self.passed < 0.5:
-            raise InvalidInputError(f"passed: expected a probability in (0, 0.5), got {self.passed}")
+        require(0.5 < self.hit < 1.0, "hit", "a probability in (0.5, 1)", self.hit)
+        require(0.0 < self.passed < 0.5, "passed", "a probability in (0, 0.5)", self.passed)
         if not (0.0 < self.lowest <= self.passed and self.hit <= self.highest < 1.0):
             raise InvalidInputError(
                 "bounds: expected 0 < lowest <= passed and hit <= highest < 1, "
                 f"got lowest {self.lowest} and highest {self.highest}"
             )
-        if not 0.0 <= self.clear_without_return < np.inf:
-            raise InvalidInputError(
-                f"clear_without_return: expected 0 or a finite number of metres, got {self.clear_without_return}"
-            )
+        clear = self.clear_without_return
+        require(0.0 <= clear < np.inf, "clear_without_return", "0 or a finite number of metres", clear)
         if self.longest_hit is not None and not 0.0 < self.longest_hit < np.inf:
             raise InvalidInputError(f"longest_hit: expected metres > 0 or None, got {self.longest_hit}")
 

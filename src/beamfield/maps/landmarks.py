@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, keep, require
 from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -62,11 +62,10 @@ class LandmarkMap:
         positions = finite_copy(self.positions, "positions")
         if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
             raise InvalidInputError(f"positions: expected shape (n, 2) with n >= 1, got {positions.shape}")
-        object.__setattr__(self, "positions", positions)
-        object.__setattr__(self, "ids", as_map_ids(self.ids, len(positions)))
+        keep(self, positions=positions, ids=as_map_ids(self.ids, len(positions)))
         if self.signatures is not None:
-            object.__setattr__(self, "signatures", finite_copy(self.signatures, "signatures"))
-        object.__setattr__(self, "kind", self._checked_kind())
+            keep(self, signatures=finite_copy(self.signatures, "signatures"))
+        keep(self, kind=self._checked_kind())
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -92,12 +91,10 @@ class LandmarkMap:
 
     def _checked_kind(self) -> SignatureKind:
         if self.signatures is None:
-            if self.kind not in (None, "none"):
-                raise InvalidInputError(f"kind: expected 'none' without signatures, got {self.kind!r}")
+            require(self.kind in (None, "none"), "kind", "'none' without signatures", self.kind)
             return "none"
         shape, n = self.signatures.shape, len(self)
-        if len(shape) not in (1, 2) or shape[0] != n:
-            raise InvalidInputError(f"signatures: expected shape ({n},) or ({n}, d), got {shape}")
+        require(len(shape) in (1, 2) and shape[0] == n, "signatures", f"shape ({n},) or ({n}, d)", shape)
         possible = ("vector",) if len(shape) == 2 else ("number", "type")
         if self.kind is not None and self.kind not in possible:
             raise InvalidInputError(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
@@ -62,18 +62,15 @@ class LineMap:
         if given.ndim != 2 or given.shape[1] != 2 or not len(given):
             raise InvalidInputError(f"lines: expected shape (n, 2) with n >= 1, got {given.shape}")
         lines = normal_form(given)
-        lines.flags.writeable = False
-        object.__setattr__(self, "lines", lines)
-        object.__setattr__(self, "ids", as_map_ids(self.ids, len(lines)))
+        keep(self, lines=lines, ids=as_map_ids(self.ids, len(lines)))
         if self.segments is not None:
             segments = _checked_segments(self.segments)
-            if len(segments) != len(lines):
-                raise InvalidInputError(f"segments: expected shape ({len(lines)}, 4), got {segments.shape}")
+            require(len(segments) == len(lines), "segments", f"shape ({len(lines)}, 4)", segments.shape)
             off = np.abs(_across(lines, segments.reshape(-1, 2, 2)) - lines[:, :1]).max(axis=1)
             if (off > TOLERANCE).any():
                 i = int(off.argmax())
                 raise InvalidInputError(f"segments: expected end points on their line, got {off[i]:.3g} m at index {i}")
-            object.__setattr__(self, "segments", segments)
+            keep(self, segments=segments)
 
     @classmethod
     @checked

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter
 
-from beamfield.arguments import as_count, as_floats, checked
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.arguments import as_count, as_floats, checked, require
+from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert
 from beamfield.indices import as_indices
 from beamfield.maps.cone_mapping import build_cone_map
@@ -167,12 +168,8 @@ def local_map(
     if not np.isfinite(track[index]).all():
         raise TooLittleDataError(f"building a local map: scan {index} has no pose")
     part = np.arange(max(0, index - n + 1), index + 1)
-    return build_map(
-        log.select(part),
-        resolution=resolution,
-        poses=compose(invert(track[index]), track[part]),
-        inverse_model=CONFIDENT if inverse_model is None else inverse_model,
-    )
+    seen_from, model = compose(invert(track[index]), track[part]), CONFIDENT if inverse_model is None else inverse_model
+    return build_map(log.select(part), resolution=resolution, poses=seen_from, inverse_model=model)
 
 
 @checked
@@ -239,7 +236,7 @@ def share_of_hits_in_obstacles(
         If there is not one pose per scan.
     """
     radius = 1 if tolerance is None else int(np.ceil(tolerance / grid.resolution))
-    near = _dilated(grid.occupied, radius)
+    near = maximum_filter(grid.occupied, 2 * radius + 1, mode="constant") if radius else grid.occupied
     hits = inside = 0
     track = _poses_of(log, poses)
     for start in range(0, len(log), SCANS_PER_CHUNK):
@@ -252,19 +249,5 @@ def share_of_hits_in_obstacles(
 
 def _poses_of(log: SensorLog, poses: ArrayLike | None) -> FloatArray:
     track = log.poses if poses is None else as_floats(poses, "poses")
-    if track.shape != (len(log), 3):
-        raise InvalidInputError(f"poses: expected shape ({len(log)}, 3), one per scan, got {track.shape}")
+    require(track.shape == (len(log), 3), "poses", f"shape ({len(log)}, 3), one per scan", track.shape)
     return track
-
-
-def _dilated(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    """Return the mask grown by a square of `radius` cells to each side."""
-    grown = mask.copy()
-    for axis in (0, 1):
-        source = grown.copy()
-        for shift in range(1, radius + 1):
-            ahead, behind = [slice(None)] * 2, [slice(None)] * 2
-            ahead[axis], behind[axis] = slice(shift, None), slice(None, -shift)
-            grown[tuple(ahead)] |= source[tuple(behind)]
-            grown[tuple(behind)] |= source[tuple(ahead)]
-    return grown

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.short_repr import short_repr
@@ -49,16 +49,13 @@ class MarkerMap:
         check_fields(self)
         poses = np.array(as_poses(self.poses, "poses"))
         ids = as_ids(self.ids)
-        if poses.shape != (len(ids), 3):
-            raise InvalidInputError(f"poses: expected shape ({len(ids)}, 3) for {len(ids)} ids, got {poses.shape}")
+        require(poses.shape == (len(ids), 3), "poses", f"shape ({len(ids)}, 3) for {len(ids)} ids", poses.shape)
         rows: dict[MarkerId, int] = {}
         for row, name in enumerate(ids):
             if name in rows:
                 raise InvalidInputError(f"ids: expected each once, got {name!r} at {rows[name]} and at {row}")
             rows[name] = row
-        poses.flags.writeable = False
-        for attribute, value in (("ids", ids), ("poses", poses), ("_rows", rows)):
-            object.__setattr__(self, attribute, value)
+        keep(self, ids=ids, poses=poses, _rows=rows)
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, check_fields, check_magnitude, checked
+from beamfield.arguments import as_floats, check_fields, check_magnitude, checked, keep, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, invert, transform_points
+from beamfield.geometry import FloatArray, as_pose, invert, transform_points
 from beamfield.short_repr import short_repr
 
 BoolArray = NDArray[np.bool_]
@@ -80,14 +80,7 @@ class OccupancyGrid:
                 "thresholds: expected 0 <= free_thresh < occupied_thresh <= 1, "
                 f"got free_thresh {self.free_thresh} and occupied_thresh {self.occupied_thresh}"
             )
-        origin = np.array(as_poses(self.origin, "origin"))
-        if origin.shape != (3,):
-            raise InvalidInputError(f"origin: expected (x, y, yaw), got shape {origin.shape}")
-        probability.flags.writeable = False
-        origin.flags.writeable = False
-        object.__setattr__(self, "probability", probability)
-        object.__setattr__(self, "origin", origin)
-        object.__setattr__(self, "resolution", float(self.resolution))
+        keep(self, probability=probability, origin=as_pose(self.origin, "origin"), resolution=float(self.resolution))
 
     @classmethod
     @checked
@@ -116,13 +109,11 @@ class OccupancyGrid:
         [[0.0, nan, 1.0]]
         """
         values = np.asarray(data)
-        if values.dtype.kind not in "biuf":
-            raise InvalidInputError(f"data: expected numbers, got {values.dtype}")
+        require(values.dtype.kind in "biuf", "data", "numbers", values.dtype)
         if values.ndim == 2 and values.size and (values.min() < -1 or values.max() > 100):
             bad = values[(values < -1) | (values > 100)][0]
             raise InvalidInputError(f"data: expected -1 or 0 to 100, got {bad}")
-        if values.ndim != 2:
-            raise InvalidInputError(f"data: expected shape (rows, cols), got {values.shape}")
+        require(values.ndim == 2, "data", "shape (rows, cols)", values.shape)
         # Step by step, for maps whose copies would not fit into memory.
         probability = values.astype(np.float32)
         probability /= np.float32(100.0)

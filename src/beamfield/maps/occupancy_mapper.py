@@ -123,13 +123,11 @@ class OccupancyMapper:
                 return
             # A quarter more where it grows, so that a stream of scans is not copied each time.
             slack = np.array([cols, rows]) / 4.0
-            with_slack = (
-                np.where(low < self._first, low - slack, self._first),
-                np.where(high > last, high + slack, last),
-            )
+            from_slack = np.where(low < self._first, low - slack, self._first)
+            to_slack = np.where(high > last, high + slack, last)
             low, high = np.minimum(low, self._first), np.maximum(high, last)
-            if np.prod(with_slack[1] - with_slack[0] + 1) <= self.max_cells:
-                low, high = with_slack
+            if np.prod(to_slack - from_slack + 1) <= self.max_cells:
+                low, high = from_slack, to_slack
         size = np.floor(high) - np.floor(low) + 1
         check_size(size, self.resolution, self.max_cells)
         first = np.floor(low).astype(np.int64)

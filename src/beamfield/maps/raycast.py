@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import raycast as kernels
@@ -77,16 +77,14 @@ class RayCaster:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.unknown not in ("free", "occupied"):
-            raise InvalidInputError(f"unknown: expected 'free' or 'occupied', got {self.unknown!r}")
+        require(self.unknown in ("free", "occupied"), "unknown", "'free' or 'occupied'", self.unknown)
         rows, cols = self.grid.shape
         shape = (4, rows + 2, cols + 2)
         if np.prod(shape, dtype=np.float64) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"grid: expected fewer than 2^29 cells, got {rows} x {cols}")
         rectangles = np.empty(shape, np.uint16)
         kernels.free_rectangles(self.grid.occupied if self.unknown == "free" else ~self.grid.free, rectangles)
-        rectangles.flags.writeable = False
-        object.__setattr__(self, "_rectangles", rectangles)
+        keep(self, _rectangles=rectangles)
 
     @property
     def table_bytes(self) -> int:
@@ -120,8 +118,7 @@ class RayCaster:
         >>> RayCaster(grid).expected_ranges([0.25, 0.25, 0.0], finder).tolist()
         [1.25, 10.0]
         """
-        robots = as_poses(poses)
-        k = finder.n_beams
+        robots, k = as_poses(poses), finder.n_beams
         ranges: FloatArray = np.empty((*robots.shape[:-1], k))
         rows, results = pose_rows(robots), ranges.reshape(-1)
         frame, terrain = frame_of(self.grid), self._terrain(finder.max_range)
@@ -153,8 +150,7 @@ class RayCaster:
         InvalidInputError
             As for `expected_ranges`.
         """
-        robots = as_poses(poses)
-        k = finder.n_beams
+        robots, k = as_poses(poses), finder.n_beams
         cells = np.empty((*robots.shape[:-1], k, 2), np.int32)
         rows, results = pose_rows(robots), cells.reshape(-1, 2)
         frame, terrain = frame_of(self.grid), self._terrain(finder.max_range)
@@ -234,8 +230,7 @@ class RayCaster:
         self._rectangles.flags.writeable = False
 
     def _terrain(self, max_range: float) -> kernels.Terrain:
-        if not 0.0 < max_range < np.inf:
-            raise InvalidInputError(f"max_range: expected a positive finite number of metres, got {max_range}")
+        require(0.0 < max_range < np.inf, "max_range", "a positive finite number of metres", max_range)
         rows, cols = self.grid.shape
         resolution, longest = self.grid.resolution, float(max_range)
         return kernels.Terrain(self._rectangles.reshape(-1), rows, cols, resolution, longest, longest / resolution)

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import scan_field as kernels
@@ -128,14 +128,8 @@ class ScanField:
         >>> [c.name for c in map(Category, field.category([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]]))]
         ['FREE', 'HIT', 'UNSEEN']
         """
-        return cls.from_scans(
-            [scan],
-            np.asarray(pose, np.float64)[None],
-            z_hit=z_hit,
-            z_rand=z_rand,
-            sigma_hit=sigma_hit,
-            no_return=no_return,
-        )
+        where, options = np.asarray(pose, np.float64)[None], {"z_hit": z_hit, "z_rand": z_rand, "sigma_hit": sigma_hit}
+        return cls.from_scans([scan], where, no_return=no_return, **options)
 
     @classmethod
     @checked
@@ -162,18 +156,14 @@ class ScanField:
             As for `from_scan`, and if there is no scan or not one pose per scan.
         """
         _check_parameters(z_hit, z_rand, sigma_hit)
-        if no_return not in ("unseen", "free"):
-            raise InvalidInputError(f"no_return: expected 'unseen' or 'free', got {no_return!r}")
+        require(no_return in ("unseen", "free"), "no_return", "'unseen' or 'free'", no_return)
         where = as_poses(poses)
         if not scans or where.shape != (len(scans), 3):
             raise InvalidInputError(
                 f"poses: expected one per scan and at least one, got shape {where.shape} for {len(scans)} scans"
             )
-        fans = [
-            fan
-            for scan, pose in zip(scans, where, strict=True)
-            for fan in measured_fans(scan, pose, no_return == "free")
-        ]
+        free = no_return == "free"
+        fans = [fan for scan, pose in zip(scans, where, strict=True) for fan in measured_fans(scan, pose, free)]
         max_range = max(scan.finder.max_range for scan in scans)
         view = _index(fans, max(BUCKET, HIT_SIGMAS * sigma_hit), z_hit, z_rand, max_range)
         return cls(z_hit, z_rand, sigma_hit, max_range, view)
@@ -188,8 +178,8 @@ class ScanField:
         """Left, bottom, right and top of the measured surfaces, metres; NaN if there is none."""
         if not self.n_elements:
             return (np.nan, np.nan, np.nan, np.nan)
-        low, high = self.view.elements[:, :2].min(axis=0), self.view.elements[:, :2].max(axis=0)
-        return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+        (left, bottom), (right, top) = (end(self.view.elements[:, :2], axis=0).tolist() for end in (np.min, np.max))
+        return left, bottom, right, top
 
     def log_density(self, points: ArrayLike) -> FloatArray:
         """Return the logarithm of the field.
@@ -302,8 +292,7 @@ def _check_parameters(z_hit: float, z_rand: float, sigma_hit: float) -> None:
     """Refuse weights and sigmas that make no sense."""
     if not (z_hit > 0.0 and z_rand > 0.0 and abs(z_hit + z_rand - 1.0) <= 1e-9):
         raise InvalidInputError(f"z_hit, z_rand: expected positive weights with sum 1, got {z_hit} and {z_rand}")
-    if not 0.0 < sigma_hit < np.inf:
-        raise InvalidInputError(f"sigma_hit: expected a positive number of metres, got {sigma_hit}")
+    require(0.0 < sigma_hit < np.inf, "sigma_hit", "a positive number of metres", sigma_hit)
 
 
 def _index(fans: list[Fan], bucket: float, z_hit: float, z_rand: float, max_range: float) -> kernels.FieldView:

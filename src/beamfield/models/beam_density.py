@@ -15,13 +15,7 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.kernels.beam import (
-    BeamView,
-    fill_cdf,
-    fill_components,
-    fill_log_density,
-    fill_responsibilities,
-)
+from beamfield.kernels.beam import BeamView, fill_cdf, fill_components, fill_log_density, fill_responsibilities
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits, counted_from, expected_from
@@ -254,14 +248,9 @@ def read_only(values: FloatArray) -> FloatArray:
 
 
 def _fill(
-    fill: Fill,
-    ranges: ArrayLike,
-    expected_ranges: ArrayLike,
-    max_range: float,
-    parameters: BeamParameters,
-    min_range: float,
-    per_beam: tuple[int, ...],
-) -> FloatArray:
+    fill: Fill, ranges: ArrayLike, expected_ranges: ArrayLike, max_range: float, parameters: BeamParameters,
+    min_range: float, per_beam: tuple[int, ...],
+) -> FloatArray:  # fmt: skip
     """Run a kernel over all beams; `per_beam` is the shape of its result for one."""
     view = as_view(parameters, max_range, min_range)
     measured, expected = broadcast_beams(ranges, expected_ranges)

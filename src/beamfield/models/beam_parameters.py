@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from beamfield.arguments import LARGEST, check_fields, check_magnitude
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import LARGEST, check_fields, check_magnitude, require
 
 # Weights may miss the sum 1 by this much: they are read from files with a few digits.
 WEIGHT_SUM_TOLERANCE = 1e-6
@@ -62,21 +61,16 @@ class BeamParameters:
         check_fields(self)
         for item in fields(BeamParameters):
             value = float(getattr(self, item.name))
-            if not np.isfinite(value):
-                raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
+            require(np.isfinite(value), item.name, "a finite number", value)
             object.__setattr__(self, item.name, value)
         for name in ("z_hit", "z_short", "z_max", "z_rand"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InvalidInputError(f"{name}: expected a weight in [0, 1], got {getattr(self, name)}")
+            require(0.0 <= getattr(self, name) <= 1.0, name, "a weight in [0, 1]", getattr(self, name))
         total = self.z_hit + self.z_short + self.z_max + self.z_rand
-        if abs(total - 1.0) > WEIGHT_SUM_TOLERANCE:
-            raise InvalidInputError(f"z_hit + z_short + z_max + z_rand: expected 1, got {total:.9g}")
+        require(abs(total - 1.0) <= WEIGHT_SUM_TOLERANCE, "z_hit + z_short + z_max + z_rand", "1", round(total, 9))
         check_magnitude("sigma_hit", self.sigma_hit)
         for name in ("lambda_short", "sigma_slope"):
-            if not 0.0 <= getattr(self, name) <= LARGEST:
-                raise InvalidInputError(f"{name}: expected a number from 0 to {LARGEST:g}, got {getattr(self, name)}")
-        if abs(self.range_offset) > LARGEST:
-            raise InvalidInputError(f"range_offset: expected at most {LARGEST:g} m, got {self.range_offset}")
+            require(0.0 <= getattr(self, name) <= LARGEST, name, f"a number from 0 to {LARGEST:g}", getattr(self, name))
+        require(abs(self.range_offset) <= LARGEST, "range_offset", f"at most {LARGEST:g} m", self.range_offset)
 
     @property
     def weights(self) -> tuple[float, float, float, float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from beamfield.arguments import LARGEST
+from beamfield.arguments import LARGEST, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.sensors import SHORTEST_SPAN
@@ -29,10 +29,8 @@ def check_limits(max_range: float, min_range: float) -> None:
     InvalidInputError
         If one is.
     """
-    if not 0.0 < max_range <= LARGEST:
-        raise InvalidInputError(f"max_range: expected a positive number of metres up to {LARGEST:g}, got {max_range}")
-    if not 0.0 <= min_range < max_range:
-        raise InvalidInputError(f"min_range: expected metres in [0, max_range = {max_range}), got {min_range}")
+    require(0.0 < max_range <= LARGEST, "max_range", f"a positive number of metres up to {LARGEST:g}", max_range)
+    require(0.0 <= min_range < max_range, "min_range", f"metres in [0, max_range = {max_range})", min_range)
     if not max_range - min_range >= SHORTEST_SPAN:
         raise InvalidInputError(
             f"min_range: expected at least {SHORTEST_SPAN:g} m less than max_range = {max_range}, got {min_range}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.models.ceiling_camera import CeilingCamera
@@ -59,8 +59,7 @@ class CameraIntrinsics:
         matrix, distortion, size = (
             np.array(value, dtype=np.float64) for value in (self.matrix, self.distortion, self.image_size)
         )
-        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-            raise InvalidInputError(f"matrix: expected 3 x 3 finite numbers, got {matrix.tolist()}")
+        require(matrix.shape == (3, 3) and np.isfinite(matrix).all(), "matrix", "3 x 3 finite numbers", matrix.tolist())
         if matrix[0, 1] != 0.0 or matrix[1, 0] != 0.0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
             raise InvalidInputError(f"matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {matrix.tolist()}")
         if not (np.diag(matrix)[:2] > 0.0).all():
@@ -70,9 +69,7 @@ class CameraIntrinsics:
         if size.shape != (2,) or not ((size > 0.0) & np.isfinite(size)).all():
             raise InvalidInputError(f"image_size: expected two positive numbers of pixels, got {size.tolist()}")
         distortion = np.concatenate([distortion, np.zeros(5 - len(distortion))])
-        for name, value in (("matrix", matrix), ("distortion", distortion), ("image_size", size)):
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
+        keep(self, matrix=matrix, distortion=distortion, image_size=size)
 
     def ceiling_camera(self, height: float, mount: ArrayLike = (0.0, 0.0, 0.0)) -> CeilingCamera:
         """Return the pinhole camera under a ceiling `height` metres above the lens whose pixels are `ideal_pixels`.

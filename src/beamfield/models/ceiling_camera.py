@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import check_fields
-from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, between, compose, invert
+from beamfield.arguments import check_fields, keep, require
+from beamfield.geometry import FloatArray, as_pose, as_poses, between, compose, invert
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,19 +90,14 @@ class CeilingCamera:
         check_fields(self)
         for name, unit in (("focal_length", "pixels"), ("height", "metres")):
             value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise InvalidInputError(f"{name}: expected a positive, finite number of {unit}, got {value}")
-            object.__setattr__(self, name, float(value))
-        mount = np.array(as_poses(self.mount, "mount"))
-        if mount.shape != (3,):
-            raise InvalidInputError(f"mount: expected shape (3,), got {mount.shape}")
-        self._keep("mount", mount)
-        self._keep("principal_point", _pair(self.principal_point, "principal_point"))
+            require(0.0 < value < np.inf, name, f"a positive, finite number of {unit}", value)
+            keep(self, **{name: float(value)})
+        point = _pair(self.principal_point, "principal_point")
+        keep(self, mount=as_pose(self.mount, "mount"), principal_point=point)
         if self.image_size is not None:
             size = _pair(self.image_size, "image_size")
-            if not (size > 0.0).all():
-                raise InvalidInputError(f"image_size: expected positive numbers of pixels, got {size.tolist()}")
-            self._keep("image_size", size)
+            require((size > 0.0).all(), "image_size", "positive numbers of pixels", size.tolist())
+            keep(self, image_size=size)
 
     @property
     def scale(self) -> float:
@@ -241,13 +235,8 @@ class CeilingCamera:
         marker[..., :2] = (marker[..., :2] - self.principal_point) / self.scale
         return marker
 
-    def _keep(self, name: str, value: FloatArray) -> None:
-        value.flags.writeable = False
-        object.__setattr__(self, name, value)
-
 
 def _pair(value: ArrayLike, name: str) -> FloatArray:
     pair = np.array(value, dtype=np.float64)
-    if pair.shape != (2,) or not np.isfinite(pair).all():
-        raise InvalidInputError(f"{name}: expected two finite numbers of pixels, got {pair.tolist()}")
+    require(pair.shape == (2,) and np.isfinite(pair).all(), name, "two finite numbers of pixels", pair.tolist())
     return pair

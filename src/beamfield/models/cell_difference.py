@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from beamfield.arguments import check_fields, checked
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import checked, require
 from beamfield.geometry import FloatArray, as_poses
-from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
-from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, overlap_sums, value_table
-from beamfield.short_repr import short_repr
+from beamfield.models.local_map_cells import LocalMap, LocalMapModel, overlap_sums
 
 
-@dataclass(frozen=True, eq=False)
-class CellDifferenceModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class CellDifferenceModel(LocalMapModel):
     """log p(m_local | x, m) = -D / (2 sigma^2), D the sum of squared differences of the cells that both maps define.
 
     So that a pose does not gain by leaving the map, D is the mean over the common cells times the number of all defined
@@ -56,22 +51,11 @@ class CellDifferenceModel:
     [0.0, -0.5]
     """
 
-    is_normalized: ClassVar[bool] = False
-
-    grid: OccupancyGrid
     sigma: float = 1.0
-    min_overlap: float = field(default=0.2, kw_only=True)
-    inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
-    _table: NDArray[np.float32] = field(init=False, repr=False)
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        check_fields(self)
-        if not 0.0 < self.sigma < np.inf:
-            raise InvalidInputError(f"sigma: expected a positive, finite number, got {self.sigma}")
-        check_min_overlap(self.min_overlap)
-        object.__setattr__(self, "_table", value_table(self.grid))
+        super().__post_init__()
+        require(0.0 < self.sigma < np.inf, "sigma", "a positive, finite number", self.sigma)
 
     @checked
     def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
@@ -95,7 +79,7 @@ class CellDifferenceModel:
             If the poses are not finite (..., 3).
         """
         robots = as_poses(poses)
-        cells = local_cells(z, self.grid.resolution, self.inverse_model)
+        cells = self._cells(z)
         total = len(cells.x)
         sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3))
         # Rounding may leave less than 0.

@@ -6,61 +6,28 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from types import ModuleType
-from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Generic, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
-from beamfield.detections import SPURIOUS, UNKNOWN
+from beamfield.arguments import check_fields, checked, keep, require
+from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, compose, invert
+from beamfield.geometry import FloatArray, as_pose, as_poses, compose, invert
 from beamfield.kernels.correspondence import fill_sums
 from beamfield.kernels.threads import run_in_blocks
+from beamfield.maps.landmarks import LandmarkMap
+from beamfield.maps.lines import LineMap
 from beamfield.models.assignment import assign_exclusively
+from beamfield.models.line_detections import LineDetections
 
 Correspondence = Literal["known", "nearest", "sum", "assignment"]
 # Values per pose, feature and thing in memory at a time: 8 MB.
 VALUES_PER_CHUNK = 1_000_000
 
 
-class Features(Protocol):
-    """The features of one observation."""
-
-    @property
-    def ids(self) -> NDArray[np.int64] | None:
-        """(k,) id of what each is of, `SPURIOUS` or `UNKNOWN`; None if none is known."""
-        ...
-
-    def __len__(self) -> int: ...
-
-
-Z = TypeVar("Z", bound=Features)
-
-
-class FeatureMap(Protocol):
-    """A map of N things with ids."""
-
-    @property
-    def ids(self) -> NDArray[np.int64]:
-        """(N,) ids, each once."""
-        ...
-
-    def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
-        """Return where in the map the thing with each id is.
-
-        Parameters
-        ----------
-        ids
-            (k,) ids of the map.
-
-        Returns
-        -------
-        (k,) indices in [0, N).
-        """
-        ...
-
-    def __len__(self) -> int: ...
+Z = TypeVar("Z", bound=Detections | LineDetections)
 
 
 class Given(NamedTuple):
@@ -136,15 +103,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.correspondence not in ("known", "nearest", "sum", "assignment"):
-            raise InvalidInputError(
-                f"correspondence: expected 'known', 'nearest', 'sum' or 'assignment', got {self.correspondence!r}"
-            )
-        mount = np.array(as_poses(self.mount, "mount"))
-        if mount.shape != (3,):
-            raise InvalidInputError(f"mount: expected shape (3,), got {mount.shape}")
-        mount.flags.writeable = False
-        object.__setattr__(self, "mount", mount)
+        named = self.correspondence in get_args(Correspondence)
+        require(named, "correspondence", "'known', 'nearest', 'sum' or 'assignment'", self.correspondence)
+        keep(self, mount=as_pose(self.mount, "mount"))
 
     @checked
     def log_likelihood(self, z: Z, poses: ArrayLike) -> FloatArray:
@@ -222,7 +183,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     @property
     @abstractmethod
-    def _things(self) -> FeatureMap:
+    def _things(self) -> LandmarkMap | LineMap:
         """The map."""
 
     @property
@@ -277,11 +238,11 @@ class CorrespondenceModel(ABC, Generic[Z]):
         base = tables.base[given.known, given.which] if tables.base.ndim == 2 else tables.base[given.known]
         out = np.empty((len(flat), len(features) if each else 1))
         first, mount = 0 if each else -1, self._mount_in_sensor_axes()
-        run_in_blocks(
-            lambda a, b: self._kernels.fill_known(flat[a:b], mount, features, things, base, first, out[a:b]),
-            len(flat),
-            work_per_row=1 + len(features) // 2,
-        )
+
+        def work(a: int, b: int) -> None:
+            self._kernels.fill_known(flat[a:b], mount, features, things, base, first, out[a:b])
+
+        run_in_blocks(work, len(flat), work_per_row=1 + len(features) // 2)
         return out
 
     def _unknown(self, z: Z, given: Given, tables: Tables, flat: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -334,8 +295,8 @@ class CorrespondenceModel(ABC, Generic[Z]):
 
     def _mount_in_sensor_axes(self) -> FloatArray:
         turn = np.array([0.0, 0.0, self.mount[2]])
-        offset = compose(invert(turn), np.array([self.mount[0], self.mount[1], 0.0]))
-        return np.array([offset[0], offset[1], self.mount[2]])
+        x, y, _ = compose(invert(turn), np.array([self.mount[0], self.mount[1], 0.0]))
+        return np.array([x, y, self.mount[2]])
 
 
 def _log(probability: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from beamfield.arguments import check_fields, check_magnitude
+from beamfield.arguments import check_fields, check_magnitude, require
 from beamfield.errors import InvalidInputError
 from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, BeamParameters
 
@@ -51,12 +51,10 @@ class LikelihoodFieldParameters:
         check_fields(self)
         for item in fields(LikelihoodFieldParameters):
             value = float(getattr(self, item.name))
-            if not np.isfinite(value):
-                raise InvalidInputError(f"{item.name}: expected a finite number, got {value}")
+            require(np.isfinite(value), item.name, "a finite number", value)
             object.__setattr__(self, item.name, value)
         for name in ("z_hit", "z_rand"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InvalidInputError(f"{name}: expected a weight in [0, 1], got {getattr(self, name)}")
+            require(0.0 <= getattr(self, name) <= 1.0, name, "a weight in [0, 1]", getattr(self, name))
         if not 0.0 < self.z_hit + self.z_rand <= 1.0 + WEIGHT_SUM_TOLERANCE:
             raise InvalidInputError(
                 f"z_hit + z_rand: expected more than 0 and at most 1, got {self.z_hit + self.z_rand:.9g}"

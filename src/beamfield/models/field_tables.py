@@ -47,11 +47,7 @@ class FieldTables:
     """
 
     def __init__(
-        self,
-        distances: DistanceField,
-        parameters: LikelihoodFieldParameters,
-        *,
-        unknown_is_uniform: bool,
+        self, distances: DistanceField, parameters: LikelihoodFieldParameters, *, unknown_is_uniform: bool
     ) -> None:
         self._distances, self._parameters = distances, parameters
         self.uniform: NDArray[np.bool_] = np.empty((0, 0), np.bool_)
@@ -162,11 +158,11 @@ class FieldTables:
         off = log_uniform if uniform.size else kernels.log_value(self._distances.max_distance, view)
         codes = np.full((rows + 2, cols + 2), kernels.encode(off, low, step), np.int32)
         inner = codes[1:-1, 1:-1]
-        run_in_blocks(
-            lambda a, b: kernels.fill_codes(distance[a:b], resolution, view, low, step, inner[a:b]),
-            rows,
-            work_per_row=cols,
-        )
+
+        def work(a: int, b: int) -> None:
+            kernels.fill_codes(distance[a:b], resolution, view, low, step, inner[a:b])
+
+        run_in_blocks(work, rows, work_per_row=cols)
         if uniform.size:
             inner[uniform] = kernels.encode(log_uniform, low, step)
         packed = np.array([*self.framed, low, step])

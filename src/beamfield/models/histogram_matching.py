@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import checked
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.correlation import fill_histogram_overlap
 from beamfield.kernels.threads import run_in_blocks
-from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
-from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.local_map_cells import LocalMap, check_min_overlap, local_cells, poses_in_cells
-from beamfield.short_repr import short_repr
+from beamfield.models.local_map_cells import LocalMap, LocalMapModel, poses_in_cells
 
 
-@dataclass(frozen=True, eq=False)
-class HistogramMatchingModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class HistogramMatchingModel(LocalMapModel):
     """p(m_local | x, m) = share that histograms of the two maps have in common, over columns and over rows.
 
     A histogram counts the free and the occupied cells of every column (row) of the map, among the cells that both maps
@@ -59,23 +56,11 @@ class HistogramMatchingModel:
     [1.0, 0.67]
     """
 
-    is_normalized: ClassVar[bool] = False
-
-    grid: OccupancyGrid
-    min_overlap: float = field(default=0.2, kw_only=True)
-    inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
-    _table: NDArray[np.uint8] = field(init=False, repr=False)
-
-    __repr__ = short_repr
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_min_overlap(self.min_overlap)
+    def _make_table(self) -> NDArray[Any]:
         table = np.full((self.grid.shape[0] + 2, self.grid.shape[1] + 2), 2, np.uint8)
         table[1:-1, 1:-1][self.grid.probability < 0.5] = 0
         table[1:-1, 1:-1][self.grid.probability > 0.5] = 1
-        table.flags.writeable = False
-        object.__setattr__(self, "_table", table.reshape(-1))
+        return table.reshape(-1)
 
     @checked
     def log_likelihood(self, z: LocalMap, poses: ArrayLike) -> FloatArray:
@@ -99,7 +84,7 @@ class HistogramMatchingModel:
             If the poses are not finite (..., 3).
         """
         robots = as_poses(poses)
-        cells = local_cells(z, self.grid.resolution, self.inverse_model)
+        cells = self._cells(z)
         decided = cells.probability != 0.5
         x, y, occupied = cells.x[decided], cells.y[decided], (cells.probability[decided] > 0.5).astype(np.uint8)
         total = len(x)
@@ -107,11 +92,9 @@ class HistogramMatchingModel:
             return np.zeros(robots.shape[:-1])
         starts = poses_in_cells(self.grid, robots.reshape(-1, 3))
         reach = int(np.ceil(np.hypot(x, y).max()))
-        counts = np.empty((len(starts), 2))
+        table, shape, counts = self._table, self.grid.shape, np.empty((len(starts), 2))
         run_in_blocks(
-            lambda a, b: fill_histogram_overlap(
-                starts[a:b], x, y, occupied, self._table, *self.grid.shape, reach, counts[a:b]
-            ),
+            lambda a, b: fill_histogram_overlap(starts[a:b], x, y, occupied, table, *shape, reach, counts[a:b]),
             len(starts),
             work_per_row=total,
         )

@@ -125,13 +125,8 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         ranges = np.hypot(away[..., 0], away[..., 1])
         bearings = np.arctan2(away[..., 1], away[..., 0]) - sensor[..., 2]
         bearings = np.where(ranges == 0.0, 0.0, bearings)
-        return np.stack(
-            [
-                self.parameters.range_scale * ranges + self.parameters.range_bias,
-                wrap_angle(bearings + self.parameters.bearing_bias),
-            ],
-            axis=-1,
-        )
+        p = self.parameters
+        return np.stack([p.range_scale * ranges + p.range_bias, wrap_angle(bearings + p.bearing_bias)], axis=-1)
 
     @checked
     def sample(
@@ -190,15 +185,9 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         sigma_range = _needed(p.sigma_range, has_range, "sigma_range")
         sigma_bearing = _needed(p.sigma_bearing, has_bearing, "sigma_bearing")
         phi = np.where(has_bearing, z.bearings - p.bearing_bias, 0.0) + 0.0
-        features = np.column_stack(
-            [
-                np.where(has_range, (z.ranges - p.range_bias) / p.range_scale, 0.0),
-                np.cos(phi),
-                np.sin(phi),
-                has_range * p.range_scale / sigma_range,
-                has_bearing / sigma_bearing,
-            ]
-        )
+        distance = np.where(has_range, (z.ranges - p.range_bias) / p.range_scale, 0.0)
+        precisions = has_range * p.range_scale / sigma_range, has_bearing / sigma_bearing
+        features = np.column_stack([distance, np.cos(phi), np.sin(phi), *precisions])
         signature = signature_log_density(z.signatures, n, self.landmarks, p)
         constant = has_range * (-math.log(sigma_range) - 0.5 * LOG_2PI)
         constant -= has_bearing * (math.log(sigma_bearing) + 0.5 * LOG_2PI + log_share_on_circle(sigma_bearing))

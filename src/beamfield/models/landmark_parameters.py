@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.arguments import LARGEST, check_fields, check_magnitude
+from beamfield.arguments import LARGEST, check_fields, check_magnitude, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.short_repr import short_repr
@@ -76,22 +76,19 @@ class LandmarkParameters:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("sigma_range", "sigma_bearing", "sigma_signature", "max_range", "range_scale"):
-            value = getattr(self, name)
-            if value is None and name != "range_scale":
-                continue
-            check_magnitude(name, value)
+        for name in ("sigma_range", "sigma_bearing", "sigma_signature", "max_range"):
+            if getattr(self, name) is not None:
+                check_magnitude(name, getattr(self, name))
+        check_magnitude("range_scale", self.range_scale)
         for name in ("range_bias", "bearing_bias"):
-            if not abs(getattr(self, name)) <= LARGEST:
-                raise InvalidInputError(f"{name}: expected at most {LARGEST:g}, got {getattr(self, name)}")
-        if not 0.0 <= self.spurious_rate < 1.0:
-            raise InvalidInputError(f"spurious_rate: expected a probability in [0, 1), got {self.spurious_rate}")
+            require(abs(getattr(self, name)) <= LARGEST, name, f"at most {LARGEST:g}", getattr(self, name))
+        require(0.0 <= self.spurious_rate < 1.0, "spurious_rate", "a probability in [0, 1)", self.spurious_rate)
         if self.spurious_rate > 0.0 and self.max_range is None and self.sigma_range is not None:
             raise InvalidInputError("max_range: expected a limit where spurious_rate > 0, got None")
         if self.signature_covariance is not None:
-            object.__setattr__(self, "signature_covariance", _checked_covariance(self.signature_covariance))
+            keep(self, signature_covariance=_checked_covariance(self.signature_covariance))
         if self.confusion is not None:
-            object.__setattr__(self, "confusion", _checked_confusion(self.confusion))
+            keep(self, confusion=_checked_confusion(self.confusion))
 
 
 def _checked_covariance(values: Any) -> FloatArray:
@@ -131,5 +128,4 @@ def _square(values: Any, name: str) -> FloatArray:
         raise InvalidInputError(f"{name}: expected a square matrix, got shape {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise InvalidInputError(f"{name}: expected finite numbers, got {matrix[~np.isfinite(matrix)][0]}")
-    matrix.flags.writeable = False
     return matrix

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-from beamfield.arguments import LARGEST, as_count, checked
+from beamfield.arguments import LARGEST, as_count, checked, require
 from beamfield.detections import SPURIOUS, Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert, wrap_angle
@@ -127,8 +127,7 @@ def sample_poses(
     >>> float(np.hypot(poses[:, 0] - 2.0, poses[:, 1]).mean().round(1))
     5.0
     """
-    if method not in ("exact", "table"):
-        raise InvalidInputError(f"method: expected 'exact' or 'table', got {method!r}")
+    require(method in ("exact", "table"), "method", "'exact' or 'table'", method)
     n = as_count(n, "n", least=1, most=MOST_POSES)
     proposals = _proposals(model, detections)
     if method == "table" and (len(detections) > 1 or np.isnan(detections.ranges).any()):
@@ -245,13 +244,9 @@ def _distance(measured: float, p: LandmarkParameters) -> tuple[float, float]:
 
 
 def _draw_free(
-    model: LandmarkModel,
-    proposals: list[_Proposal],
-    n: int,
-    rng: np.random.Generator,
-    exact: bool,
+    model: LandmarkModel, proposals: list[_Proposal], n: int, rng: np.random.Generator, exact: bool,
     grid: OccupancyGrid | None,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     parts: list[FloatArray] = []
     found = drawn = 0
     while found < n:
@@ -300,12 +295,8 @@ def _draw(
 def _log_likelihoods(model: LandmarkModel, detections: Detections, poses: FloatArray) -> FloatArray:
     """Return log p of each feature given each pose, (n, k), as the proposals have it."""
     p = model.parameters
-    without_spurious = LandmarkModel(
-        model.landmarks,
-        replace(p, spurious_rate=0.0),
-        correspondence="sum",
-        mount=model.mount,
-    )
+    p = replace(p, spurious_rate=0.0)
+    without_spurious = LandmarkModel(model.landmarks, p, correspondence="sum", mount=model.mount)
     each = without_spurious.detection_log_likelihood(detections, poses)
     no_range = np.isnan(detections.ranges)
     if no_range.any():

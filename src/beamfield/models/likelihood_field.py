@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses
 from beamfield.kernels import field as kernels
@@ -157,17 +157,14 @@ class LikelihoodFieldModel:
     ) -> None:
         check_fields(self)
         self._complete()
-        if not 0.0 < self.exponent < np.inf:
-            raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
-        if self.n_beams is not None and self.n_beams < 1:
-            raise InvalidInputError(f"n_beams: expected at least 1 or None, got {self.n_beams}")
+        require(0.0 < self.exponent < np.inf, "exponent", "a positive, finite number", self.exponent)
+        require(self.n_beams is None or self.n_beams >= 1, "n_beams", "at least 1 or None", self.n_beams)
         for name, known in (("unknown", ("free", "uniform")), ("interpolation", ("nearest", "bilinear"))):
             if getattr(self, name) not in known:
                 raise InvalidInputError(f"{name}: expected {known[0]!r} or {known[1]!r}, got {getattr(self, name)!r}")
         if self.distances is None:
-            object.__setattr__(
-                self, "distances", _distances_for(self.grid, self.parameters, max_distance, only_boundaries, off_map)
-            )
+            made = _distances_for(self.grid, self.parameters, max_distance, only_boundaries, off_map)
+            keep(self, distances=made)
         elif self.distances.grid is not self.grid:
             raise InvalidInputError("distances: expected distances of the model's map, got those of another map")
         rows, cols = self.distances.distance.shape
@@ -180,10 +177,8 @@ class LikelihoodFieldModel:
         learned: dict[str, Any] = {"exponent": 1.0}
         if isinstance(self.parameters, SavedLikelihoodField):
             learned = {"exponent": self.parameters.exponent, "n_beams": self.parameters.n_beams}
-            object.__setattr__(self, "parameters", self.parameters.parameters)
-        for name, value in learned.items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, value)
+            keep(self, parameters=self.parameters.parameters)
+        keep(self, **{name: value for name, value in learned.items() if getattr(self, name) is None})
 
     @classmethod
     @checked
@@ -334,8 +329,7 @@ class LikelihoodFieldModel:
         n
             Number of ranges, the midpoints of equal pieces of [0, max_range].
         """
-        if n < 1:
-            raise InvalidInputError(f"n: expected at least 1, got {n}")
+        require(n >= 1, "n", "at least 1", n)
         spacing = finder.max_range / n
         ranges = np.asarray((np.arange(n) + 0.5) * spacing, dtype=np.float64)
         mount = finder.mounts[beam]
@@ -380,19 +374,11 @@ class LikelihoodFieldModel:
         flat = np.ascontiguousarray(robot.reshape(-1, 3))
         out, all_finite = np.empty(len(flat)), []
         ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
+        sensor = finder.mounts, finder.min_range, finder.max_range
 
         def work(a: int, b: int) -> None:
-            finite = kernels.fill_range_sums(
-                flat[a:b],
-                table.packed,
-                ranges,
-                finder.mounts,
-                finder.min_range,
-                finder.max_range,
-                table.codes,
-                out[a:b],
-            )
-            all_finite.append(finite)
+            rows, sums = flat[a:b], out[a:b]
+            all_finite.append(kernels.fill_range_sums(rows, table.packed, ranges, *sensor, table.codes, sums))
 
         run_in_blocks(work, len(flat), work_per_row=finder.n_beams / LOOK_UPS_PER_WORK_UNIT["nearest"])
         if not all(all_finite):
@@ -436,23 +422,19 @@ class LikelihoodFieldModel:
     def _run(self, work: Fill, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
         # One layout of memory, for which alone the kernels are compiled.
         flat = np.ascontiguousarray(robot.reshape(-1, 3))
-        run_in_blocks(
-            lambda a, b: work(flat[a:b], out[a:b]),
-            len(flat),
-            work_per_row=n_ends / LOOK_UPS_PER_WORK_UNIT[self.interpolation],
-        )
+        work_per_row = n_ends / LOOK_UPS_PER_WORK_UNIT[self.interpolation]
+        run_in_blocks(lambda a, b: work(flat[a:b], out[a:b]), len(flat), work_per_row=work_per_row)
 
     def _make_tables(self) -> None:
-        tables = FieldTables(self.distances, self.parameters, unknown_is_uniform=self.unknown == "uniform")
-        object.__setattr__(self, "_tables", tables)
+        uniform = self.unknown == "uniform"
+        keep(self, _tables=FieldTables(self.distances, self.parameters, unknown_is_uniform=uniform))
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the tables: they are quick to make again."""
         return {name: value for name, value in self.__dict__.items() if name != "_tables"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(state)
         self._make_tables()
 
 
@@ -467,19 +449,15 @@ def _add_up(fill: Fill, n_ends: int, flat: FloatArray, out: FloatArray) -> None:
 
 @checked
 def _distances_for(
-    grid: OccupancyGrid,
-    parameters: LikelihoodFieldParameters,
-    max_distance: float | None,
-    only_boundaries: bool,
+    grid: OccupancyGrid, parameters: LikelihoodFieldParameters, max_distance: float | None, only_boundaries: bool,
     off_map: str,
-) -> DistanceField:
+) -> DistanceField:  # fmt: skip
     """Return the distances over a map and, if continued, as far past its edges as a hit reaches."""
     if max_distance is not None and 0.0 < max_distance < grid.resolution:
         raise InvalidInputError(
             f"max_distance: expected at least one cell, {grid.resolution:g} m, or None, got {max_distance}"
         )
-    if off_map not in ("continued", "far"):
-        raise InvalidInputError(f"off_map: expected 'continued' or 'far', got {off_map!r}")
+    require(off_map in ("continued", "far"), "off_map", "'continued' or 'far'", off_map)
     margin = 0.0
     if off_map == "continued":
         margin = parameters.sigma_hit * (HIT_SIGMAS if parameters.z_rand > 0.0 else HIT_SIGMAS_WITHOUT_RAND)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from beamfield.arguments import LARGEST, as_generator, check_fields, checked
+from beamfield.arguments import LARGEST, as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.kernels import line as kernels
@@ -56,12 +56,10 @@ class LineParameters:
     def __post_init__(self) -> None:
         check_fields(self)
         for name in ("sigma_rho", "sigma_alpha"):
-            if not 0.0 <= getattr(self, name) <= LARGEST:
-                raise InvalidInputError(f"{name}: expected a number from 0 to {LARGEST:g}, got {getattr(self, name)}")
+            require(0.0 <= getattr(self, name) <= LARGEST, name, f"a number from 0 to {LARGEST:g}", getattr(self, name))
         if self.max_range is not None and not 0.0 < self.max_range < np.inf:
             raise InvalidInputError(f"max_range: expected a positive, finite number, got {self.max_range}")
-        if not 0.0 <= self.spurious_rate < 1.0:
-            raise InvalidInputError(f"spurious_rate: expected a probability in [0, 1), got {self.spurious_rate}")
+        require(0.0 <= self.spurious_rate < 1.0, "spurious_rate", "a probability in [0, 1)", self.spurious_rate)
         if self.spurious_rate > 0.0 and self.max_range is None:
             raise InvalidInputError("max_range: expected a limit where spurious_rate > 0, got None")
 
@@ -138,8 +136,7 @@ class LineModel(CorrespondenceModel[LineDetections]):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.min_overlap is not None:
-            if not 0.0 <= self.min_overlap <= 1.0:
-                raise InvalidInputError(f"min_overlap: expected a share in [0, 1], got {self.min_overlap}")
+            require(0.0 <= self.min_overlap <= 1.0, "min_overlap", "a share in [0, 1]", self.min_overlap)
             if self.lines.segments is None:
                 raise InvalidInputError("min_overlap: expected a map with end points, got one without")
 
@@ -233,19 +230,14 @@ class LineModel(CorrespondenceModel[LineDetections]):
             raise InvalidInputError("segments: min_overlap needs end points of every line, got none")
         covariances = self._total_covariances(z.covariances, n)
         determinant = covariances[:, 0, 0] * covariances[:, 1, 1] - covariances[:, 0, 1] ** 2
-        features = np.column_stack(
-            [
-                z.lines,
-                covariances[:, 1, 1] / determinant,
-                -2.0 * covariances[:, 0, 1] / determinant,
-                covariances[:, 0, 0] / determinant,
-            ]
-        )
+        quadratic = covariances[:, 1, 1], -2.0 * covariances[:, 0, 1], covariances[:, 0, 0]
+        features = np.column_stack([z.lines, *(entry / determinant for entry in quadratic)])
         # The share of the noise of alpha that lies in (-pi, pi].
         share = erf(np.pi / np.sqrt(2.0 * covariances[:, 1, 1]))
         base = -0.5 * np.log(determinant) - LOG_2PI - np.log(share)
         log_spurious = self._log_spurious(z, given) if self._may_be_spurious(given) else np.full(n, -np.inf)
-        return Tables(self._line_table(), features, base, log_spurious)
+        rho, alpha = self.lines.lines.T
+        return Tables(np.column_stack([np.cos(alpha), np.sin(alpha), rho, alpha]), features, base, log_spurious)
 
     def _exclude(
         self, z: LineDetections, given: Given, flat: FloatArray, mount: FloatArray, things: FloatArray, each: FloatArray
@@ -274,8 +266,3 @@ class LineModel(CorrespondenceModel[LineDetections]):
                 raise InvalidInputError("max_range: a spurious line needs max_range, got None")
             return np.zeros(len(z))
         return np.where(z.lines[:, 0] > limit, -np.inf, -LOG_2PI - math.log(limit))
-
-    def _line_table(self) -> FloatArray:
-        """Return (N, 4) as the kernels take mapped lines."""
-        rho, alpha = self.lines.lines.T
-        return np.column_stack([np.cos(alpha), np.sin(alpha), rho, alpha])

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, keep, require
 from beamfield.detections import UNKNOWN, as_ids, finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -89,25 +89,23 @@ class LineDetections:
         given = finite_copy(self.lines, "lines")
         if given.size == 0:
             given = given.reshape(0, 2)
-        if given.ndim != 2 or given.shape[1] != 2:
-            raise InvalidInputError(f"lines: expected shape (k, 2), got {given.shape}")
+        require(given.ndim == 2 and given.shape[1] == 2, "lines", "shape (k, 2)", given.shape)
         k = len(given)
-        object.__setattr__(self, "lines", _read_only(normal_form(given)))
+        keep(self, lines=normal_form(given))
         if self.covariances is not None:
             covariances = _checked_covariances(self.covariances, k)
             turned = given[:, 0] < 0.0
             covariances[turned, 0, 1] *= -1.0
             covariances[turned, 1, 0] *= -1.0
-            object.__setattr__(self, "covariances", _read_only(covariances))
+            keep(self, covariances=covariances)
         if self.segments is not None:
             segments = finite_copy(self.segments, "segments")
             if segments.size == 0:
                 segments = segments.reshape(0, 4)
-            if segments.shape != (k, 4):
-                raise InvalidInputError(f"segments: expected shape ({k}, 4), got {segments.shape}")
-            object.__setattr__(self, "segments", segments)
+            require(segments.shape == (k, 4), "segments", f"shape ({k}, 4)", segments.shape)
+            keep(self, segments=segments)
         if self.ids is not None:
-            object.__setattr__(self, "ids", as_ids(self.ids, k, UNKNOWN))
+            keep(self, ids=as_ids(self.ids, k, UNKNOWN))
 
     @classmethod
     def from_lines(
@@ -176,8 +174,7 @@ class LineDetections:
 
 def _checked_covariances(values: ArrayLike, k: int) -> FloatArray:
     given = finite_copy(values, "covariances")
-    if given.shape not in ((2, 2), (k, 2, 2)):
-        raise InvalidInputError(f"covariances: expected shape ({k}, 2, 2) or (2, 2), got {given.shape}")
+    require(given.shape in ((2, 2), (k, 2, 2)), "covariances", f"shape ({k}, 2, 2) or (2, 2)", given.shape)
     covariances: FloatArray = np.array(np.broadcast_to(given, (k, 2, 2)))
     for i, each in enumerate(covariances):
         scale = float(np.sqrt(max(each[0, 0], 0.0) * max(each[1, 1], 0.0)))
@@ -189,8 +186,3 @@ def _checked_covariances(values: ArrayLike, k: int) -> FloatArray:
                 f"covariances: expected symmetric, positive definite matrices, got {each.tolist()} at index {i}"
             )
     return covariances
-
-
-def _read_only(array: FloatArray) -> FloatArray:
-    array.flags.writeable = False
-    return array

@@ -2,21 +2,65 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import check_fields, keep, require
 from beamfield.geometry import FloatArray
 from beamfield.kernels import correlation as kernels
 from beamfield.kernels.threads import run_in_blocks
-from beamfield.maps.mapping import InverseSensorModel, scan_map
+from beamfield.maps.mapping import CONFIDENT, InverseSensorModel, scan_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from beamfield.short_repr import short_repr
 
 # What these models take as a measurement: a scan, or a local map in the robot's frame.
 LocalMap = Scan | OccupancyGrid
+
+
+@dataclass(frozen=True, eq=False)
+class LocalMapModel:
+    """A model of a local map by those of its cells that lie on defined cells of the global map.
+
+    Parameters
+    ----------
+    grid
+        The global map.
+    min_overlap
+        Least share of the local map's defined cells that must lie on defined cells of the map.
+    inverse_model
+        How a scan becomes a local map; by default confident (0.97 and 0.03).
+
+    Raises
+    ------
+    InvalidInputError
+        If min_overlap is not in (0, 1].
+    """
+
+    is_normalized: ClassVar[bool] = False
+
+    grid: OccupancyGrid
+    min_overlap: float = field(default=0.2, kw_only=True)
+    inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
+    _table: NDArray[Any] = field(init=False, repr=False)
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(0.0 < self.min_overlap <= 1.0, "min_overlap", "a share in (0, 1]", self.min_overlap)
+        keep(self, _table=self._make_table())
+
+    def _make_table(self) -> NDArray[Any]:
+        """Return the map's cells as the kernels take them."""
+        return value_table(self.grid)
+
+    def _cells(self, z: LocalMap) -> LocalCells:
+        """Return the defined cells of a measurement."""
+        return local_cells(z, self.grid.resolution, self.inverse_model)
 
 
 class LocalCells(NamedTuple):
@@ -78,12 +122,11 @@ def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
 
     Returns
     -------
-    ((rows + 2) * (cols + 2),) read-only; `kernels.correlation.UNDEFINED` where the map has no probability.
+    ((rows + 2) * (cols + 2),) `kernels.correlation.UNDEFINED` where the map has no probability.
     """
     values = np.full((grid.shape[0] + 2, grid.shape[1] + 2), kernels.UNDEFINED, np.float32)
     defined = ~np.isnan(grid.probability)
     values[1:-1, 1:-1][defined] = grid.probability[defined] - np.float32(0.5)
-    values.flags.writeable = False
     return values.reshape(-1)
 
 
@@ -132,20 +175,3 @@ def overlap_sums(grid: OccupancyGrid, table: NDArray[np.float32], cells: LocalCe
         work_per_row=len(cells.x),
     )
     return OverlapSums(*sums.T)
-
-
-def check_min_overlap(min_overlap: float) -> None:
-    """Refuse a least share of common cells that is none.
-
-    Parameters
-    ----------
-    min_overlap
-        A share.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is not in (0, 1].
-    """
-    if not 0.0 < min_overlap <= 1.0:
-        raise InvalidInputError(f"min_overlap: expected a share in (0, 1], got {min_overlap}")

@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, checked
+from beamfield.arguments import checked
 from beamfield.geometry import FloatArray, as_poses
-from beamfield.maps.mapping import CONFIDENT, InverseSensorModel
-from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.smoothing import smooth_map
-from beamfield.models.local_map_cells import (
-    LocalCells,
-    LocalMap,
-    OverlapSums,
-    check_min_overlap,
-    local_cells,
-    overlap_sums,
-    value_table,
-)
-from beamfield.short_repr import short_repr
+from beamfield.models.local_map_cells import LocalCells, LocalMap, LocalMapModel, OverlapSums, overlap_sums, value_table
 
 # Variances below this are 0: values are in [0, 1], and rounding leaves 1e-16 of them.
 NO_VARIANCE = 1e-12
@@ -46,8 +35,8 @@ class MapMatch(NamedTuple):
     determined: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
-class MapMatchingModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class MapMatchingModel(LocalMapModel):
     """p(m_local | x, m) = max(rho, 0) by the correlation rho of a local map with the global one: (6.35) to (6.37).
 
     Use it where free space says as much as walls do: it scores both, while a likelihood field scores end points only.
@@ -100,21 +89,10 @@ class MapMatchingModel:
     [1.0, 0.0]
     """
 
-    is_normalized: ClassVar[bool] = False
-
-    grid: OccupancyGrid
     smoothing: float | None = field(default=None, kw_only=True)
-    min_overlap: float = field(default=0.2, kw_only=True)
-    inverse_model: InverseSensorModel = field(default=CONFIDENT, kw_only=True)
-    _table: NDArray[np.float32] = field(init=False, repr=False)
 
-    __repr__ = short_repr
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_min_overlap(self.min_overlap)
-        grid = self.grid if self.smoothing is None else smooth_map(self.grid, self.smoothing)
-        object.__setattr__(self, "_table", value_table(grid))
+    def _make_table(self) -> NDArray[Any]:
+        return value_table(self.grid if self.smoothing is None else smooth_map(self.grid, self.smoothing))
 
     @checked
     def match(self, z: LocalMap, poses: ArrayLike) -> MapMatch:
@@ -177,18 +155,13 @@ class MapMatchingModel:
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.maximum(self._match(cells, robots).correlation, 0.0)))
 
-    def _cells(self, z: LocalMap) -> LocalCells:
-        return local_cells(z, self.grid.resolution, self.inverse_model)
-
     def _match(self, cells: LocalCells, robots: FloatArray) -> MapMatch:
         sums = overlap_sums(self.grid, self._table, cells, robots.reshape(-1, 3))
         overlap = sums.n / max(len(cells.x), 1)
         rho, varies = _correlation_of_sums(sums)
         determined = varies & (overlap >= self.min_overlap)
-        shape = robots.shape[:-1]
-        return MapMatch(
-            np.where(determined, rho, 0.0).reshape(shape), overlap.reshape(shape), determined.reshape(shape)
-        )
+        shape, rho = robots.shape[:-1], np.where(determined, rho, 0.0)
+        return MapMatch(rho.reshape(shape), overlap.reshape(shape), determined.reshape(shape))
 
 
 def _correlation_of_sums(sums: OverlapSums) -> tuple[FloatArray, NDArray[np.bool_]]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import SMALLEST, as_generator, check_fields, check_magnitude, checked
+from beamfield.arguments import SMALLEST, as_generator, check_fields, check_magnitude, checked, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, wrap_angle
 from beamfield.kernels.marker import NEGLIGIBLE, CameraView, fill_detection_log_density, fill_scan_log_density
@@ -60,16 +60,13 @@ class MarkerDetections:
         ids, image = as_ids(self.ids), np.array(self.image, dtype=np.float64)
         if not ids and image.size == 0:
             image = image.reshape(0, 3)
-        if image.shape != (len(ids), 3):
-            raise InvalidInputError(f"image: expected shape ({len(ids)}, 3) for {len(ids)} ids, got {image.shape}")
+        require(image.shape == (len(ids), 3), "image", f"shape ({len(ids)}, 3) for {len(ids)} ids", image.shape)
         for name, row in zip(ids, image.tolist(), strict=True):
             if not np.isfinite(row[:2]).all():
                 raise InvalidInputError(f"image: expected finite u and v, got {row[:2]} for marker {name!r}")
             if np.isinf(row[2]):
                 raise InvalidInputError(f"image: expected a finite angle or NaN, got {row[2]} for marker {name!r}")
-        image.flags.writeable = False
-        object.__setattr__(self, "ids", ids)
-        object.__setattr__(self, "image", image)
+        keep(self, ids=ids, image=image)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -145,8 +142,7 @@ class MarkerParameters:
     def __post_init__(self) -> None:
         check_fields(self)
         check_magnitude("sigma_pixel", self.sigma_pixel)
-        if not SMALLEST <= self.sigma_angle <= np.pi:
-            raise InvalidInputError(f"sigma_angle: expected radians in (0, pi], got {self.sigma_angle}")
+        require(SMALLEST <= self.sigma_angle <= np.pi, "sigma_angle", "radians in (0, pi]", self.sigma_angle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,16 +222,7 @@ class MarkerModel:
         InvalidInputError
             If the poses are not finite (..., 3), or a detected marker is not in the map.
         """
-        robot = as_poses(poses)
-        rows = np.ascontiguousarray(robot.reshape(-1, 3))
-        image, seen, view = self._relative_image(z), self._seen(z), self._view()
-        total: FloatArray = np.zeros(len(rows))
-        run_in_blocks(
-            lambda a, b: fill_scan_log_density(rows[a:b], image, seen, view, total[a:b]),
-            len(rows),
-            work_per_row=1 + len(z),
-        )
-        return total.reshape(robot.shape[:-1])
+        return self._filled(fill_scan_log_density, z, as_poses(poses), ())
 
     def detection_log_likelihood(self, z: MarkerDetections, poses: ArrayLike) -> FloatArray:
         """Return what each detection contributes to `log_likelihood`; its sum over detections is that value.
@@ -254,16 +241,18 @@ class MarkerModel:
         InvalidInputError
             As for `log_likelihood`.
         """
-        robot = as_poses(poses)
+        return self._filled(fill_detection_log_density, z, as_poses(poses), (len(z),))
+
+    def _filled(
+        self, fill: Callable[..., object], z: MarkerDetections, robot: FloatArray, each: tuple[int, ...]
+    ) -> FloatArray:
+        """Return what a kernel fills in at each pose, of the shape `each`."""
         rows = np.ascontiguousarray(robot.reshape(-1, 3))
         image, seen, view = self._relative_image(z), self._seen(z), self._view()
-        result: FloatArray = np.zeros((len(rows), len(z)))
-        run_in_blocks(
-            lambda a, b: fill_detection_log_density(rows[a:b], image, seen, view, result[a:b]),
-            len(rows),
-            work_per_row=1 + len(z),
-        )
-        return result.reshape(*robot.shape[:-1], len(z))
+        out: FloatArray = np.zeros((len(rows), *each))
+        work_per_row = 1 + len(z)
+        run_in_blocks(lambda a, b: fill(rows[a:b], image, seen, view, out[a:b]), len(rows), work_per_row=work_per_row)
+        return out.reshape((*robot.shape[:-1], *each))
 
     @checked
     def expected(self, poses: ArrayLike) -> FloatArray:
@@ -362,9 +351,8 @@ class MarkerModel:
         return compose(lenses, invert(self.camera.mount))
 
     def _add_noise(self, image: FloatArray, rng: np.random.Generator) -> FloatArray:
-        noisy = image + rng.normal(
-            0.0, [self.parameters.sigma_pixel, self.parameters.sigma_pixel, self.parameters.sigma_angle], image.shape
-        )
+        p = self.parameters
+        noisy = image + rng.normal(0.0, [p.sigma_pixel, p.sigma_pixel, p.sigma_angle], image.shape)
         noisy[..., 2] = wrap_angle(noisy[..., 2])
         return noisy
 
@@ -381,16 +369,8 @@ class MarkerModel:
 
     def _view(self) -> CameraView:
         x, y, theta = np.asarray(self.camera.mount).tolist()
+        pixel, angle = float(self.parameters.sigma_pixel), float(self.parameters.sigma_angle)
         # How many turns matter: at half a turn, the k-th is exp(-2 pi^2 k (k - 1) / sigma^2) of the nearest.
-        n_turns = int(np.ceil(0.5 + np.sqrt(0.25 + NEGLIGIBLE * self.parameters.sigma_angle**2 / (2.0 * np.pi**2))))
-        return CameraView(
-            x,
-            y,
-            theta,
-            self.camera.scale,
-            float(self.parameters.sigma_pixel),
-            float(self.parameters.sigma_angle),
-            float(-np.log(2.0 * np.pi * self.parameters.sigma_pixel**2)),
-            float(-0.5 * np.log(2.0 * np.pi * self.parameters.sigma_angle**2)),
-            n_turns,
-        )
+        n_turns = int(np.ceil(0.5 + np.sqrt(0.25 + NEGLIGIBLE * angle**2 / (2.0 * np.pi**2))))
+        constants = float(-np.log(2.0 * np.pi * pixel**2)), float(-0.5 * np.log(2.0 * np.pi * angle**2))
+        return CameraView(x, y, theta, self.camera.scale, pixel, angle, *constants, n_turns)

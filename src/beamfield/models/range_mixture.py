@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_generator, check_fields, checked
+from beamfield.arguments import as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
@@ -63,10 +63,8 @@ class RangeMixtureModel(ABC):
     def __post_init__(self) -> None:
         check_fields(self)
         self._complete()
-        if not 0.0 < self.exponent < np.inf:
-            raise InvalidInputError(f"exponent: expected a positive, finite number, got {self.exponent}")
-        if self.n_beams is not None and self.n_beams < 1:
-            raise InvalidInputError(f"n_beams: expected at least 1 or None, got {self.n_beams}")
+        require(0.0 < self.exponent < np.inf, "exponent", "a positive, finite number", self.exponent)
+        require(self.n_beams is None or self.n_beams >= 1, "n_beams", "at least 1 or None", self.n_beams)
         object.__setattr__(self, "_source", self._make_source())
 
     def _complete(self) -> None:
@@ -97,8 +95,7 @@ class RangeMixtureModel(ABC):
         A model of the same class; nothing is built again.
         """
         other = object.__new__(type(self))
-        for name, value in {**self.__dict__, "parameters": parameters}.items():
-            object.__setattr__(other, name, value)
+        other.__dict__.update(self.__dict__ | {"parameters": parameters})
         return other
 
     @checked
@@ -155,13 +152,9 @@ class RangeMixtureModel(ABC):
         chosen = z.subset(beams)
         ranges = usable_ranges(chosen.ranges, z.finder)
         expected = self.expected(robot, chosen.finder)
-        result[..., beams] = self.exponent * beam_log_density(
-            ranges,
-            expected,
-            z.finder.max_range,
-            self.parameters,
-            min_range=z.finder.min_range,
-        )
+        max_range, min_range = z.finder.max_range, z.finder.min_range
+        each = beam_log_density(ranges, expected, max_range, self.parameters, min_range=min_range)
+        result[..., beams] = self.exponent * each
         return result
 
     def used_beams(self, scan: Scan) -> NDArray[np.int64]:
@@ -200,14 +193,8 @@ class RangeMixtureModel(ABC):
             If the poses are not finite (..., 3).
         """
         expected = self.expected(poses, z.finder)
-        ranges = usable_ranges(z.ranges, z.finder)
-        return beam_responsibilities(
-            ranges,
-            expected,
-            z.finder.max_range,
-            self.parameters,
-            min_range=z.finder.min_range,
-        )
+        ranges, limits = usable_ranges(z.ranges, z.finder), (z.finder.max_range, z.finder.min_range)
+        return beam_responsibilities(ranges, expected, limits[0], self.parameters, min_range=limits[1])
 
     @checked
     def expected(self, poses: ArrayLike, finder: RangeFinder | None = None) -> FloatArray:
@@ -257,10 +244,8 @@ class RangeMixtureModel(ABC):
             If neither the call nor the model has a finder, or the poses are not finite.
         """
         sensor = self._finder(finder)
-        expected = self.expected(as_poses(poses).reshape(-1, 3), sensor)
-        ranges = sample_beams(
-            expected, sensor.max_range, self.parameters, as_generator(rng), min_range=sensor.min_range
-        )
+        expected, draws = self.expected(as_poses(poses).reshape(-1, 3), sensor), as_generator(rng)
+        ranges = sample_beams(expected, sensor.max_range, self.parameters, draws, min_range=sensor.min_range)
         return [Scan(row, sensor) for row in ranges]
 
     def _finder(self, finder: RangeFinder | None) -> RangeFinder:
@@ -282,10 +267,9 @@ class RangeMixtureModel(ABC):
         view = as_view(self.parameters, finder.max_range, finder.min_range)
         ranges = read_only(counted_from(finder.min_range, usable_ranges(scan.ranges, finder), finder.max_range))
         expected = read_only(expected_from(finder.min_range, expected))
+        n = len(ranges)
         run_in_blocks(
-            lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]),
-            len(out),
-            work_per_row=len(ranges),
+            lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]), len(out), work_per_row=n
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -293,6 +277,5 @@ class RangeMixtureModel(ABC):
         return {name: value for name, value in self.__dict__.items() if name != "_source"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(state)
         object.__setattr__(self, "_source", self._make_source())

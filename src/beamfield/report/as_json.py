@@ -15,7 +15,7 @@ from beamfield.calibration.hit_forms import Candidate
 from beamfield.calibration.selection import Selection
 from beamfield.models.beam_density import CAUSES
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.report.parameter_rows import UNITS, finite_interval
+from beamfield.report.parameter_rows import MEANINGS, finite_interval
 from beamfield.report.score_figures import PIT_BINS, pit_band
 from beamfield.report.verdict import verdict, verdict_level
 from beamfield.scan_fit.calibration_fit import CalibrationFit
@@ -23,6 +23,7 @@ from beamfield.scan_fit.reference import ScanFitReference
 from beamfield.scan_fit.scan_fit import PROBLEMS, ScanFits
 
 SCHEMA = "beamfield-calibration/1"
+COUNTS = ("n_readings", "n_no_measurement", "n_nan", "n_too_close", "n_unknown", "n_unsure")
 # A scan fits if this share of the good scans fits as badly.
 LEVEL = 0.05
 
@@ -131,7 +132,7 @@ def _parameters(calibration: Calibration) -> dict[str, Any]:
         table[item.name] = {
             "value": plain(getattr(calibration.parameters, item.name)),
             "interval_95": None if interval is None else list(interval),
-            "unit": UNITS[item.name] or "1",
+            "unit": MEANINGS[item.name][0] or "1",
             "held": item.name in calibration.options.hold,
         }
     return table
@@ -158,16 +159,11 @@ def _beams(calibration: Calibration) -> dict[str, Any]:
     nothing = table.hits_nothing
     counts = np.bincount(calibration.causes[~nothing], minlength=len(CAUSES))
     return {
-        "n_readings": table.n_readings,
+        **{name: int(getattr(table, name)) for name in COUNTS},
         "n_table": len(table),
         "n_fit": int(calibration.n_fit),
         "n_held_out": int((calibration.held_out & ~nothing).sum()),
         "n_hits_nothing": int(nothing.sum()),
-        "n_no_measurement": int(table.n_no_measurement),
-        "n_nan": int(table.n_nan),
-        "n_too_close": int(table.n_too_close),
-        "n_unknown": int(table.n_unknown),
-        "n_unsure": int(table.n_unsure),
         "n_no_return": int(((table.ranges >= table.max_range) & ~nothing).sum()),
         "n_most_likely": {name: int(n) for name, n in zip(CAUSES, counts, strict=True)},
     }

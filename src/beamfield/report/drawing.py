@@ -75,14 +75,8 @@ def _power_of_ten(value: float, _position: int | None = None) -> str:
 def legend(axes: Axes, **where: Any) -> None:
     """Add a legend in the report's look; nothing if no artist has a label."""
     if axes.get_legend_handles_labels()[0]:
-        look: dict[str, Any] = {
-            "frameon": True,
-            "framealpha": 0.9,
-            "edgecolor": GRID,
-            "facecolor": "white",
-            "fancybox": False,
-        }
-        axes.legend(fontsize=8, **look, **where)
+        look: dict[str, Any] = {"framealpha": 0.9, "edgecolor": GRID, "facecolor": "white", "fancybox": False}
+        axes.legend(fontsize=8, frameon=True, **look, **where)
 
 
 def legend_above(axes: Axes, ncols: int = 6) -> None:

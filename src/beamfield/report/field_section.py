@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 
 from beamfield.calibration.field.learning import FieldLearning, FieldScore
 from beamfield.report.escape import escaped
@@ -75,12 +76,7 @@ def field_missing(reason: str) -> PageSection:
 
 
 def _parameter_rows(learned: FieldLearning) -> list[tuple[str, ...]]:
-    values = {
-        "z_hit": learned.parameters.z_hit,
-        "z_rand": learned.parameters.z_rand,
-        "sigma_hit": learned.parameters.sigma_hit,
-        "exponent": learned.exponent,
-    }
+    values = {**asdict(learned.parameters), "exponent": learned.exponent}
     if learned.exponents is not None:
         values["single_scan_exponent"] = learned.exponents.single.value
     return [

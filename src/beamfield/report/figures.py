@@ -17,10 +17,7 @@ from beamfield.sensors import SensorLog
 
 
 def report_figures(
-    calibration: Calibration,
-    grid: OccupancyGrid | CrossFitMaps,
-    log: SensorLog,
-    scan_fit: CalibrationFit | None = None,
+    calibration: Calibration, grid: OccupancyGrid | CrossFitMaps, log: SensorLog, scan_fit: CalibrationFit | None = None
 ) -> list[ReportFigure]:
     """Draw every figure for which the calibration has data.
 

@@ -9,26 +9,19 @@ from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.intrinsic.learning_problem import SIGMA_FLOOR_SHARE
 from beamfield.models.beam_parameters import BeamParameters
 
-UNITS = {
-    "z_hit": "",
-    "z_short": "",
-    "z_max": "",
-    "z_rand": "",
-    "sigma_hit": "m",
-    "lambda_short": "1/m",
-    "range_offset": "m",
-    "sigma_slope": "m/m",
-}
-
+# Unit and meaning; shares have no unit.
 MEANINGS = {
-    "z_hit": "share of readings that measure the mapped obstacle, with noise",
-    "z_short": "share of readings cut short by something that is not in the map",
-    "z_max": "share of readings without return",
-    "z_rand": "share of readings that nothing explains, spread evenly over all ranges",
-    "sigma_hit": "standard deviation of the noise of a hit",
-    "lambda_short": "how fast unexpected objects get rarer with range; 0: equally likely at every range",
-    "range_offset": "mean of a hit minus the range the map predicts; positive: obstacles lie behind the mapped surface",
-    "sigma_slope": "growth of the noise with the expected range z*: variance sigma_hit^2 + (sigma_slope z*)^2",
+    "z_hit": ("", "share of readings that measure the mapped obstacle, with noise"),
+    "z_short": ("", "share of readings cut short by something that is not in the map"),
+    "z_max": ("", "share of readings without return"),
+    "z_rand": ("", "share of readings that nothing explains, spread evenly over all ranges"),
+    "sigma_hit": ("m", "standard deviation of the noise of a hit"),
+    "lambda_short": ("1/m", "how fast unexpected objects get rarer with range; 0: equally likely at every range"),
+    "range_offset": (
+        "m",
+        "mean of a hit minus the range the map predicts; positive: obstacles lie behind the mapped surface",
+    ),
+    "sigma_slope": ("m/m", "growth of the noise with the expected range z*: variance sigma_hit^2 + (sigma_slope z*)^2"),
 }
 
 # Expected ranges, metres, at which the noise of a hit is spelt out where it grows.
@@ -121,7 +114,7 @@ def _row(calibration: Calibration, name: str) -> ParameterRow:
         name,
         _value(calibration, name, value, interval, decimals),
         None if interval is None else (_fixed(interval[0], decimals), _fixed(interval[1], decimals)),
-        UNITS[name],
+        MEANINGS[name][0],
         _meaning(calibration, name),
         name in calibration.options.hold,
     )
@@ -157,7 +150,7 @@ def noise_at_ranges(calibration: Calibration) -> str:
 def _meaning(calibration: Calibration, name: str) -> str:
     if name == "sigma_hit" and calibration.parameters.sigma_slope != 0.0:
         return f"noise of a hit, {noise_at_ranges(calibration)}: the part that does not grow with range"
-    return MEANINGS[name]
+    return MEANINGS[name][1]
 
 
 def _fixed(value: float, decimals: int) -> str:

@@ -97,21 +97,13 @@ def fit_as_dict(fits: ScanFits, reference: ScanFitReference, worst: NDArray[np.i
     own
         Whether the reference is learned from the same log.
     """
+    columns = {"scan": np.arange(len(fits)), "stamp": fits.stamps, "p_value": fits.p_value}
+    columns |= {"lost_probability": fits.lost, "through": fits.statistics.through, "short": fits.statistics.short}
     return {
         "schema": SCHEMA,
         "program": f"beamfield {__version__}",
         **scan_fits_as_dict(fits, reference, own=own),
-        "worst": [
-            {
-                "scan": int(i),
-                "stamp": float(fits.stamps[i]),
-                "p_value": plain(float(fits.p_value[i])),
-                "lost_probability": float(fits.lost[i]),
-                "through": plain(float(fits.statistics.through[i])),
-                "short": plain(float(fits.statistics.short[i])),
-            }
-            for i in worst
-        ],
+        "worst": [{name: plain(values[i]) for name, values in columns.items()} for i in worst],
     }
 
 

@@ -71,13 +71,10 @@ def fit_of_calibration(calibration: Calibration, grid: OccupancyGrid | CrossFitM
     else:
         model = model_on(grid)
         statistics = fit_statistics(model, log.ranges, log.finder, log.poses)
+    options = calibration.options
     try:
         reference = calibrate_scan_fit(
-            model,
-            log,
-            selection=calibration.options.selection,
-            block_s=calibration.options.block_s,
-            statistics=statistics,
+            model, log, selection=options.selection, block_s=options.block_s, statistics=statistics
         )
     except (TooLittleDataError, InvalidInputError) as error:
         return CalibrationFit(missing=str(error))

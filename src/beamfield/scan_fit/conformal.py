@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import require
 from beamfield.geometry import FloatArray
 
 
@@ -64,8 +64,7 @@ def cross_conformal_p_values(
     InvalidInputError
         If the gap is not >= 0.
     """
-    if not gap_s >= 0.0:
-        raise InvalidInputError(f"gap_s: expected seconds >= 0, got {gap_s}")
+    require(gap_s >= 0.0, "gap_s", "seconds >= 0", gap_s)
     scores, when = np.asarray(values, dtype=np.float64), np.asarray(stamps, dtype=np.float64)
     known, known_when = np.asarray(good, dtype=np.float64), np.asarray(good_stamps, dtype=np.float64)
     keep = ~np.isnan(known)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import numpy as np
 
+from beamfield.arguments import require
 from beamfield.calibration.cross_fit import CrossFitMaps
-from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.scan_fit.statistics import FitModel, FitStatistics, fit_statistics
 from beamfield.sensors import SensorLog
@@ -38,19 +39,12 @@ def cross_fit_statistics(
     InvalidInputError
         If the maps are of a log with another number of scans, or as for `fit_statistics`.
     """
-    if len(maps.half) != len(log):
-        raise InvalidInputError(
-            f"log: expected the {len(maps.half)} scans that the maps were built from, got {len(log)}"
-        )
+    require(len(maps.half) == len(log), "log", f"the {len(maps.half)} scans that the maps were built from", len(log))
     scans = [np.flatnonzero(maps.half == half) for half in (0, 1)]
     parts = [
         fit_statistics(model_on(maps.halves[1 - half]), log.ranges[mine], log.finder, log.poses[mine])
         for half, mine in enumerate(scans)
     ]
     order = np.argsort(np.concatenate(scans), kind="stable")
-    return FitStatistics(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])[order]
-            for name in ("surprise", "misfit", "through", "short", "n_beams")
-        )
-    )
+    columns = ([getattr(part, item.name) for part in parts] for item in fields(FitStatistics))
+    return FitStatistics(*(np.concatenate(column)[order] for column in columns))

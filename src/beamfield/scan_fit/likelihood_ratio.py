@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, keep
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 
@@ -53,8 +53,7 @@ class LostEvidence:
             raise InvalidInputError("evidence: expected finite numbers")
         if (np.diff(knots) <= 0.0).any() or (np.diff(ratio) < 0.0).any() or self.correlation_s < 0.0:
             raise InvalidInputError("evidence: expected increasing knots, ratios that do not fall, correlation_s >= 0")
-        object.__setattr__(self, "knots", knots)
-        object.__setattr__(self, "log_ratio", ratio)
+        keep(self, knots=knots, log_ratio=ratio)
 
     def __call__(self, values: ArrayLike) -> FloatArray:
         """Return nats in favour of "lost", 0 for NaN."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.scan_fit.likelihood_ratio import LostEvidence, evidence_weights
@@ -36,8 +36,7 @@ class LostRates:
     def __post_init__(self) -> None:
         check_fields(self)
         for name in ("lose", "find"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a positive rate in 1/s, got {getattr(self, name)}")
+            require(0.0 < getattr(self, name) < np.inf, name, "a positive rate in 1/s", getattr(self, name))
 
     @property
     def prior(self) -> float:

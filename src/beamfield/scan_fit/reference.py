@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, keep
 from beamfield.calibration.selection import SelectionOptions, select_scans
 from beamfield.calibration.time_split import time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -86,8 +86,7 @@ class ScanFitReference:
             array = np.array(getattr(self, name), dtype=np.float64)
             if array.ndim != 1 or len(array) != len(self.stamps) or not np.isfinite(array).all():
                 raise InvalidInputError(f"{name}: expected {len(self.stamps)} finite numbers, got shape {array.shape}")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+            keep(self, **{name: array})
         if len(self.stamps) < FEWEST_SCANS:
             raise TooLittleDataError(
                 f"{len(self.stamps)} good scans, need {FEWEST_SCANS}: with fewer no p-value would be below 5 %"
@@ -179,11 +178,7 @@ class ScanFitReference:
             "n_effective": self.n_effective,
             "correlation_s": self.correlation_s,
             "gap_s": self.gap_s,
-            "evidence": {
-                "knots": self.evidence.knots.tolist(),
-                "log_ratio": self.evidence.log_ratio.tolist(),
-                "correlation_s": self.evidence.correlation_s,
-            },
+            "evidence": {name: np.asarray(value).tolist() for name, value in vars(self.evidence).items()},
             "reliability": [asdict(row) for row in self.reliability],
             **{name: getattr(self, name).tolist() for name in ("stamps", "surprise", "misfit")},
         }
@@ -310,16 +305,10 @@ def calibrate_scan_fit(
         if progress is not None:
             progress(number + 1, N_LOST)
     evidence, reliability = _learn(mine.stamps, known.surprise, wrong, blocks, rng)
+    identity, time = _model_identity(model, mine.finder.max_range), correlation_time(mine.stamps, known.misfit)
+    gap_s, inputs = _length(mine.stamps, blocks), dict(inputs or {})
     return ScanFitReference(
-        model=_model_identity(model, mine.finder.max_range),
-        stamps=mine.stamps,
-        surprise=known.surprise,
-        misfit=known.misfit,
-        evidence=evidence,
-        correlation_s=correlation_time(mine.stamps, known.misfit),
-        gap_s=_length(mine.stamps, blocks),
-        reliability=reliability,
-        inputs=dict(inputs or {}),
+        identity, mine.stamps, known.surprise, known.misfit, evidence, time, gap_s, reliability, inputs
     )
 
 
@@ -344,15 +333,13 @@ def _learn(
     for half in (halves, ~halves):
         other = ~half
         predictors.append(_evidence(stamps[other], good[other], [w[other] for w in wrong], time))
-        series.append(
-            [(*kidnapped_series(good[half], w[half], stamps[half], rng), stamps[half]) for w in wrong for _ in range(2)]
-        )
-    ordered = [[(values, when, lost) for values, lost, when in part] for part in series]
+        drawn = [kidnapped_series(good[half], w[half], stamps[half], rng) for w in wrong for _ in range(2)]
+        series.append([(values, stamps[half], lost) for values, lost in drawn])
     # The correlation time that scores best across the halves, of those near the measured one.
-    tuned = [tune_correlation(predictor, part) for predictor, part in zip(predictors, ordered, strict=True)]
+    tuned = [tune_correlation(predictor, part) for predictor, part in zip(predictors, series, strict=True)]
     time = float(np.exp(np.mean([np.log(max(t.correlation_s, 1e-6)) for t in tuned])))
     p, lost = [], []
-    for predictor, part in zip(predictors, ordered, strict=True):
+    for predictor, part in zip(predictors, series, strict=True):
         judge = replace(predictor, correlation_s=time)
         p += [lost_probability(values, when, judge, TEST_RATES) for values, when, _ in part]
         lost += [truth for _, _, truth in part]

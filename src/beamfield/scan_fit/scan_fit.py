@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.data_frame import data_frame
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.scan_fit.lost import LostRates, lost_probability
 from beamfield.scan_fit.reference import ScanFitReference
@@ -107,15 +106,10 @@ class ScanFits:
 
     def to_dataframe(self) -> Any:
         """Return a pandas DataFrame with one row per scan and the columns of the CSV; needs pandas."""
-        s = self.statistics
-        columns: dict[str, NDArray[Any]] = {
-            "stamp": self.stamps,
-            "misfit": s.misfit,
-            "p_value": self.p_value,
-            "lost": self.lost,
-        }
-        columns |= {"surprise": s.surprise, "through": s.through, "short": s.short, "n_beams": s.n_beams}
-        return data_frame({**columns, "problem": np.array(PROBLEMS)[self.problem]})
+        s, problem = self.statistics, np.array(PROBLEMS)[self.problem]
+        columns = {"stamp": self.stamps, "misfit": s.misfit, "p_value": self.p_value, "lost": self.lost}
+        columns |= {"surprise": s.surprise, "through": s.through, "short": s.short}
+        return data_frame({**columns, "n_beams": s.n_beams, "problem": problem})
 
     def share_that_fits(self, level: float = 0.05) -> float:
         """Return the share of judged scans whose p-value is above a level.
@@ -220,23 +214,15 @@ def judge_scan(model: FitModel, scan: Scan, pose: ArrayLike, reference: ScanFitR
     True
     """
     robot = as_poses(pose, "pose")
-    if robot.size != 3:
-        raise InvalidInputError(f"pose: expected shape (3,), got {robot.shape}")
+    require(robot.size == 3, "pose", "shape (3,)", robot.shape)
     robot = robot.reshape(1, 3)
     if reference is not None:
         reference.require_model(model, scan.finder.max_range)
     statistics = fit_statistics(model, scan.ranges[None, :], scan.finder, robot)
     p_value = float("nan") if reference is None else float(reference.p_values(statistics.misfit)[0])
-    problem = int(_problems(model, robot, scan.finder.mounts[0], statistics)[0])
-    return ScanFit(
-        p_value,
-        float(statistics.surprise[0]),
-        float(statistics.misfit[0]),
-        float(statistics.through[0]),
-        float(statistics.short[0]),
-        int(statistics.n_beams[0]),
-        PROBLEMS[problem],
-    )
+    problem = PROBLEMS[_problems(model, robot, scan.finder.mounts[0], statistics)[0]]
+    values = {item.name: getattr(statistics, item.name)[0].item() for item in fields(statistics)}
+    return ScanFit(p_value, **values, problem=problem)
 
 
 @checked
@@ -279,13 +265,9 @@ def judge_log(
         statistics = fit_statistics(model, log.ranges, log.finder, log.poses, progress=progress)
     misfit = statistics.misfit
     p_value = reference.own_p_values(misfit, log.stamps) if is_own else reference.p_values(misfit)
-    return ScanFits(
-        log.stamps,
-        statistics,
-        p_value,
-        lost_probability(statistics.surprise, log.stamps, reference.evidence, rates),
-        _problems(model, log.poses, log.finder.mounts[0], statistics),
-    )
+    lost = lost_probability(statistics.surprise, log.stamps, reference.evidence, rates)
+    problems = _problems(model, log.poses, log.finder.mounts[0], statistics)
+    return ScanFits(log.stamps, statistics, p_value, lost, problems)
 
 
 def _problems(model: FitModel, poses: FloatArray, mount: FloatArray, statistics: FitStatistics) -> NDArray[np.int8]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -80,17 +80,11 @@ class FitStatistics:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        columns = ("surprise", "misfit", "through", "short", "n_beams")
-        return subset_of(self, scans, len(self), "scans", columns)
+        return subset_of(self, scans, len(self), "scans", [item.name for item in fields(self)])
 
 
 def fit_statistics(
-    model: FitModel,
-    ranges: ArrayLike,
-    finder: RangeFinder,
-    poses: ArrayLike,
-    *,
-    progress: Progress | None = None,
+    model: FitModel, ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike, *, progress: Progress | None = None
 ) -> FitStatistics:
     """Return how badly each scan fits the map at its pose.
 
@@ -127,7 +121,7 @@ def fit_statistics(
             f"ranges and poses: expected shapes (t, {finder.n_beams}) and (t, 3), got {z.shape} and {robots.shape}"
         )
     judge = _Judge(model, finder)
-    parts = [judge.nothing()]
+    parts: list[tuple[Any, ...]] = [(*(np.zeros(0) for _ in range(4)), np.zeros(0, np.int64))]
     step = max(1, BEAMS_PER_CHUNK // max(finder.n_beams, 1))
     for start in range(0, len(z), step):
         rows = slice(start, min(start + step, len(z)))
@@ -156,9 +150,6 @@ class _Judge:
             self.stopping = stopping_rays(self.model)
         self.window = _windows(self.finder.bearings)
 
-    def nothing(self) -> tuple[Any, ...]:
-        return (*(np.zeros(0) for _ in range(4)), np.zeros(0, np.int64))
-
     def __call__(self, ranges: FloatArray, poses: FloatArray) -> tuple[Any, ...]:
         posed = np.asarray(np.isfinite(poses).all(axis=1))
         z = usable_ranges(ranges, self.finder)
@@ -167,13 +158,8 @@ class _Judge:
         if isinstance(self.model, LikelihoodFieldModel):
             return self._summarise(_field_surprise(self.model, z, robots, self.finder), sided=False)
         expected = known_expected_ranges(self.model, self.stopping, robots, self.finder)
-        surprise = beam_surprise(
-            z,
-            expected,
-            self.finder.max_range,
-            self.model.parameters,
-            min_range=self.finder.min_range,
-        )
+        max_range, min_range = self.finder.max_range, self.finder.min_range
+        surprise = beam_surprise(z, expected, max_range, self.model.parameters, min_range=min_range)
         return self._summarise(surprise, sided=True)
 
     def _summarise(self, beams: BeamSurprise, *, sided: bool) -> tuple[Any, ...]:

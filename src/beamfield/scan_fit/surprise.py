@@ -47,13 +47,9 @@ class BeamSurprise:
 
 
 def beam_surprise(
-    ranges: FloatArray,
-    expected_ranges: FloatArray,
-    max_range: float,
-    parameters: BeamParameters,
-    *,
-    min_range: float = 0.0,
-) -> BeamSurprise:
+    ranges: FloatArray, expected_ranges: FloatArray, max_range: float, parameters: BeamParameters,
+    *, min_range: float = 0.0,
+) -> BeamSurprise:  # fmt: skip
     """Compare readings with what the beam model expects of them.
 
     The surprise of a beam, -log p(z | z*), depends on the scene even if all is well: far walls are noisier, and a ray
@@ -120,11 +116,7 @@ def beam_side(
 
 
 def _log_density(
-    z: FloatArray,
-    z_star: FloatArray,
-    max_range: float,
-    parameters: BeamParameters,
-    min_range: float,
+    z: FloatArray, z_star: FloatArray, max_range: float, parameters: BeamParameters, min_range: float
 ) -> FloatArray:
     """Return log p(z | z*), with the mass of hits at "no return" where there is nothing to hit."""
     result = beam_log_density(z, z_star, max_range, parameters, min_range=min_range)
@@ -174,13 +166,8 @@ def _expectations(parameters: BeamParameters, max_range: float, min_range: float
     mean = (share * surprise).sum(axis=1)
     excess = np.clip(surprise - mean[:, None], -MOST_SURPRISE, MOST_SURPRISE)
     through, short = _sides(z, z_star, max_range, parameters)
-    values = {
-        "surprise": mean,
-        "excess": (share * excess).sum(axis=1),
-        "through": (share * through).sum(axis=1),
-        "short": (share * short).sum(axis=1),
-    }
-    return _Expectations(nodes, values)
+    each = {"excess": excess, "through": through, "short": short}
+    return _Expectations(nodes, {"surprise": mean} | {name: (share * v).sum(axis=1) for name, v in each.items()})
 
 
 def _nodes(parameters: BeamParameters, max_range: float, min_range: float) -> FloatArray:

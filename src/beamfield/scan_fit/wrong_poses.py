@@ -18,13 +18,9 @@ TRIES = 40
 
 
 def wrong_poses(
-    poses: FloatArray,
-    stretch: NDArray[np.int64],
-    grid: OccupancyGrid,
-    rng: np.random.Generator,
-    *,
-    share_near: float = 0.5,
-) -> FloatArray:
+    poses: FloatArray, stretch: NDArray[np.int64], grid: OccupancyGrid, rng: np.random.Generator,
+    *, share_near: float = 0.5,
+) -> FloatArray:  # fmt: skip
     """Draw wrong poses that follow the robot's motion, as those of a filter that is lost.
 
     In each stretch the path is moved as a whole: near its place (0.5 to 3 m away, or turned by 20 to 180 degrees, or

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from beamfield.arguments import check_fields
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import check_fields, require
 from beamfield.geometry import FloatArray
 
 
@@ -38,8 +37,7 @@ class Dependence:
         check_fields(self)
         for name in ("angle", "time"):
             value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise InvalidInputError(f"dependence: expected {name} >= 0 and finite, got {value}")
+            require(0.0 <= value < np.inf, "dependence", f"{name} >= 0 and finite", value)
 
     @property
     def is_none(self) -> bool:

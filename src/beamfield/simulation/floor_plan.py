@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.simulation import furniture
@@ -72,8 +72,7 @@ def draw_floor_plan(
         raise InvalidInputError(
             f"building: expected {MIN_WIDTH:g} x {MIN_HEIGHT:g} to 500 x 500 metres, got {width:g} x {height:g}"
         )
-    if not 0.01 <= resolution <= 0.1:
-        raise InvalidInputError(f"resolution: expected 0.01 to 0.1 metres, got {resolution:g}")
+    require(0.01 <= resolution <= 0.1, "resolution", "0.01 to 0.1 metres", resolution)
     rng = np.random.default_rng(seed)
     canvas = Canvas(width + 2 * OUTSIDE, height + 2 * OUTSIDE, resolution)
     storey = _Storey(canvas, rng, width, height)
@@ -118,10 +117,9 @@ class _Storey:
     def divide(self) -> list[_Room]:
         """Carve corridors and rooms, hang doors; return the rooms to be furnished."""
         core = self.core
-        self.canvas.carve(self.south_corridor)
-        self.canvas.carve(self.north_corridor)
-        self.canvas.carve(self.lobby)
-        self.canvas.carve(Box(core.x1 + WALL, self.south_corridor.y0, self.east, self.north_corridor.y1))
+        east_corridor = Box(core.x1 + WALL, self.south_corridor.y0, self.east, self.north_corridor.y1)
+        for space in (self.south_corridor, self.north_corridor, self.lobby, east_corridor):
+            self.canvas.carve(space)
         cross = self._snap(core.x0 + core.width * self.rng.uniform(0.42, 0.58))
         self.canvas.carve(Box(cross, self.south_corridor.y0, cross + CORRIDOR, self.north_corridor.y1))
         rooms = [
@@ -231,28 +229,24 @@ def _reachable(free: BoolArray, start: tuple[int, int]) -> BoolArray:
 
 def _against(box: Box, wall: Side, along: float, gap: float, jitter: float = 0.0) -> NDArray[np.float64]:
     """Pose of furniture with its back to a wall of the room, `along` metres from the wall's west or south end."""
-    return np.array(
-        {
-            "south": (box.x0 + along, box.y0 + gap, jitter),
-            "north": (box.x0 + along, box.y1 - gap, np.pi + jitter),
-            "west": (box.x0 + gap, box.y0 + along, -np.pi / 2 + jitter),
-            "east": (box.x1 - gap, box.y0 + along, np.pi / 2 + jitter),
-        }[wall]
-    )
+    poses = {
+        "south": (box.x0 + along, box.y0 + gap, jitter),
+        "north": (box.x0 + along, box.y1 - gap, np.pi + jitter),
+        "west": (box.x0 + gap, box.y0 + along, -np.pi / 2 + jitter),
+        "east": (box.x1 - gap, box.y0 + along, np.pi / 2 + jitter),
+    }
+    return np.array(poses[wall])
 
 
-def _opposite(side: Side) -> Side:
-    opposites: dict[Side, Side] = {"south": "north", "north": "south", "west": "east", "east": "west"}
-    return opposites[side]
+OPPOSITE: dict[Side, Side] = {"south": "north", "north": "south", "west": "east", "east": "west"}
 
 
 def _office(canvas: Canvas, box: Box, door: Side, rng: np.random.Generator) -> None:
-    window = _opposite(door)
+    window = OPPOSITE[door]
     first: Side = "west" if rng.random() < 0.5 else "east"
-    second = _opposite(first)
+    second = OPPOSITE[first]
     from_window = 1.0 if window == "south" else box.height - 1.0
-    sides = (first,) if box.width < 3.6 else (first, second)
-    for side in sides:
+    for side in (first,) if box.width < 3.6 else (first, second):
         along = from_window + (1.0 if window == "south" else -1.0) * float(rng.uniform(0.0, 0.3))
         desk = furniture.desk(width=float(rng.choice([1.4, 1.6])), drawers_left=bool(rng.random() < 0.5))
         canvas.put(desk, _against(box, side, along, float(rng.uniform(0.06, 0.12)), float(rng.normal(0, 0.02))))
@@ -261,8 +255,8 @@ def _office(canvas: Canvas, box: Box, door: Side, rng: np.random.Generator) -> N
     if rng.random() < 0.6:
         canvas.put(furniture.plant(), _against(box, window, 0.35 if rng.random() < 0.5 else box.width - 0.35, 0.05))
     if rng.random() < 0.35:
-        canvas.put(furniture.round_table(n_chairs=2, turn=float(rng.uniform(0, 3))),
-                   _against(box, window, box.width / 2, 0.4))  # fmt: skip
+        table = furniture.round_table(n_chairs=2, turn=float(rng.uniform(0, 3)))
+        canvas.put(table, _against(box, window, box.width / 2, 0.4))
 
 
 def _meeting(canvas: Canvas, box: Box, door: Side, rng: np.random.Generator) -> None:
@@ -276,8 +270,8 @@ def _meeting(canvas: Canvas, box: Box, door: Side, rng: np.random.Generator) -> 
             for dx, dy in ((0.0, 0.0), (0.0, 0.25), (0.0, 0.5), (0.5, 0.5), (-0.5, 0.5), (0.5, 0.7), (-0.5, 0.7)):
                 back = middle + np.array([dx + 1.2 * np.sin(turn), dy * away - 1.2 * np.cos(turn)])
                 if canvas.put(table, np.array([back[0], back[1], turn])):
-                    canvas.put(furniture.solid(1.6, 0.4), _against(box, _opposite(door), box.width / 2, 0.0))
-                    canvas.put(furniture.plant(), _against(box, _opposite(door), 0.35, 0.05))
+                    canvas.put(furniture.solid(1.6, 0.4), _against(box, OPPOSITE[door], box.width / 2, 0.0))
+                    canvas.put(furniture.plant(), _against(box, OPPOSITE[door], 0.35, 0.05))
                     return
 
 
@@ -302,18 +296,17 @@ def _kitchen(canvas: Canvas, box: Box, door: Side, rng: np.random.Generator) -> 
     canvas.put(furniture.solid(box.height - 3.4, 0.6), _against(box, counter, box.height / 2, 0.0))
     for along in (0.28, 0.54, 0.8):
         table = furniture.round_table(n_chairs=int(rng.integers(2, 5)), turn=float(rng.uniform(0.0, 3.0)))
-        canvas.put(table, _against(box, _opposite(counter), along * box.height, float(rng.uniform(0.3, 0.5))))
-    canvas.put(furniture.solid(0.8, 0.7), _against(box, _opposite(door), box.width / 2, 0.0))
+        canvas.put(table, _against(box, OPPOSITE[counter], along * box.height, float(rng.uniform(0.3, 0.5))))
+    canvas.put(furniture.solid(0.8, 0.7), _against(box, OPPOSITE[door], box.width / 2, 0.0))
 
 
 def _store(canvas: Canvas, box: Box, door: Side, rng: np.random.Generator) -> None:
     walls: tuple[Side, ...] = ("west", "east")
     for wall in walls:
-        canvas.put(furniture.solid(box.height - float(rng.uniform(0.6, 1.6)), 0.4),
-                   _against(box, wall, box.height / 2, 0.0))  # fmt: skip
-    canvas.put(
-        furniture.solid(0.6, 0.7), _against(box, _opposite(door), box.width / 2, 0.05, float(rng.normal(0, 0.1)))
-    )
+        shelf = furniture.solid(box.height - float(rng.uniform(0.6, 1.6)), 0.4)
+        canvas.put(shelf, _against(box, wall, box.height / 2, 0.0))
+    turned = float(rng.normal(0, 0.1))
+    canvas.put(furniture.solid(0.6, 0.7), _against(box, OPPOSITE[door], box.width / 2, 0.05, turned))
 
 
 def _lobby(canvas: Canvas, box: Box, _door: Side, rng: np.random.Generator) -> None:
@@ -323,19 +316,13 @@ def _lobby(canvas: Canvas, box: Box, _door: Side, rng: np.random.Generator) -> N
             canvas.put(furniture.pillar(0.3), np.array([box.x0 + dx, middle + dy * box.height, 0.0]))
     canvas.put(furniture.reception(), np.array([box.x0 + 0.75, middle, -np.pi / 2]))
     for sign in (-1.0, 1.0):
-        turn = float(rng.normal(0.0, 0.05))
-        canvas.put(
-            furniture.sofa(2.0), np.array([box.x0 + 4.4, middle + sign * 1.5, turn + (0 if sign > 0 else np.pi)])
-        )
+        turn = float(rng.normal(0.0, 0.05)) + (0 if sign > 0 else np.pi)
+        canvas.put(furniture.sofa(2.0), np.array([box.x0 + 4.4, middle + sign * 1.5, turn]))
     for along in (0.4, box.height - 0.4):
         canvas.put(furniture.plant(), _against(box, "west", along, 0.05))
 
 
 _FURNISH: dict[str, Callable[[Canvas, Box, Side, np.random.Generator], None]] = {
-    "office": _office,
-    "meeting": _meeting,
-    "open_plan": _open_plan,
-    "kitchen": _kitchen,
-    "store": _store,
+    "office": _office, "meeting": _meeting, "open_plan": _open_plan, "kitchen": _kitchen, "store": _store,
     "lobby": _lobby,
-}
+}  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from beamfield.arguments import as_count, checked
+from beamfield.arguments import as_count, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.maps.cone import ConeCaster, make_caster
@@ -122,14 +122,9 @@ def simulate_log(
         expected = _expected_ranges(caster, truth.poses, finder, progress)
     ranges = drawn_readings(expected, finder, parameters, np.random.default_rng(reading_seed), stamps, dependence)
     policy = NoReturnPolicy((), float(np.isinf(ranges).mean()), "declared", "simulated: no return is +inf")
-    name = finder.name or "scan"
-    sensor = SensorLog(finder, stamps, ranges, truth.poses, odometry, policy)
-    return ScanLog(
-        {name: sensor},
-        odometry=Track(stamps, odometry),
-        source="simulation",
-        notes=("simulated by beamfield: the poses are the truth",),
-    )
+    sensors = {finder.name or "scan": SensorLog(finder, stamps, ranges, truth.poses, odometry, policy)}
+    notes = ("simulated by beamfield: the poses are the truth",)
+    return ScanLog(sensors, odometry=Track(stamps, odometry), source="simulation", notes=notes)
 
 
 def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
@@ -152,21 +147,15 @@ def scan_stamps(duration: float, scan_rate: float, start: float) -> FloatArray:
         If a number is out of range, or there would be no scan or too many; it is named.
     """
     for name, value in (("duration", duration), ("scan_rate", scan_rate)):
-        if not 0.0 < value < np.inf:
-            raise InvalidInputError(f"{name}: expected a positive, finite number, got {value}")
-    if isinstance(start, complex) or not abs(start) < np.inf:
-        raise InvalidInputError(f"start: expected a finite number of seconds, got {start}")
+        require(0.0 < value < np.inf, name, "a positive, finite number", value)
+    require(not isinstance(start, complex) and abs(start) < np.inf, "start", "a finite number of seconds", start)
     n_scans = duration * scan_rate
-    if not 1.0 <= n_scans <= MAX_SCANS:
-        raise InvalidInputError(f"duration x scan_rate: expected 1 to {MAX_SCANS} scans, got {n_scans:g}")
+    require(1.0 <= n_scans <= MAX_SCANS, "duration x scan_rate", f"1 to {MAX_SCANS} scans", n_scans)
     return np.asarray(start + np.arange(round(n_scans)) / scan_rate)
 
 
 def _expected_ranges(
-    caster: RayCaster,
-    poses: FloatArray,
-    finder: RangeFinder,
-    progress: Progress | None,
+    caster: RayCaster, poses: FloatArray, finder: RangeFinder, progress: Progress | None
 ) -> FloatArray:
     expected: FloatArray = np.empty((len(poses), finder.n_beams))
     for first in range(0, len(poses), SCANS_PER_CHUNK):
@@ -201,24 +190,15 @@ def drawn_readings(
     (t, k) metres; +inf for no return.
     """
     nothing = expected >= finder.max_range
-    weights = (0.0, parameters.z_short, parameters.z_max + parameters.z_hit, parameters.z_rand)
-    without_hits = replace(parameters, **dict(zip(("z_hit", "z_short", "z_max", "z_rand"), weights, strict=True)))
+    without_hits = replace(parameters, z_hit=0.0, z_max=parameters.z_max + parameters.z_hit)
+    farthest, nearest = finder.max_range, finder.min_range
     if stamps is None or dependence is None or dependence.is_none:
-        ranges = sample_beams(expected, finder.max_range, parameters, rng, min_range=finder.min_range)
-        ranges[nothing] = sample_beams(
-            expected[nothing], finder.max_range, without_hits, rng, min_range=finder.min_range
-        )
+        ranges = sample_beams(expected, farthest, parameters, rng, min_range=nearest)
+        ranges[nothing] = sample_beams(expected[nothing], farthest, without_hits, rng, min_range=nearest)
     else:
-        causes = dependent_uniforms(stamps, finder.bearings, dependence, rng)
-        places = dependent_uniforms(stamps, finder.bearings, dependence, rng)
-        ranges = beams_from_uniforms(causes, places, expected, finder.max_range, parameters, min_range=finder.min_range)
-        ranges[nothing] = beams_from_uniforms(
-            causes[nothing],
-            places[nothing],
-            expected[nothing],
-            finder.max_range,
-            without_hits,
-            min_range=finder.min_range,
-        )
+        u, v = (dependent_uniforms(stamps, finder.bearings, dependence, rng) for _ in range(2))
+        ranges = beams_from_uniforms(u, v, expected, farthest, parameters, min_range=nearest)
+        u, v, expected = u[nothing], v[nothing], expected[nothing]
+        ranges[nothing] = beams_from_uniforms(u, v, expected, farthest, without_hits, min_range=nearest)
     ranges[ranges >= finder.max_range] = np.inf
     return ranges

@@ -7,8 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import check_fields
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import check_fields, require
 from beamfield.geometry import FloatArray, as_poses, between, wrap_angle
 
 
@@ -48,8 +47,7 @@ class OdometryNoise:
         for item in fields(self):
             value = getattr(self, item.name)
             low = -1.0 if item.name.endswith("scale") else 0.0
-            if not (np.isfinite(value) and value >= low):
-                raise InvalidInputError(f"{item.name}: expected a finite number >= {low:g}, got {value}")
+            require((np.isfinite(value) and value >= low), item.name, f"a finite number >= {low:g}", value)
 
 
 def noisy_odometry(poses: ArrayLike, rng: np.random.Generator, noise: OdometryNoise | None = None) -> FloatArray:
@@ -82,8 +80,7 @@ def noisy_odometry(poses: ArrayLike, rng: np.random.Generator, noise: OdometryNo
     [[0.0, 0.0, 0.0], [10.1, 0.0, 0.0]]
     """
     truth = as_poses(poses)
-    if truth.ndim != 2:
-        raise InvalidInputError(f"poses: expected shape (t, 3), got {truth.shape}")
+    require(truth.ndim == 2, "poses", "shape (t, 3)", truth.shape)
     noise = noise or OdometryNoise()
     odometry: FloatArray = np.zeros(truth.shape)
     if len(truth) < 2:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from beamfield.arguments import as_count, checked
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import as_count, checked, require
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
@@ -62,8 +61,7 @@ def sonar_ring(
     [0.0, 0.2, 1.571]
     """
     n_sensors = as_count(n_sensors, "n_sensors", least=1, most=MOST_SENSORS)
-    if not 0.0 <= radius < np.inf:
-        raise InvalidInputError(f"radius: expected a finite number of metres >= 0, got {radius}")
+    require(0.0 <= radius < np.inf, "radius", "a finite number of metres >= 0", radius)
     bearings = first_bearing + np.arange(n_sensors) * (2.0 * np.pi / n_sensors)
     turned = np.column_stack([np.zeros((n_sensors, 2)), bearings])
     mounts = compose(turned, [radius, 0.0, 0.0])
@@ -118,8 +116,7 @@ def heard_ranges(
     >>> heard_ranges(ConeCaster(wall), np.array([[0.9, 2.0, 0.0]]), sonars, 0.0, np.random.default_rng(0)).tolist()
     [[1.0, 3.0]]
     """
-    if not 0.0 <= roughness <= 1.0:
-        raise InvalidInputError(f"roughness: expected a share in [0, 1], got {roughness}")
+    require(0.0 <= roughness <= 1.0, "roughness", "a share in [0, 1]", roughness)
     robots = as_poses(poses)
     ranges = caster.expected_ranges(robots, ring)
     if roughness == 1.0 or ring.opening_angle == 0.0:

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan
+from beamfield.stacks.amcl.grid_models import GridRays
 from beamfield.stacks.amcl.parameters import AsAmcl
 from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.emulation.beam_selection import Indices, floor_step_beams
-from beamfield.stacks.emulation.emulator import RayEvidence, RayModel
-from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
-from beamfield.stacks.emulation.stack_map import MapMode
-from beamfield.stacks.emulation.stack_rays import AMCL_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges, walled
+from beamfield.stacks.emulation.emulator import RayEvidence
+from beamfield.stacks.emulation.stack_rays import AMCL_LINE, bresenham_ranges, exact_ranges, walled
 
 P = TypeVar("P", bound=AsAmcl)
 
 
 @dataclass(frozen=True, eq=False)
-class AmclBeam(RayModel[P], Generic[P]):
+class AmclBeam(GridRays[P], Generic[P]):
     """``w = 1 + sum p^3`` over beams, where p has four terms, none of them normalised.
 
     For a beam with range z and expected range z*, p is the sum of
@@ -56,26 +54,11 @@ class AmclBeam(RayModel[P], Generic[P]):
         How the map server turns the map into a message; see `read_as_stack`.
     """
 
-    model: ClassVar[str] = "beam"
-    evidence_settings: ClassVar[tuple[str, ...]] = ("max_beams", "laser_max_range", "laser_min_range")
-    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
     beam_rule = staticmethod(partial(floor_step_beams, least_step=0))
 
-    grid: OccupancyGrid
-    parameters: P
-    rays: RayChoice = field(default="bresenham", kw_only=True)
-    no_return: str = field(default="inf", kw_only=True)
-    map_mode: MapMode = field(default="trinary", kw_only=True)
-    _seen: OccupancyGrid = field(init=False, repr=False)
-    _caster: RayCaster | None = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        check_choice(self, "rays", RAYS)
-        check_choice(self, "no_return", NO_RETURNS)
+    def _read_map(self) -> tuple[OccupancyGrid, OccupancyGrid]:
         seen = amcl_grid(self.grid, self.map_mode)
-        object.__setattr__(self, "_seen", seen)
-        caster = RayCaster(walled(seen), unknown="occupied") if self.rays == "exact" else None
-        object.__setattr__(self, "_caster", caster)
+        return seen, walled(seen)
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
@@ -115,11 +98,6 @@ class AmclBeam(RayModel[P], Generic[P]):
         p += np.where(z == evidence.max_range, values.z_max, 0.0)
         p += np.where(z < evidence.max_range, values.z_rand / evidence.max_range, 0.0)
         return np.asarray(p)
-
-    def beam_log_values(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
-        """Return log p of each beam that counts, (n, k)."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(self.beam_values(evidence, parameters)))
 
     def log_weights(self, evidence: RayEvidence, parameters: P | None = None) -> FloatArray:
         """Return log(1 + sum p^3), (n,), or -inf if a reading is NaN; see `StackModel.log_weights`."""

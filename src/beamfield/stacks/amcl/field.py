@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from beamfield.geometry import FloatArray
-from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from beamfield.stacks.amcl.grid_models import GridField, field_values
 from beamfield.stacks.amcl.parameters import AmclParameters, AsAmcl
 from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
 from beamfield.stacks.emulation.beam_selection import Indices, floor_step_beams
-from beamfield.stacks.emulation.emulator import OFF_MAP, FieldEvidence, FieldModel, ScanEnds
-from beamfield.stacks.emulation.field_table import (
-    AMCL_BRUSHFIRE,
-    DistanceChoice,
-    FieldTable,
-    end_points,
-    field_table,
-    reach_in_cells,
-)
-from beamfield.stacks.emulation.stack_map import MapMode
+from beamfield.stacks.emulation.emulator import OFF_MAP, FieldEvidence, ScanEnds
+from beamfield.stacks.emulation.field_table import AMCL_BRUSHFIRE, FieldTable, end_points, field_table, reach_in_cells
 
 P = TypeVar("P", bound=AsAmcl)
 
 
 @dataclass(frozen=True, eq=False)
-class AmclField(FieldModel[P], Generic[P]):
+class AmclField(GridField[P], Generic[P]):
     """``w = 1 + sum p^3`` with ``p = z_hit exp(-d^2 / 2 sigma_hit^2) + z_rand / range_max`` for each beam.
 
     d is the distance from the beam's end point to the nearest obstacle, and laser_likelihood_max_dist off the map and
@@ -49,28 +41,12 @@ class AmclField(FieldModel[P], Generic[P]):
         How the map server turns the map into a message; see `read_as_stack`.
     """
 
-    model: ClassVar[str] = "likelihood_field"
-    evidence_settings: ClassVar[tuple[str, ...]] = ("max_beams", "laser_max_range", "laser_min_range")
-    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
     beam_rule = staticmethod(partial(floor_step_beams, least_step=1))
 
-    grid: OccupancyGrid
-    parameters: P
-    distance: DistanceChoice = field(default="exact", kw_only=True)
-    map_mode: MapMode = field(default="trinary", kw_only=True)
-    _table: FieldTable = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
+    def _make_table(self) -> FieldTable:
         seen = amcl_grid(self.grid, self.map_mode)
         farthest = self.parameters.as_amcl().laser_likelihood_max_dist
-        object.__setattr__(self, "_table", field_table(seen, seen.occupied, self.distance, AMCL_BRUSHFIRE, farthest))
-
-    def with_parameters(self, parameters: P) -> Self:
-        """Return the model with other parameters; a brushfire burns anew if its end changes."""
-        end, end_before = (p.as_amcl().laser_likelihood_max_dist for p in (parameters, self.parameters))
-        if self.distance == "brushfire" and end != end_before:
-            return replace(self, parameters=parameters)
-        return super().with_parameters(parameters)
+        return field_table(seen, seen.occupied, self.distance, AMCL_BRUSHFIRE, farthest)
 
     def selected_beams(self, n_beams: int) -> Indices:
         """Return the indices of the beams that the program looks at in a scan of n_beams."""
@@ -88,13 +64,8 @@ class AmclField(FieldModel[P], Generic[P]):
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:
         """Return p of each beam that counts, (n, k)."""
         values = self._parameters_for(evidence, parameters).as_amcl()
-        p = self._cut_distances(evidence, values)
-        p *= p
-        p *= -0.5 / values.sigma_hit**2
-        np.exp(p, out=p)
-        p *= values.z_hit
-        p += values.z_rand / evidence.max_range
-        return p
+        distances, floor = self._cut_distances(evidence, values), values.z_rand / evidence.max_range
+        return field_values(distances, values.sigma_hit, values.z_hit, floor)
 
     def _cut_distances(self, evidence: FieldEvidence, values: AmclParameters) -> FloatArray:
         """Return the distances (n, k) that the program looks up, metres."""
@@ -106,9 +77,3 @@ class AmclField(FieldModel[P], Generic[P]):
         d[d > beyond] = np.float32(limit)
         d[evidence.places == OFF_MAP] = limit
         return d
-
-    def _settings(self) -> dict[str, Any]:
-        settings = super()._settings()
-        if self.distance == "brushfire":
-            settings["laser_likelihood_max_dist"] = self.parameters.as_amcl().laser_likelihood_max_dist
-        return settings

@@ -29,7 +29,24 @@ class AsAmcl(Protocol):
 
 
 @dataclass(frozen=True)
-class AmclParameters:
+class LaserParameters:
+    """What nav2's amcl and Beluga's have by the same names, with the same defaults but for the shortest range."""
+
+    laser_model_type: str = "likelihood_field"
+    z_hit: float = 0.5
+    z_short: float = 0.05
+    z_max: float = 0.05
+    z_rand: float = 0.5
+    sigma_hit: float = field(default=0.2, metadata={"unit": "m"})
+    lambda_short: float = field(default=0.1, metadata={"unit": "1/m"})
+    laser_likelihood_max_dist: float = field(default=2.0, metadata={"unit": "m"})
+    laser_max_range: float = field(default=100.0, metadata={"unit": "m"})
+    laser_min_range: float = field(default=-1.0, metadata={"unit": "m"})
+    max_beams: int = 60
+
+
+@dataclass(frozen=True)
+class AmclParameters(LaserParameters):
     """What amcl's files say about the laser, with nav2's names and defaults.
 
     The weights need not sum to 1, and by default do not: amcl does not ask for it, and only ratios matter.
@@ -70,17 +87,6 @@ class AmclParameters:
         max_beams < 2, or the model is unknown.
     """
 
-    laser_model_type: str = "likelihood_field"
-    z_hit: float = 0.5
-    z_short: float = 0.05
-    z_max: float = 0.05
-    z_rand: float = 0.5
-    sigma_hit: float = field(default=0.2, metadata={"unit": "m"})
-    lambda_short: float = field(default=0.1, metadata={"unit": "1/m"})
-    laser_likelihood_max_dist: float = field(default=2.0, metadata={"unit": "m"})
-    laser_max_range: float = field(default=100.0, metadata={"unit": "m"})
-    laser_min_range: float = field(default=-1.0, metadata={"unit": "m"})
-    max_beams: int = 60
     do_beamskip: bool = False
     beam_skip_distance: float = field(default=0.5, metadata={"unit": "m"})
     beam_skip_threshold: float = 0.3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -11,20 +11,19 @@ from numpy.typing import ArrayLike
 
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan
+from beamfield.stacks.amcl.grid_models import GridRays
 from beamfield.stacks.beluga.parameters import BelugaParameters
-from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid
+from beamfield.stacks.beluga.scan import beluga_beams
 from beamfield.stacks.emulation.beam_selection import even_beams
-from beamfield.stacks.emulation.emulator import RayEvidence, RayModel
+from beamfield.stacks.emulation.emulator import RayEvidence
 from beamfield.stacks.emulation.field_table import end_points
-from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
-from beamfield.stacks.emulation.stack_map import MapMode
-from beamfield.stacks.emulation.stack_rays import BELUGA_LINE, RAYS, RayChoice, bresenham_ranges, exact_ranges
+from beamfield.stacks.emulation.stack_map import read_as_stack
+from beamfield.stacks.emulation.stack_rays import BELUGA_LINE, bresenham_ranges, exact_ranges
 
 
 @dataclass(frozen=True, eq=False)
-class BelugaBeam(RayModel[BelugaParameters]):
+class BelugaBeam(GridRays[BelugaParameters]):
     """``w = sum p^3`` over beams, where p is the chapter's mixture (Table 6.1) with z_max taken for a density.
 
     For a beam with range z and expected range z*, p is the sum of
@@ -51,25 +50,11 @@ class BelugaBeam(RayModel[BelugaParameters]):
     """
 
     stack: ClassVar[str] = "beluga"
-    model: ClassVar[str] = "beam"
-    evidence_settings: ClassVar[tuple[str, ...]] = SCAN_SETTINGS
     beam_rule = staticmethod(even_beams)
-    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short")
 
-    grid: OccupancyGrid
-    parameters: BelugaParameters
-    rays: RayChoice = field(default="bresenham", kw_only=True)
-    no_return: str = field(default="inf", kw_only=True)
-    map_mode: MapMode = field(default="trinary", kw_only=True)
-    _seen: OccupancyGrid = field(init=False, repr=False)
-    _caster: RayCaster | None = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        check_choice(self, "rays", RAYS)
-        check_choice(self, "no_return", NO_RETURNS)
-        seen = beluga_grid(self.grid, self.map_mode)
-        object.__setattr__(self, "_seen", seen)
-        object.__setattr__(self, "_caster", RayCaster(seen, unknown="occupied") if self.rays == "exact" else None)
+    def _read_map(self) -> tuple[OccupancyGrid, OccupancyGrid]:
+        seen = read_as_stack(self.grid, self.map_mode)
+        return seen, seen
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges from the robot's centre; see `StackModel.evidence`."""
@@ -107,11 +92,6 @@ class BelugaBeam(RayModel[BelugaParameters]):
             p += np.where(short, values.z_short * rate * np.exp(-rate * z) / normaliser, 0.0)
         p += np.where(z >= limit, values.z_max, values.z_rand / limit)
         return np.asarray(p)
-
-    def beam_log_values(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
-        """Return log p of each beam that counts, (n, k)."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(self.beam_values(evidence, parameters)))
 
     def log_weights(self, evidence: RayEvidence, parameters: BelugaParameters | None = None) -> FloatArray:
         """Return log(sum p^3), (n,); -inf without any beam. See `StackModel.log_weights`."""

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from beamfield.geometry import FloatArray
-from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from beamfield.stacks.amcl.grid_models import SCAN_SETTINGS, GridField, field_values
 from beamfield.stacks.beluga.parameters import BelugaParameters
-from beamfield.stacks.beluga.scan import SCAN_SETTINGS, beluga_beams, beluga_grid, boundaries
+from beamfield.stacks.beluga.scan import beluga_beams, boundaries
 from beamfield.stacks.emulation.beam_selection import even_beams
-from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, FieldModel, ScanEnds
-from beamfield.stacks.emulation.field_table import BELUGA_BRUSHFIRE, DistanceChoice, FieldTable, end_points, field_table
+from beamfield.stacks.emulation.emulator import OFF_MAP, UNKNOWN, FieldEvidence, ScanEnds
+from beamfield.stacks.emulation.field_table import BELUGA_BRUSHFIRE, FieldTable, end_points, field_table
 from beamfield.stacks.emulation.parameter_checks import NO_RETURNS, check_choice
-from beamfield.stacks.emulation.stack_map import MapMode
+from beamfield.stacks.emulation.stack_map import read_as_stack
 
 
 @dataclass(frozen=True, eq=False)
-class BelugaField(FieldModel[BelugaParameters]):
+class BelugaField(GridField[BelugaParameters]):
     """``w = 1 + sum p^3`` with ``p = z_hit N(d; 0, sigma_hit^2) + z_rand / laser_max_range`` for each beam.
 
     d is the distance from the end point to the nearest obstacle, cut off at laser_likelihood_max_dist, and that maximum
@@ -53,37 +53,23 @@ class BelugaField(FieldModel[BelugaParameters]):
     """
 
     stack: ClassVar[str] = "beluga"
-    model: ClassVar[str] = "likelihood_field"
     evidence_settings: ClassVar[tuple[str, ...]] = (*SCAN_SETTINGS, "only_obstacle_boundaries")
     beam_rule = staticmethod(even_beams)
-    fitted_parameters: ClassVar[tuple[str, ...]] = ("z_hit", "z_rand", "sigma_hit")
     # Whether the node hands model_unknown_space and only_obstacle_boundaries to this model.
     has_map_options: ClassVar[bool] = True
 
-    grid: OccupancyGrid
-    parameters: BelugaParameters
-    distance: DistanceChoice = field(default="exact", kw_only=True)
     no_return: str = field(default="inf", kw_only=True)
-    map_mode: MapMode = field(default="trinary", kw_only=True)
-    _table: FieldTable = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
+    def _make_table(self) -> FieldTable:
         check_choice(self, "no_return", NO_RETURNS)
-        seen = beluga_grid(self.grid, self.map_mode)
+        seen = read_as_stack(self.grid, self.map_mode)
         only_boundaries = self.has_map_options and self.parameters.only_obstacle_boundaries
         obstacles = boundaries(seen) if only_boundaries else seen.occupied
         table = field_table(seen, obstacles, self.distance, BELUGA_BRUSHFIRE, self.parameters.laser_likelihood_max_dist)
         if only_boundaries:
             # The inside of thick walls is as unknown space (Beluga's pull request 541).
             table = table._replace(unknown=table.unknown | (seen.occupied & ~obstacles))
-        object.__setattr__(self, "_table", table)
-
-    def with_parameters(self, parameters: BelugaParameters) -> Self:
-        """Return the model with other parameters; its distances are made anew if these bear on them."""
-        names = self._table_settings()
-        if any(getattr(parameters, name) != getattr(self.parameters, name) for name in names):
-            return replace(self, parameters=parameters)
-        return super().with_parameters(parameters)
+        return table
 
     def scan_ends(self, z: Scan) -> ScanEnds:
         """Return the end points that the program looks up; see `FieldModel.scan_ends`."""
@@ -102,20 +88,10 @@ class BelugaField(FieldModel[BelugaParameters]):
         return p.astype(np.float32).astype(np.float64) if self.distance == "brushfire" else p
 
     def _table_settings(self) -> tuple[str, ...]:
-        """Return the names of the parameters that the distances depend on."""
-        names = ("only_obstacle_boundaries",) if self.has_map_options else ()
-        return (*names, "laser_likelihood_max_dist") if self.distance == "brushfire" else names
-
-    def _settings(self) -> dict[str, Any]:
-        return super()._settings() | {name: getattr(self.parameters, name) for name in self._table_settings()}
+        return (*super()._table_settings(), *(("only_obstacle_boundaries",) if self.has_map_options else ()))
 
 
 def _mixture(distances: FloatArray, values: BelugaParameters, max_range: float) -> FloatArray:
     """Return z_hit N(d; 0, sigma_hit^2) + z_rand / max_range for each distance; overwrites the distances."""
-    p = distances
-    p *= p
-    p *= -0.5 / values.sigma_hit**2
-    np.exp(p, out=p)
-    p *= values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi))
-    p += values.z_rand / max_range
-    return p
+    height = values.z_hit / (values.sigma_hit * math.sqrt(2.0 * math.pi))
+    return field_values(distances, values.sigma_hit, height, values.z_rand / max_range)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from beamfield.stacks.amcl.grid_models import SCAN_SETTINGS
 from beamfield.stacks.beluga.field import BelugaField
-from beamfield.stacks.beluga.scan import SCAN_SETTINGS
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.motion import MotionModel
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.beluga.clusters import heaviest_cluster
-from beamfield.stacks.beluga.scan import beluga_grid
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers, check_switches
+from beamfield.stacks.emulation.stack_map import read_as_stack
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
 from beamfield.stacks.filters.loop import run_loop
 from beamfield.stacks.filters.particles import (
@@ -84,7 +84,7 @@ class BelugaFilterParameters:
 
 def beluga_filter(model: Any, motion: MotionModel, parameters: BelugaFilterParameters) -> BelugaFilter:
     """Return the filter that runs one of Beluga's models on its map."""
-    return BelugaFilter(model, beluga_grid(model.grid, model.map_mode), motion, parameters)
+    return BelugaFilter(model, read_as_stack(model.grid, model.map_mode), motion, parameters)
 
 
 @dataclass(frozen=True, eq=False)

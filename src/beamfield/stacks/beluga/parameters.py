@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from beamfield.stacks.amcl.parameters import MODEL_TYPES, LaserParameters
 from beamfield.stacks.emulation.parameter_checks import check_choice, check_counts, check_numbers, check_switches
-
-MODEL_TYPES = ("likelihood_field", "likelihood_field_prob", "beam")
 
 
 @dataclass(frozen=True)
-class BelugaParameters:
+class BelugaParameters(LaserParameters):
     """What stands under ``amcl: ros__parameters:`` about the laser.
 
     The names are nav2's, the meaning is not: densities have their constants here. Weights need not sum to 1, and by
@@ -49,17 +48,7 @@ class BelugaParameters:
         not positive, max_beams < 1, or the model is unknown.
     """
 
-    laser_model_type: str = "likelihood_field"
-    z_hit: float = 0.5
-    z_short: float = 0.05
-    z_max: float = 0.05
-    z_rand: float = 0.5
-    sigma_hit: float = field(default=0.2, metadata={"unit": "m"})
-    lambda_short: float = field(default=0.1, metadata={"unit": "1/m"})
-    laser_likelihood_max_dist: float = field(default=2.0, metadata={"unit": "m"})
-    laser_max_range: float = field(default=100.0, metadata={"unit": "m"})
     laser_min_range: float = field(default=0.0, metadata={"unit": "m"})
-    max_beams: int = 60
     model_unknown_space: bool = False
     only_obstacle_boundaries: bool = True
 

@@ -9,10 +9,6 @@ from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.sensors import Scan
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.emulation.beam_selection import Indices, even_beams
-from beamfield.stacks.emulation.stack_map import MapMode, read_as_stack
-
-# Names of the parameters that decide which beams there are.
-SCAN_SETTINGS = ("max_beams", "laser_max_range", "laser_min_range")
 
 
 def beluga_beams(scan: Scan, parameters: BelugaParameters, no_return: str) -> tuple[Indices, FloatArray]:
@@ -29,11 +25,6 @@ def beluga_beams(scan: Scan, parameters: BelugaParameters, no_return: str) -> tu
     beams = even_beams(len(ranges), parameters.max_beams)
     beams = beams[(ranges[beams] >= low) & (ranges[beams] <= high)]
     return beams, ranges[beams]
-
-
-def beluga_grid(grid: OccupancyGrid, map_mode: MapMode) -> OccupancyGrid:
-    """Return the map as Beluga sees it: where it lies, the origin's yaw included."""
-    return read_as_stack(grid, map_mode)
 
 
 def boundaries(grid: OccupancyGrid) -> BoolArray:

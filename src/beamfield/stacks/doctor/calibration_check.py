@@ -17,10 +17,8 @@ SETTLED = frozenset(
 
 def is_calibrated(subject: Subject) -> bool:
     """Whether the file has the very values that beamfield calibrated, by its record of them."""
-    file = subject.file
-    return not subject.typed.unusable and is_as_calibrated(
-        file.section.text, file.stack, file.model, subject.parameters
-    )
+    file, usable = subject.file, not subject.typed.unusable
+    return usable and is_as_calibrated(file.section.text, file.stack, file.model, subject.parameters)
 
 
 def calibrated(subject: Subject) -> Iterator[Finding]:

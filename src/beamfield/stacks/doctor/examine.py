@@ -7,14 +7,7 @@ from collections.abc import Callable, Iterator
 from beamfield.finding import Finding, worst_first
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from beamfield.stacks.doctor import (
-    beam_checks,
-    map_checks,
-    range_checks,
-    sharpness,
-    value_checks,
-    weight_checks,
-)
+from beamfield.stacks.doctor import beam_checks, map_checks, range_checks, sharpness, value_checks, weight_checks
 from beamfield.stacks.doctor.calibration_check import SETTLED, calibrated, is_calibrated
 from beamfield.stacks.doctor.subject import MapFile, Subject
 from beamfield.stacks.files.parameter_file import StackFile
@@ -50,11 +43,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
 
 
 def examine(
-    file: StackFile,
-    *,
-    grid: OccupancyGrid | None = None,
-    map_file: MapFile | None = None,
-    log: SensorLog | None = None,
+    file: StackFile, *, grid: OccupancyGrid | None = None, map_file: MapFile | None = None, log: SensorLog | None = None
 ) -> tuple[Finding, ...]:
     """Return everything that is wrong with a parameter file, or worth knowing, worst first.
 

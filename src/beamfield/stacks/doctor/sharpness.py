@@ -13,7 +13,7 @@ from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence, RayEvidence
+from beamfield.stacks.emulation.emulator import KNOWN, Evidence, FieldEvidence, RayEvidence
 from beamfield.stacks.registry import build_model
 from beamfield.stacks.stack import FIELD_CUBES, FIELD_PRODUCT
 
@@ -99,13 +99,10 @@ def _effective_in_log(subject: Subject, log: SensorLog, grid: OccupancyGrid) -> 
     chosen = with_pose[np.linspace(0, len(with_pose) - 1, min(N_SCANS, len(with_pose))).astype(np.int64)]
     rng = np.random.default_rng(0)
     spread = np.array([POSITION_SD, POSITION_SD, HEADING_SD])
-    sizes = [
-        effective_sample_size(
-            model.log_likelihood(log.scan(int(i)), log.poses[i] + rng.normal(0.0, spread, (N_PARTICLES, 3)))
-        )
-        for i in chosen
+    weights = [
+        model.log_likelihood(log.scan(int(i)), log.poses[i] + rng.normal(0.0, spread, (N_PARTICLES, 3))) for i in chosen
     ]
-    return float(np.median(sizes))
+    return float(np.median([effective_sample_size(each) for each in weights]))
 
 
 def _room_weights(subject: Subject) -> FloatArray:
@@ -115,11 +112,11 @@ def _room_weights(subject: Subject) -> FloatArray:
     n_beams = _n_beams(subject)
     readings, expected = _room(np.random.default_rng(0), n_beams)
     beams, limit = np.arange(n_beams), _range_limit(subject)
+    evidence: Evidence = RayEvidence(beams, limit, readings, expected, settings=settings)
     if subject.model.weight.of_field:
-        distances = np.abs(readings - expected)
-        places = np.full(distances.shape, KNOWN, np.int8)
-        return np.asarray(model.log_weights(FieldEvidence(beams, limit, distances, places, settings=settings)))
-    return np.asarray(model.log_weights(RayEvidence(beams, limit, readings, expected, settings=settings)))
+        places = np.full(expected.shape, KNOWN, np.int8)
+        evidence = FieldEvidence(beams, limit, np.abs(readings - expected), places, settings=settings)
+    return np.asarray(model.log_weights(evidence))
 
 
 def _range_limit(subject: Subject) -> float:

@@ -21,17 +21,8 @@ BEAM_SKIPPING = ("do_beamskip", "beam_skip_distance", "beam_skip_threshold", "be
 _OFF = Entry("do_beamskip", False, 0, 0, 0)
 # Nodes share their section with parameters that beamfield does not know: motion model, frames, topics.
 _OTHER_PREFIXES = (
-    "alpha",
-    "odom_alpha",
-    "recovery_",
-    "save_",
-    "set_",
-    "always_",
-    "initial_",
-    "tf_",
-    "base_",
-    "global_",
-)
+    "alpha", "odom_alpha", "recovery_", "save_", "set_", "always_", "initial_", "tf_", "base_", "global_",
+)  # fmt: skip
 
 
 def unusable_values(subject: Subject) -> Iterator[Finding]:
@@ -53,8 +44,10 @@ def unusable_values(subject: Subject) -> Iterator[Finding]:
                 f"write {value}.0", own=name,
             )  # fmt: skip
         elif fault == "range":
+            is_count = subject.name_of("max_beams") == name
             yield subject.finding(
-                "out-of-range", "error", f"{name} is {shorten(value)}: {message}", _out_of_range(subject, name),
+                "out-of-range", "error", f"{name} is {shorten(value)}: {message}",
+                subject.stack.too_few_beams if is_count else "the model's formula is meaningless with it",
                 "look up its meaning and choose a valid value", own=name,
                 values={"value": float(value)} if abs(value) <= MOST else {},
             )  # fmt: skip
@@ -100,7 +93,8 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
     strange = [
         name for name, entry in entries.items() if name not in own and (entry.value is not None or entry.filled_in)
     ]
-    foreign = {name: stack for name in strange if (stack := _stack_with(name)) is not None}
+    owners = {name: stack.name for stack in reversed(STACKS.values()) for name in stack.parameter_names}
+    foreign = {name: owners[name] for name in strange if name in owners}
     for name in foreign:
         if other := counterpart(name, own):
             yield _foreign(subject, [name], foreign[name], other, other in entries)
@@ -153,16 +147,6 @@ def _not_finite(subject: Subject, name: str, value: float) -> Finding:
         "programs keep computing with it: weights become NaN, infinite or all the same. nav2 has crashed on it",
         "write a number", own=name,
     )  # fmt: skip
-
-
-def _out_of_range(subject: Subject, name: str) -> str:
-    if subject.name_of("max_beams") == name:
-        return subject.stack.too_few_beams
-    return "the model's formula is meaningless with it"
-
-
-def _stack_with(name: str) -> str | None:
-    return next((stack.name for stack in STACKS.values() if name in stack.parameter_names), None)
 
 
 def _foreign(subject: Subject, names: list[str], stack: str, other: str, has_other: bool) -> Finding:

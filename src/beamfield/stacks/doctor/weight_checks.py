@@ -26,11 +26,9 @@ def weights_sum(subject: Subject) -> Iterator[Finding]:
     if subject.model.factor_cancels:
         why += "A common factor scales all poses' weights alike, so only their meaning as shares is lost"
     else:
-        # Of a sum of 0 there are no shares.
         why += "The weight of a scan is 1 + the sum of p^3 over its beams, so that a common factor does not cancel"
-        why += (
-            f": the beams count {total**3:.2g} times as much against that 1 as with a sum of 1" if total > 0.0 else ""
-        )
+        if total > 0.0:  # of a sum of 0 there are no shares
+            why += f": the beams count {total**3:.2g} times as much against that 1 as with a sum of 1"
     yield subject.finding(
         "weights-sum", "info",
         f"the weights that {subject.file.model} uses sum to {total:.4g}: {terms}", why,

@@ -9,6 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import keep
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.maps.occupancy import OccupancyGrid
@@ -75,7 +76,7 @@ class F1tenthTable(RayModel[F1tenthParameters]):
             stops = np.nan_to_num(self.grid.probability, nan=0.0) > OCCUPIED_FROM
         resolution = message_resolution(self.grid.resolution)
         seen = OccupancyGrid(stops.astype(np.float32), resolution, self.grid.origin)
-        object.__setattr__(self, "_caster", RayCaster(seen))
+        keep(self, _caster=RayCaster(seen))
         pixels(self.parameters.max_range, resolution)
 
     def with_parameters(self, parameters: F1tenthParameters) -> Self:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import keep
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.distance import distance_to_obstacles
@@ -76,7 +77,7 @@ class MrptField(FieldModel[MrptFieldParameters]):
         check_choice(self, "precision", ("double", "single"))
         if self.least_spacing is not None and not 0.0 <= self.least_spacing < np.inf:
             raise InvalidInputError(f"least_spacing: expected a number >= 0 or None, got {self.least_spacing!r}")
-        object.__setattr__(self, "_table", _table(mrpt_grid(self.grid, self.map_mode)))
+        keep(self, _table=_table(mrpt_grid(self.grid, self.map_mode)))
 
     def scan_ends(self, z: Scan) -> ScanEnds:
         """Return the end points that the program looks up; see `FieldModel.scan_ends`."""

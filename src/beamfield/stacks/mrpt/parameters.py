@@ -60,9 +60,7 @@ class MrptFieldParameters:
     def __post_init__(self) -> None:
         _check_method(self.likelihoodMethod, LF_THRUN)
         check_numbers(
-            self,
-            at_least_zero=("LF_zHit", "LF_zRandom", "LF_maxCorrsDistance"),
-            positive=("LF_stdHit", "LF_maxRange"),
+            self, at_least_zero=("LF_zHit", "LF_zRandom", "LF_maxCorrsDistance"), positive=("LF_stdHit", "LF_maxRange")
         )
         check_counts(self, LF_decimation=1)
         check_switches(self, "LF_useSquareDist", "LF_alternateAverageMethod", "enableLikelihoodCache")

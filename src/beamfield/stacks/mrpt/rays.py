@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import keep
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.kernels.marching import march
 from beamfield.kernels.threads import run_in_blocks
@@ -69,14 +70,12 @@ class MrptRays(RayModel[MrptRayParameters]):
         casters = None
         if self.rays == "exact":
             casters = RayCaster(seen, unknown="occupied"), RayCaster(seen, unknown="free")
-        object.__setattr__(self, "_seen", seen)
-        object.__setattr__(self, "_casters", casters)
+        keep(self, _seen=seen, _casters=casters)
 
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
-        step = self.parameters.rayTracing_decimation
-        beams = np.arange(0, len(z.ranges), step)
+        beams = np.arange(0, len(z.ranges), self.parameters.rayTracing_decimation)
         beams = beams[valid_readings(z)[beams]]
         limit = z.finder.max_range
         expected = self.expected_ranges(robot, z.finder.mounts[beams], limit)
@@ -122,8 +121,9 @@ class MrptRays(RayModel[MrptRayParameters]):
         n_steps = round(max_range / resolution)
 
         def work(a: int, b: int) -> None:
-            frame = x, y, yaw
-            march(rows[a:b], frame, resolution, starts, bearings, STEP, PARTS, n_steps, occupied, free, ranges[a:b])
+            march(
+                rows[a:b], (x, y, yaw), resolution, starts, bearings, STEP, PARTS, n_steps, occupied, free, ranges[a:b]
+            )
 
         run_in_blocks(work, len(rows), work_per_row=WORK_PER_RAY * len(mounts))
         # In single precision, as in the program.

@@ -14,7 +14,7 @@ from beamfield.io.files.text_lines import read_at_most
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.syntax.launch_arguments import LaunchArguments
 from beamfield.stacks.syntax.line_ends import line_break, start_of_line
-from beamfield.stacks.syntax.parameter_text import Entry, ParameterSection, Signs, plain_value
+from beamfield.stacks.syntax.parameter_text import Entry, ParameterSection, Signs, decoded, plain_value
 
 MAX_BYTES = 2_000_000
 # How a node's program may be called: what ROS 1 calls type, ROS 2 exec.
@@ -41,16 +41,12 @@ def launch_sections(path: Path, signs: Signs) -> list[ParameterSection]:
         has a parameter twice, or all its parameters are in another file.
     """
     content = read_at_most(path, MAX_BYTES, "a launch file").removeprefix(b"\xef\xbb\xbf")
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise FormatError(path, f"not valid UTF-8: byte {content[error.start : error.start + 1]!r}") from error
+    text = decoded(path, content)
     nodes = _Parser(path, signs).nodes(content)
     chosen = [node for node in nodes if not signs.names.isdisjoint(node.params)]
     chosen = chosen or [node for node in nodes if node.localises]
-    places = _characters(
-        content, [at for node in chosen for at in (node.end, *(p.offset for p in node.params.values()))]
-    )
+    offsets = [at for node in chosen for at in (node.end, *(p.offset for p in node.params.values()))]
+    places = _characters(content, offsets)
     return [_section(path, text, node, signs.names, places) for node in chosen]
 
 

@@ -154,6 +154,14 @@ class ParameterSection:
         return text
 
 
+def decoded(path: Path, content: bytes) -> str:
+    """Return the text of a file in UTF-8, or say which byte is none of it."""
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError(path, f"not valid UTF-8: byte {content[error.start : error.start + 1]!r}") from error
+
+
 def plain_value(word: str) -> Value | None:
     """Return the value that a word in a launch or ini file stands for; None for no word.
 

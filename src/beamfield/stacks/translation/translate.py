@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from typing import Any
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_values
@@ -19,6 +19,7 @@ from beamfield.stacks.translation.translation import (
     Translation,
     above_one,
     as_written,
+    check_metres,
     map_notes,
 )
 from beamfield.stacks.translation.weight_comparison import (
@@ -27,7 +28,6 @@ from beamfield.stacks.translation.weight_comparison import (
     Formula,
     compare,
     compare_fields,
-    ray_weights,
     sample_distances,
     sample_ranges,
 )
@@ -76,11 +76,8 @@ def translate(
     FormatError
         If the file has a value that its stack cannot use.
     """
-    for name, value in (("max_range", max_range), ("resolution", resolution)):
-        if value is not None and not 0.0 < value < math.inf:
-            raise InvalidInputError(f"{name}: expected a positive number of metres, got {value}")
-    if n_beams is not None and n_beams < 1:
-        raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
+    check_metres(max_range=max_range, resolution=resolution)
+    require(n_beams is None or n_beams >= 1, "n_beams", "at least 1", n_beams)
     stack = None if to == CHAPTER else stack_named(to)
     name = _target(file, stack, to, model)
     source = Formula(file.program, file.described_model, checked_values(file))
@@ -201,10 +198,7 @@ def _field_comparison(
     source: Formula, other: Formula | ChapterField, max_range: float | None, cell: float | None
 ) -> Comparison:
     # What has no limit anywhere is compared as if the sensor had one.
-    limits = [
-        of.max_range if isinstance(of, ChapterField) else of.longest_range(max_range) or SAMPLED_RANGE
-        for of in (source, other)
-    ]
+    limits = [of.longest_range(max_range) or SAMPLED_RANGE for of in (source, other)]
     sample = read_field(source, max_range or SAMPLED_RANGE, None, [])
     distances = sample_distances(sample.sigma, sample.max_distance)
     return compare_fields(source, other, distances, (limits[0], limits[1]), cell)
@@ -214,7 +208,7 @@ def _ray_comparison(source: Formula, other: Any, max_range: float | None, cell: 
     limit = source.longest_range(max_range) or 3.0 * SAMPLED_RANGE
     sigma = source.model.sigma(source.parameters, cell)
     ranges, expected = sample_ranges(sigma or 0.0, SAMPLED_RANGE, limit)
-    return compare(*(ray_weights(of, ranges, expected, limit, cell) for of in (source, other)))
+    return compare(*(of.ray_weights(ranges, expected, limit, cell) for of in (source, other)))
 
 
 def _cut_note(

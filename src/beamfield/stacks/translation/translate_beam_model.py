@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,17 +26,9 @@ from beamfield.stacks.translation.translation import (
     Translation,
     above_one,
     as_written,
+    check_metres,
 )
-from beamfield.stacks.translation.weight_comparison import (
-    ChapterField,
-    Comparison,
-    Formula,
-    beam_log_values,
-    compare,
-    field_weights,
-    ray_weights,
-    sample_ranges,
-)
+from beamfield.stacks.translation.weight_comparison import ChapterField, Comparison, Formula, compare, sample_ranges
 
 # Indoors ranges have a root mean square of 2 to 6 m: 3.8 m in the median of nine logs.
 TYPICAL_RANGE, TYPICAL_SHARE = 4.0, 0.4
@@ -98,9 +89,7 @@ def translate_beam_model(
     greatest expected log density has the variance sigma_hit^2 + b^2 + s^2 E[z*^2]. A loss in nats a beam is the mean
     difference of the log densities of readings drawn from the model.
     """
-    for name, value in (("typical_range", typical_range), ("resolution", resolution)):
-        if value is not None and not 0.0 < value < math.inf:
-            raise InvalidInputError(f"{name}: expected a positive number of metres, got {value}")
+    check_metres(typical_range=typical_range, resolution=resolution)
     own = _read(Path(path), typical_range)
     cell = resolution or 0.05
     if to == CHAPTER:
@@ -109,7 +98,13 @@ def translate_beam_model(
             raise InvalidInputError(f"model: {CHAPTER} has {', '.join(CHAPTER_WEIGHTS)}, got {name!r}")
         notes = _folded(own)
         values = _chapter_beam(own) if name == "beam" else chapter_values(_field(own, notes), notes)
-        return Translation(CHAPTER, name, values, _compared_chapter(name, as_written(values), own), (), tuple(notes))
+        written = as_written(values)
+        made = (
+            BeamParameters(**_normalised(written))
+            if name == "beam"
+            else ChapterField(**written, max_range=own.max_range)
+        )
+        return Translation(CHAPTER, name, values, _compared(made, own, cell), (), tuple(notes))
     stack = stack_named(to)
     chosen, notes = _choose(stack, model)
     if chosen.counts_in_cells and resolution is None:
@@ -196,30 +191,18 @@ def _folded(own: _Own) -> list[str]:
     return notes
 
 
-def _compared_chapter(name: str, values: Mapping[str, Any], own: _Own) -> Comparison:
-    """Compare weights before with those of the chapter's own models; see `_compared`."""
-    ranges, expected, before = _sample(own)
-    if name == "beam":
-        return compare(before, _densities(BeamParameters(**_normalised(values)), 0.0, own.max_range, ranges, expected))
-    field = ChapterField(**values, max_range=own.max_range)
-    return compare(before, field_weights(field, np.abs(ranges - expected), own.max_range))
-
-
-def _compared(formula: Formula, own: _Own, cell: float) -> Comparison:
+def _compared(made: Formula | ChapterField | BeamParameters, own: _Own, cell: float) -> Comparison:
     """Compare weights: beamfield's product of densities, and the stack's of the same readings.
 
     A field gets the differences between reading and expected range for distances: beams meet walls at right angles.
     """
-    ranges, expected, before = _sample(own)
-    if formula.model.weight.of_field:
-        return compare(before, field_weights(formula, np.abs(ranges - expected), own.max_range))
-    return compare(before, ray_weights(formula, ranges, expected, own.max_range, cell))
-
-
-def _sample(own: _Own) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return readings, expected ranges and beamfield's log-weights."""
     ranges, expected = sample_ranges(own.plain.sigma_hit, own.typical_range, own.max_range)
-    return ranges, expected, _densities(own.full, own.min_range, own.max_range, ranges, expected)
+    before = _densities(own.full, own.min_range, own.max_range, ranges, expected)
+    if isinstance(made, BeamParameters):
+        return compare(before, _densities(made, 0.0, own.max_range, ranges, expected))
+    if isinstance(made, ChapterField) or made.model.weight.of_field:
+        return compare(before, made.field_weights(np.abs(ranges - expected), own.max_range))
+    return compare(before, made.ray_weights(ranges, expected, own.max_range, cell))
 
 
 def _densities(
@@ -275,7 +258,7 @@ def _formula_note(formula: Formula, own: _Own, cell: float) -> str:
     expected = np.minimum(rng.rayleigh(own.typical_range / math.sqrt(2.0), N_SAMPLES // 10), own.max_range)
     ranges = sample_beams(expected, own.max_range, own.plain, rng)
     expected, ranges = expected[ranges < own.max_range], ranges[ranges < own.max_range]
-    log_p = beam_log_values(formula, ranges, expected, own.max_range, cell)
+    log_p = formula.beam_log_values(ranges, expected, own.max_range, cell)
     off = log_p - beam_log_density(ranges, expected, own.max_range, own.plain)
     off = off[np.isfinite(off)]
     return (

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from beamfield.arguments import require
 from beamfield.stacks.stack import FIELD_PRODUCT, RAY_PRODUCT, Stack, Weight
 from beamfield.stacks.syntax.parameter_text import Value
 from beamfield.stacks.translation.weight_comparison import N_BEAMS, N_POSES, Comparison
@@ -61,6 +63,12 @@ class Translation:
             f"not the same weights: computed for {sample}, log weights range over {made.spread:.3g} nats before and "
             f"{made.other_spread:.3g} after, and differ by up to {made.difference:.3g}"
         )
+
+
+def check_metres(**lengths: float | None) -> None:
+    """Refuse lengths that are none; None is not given."""
+    for name, value in lengths.items():
+        require(value is None or 0.0 < value < math.inf, name, "a positive number of metres", value)
 
 
 def as_written(values: Mapping[str, Value]) -> dict[str, Any]:

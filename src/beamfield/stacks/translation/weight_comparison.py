@@ -45,6 +45,41 @@ class Formula(NamedTuple):
             return max_range
         return float(own) if max_range is None else min(float(own), max_range)
 
+    def field_weights(self, distances: FloatArray, limit: float, cell: float | None = None) -> FloatArray:
+        """Return the log-weights (n,) of a field; see `compare_fields`."""
+        made, settings = self._emulator(FINE if cell is None else cell)
+        places = np.full(distances.shape, KNOWN, np.int8)
+        evidence = FieldEvidence(np.arange(distances.shape[1]), limit, distances, places, settings=settings)
+        return np.asarray(made.log_weights(evidence))
+
+    def ray_weights(self, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float) -> FloatArray:
+        """Return the log-weights (n,) of a beam model.
+
+        Parameters
+        ----------
+        ranges, expected
+            From `sample_ranges`.
+        max_range
+            The sensor's longest range, metres.
+        cell
+            Side of the map's cells, metres, in which some programs count.
+        """
+        made, settings = self._emulator(cell)
+        return np.asarray(
+            made.log_weights(RayEvidence(np.arange(len(ranges)), max_range, ranges, expected, settings=settings))
+        )
+
+    def beam_log_values(self, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float) -> FloatArray:
+        """Return log p (k,) of single beams by a beam model; see `ray_weights`."""
+        made, settings = self._emulator(cell)
+        evidence = RayEvidence(np.arange(len(ranges)), max_range, ranges, expected[None, :], settings=settings)
+        return np.asarray(made.beam_log_values(evidence)[0])
+
+    def _emulator(self, cell: float) -> tuple[Any, dict[str, Any]]:
+        grid = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=float(np.float32(cell)))
+        made = self.model.emulator(grid, self.parameters)  # type: ignore[call-arg]
+        return made, {name: getattr(self.parameters, name) for name in made.evidence_settings}
+
 
 @dataclass(frozen=True)
 class ChapterField:
@@ -55,6 +90,17 @@ class ChapterField:
     sigma_hit: float
     max_distance: float
     max_range: float
+
+    def longest_range(self, _max_range: float | None) -> float:
+        """Return what random readings are divided by, metres."""
+        return self.max_range
+
+    def field_weights(self, distances: FloatArray, _limit: float, _cell: float | None = None) -> FloatArray:
+        """Return the log-weights (n,) of the chapter's field (Table 6.3): the product of p over beams."""
+        hit = np.exp(-0.5 * (np.minimum(distances, self.max_distance) / self.sigma_hit) ** 2)
+        density = hit / (math.sqrt(2.0 * math.pi) * self.sigma_hit)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(self.z_hit * density + self.z_rand / self.max_range).sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -135,45 +181,7 @@ def compare_fields(
         distances as they are.
     """
     seen = distances if cell is None else between_cells(distances, cell)
-    return compare(*(field_weights(of, seen, limit, cell) for of, limit in zip((one, other), limits, strict=True)))
-
-
-def ray_weights(of: Formula, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float) -> FloatArray:
-    """Return the log-weights (n,) of a beam model.
-
-    Parameters
-    ----------
-    of
-        The model.
-    ranges, expected
-        From `sample_ranges`.
-    max_range
-        The sensor's longest range, metres.
-    cell
-        Side of the map's cells, metres, in which some programs count.
-    """
-    made, settings = _emulator(of, cell)
-    evidence = RayEvidence(np.arange(len(ranges)), max_range, ranges, expected, settings=settings)
-    return np.asarray(made.log_weights(evidence))
-
-
-def beam_log_values(of: Formula, ranges: FloatArray, expected: FloatArray, max_range: float, cell: float) -> FloatArray:
-    """Return log p (k,) of single beams by a beam model; see `ray_weights`."""
-    made, settings = _emulator(of, cell)
-    evidence = RayEvidence(np.arange(len(ranges)), max_range, ranges, expected[None, :], settings=settings)
-    return np.asarray(made.beam_log_values(evidence)[0])
-
-
-def field_weights(
-    of: Formula | ChapterField, distances: FloatArray, limit: float, cell: float | None = None
-) -> FloatArray:
-    """Return the log-weights (n,) of a field; see `compare_fields`."""
-    if isinstance(of, ChapterField):
-        return chapter_field_weights(of, distances)
-    made, settings = _emulator(of, FINE if cell is None else cell)
-    places = np.full(distances.shape, KNOWN, np.int8)
-    evidence = FieldEvidence(np.arange(distances.shape[1]), limit, distances, places, settings=settings)
-    return np.asarray(made.log_weights(evidence))
+    return compare(*(of.field_weights(seen, limit, cell) for of, limit in zip((one, other), limits, strict=True)))
 
 
 def between_cells(distances: FloatArray, cell: float) -> FloatArray:
@@ -183,18 +191,3 @@ def between_cells(distances: FloatArray, cell: float) -> FloatArray:
     """
     side = float(np.float32(cell))
     return np.asarray(np.sqrt(np.round((distances / side) ** 2)) * side)
-
-
-def chapter_field_weights(parameters: ChapterField, distances: FloatArray) -> FloatArray:
-    """Return the log-weights (n,) of the chapter's field (Table 6.3): the product of p over beams."""
-    d = np.minimum(distances, parameters.max_distance)
-    hit = np.exp(-0.5 * (d / parameters.sigma_hit) ** 2) / (math.sqrt(2.0 * math.pi) * parameters.sigma_hit)
-    with np.errstate(divide="ignore"):
-        p = np.log(parameters.z_hit * hit + parameters.z_rand / parameters.max_range)
-    return np.asarray(p.sum(axis=1))
-
-
-def _emulator(of: Formula, cell: float) -> tuple[Any, dict[str, Any]]:
-    grid = OccupancyGrid.from_ros(np.zeros((2, 2)), resolution=float(np.float32(cell)))
-    made = of.model.emulator(grid, of.parameters)  # type: ignore[call-arg]
-    return made, {name: getattr(of.parameters, name) for name in made.evidence_settings}

@@ -66,6 +66,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     choice.add_argument("--min-turn", type=not_negative, metavar="DEG", help="or least turn (default: 1.15)")
     choice.add_argument("--max-turn-rate", type=positive, metavar="DEG/S",
                         help="drop scans in faster turns (default: 86)")  # fmt: skip
+    parser.add_argument("--odometry-noise", action="store_true",
+                        help="learn systematic errors and noise of the odometry too, for motion models")  # fmt: skip
     add_stack_options(parser)
     options.add_threads(parser)
 
@@ -124,6 +126,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.odometry and (arguments.map is not None or arguments.poses is not None):
         raise InvalidInputError("--odometry: only without --map and --poses: odometry is not in the map's frame")
+    if arguments.odometry and arguments.odometry_noise:
+        raise InvalidInputError("--odometry-noise: needs reference poses that are not the odometry: drop --odometry")
     if arguments.map is not None and arguments.resolution is not None:
         raise InvalidInputError("--resolution: is for maps drawn from the log, but --map gives one")
 

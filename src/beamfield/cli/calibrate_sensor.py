@@ -14,6 +14,7 @@ from beamfield.calibration.calibrate import Calibration, CalibrationOptions, cal
 from beamfield.calibration.cross_fit import CrossFitMaps, build_cross_fit_maps
 from beamfield.cli.calibrate_exponent import learn_beam_exponent
 from beamfield.cli.calibrate_field import learn_field
+from beamfield.cli.calibrate_odometry import learn_odometry
 from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.report_part import ReportPart, StackPart
@@ -130,15 +131,20 @@ class CalibrationJob:
         if self.grid is None:
             resolution = self.arguments.resolution or 0.05
             maps = build_cross_fit_maps(sensor, resolution=resolution, progress=self.progress)
-            return maps, calibrate(sensor, maps, self.options, progress=self.progress), None, []
+            result = calibrate(sensor, maps, self.options, progress=self.progress)
+            return maps, result, None, [learn_odometry(self, sensor)[0]] if self.arguments.odometry_noise else []
         if self.arguments.stack is not None:
             warn_if_too_short(self, sensor, self.grid)
         result = calibrate(sensor, self.grid, self.options, progress=self.progress)
         counting, exponents = learn_beam_exponent(self, sensor, self.grid, result)
         parts = [counting, learn_field(self, sensor, self.grid, result)]
         result = replace(result, findings=(*result.findings, *(found for part in parts for found in part.findings)))
+        motion: dict[str, Any] = {}
+        if self.arguments.odometry_noise:
+            part, motion = learn_odometry(self, sensor)
+            parts.append(part)
         if self.arguments.stack is not None:
-            parts.append(fit_for_stack(self, sensor, self.grid, result))
+            parts.append(fit_for_stack(self, sensor, self.grid, result, motion))
         return self.grid, result, exponents, parts
 
 

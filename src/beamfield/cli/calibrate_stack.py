@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,8 +78,10 @@ def warn_if_too_short(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGri
             complain(f"beamfield: warning: too short for --stack {arguments.stack}, the rest goes on: {error}")
 
 
-def fit_for_stack(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> ReportPart:
-    """Fit one model of the stack, or all of them, and return what comes of it."""
+def fit_for_stack(
+    job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration, motion: Mapping[str, Any]
+) -> ReportPart:
+    """Fit one model of the stack, or all of them, and return what comes of it; `motion` goes into its file, too."""
     from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
     from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
@@ -94,9 +97,10 @@ def fit_for_stack(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, r
         return ReportPart("stack", why, {"stack": stack, "missing": str(error)}, section, {}, problem=why)
     best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
     record = _record(best) if best.covers else ""
-    text = _file_text(job.arguments, best.model.model, asdict(best.parameters), record)
+    text = _file_text(job.arguments, best.model.model, {**asdict(best.parameters), **motion}, record)
     start_values = asdict(best.start)
     changed = {name: value for name, value in asdict(best.parameters).items() if value != start_values[name]}
+    changed |= motion
     return StackPart(
         "stack", stack_tables(fits, best), stack_as_dict(fits, best), stack_section(fits, best, text),
         {f"{stack}.{STACKS[stack].syntax}": text}, values=changed, record=record,

@@ -74,6 +74,10 @@ class Step(Protocol):
         """Return the log density of `after`, given `before`, both (n, 3)."""
         ...
 
+    def covariance(self) -> FloatArray:
+        """Return the covariance (3, 3) of ahead, left, turn, at least to first order in the noise."""
+        ...
+
 
 class OdometryMotion(ABC):
     """A motion model that turns an odometry step into a distribution, which is then the same for all particles."""

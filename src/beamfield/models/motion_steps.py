@@ -124,6 +124,15 @@ class RotationTranslationRotation:
         fill_rotation_log_densities(before, after, self._as_array(), out)
         return out
 
+    def covariance(self) -> FloatArray:
+        """Return the covariance (3, 3) of ahead, left, turn, to first order in the noise."""
+        cos, sin = math.cos(self.rotation_1), math.sin(self.rotation_1)
+        root = np.array(
+            [[-self.translation * sin, cos, 0.0], [self.translation * cos, sin, 0.0], [1.0, 0.0, 1.0]]
+        ) * [self.deviation_1, self.deviation_translation, self.deviation_2]  # fmt: skip
+        added = np.diag([self.added_position, self.added_position, self.added_heading])
+        return np.asarray(root @ root.T + added**2)
+
     def _as_array(self) -> FloatArray:
         return np.array(
             [self.rotation_1, self.translation, self.rotation_2,

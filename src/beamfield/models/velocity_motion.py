@@ -134,6 +134,21 @@ class ArcStep:
             )
         return np.asarray(np.logaddexp.reduce(ways))
 
+    def covariance(self) -> FloatArray:
+        """Return the covariance (3, 3) of ahead, left, turn, to first order in the noise, but for that of long turns.
+
+        Length, turn and the turn at the end move the chord's end by d(chord) = sinc(turn / 2) d(length) along its
+        bearing and by chord d(turn) / 2 across it; what a turn takes from the chord's length is left out.
+        """
+        half_turn = 0.5 * self.w * self.duration
+        shortening = float(np.sinc(half_turn / np.pi))
+        chord = self.v * self.duration * shortening
+        cos, sin = math.cos(half_turn), math.sin(half_turn)
+        root = np.array(
+            [[shortening * cos, -0.5 * chord * sin, 0.0], [shortening * sin, 0.5 * chord * cos, 0.0], [0.0, 1.0, 1.0]]
+        ) * (self.deviations * self.duration)  # fmt: skip
+        return np.asarray(root @ root.T)
+
     def _arc(self, chord: FloatArray, half_turn: FloatArray) -> tuple[FloatArray, FloatArray | float]:
         """Return the length of an arc with this chord, and log d(x, y) / (d length d turn).
 

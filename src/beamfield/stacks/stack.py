@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
+from beamfield.calibration.odometry.result import OdometryCalibration
 from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
 from beamfield.localization.replay import ReplayedFilter
@@ -276,6 +277,10 @@ class Stack:
         What makes its weights flatter.
     filter
         Its particle filter; None if that is not emulated.
+    motion_key
+        The parameter that chooses the motion model; "" if its file does not hold that model's parameters.
+    motions
+        By the values of `motion_key`, the default first: the motion model's parameters from calibrated odometry.
     checks
         Findings of its own: called with what `beamfield.stacks.doctor` looks at.
     """
@@ -309,6 +314,8 @@ class Stack:
     off_map: str = ""
     flatter: str = "fewer beams or a wider sigma_hit"
     filter: StackFilter | None = None
+    motion_key: str = ""
+    motions: Mapping[str, Callable[[OdometryCalibration], dict[str, float]]] = field(default_factory=dict)
     checks: tuple[Callable[[Any], Iterator[Finding]], ...] = ()
 
     @property

@@ -6,10 +6,11 @@ from typing import Any
 
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.amcl.chapter import amcl_fit_space, beam_notes, plain_from_chapter
+from beamfield.stacks.amcl.learned_motion import differential_alphas, omni_alphas
 from beamfield.stacks.amcl.parameters import ROS_1_DEFAULTS, ROS_1_NAMES
 from beamfield.stacks.beluga.filter import BelugaFilterParameters, beluga_filter
 from beamfield.stacks.beluga.models import BelugaBeam, BelugaField, BelugaFieldProb
-from beamfield.stacks.beluga.motion import BelugaMotion
+from beamfield.stacks.beluga.motion import DIFFERENTIAL, NAV2_NAMES, OMNI, BelugaMotion
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.stack import (
@@ -55,6 +56,8 @@ def _described(emulator: type[StackModel[Any, Any]], **facts: Any) -> Model:
     )  # fmt: skip
 
 
+_MOTIONS = {DIFFERENTIAL: differential_alphas, OMNI: omni_alphas}
+
 BELUGA = Stack(
     name="beluga",
     title="Beluga",
@@ -99,4 +102,6 @@ BELUGA = Stack(
     beams_taken="max_beams evenly",
     off_map="1 / laser_max_range",
     filter=StackFilter(motion=BelugaMotion, parameters=BelugaFilterParameters, build=beluga_filter),
+    motion_key="robot_model_type",
+    motions={**_MOTIONS, **{name: _MOTIONS[own] for name, own in NAV2_NAMES.items()}},
 )  # fmt: skip

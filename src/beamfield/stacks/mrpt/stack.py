@@ -5,6 +5,7 @@ from __future__ import annotations
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.coordinates import SIGMAS, Coordinate, FitInputs, FitSpace, log_of, share
 from beamfield.stacks.mrpt.field import MrptField
+from beamfield.stacks.mrpt.learned_motion import gaussian_values, thrun_values
 from beamfield.stacks.mrpt.parameters import LF_THRUN, RAY_TRACING, MrptFieldParameters, MrptRayParameters
 from beamfield.stacks.mrpt.rays import MrptRays
 from beamfield.stacks.stack import FIELD_PRODUCT, RAY_LOGS, SURE, Model, Stack, models
@@ -95,4 +96,5 @@ MRPT = Stack(
     turned_map="MRPT's bridge from ROS takes no map with a turned origin",
     drops_beyond=False,
     flatter="a larger decimation or a wider stdHit",
+    motions={"gaussianModel": gaussian_values, "thrunModel": thrun_values},
 )  # fmt: skip

@@ -7,11 +7,12 @@ from typing import Any
 
 from beamfield.finding import Finding
 from beamfield.stacks.amcl.filter import amcl_filter
+from beamfield.stacks.amcl.learned_motion import differential_alphas, omni_alphas
 from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.nav2.models import Nav2Beam, Nav2Field, Nav2FieldProb
-from beamfield.stacks.nav2.motion import Nav2Motion
+from beamfield.stacks.nav2.motion import DIFFERENTIAL, OMNI, Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.stack import SURE, StackFilter
 from beamfield.stacks.syntax.parameter_text import ParameterSection
@@ -55,5 +56,7 @@ NAV2 = amcl_stack(
     unknown_model="nav2 runs likelihood_field instead, without a message",
     is_typed=True,
     filter=StackFilter(motion=Nav2Motion, parameters=AmclFilterParameters, build=amcl_filter),
+    motion_key="robot_model_type",
+    motions={DIFFERENTIAL: differential_alphas, OMNI: omni_alphas},
     checks=(uninitialised_queue,),
 )  # fmt: skip

@@ -5,6 +5,12 @@ from __future__ import annotations
 from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
 from beamfield.stacks.ros1.filter import Ros1FilterParameters, ros1_filter
+from beamfield.stacks.ros1.learned_motion import (
+    corrected_differential,
+    corrected_omni,
+    literal_differential,
+    literal_omni,
+)
 from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
 from beamfield.stacks.ros1.motion import Ros1Motion
 from beamfield.stacks.ros1.parameters import Ros1Parameters
@@ -39,4 +45,11 @@ ROS1 = amcl_stack(
     wrong_type="amcl uses its default without a message",
     filter=StackFilter(motion=Ros1Motion, parameters=Ros1FilterParameters, build=ros1_filter),
     flatter="fewer beams or a wider laser_sigma_hit",
+    motion_key="odom_model_type",
+    motions={
+        "diff": literal_differential,
+        "omni": literal_omni,
+        "diff-corrected": corrected_differential,
+        "omni-corrected": corrected_omni,
+    },
 )

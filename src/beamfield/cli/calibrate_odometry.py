@@ -1,0 +1,72 @@
+"""The part of ``beamfield calibrate`` that learns the errors and the noise of odometry."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from beamfield.cli.report_part import ReportPart
+from beamfield.errors import TooLittleDataError
+
+if TYPE_CHECKING:
+    from beamfield.calibration.odometry.result import OdometryCalibration
+    from beamfield.cli.calibrate_sensor import CalibrationJob
+    from beamfield.sensors import SensorLog
+    from beamfield.stacks.files.parameter_file import StackFile
+
+NAME = "odometry"
+
+
+def learn_odometry(job: CalibrationJob, sensor: SensorLog) -> tuple[ReportPart, dict[str, Any]]:
+    """Calibrate the odometry; return the part of the report, and values for the file of the stack asked for."""
+    from beamfield.calibration.odometry.learning import calibrate_odometry
+    from beamfield.calibration.odometry.result import OdometryOptions
+    from beamfield.calibration.pose_windows import REFERENCE_LEVER
+    from beamfield.report.odometry_section import (
+        odometry_as_dict,
+        odometry_missing,
+        odometry_section,
+        odometry_tables,
+    )
+
+    job.progress("calibrating the odometry", 0, 1)
+    error = job.arguments.reference_error
+    options = OdometryOptions(reference_error=error, reference_turn_error=error / REFERENCE_LEVER)
+    try:
+        result = calibrate_odometry(sensor, options)
+    except TooLittleDataError as missing:
+        why = f"odometry not calibrated: {missing}"
+        part = ReportPart(NAME, why, {"missing": str(missing)}, odometry_missing(str(missing)), {}, problem=why)
+        return part, {}
+    programs = _by_program(result)
+    part = ReportPart(
+        NAME, odometry_tables(result, programs), odometry_as_dict(result, programs),
+        odometry_section(result, programs), {},
+    )  # fmt: skip
+    return part, _for_stack(job.arguments.stack, job.patched, result)
+
+
+def _by_program(result: OdometryCalibration) -> dict[str, dict[str, dict[str, float]]]:
+    from beamfield.stacks.registry import STACKS
+
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for name, stack in STACKS.items():
+        # Without a model's other names.
+        first = {values: model for model, values in reversed(list(stack.motions.items()))}
+        if first:
+            found[name] = {model: values(result) for model, values in stack.motions.items() if first[values] == model}
+    return found
+
+
+def _for_stack(name: str | None, patched: StackFile | None, result: OdometryCalibration) -> dict[str, Any]:
+    """Return the parameters of the motion model that the user's file chooses, or of the stack's default.
+
+    None where the file does not hold them: MRPT's, and that of Beluga's node for ROS 1, whose names are others.
+    """
+    from beamfield.stacks.registry import STACKS
+
+    if name is None or not STACKS[name].motion_key or (patched is not None and patched.is_of_other_node):
+        return {}
+    stack = STACKS[name]
+    entry = None if patched is None else patched.section.entries.get(stack.motion_key)
+    model = next(iter(stack.motions)) if entry is None or entry.value is None else str(entry.value)
+    return dict(stack.motions[model](result)) if model in stack.motions else {}

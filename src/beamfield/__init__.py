@@ -58,6 +58,8 @@ _NAMES = {
     "calibration.field.learning": ("learn_field_parameters",),
     "calibration.context.exponent": ("learn_exponent",),
     "calibration.context.learning": ("learn_in_context",),
+    "calibration.odometry.learning": ("calibrate_odometry",),
+    "calibration.odometry.result": ("OdometryOptions",),
     "landmark_noise.learning": ("learn_landmark_parameters",),
     "scan_fit.reference": ("calibrate_scan_fit",),
     "scan_fit.scan_fit": ("judge_scan", "judge_log"),

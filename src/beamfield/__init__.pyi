@@ -68,6 +68,8 @@ from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters as lea
 from beamfield.calibration.field.learning import learn_field_parameters as learn_field_parameters
 from beamfield.calibration.context.exponent import learn_exponent as learn_exponent
 from beamfield.calibration.context.learning import learn_in_context as learn_in_context
+from beamfield.calibration.odometry.learning import calibrate_odometry as calibrate_odometry
+from beamfield.calibration.odometry.result import OdometryOptions as OdometryOptions
 from beamfield.landmark_noise.learning import learn_landmark_parameters as learn_landmark_parameters
 from beamfield.scan_fit.changed_places import find_changed_places as find_changed_places
 from beamfield.scan_fit.reference import calibrate_scan_fit as calibrate_scan_fit

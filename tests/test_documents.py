@@ -26,7 +26,6 @@ from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.io.landmarks.landmark_files import write_landmarks
 from beamfield.io.landmarks.line_files import write_line_map
-from beamfield.io.landmarks.sightings import write_sightings
 from beamfield.io.maps.ros_map import write_map
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
@@ -40,6 +39,7 @@ from beamfield.sensors import RangeFinder, Scan, SensorLog
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from tests.io.mini_bag import MiniBag, quaternion
 from tests.io.test_fiducial_detections import CameraBag
+from tests.sightings_file import write_sightings
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -13,11 +13,11 @@ from beamfield.cli.main import main
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.io.landmarks.landmark_files import write_landmarks
-from beamfield.io.landmarks.sightings import write_sightings
 from beamfield.io.parameters.landmark_model_file import read_landmark_model
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
+from tests.sightings_file import write_sightings
 
 MAP = LandmarkMap([[0.0, 0.0], [9.0, 1.0], [4.0, 7.0]], ids=[4, 9, 2])
 TRUTH = LandmarkParameters(0.1, 0.02, range_bias=0.5)

@@ -15,10 +15,10 @@ from beamfield.cli.main import main
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.io.landmarks.landmark_files import write_landmarks
-from beamfield.io.landmarks.sightings import write_sightings
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
+from tests.sightings_file import write_sightings
 
 NAV2 = """\
 amcl:

@@ -171,7 +171,12 @@ def test_an_unknown_topic_and_one_of_another_type(tmp_path):
     path = MiniBag().scan(1.0).odometry(1.0, (0.0, 0.0)).write(tmp_path)
     refuse(path, r"no topic '/laser'; the bag has '/scan' \(", InvalidInputError, sensor_topic="/laser")
     refuse(path, "'/odom' holds nav_msgs/msg/Odometry", InvalidInputError, sensor_topic="/odom")
-    refuse(path, "'/scan' holds sensor_msgs/msg/LaserScan, expected poses", InvalidInputError, poses_topic="/scan")
+    refuse(
+        path,
+        "'/scan' holds sensor_msgs/msg/LaserScan, expected nav_msgs/msg/Odometry or",
+        InvalidInputError,
+        poses_topic="/scan",
+    )
     with pytest.raises(InvalidInputError, match="got both"):
         read_bag(path, poses_topic="/odom", map_frame="map")
     with pytest.raises(InvalidInputError, match="at least one topic"):
@@ -409,6 +414,6 @@ def test_bags_without_a_map_or_with_several(tmp_path):
     path = MiniBag().scan(1.0).write(tmp_path)
     refuse(path, "no map.*'/scan'", read=read_bag_map)
     path = MiniBag().grid(1.0, 1, 1, [0], topic="/a").grid(1.0, 1, 1, [0], topic="/b").write(tmp_path, "two")
-    refuse(path, "several maps.*'/a', '/b'", InvalidInputError, read=read_bag_map)
+    refuse(path, "several map topics.*'/a', '/b'", InvalidInputError, read=read_bag_map)
     path = MiniBag().declare("/map", "nav_msgs/msg/OccupancyGrid").write(tmp_path, "none")
     refuse(path, "no message", read=read_bag_map)

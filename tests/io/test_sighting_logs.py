@@ -8,7 +8,8 @@ import pytest
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import FormatError
-from beamfield.io.landmarks.sightings import read_sightings, write_sightings
+from beamfield.io.landmarks.sightings import read_sightings
+from tests.sightings_file import write_sightings
 
 HEADER = "stamp,x,y,theta,id,range,bearing\n"
 

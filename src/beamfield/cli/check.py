@@ -135,8 +135,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError("--good-poses: needs --good")
     if arguments.good_scans is not None and arguments.params is None:
         raise InvalidInputError("--good-scans: needs the parameters it was made with, give --params")
-    if arguments.sensor and len(arguments.sensor) > 1:
-        raise InvalidInputError(f"--sensor: expected one, got {', '.join(arguments.sensor)}")
 
 
 def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
@@ -188,8 +186,8 @@ def _read_reference(path: Path) -> ScanFitReference:
 
 
 def _sensor(arguments: argparse.Namespace, path: Path, poses: Path | None) -> tuple[SensorLog, tuple[str, ...]]:
-    log = options.read_scans(arguments, path, poses)
-    return options.require_poses(log.only_sensor(arguments.sensor[0] if arguments.sensor else None), path), log.notes
+    sensor, notes = options.read_sensor(arguments, path, poses)
+    return options.require_poses(sensor, path), notes
 
 
 def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StageProgress) -> BeamParameters:

@@ -174,11 +174,13 @@ def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: P
         raise FormatError(poses, str(error)) from error
 
 
-def read_sensor(arguments: argparse.Namespace) -> tuple[SensorLog, tuple[str, ...]]:
+def read_sensor(
+    arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None
+) -> tuple[SensorLog, tuple[str, ...]]:
     """Read the one sensor of a log, and what was noticed on the way."""
     if arguments.sensor and len(arguments.sensor) > 1:
         raise InvalidInputError(f"--sensor: expected one, got {', '.join(arguments.sensor)}")
-    log = read_scans(arguments)
+    log = read_scans(arguments, path, poses)
     return log.only_sensor(arguments.sensor[0] if arguments.sensor else None), log.notes
 
 

@@ -107,31 +107,26 @@ def read_log(
         raise InvalidInputError(f"min_range: expected a finite number of metres >= 0, got {min_range!r}")
     if opening_angle is not None and not 0.0 <= opening_angle < math.pi:
         raise InvalidInputError(f"opening_angle: expected [0, pi) radians, got {opening_angle!r}")
+    limits: dict[str, Any] = {"no_return": no_return, "max_range": max_range, "min_range": min_range}
+    bag_only: dict[str, Any] = {
+        "poses_topic": poses_topic, "map_frame": map_frame, "base_frame": base_frame, "mount": mount
+    }  # fmt: skip
     if _is_bag(source):
+        # Text logs need neither rosbags nor the time to import it.
+        from beamfield.io.bags.reader import read_bag
+
         if stamps != "file" or lone_poses != "reference":
             raise InvalidInputError(f"{source}: stamps and lone_poses are for text logs, this is a bag")
-        bag = _read_bag(
-            source,
-            sensor_topic=sensor_topic,
-            poses_topic=poses_topic,
-            map_frame=map_frame,
-            base_frame=base_frame,
-            mount=mount,
-            no_return=no_return,
-            max_range=max_range,
-            min_range=min_range,
-        )
-        return _with_cones(_masked(bag, mask), opening_angle)
-    bag_options = {"poses_topic": poses_topic, "map_frame": map_frame, "base_frame": base_frame, "mount": mount}
-    for name, value in bag_options.items():
+        return _adjusted(read_bag(source, sensor_topic=sensor_topic, **bag_only, **limits), mask, opening_angle)
+    for name, value in bag_only.items():
         if value is not None:
             raise InvalidInputError(
                 f"{name}: expected None for a text log, which has no topics or frames; got {value!r}"
             )
     asked = (sensor_topic,) if isinstance(sensor_topic, str) else None if sensor_topic is None else tuple(sensor_topic)
-    options = TextOptions(asked, no_return, max_range, min_range, stamps, lone_poses)
+    options = TextOptions(asked, stamps=stamps, lone_poses=lone_poses, **limits)
     reader = _text_reader(source)
-    log = _with_cones(_masked(reader(source, options), mask), opening_angle)
+    log = _adjusted(reader(source, options), mask, opening_angle)
     if asked is None:
         return log
     if not set(asked) <= set(log.sensors):
@@ -140,30 +135,25 @@ def read_log(
     return _only(log, asked)
 
 
-def _masked(log: ScanLog, sectors: Sequence[tuple[float, float]]) -> ScanLog:
-    """Return the log without the readings of some sectors."""
-    sensors, notes = dict(log.sensors), list(log.notes)
-    for name, sensor in log.sensors.items() if len(sectors) else ():
-        bearings = sensor.finder.bearings
-        blind = np.zeros(len(bearings), dtype=bool)
-        for first, last in sectors:
-            if not (math.isfinite(first) and math.isfinite(last)):
-                raise InvalidInputError(f"mask: expected finite bearings in radians, got {(first, last)!r}")
-            blind |= (bearings - first) % (2.0 * math.pi) <= (last - first) % (2.0 * math.pi)
-        sensors[name] = replace(sensor, ranges=np.where(blind, np.nan, sensor.ranges))
-        notes.append(f"{name}: {blind.sum()} of {len(blind)} beams masked")
-    return replace(log, sensors=sensors, notes=tuple(notes))
-
-
-def _with_cones(log: ScanLog, opening_angle: float | None) -> ScanLog:
-    """Return the log with another opening angle of its sensors, if one is given."""
-    if opening_angle is None:
+def _adjusted(log: ScanLog, mask: Sequence[tuple[float, float]], opening_angle: float | None) -> ScanLog:
+    """Return the log without the readings of some sectors, and with another opening angle if one is given."""
+    if not len(mask) and opening_angle is None:
         return log
-    sensors = {
-        name: replace(sensor, finder=replace(sensor.finder, opening_angle=opening_angle))
-        for name, sensor in log.sensors.items()
-    }
-    return replace(log, sensors=sensors)
+    sensors, notes = dict(log.sensors), list(log.notes)
+    for name, sensor in log.sensors.items():
+        finder, ranges = sensor.finder, sensor.ranges
+        if opening_angle is not None:
+            finder = replace(finder, opening_angle=opening_angle)
+        if len(mask):
+            blind = np.zeros(finder.n_beams, dtype=bool)
+            for first, last in mask:
+                if not (math.isfinite(first) and math.isfinite(last)):
+                    raise InvalidInputError(f"mask: expected finite bearings in radians, got {(first, last)!r}")
+                blind |= (finder.bearings - first) % (2.0 * math.pi) <= (last - first) % (2.0 * math.pi)
+            ranges = np.where(blind, np.nan, ranges)
+            notes.append(f"{name}: {blind.sum()} of {len(blind)} beams masked")
+        sensors[name] = replace(sensor, finder=finder, ranges=ranges)
+    return replace(log, sensors=sensors, notes=tuple(notes))
 
 
 def _is_bag(path: Path) -> bool:
@@ -175,20 +165,13 @@ def _is_bag(path: Path) -> bool:
         return file.read(16).startswith(BAG_MAGICS)
 
 
-def _read_bag(path: Path, **options: Any) -> ScanLog:
-    # Text logs need neither rosbags nor the time to import it.
-    from beamfield.io.bags.reader import read_bag
-
-    return read_bag(path, **options)
-
-
 def _only(log: ScanLog, asked: tuple[str, ...]) -> ScanLog:
     sensors = {name: log.sensors[name] for name in asked if name in log.sensors}
     if len(sensors) < len(asked):
         missing = ", ".join(repr(name) for name in asked if name not in log.sensors)
         known = ", ".join(repr(name) for name in log.sensors)
         raise InvalidInputError(f"{log.source}: no sensor {missing}; the log has {known}")
-    return ScanLog(sensors, log.odometry, log.source, log.notes, log.parameters)
+    return replace(log, sensors=sensors)
 
 
 def _text_reader(path: Path) -> _Reader:

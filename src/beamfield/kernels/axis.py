@@ -11,15 +11,8 @@ from beamfield.kernels.jit import kernel
 
 
 @kernel
-def count_along_axes(
-    starts: NDArray[np.float64],
-    classes: NDArray[np.uint8],
-    off: int,
-    first: float,
-    spacing: float,
-    n: int,
-    counts: NDArray[np.float64],
-) -> None:
+def count_along_axes(starts: NDArray[np.float64], classes: NDArray[np.uint8], off: int, first: float, spacing: float,
+                     n: int, counts: NDArray[np.float64]) -> None:  # fmt: skip
     """Count the classes of the cells at the midpoints of n equal pieces of each axis.
 
     Parameters

@@ -19,16 +19,8 @@ N, LOCAL, GLOBAL, PRODUCT, LOCAL_SQUARE, GLOBAL_SQUARE = range(6)
 
 
 @fast_kernel
-def fill_sums(
-    poses: Floats,
-    xs: Floats,
-    ys: Floats,
-    values: NDArray[np.float32],
-    table: NDArray[np.float32],
-    rows: int,
-    cols: int,
-    sums: Floats,
-) -> None:
+def fill_sums(poses: Floats, xs: Floats, ys: Floats, values: NDArray[np.float32], table: NDArray[np.float32], rows: int,
+              cols: int, sums: Floats) -> None:  # fmt: skip
     """Sum over the cells that both maps define, for each pose.
 
     Parameters
@@ -79,17 +71,8 @@ def fill_sums(
 
 
 @kernel
-def fill_histogram_overlap(
-    poses: Floats,
-    xs: Floats,
-    ys: Floats,
-    occupied: NDArray[np.uint8],
-    table: NDArray[np.uint8],
-    rows: int,
-    cols: int,
-    reach: int,
-    out: Floats,
-) -> None:
+def fill_histogram_overlap(poses: Floats, xs: Floats, ys: Floats, occupied: NDArray[np.uint8], table: NDArray[np.uint8],
+                           rows: int, cols: int, reach: int, out: Floats) -> None:  # fmt: skip
     """Compare histograms of two maps over the cells that both define, for each pose.
 
     Parameters

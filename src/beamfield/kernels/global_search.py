@@ -75,18 +75,8 @@ def fill_coarse_bounds(points: Points, pyramid: Bytes, bounds: Integers) -> None
 
 
 @kernel
-def search_blocks(
-    blocks: Integers,
-    bounds: Integers,
-    points: Points,
-    pyramid: Bytes,
-    n_rows: int,
-    n_cols: int,
-    excluded: Integers,
-    best: int,
-    best_key: int,
-    out: Integers,
-) -> None:
+def search_blocks(blocks: Integers, bounds: Integers, points: Points, pyramid: Bytes, n_rows: int, n_cols: int,
+                  excluded: Integers, best: int, best_key: int, out: Integers) -> None:  # fmt: skip
     """Find the best candidate of each block that beats the best one known.
 
     Parameters

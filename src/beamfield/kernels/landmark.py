@@ -17,30 +17,24 @@ from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 
+# Position of the sensor, and its heading's cosine and sine.
+Sensor = tuple[float, float, float, float]
+# Measured range, cosine and sine of the measured bearing, and what residuals of range and bearing count.
+Measured = tuple[float, float, float, float, float]
+
 # Poses of one pass of the vectorised loop: five columns of doubles stay in the nearest cache.
 BLOCK = 512
 
 
 @inlined_kernel
-def log_value(
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    landmark_x: float,
-    landmark_y: float,
-    r: float,
-    cos_phi: float,
-    sin_phi: float,
-    range_weight: float,
-    bearing_weight: float,
-    base: float,
-) -> float:
+def log_value(sensor: Sensor, landmark_x: float, landmark_y: float, feature: Measured, base: float) -> float:
     """Return the log density of one feature, given its landmark: line 5 of Table 6.4.
 
     The bearing's residual is the angle of the landmark after turning by heading and measured bearing, so it comes out
     wrapped. A landmark at the sensor itself counts as straight ahead.
     """
+    x, y, cos, sin = sensor
+    r, cos_phi, sin_phi, range_weight, bearing_weight = feature
     dx, dy = landmark_x - x, landmark_y - y
     square = dx * dx + dy * dy
     dx = cos if square == 0.0 else dx
@@ -75,17 +69,12 @@ def fill_known(
     for start in range(0, poses.shape[0], BLOCK):
         m = min(BLOCK, poses.shape[0] - start)
         for i in range(m):
-            heading = poses[start + i, 2] + mount[2]
-            cos[i], sin[i] = math.cos(heading), math.sin(heading)
-            x[i] = poses[start + i, 0] + cos[i] * mount[0] - sin[i] * mount[1]
-            y[i] = poses[start + i, 1] + sin[i] * mount[0] + cos[i] * mount[1]
+            x[i], y[i], cos[i], sin[i] = _sensor(poses[start + i], mount)
             total[i] = 0.0
         for k in range(features.shape[0]):
-            lx, ly, constant = landmarks[k, 0], landmarks[k, 1], base[k]
-            r, cos_phi, sin_phi = features[k, 0], features[k, 1], features[k, 2]
-            w_r, w_phi = features[k, 3], features[k, 4]
+            lx, ly, constant, feature = landmarks[k, 0], landmarks[k, 1], base[k], _measured(features[k])
             for i in range(m):
-                total[i] += log_value(x[i], y[i], cos[i], sin[i], lx, ly, r, cos_phi, sin_phi, w_r, w_phi, constant)
+                total[i] += log_value((x[i], y[i], cos[i], sin[i]), lx, ly, feature, constant)
             if first >= 0:
                 for i in range(m):
                     out[start + i, first + k] = _never_nan(total[i])
@@ -105,18 +94,25 @@ def fill_candidates(
     """
     across, along = landmarks[0], landmarks[1]
     for i in range(poses.shape[0]):
-        heading = poses[i, 2] + mount[2]
-        cos, sin = math.cos(heading), math.sin(heading)
-        x = poses[i, 0] + cos * mount[0] - sin * mount[1]
-        y = poses[i, 1] + sin * mount[0] + cos * mount[1]
+        sensor = _sensor(poses[i], mount)
         for k in range(features.shape[0]):
-            r, cos_phi, sin_phi = features[k, 0], features[k, 1], features[k, 2]
-            w_r, w_phi = features[k, 3], features[k, 4]
-            constants, row = base[k], out[i, k]
+            feature, constants, row = _measured(features[k]), base[k], out[i, k]
             for j in range(across.size):
-                row[j] = _never_nan(
-                    log_value(x, y, cos, sin, across[j], along[j], r, cos_phi, sin_phi, w_r, w_phi, constants[j])
-                )
+                row[j] = _never_nan(log_value(sensor, across[j], along[j], feature, constants[j]))
+
+
+@inlined_kernel
+def _sensor(pose: Floats, mount: Floats) -> Sensor:
+    """Return where the sensor of a robot is."""
+    heading = pose[2] + mount[2]
+    cos, sin = math.cos(heading), math.sin(heading)
+    return pose[0] + cos * mount[0] - sin * mount[1], pose[1] + sin * mount[0] + cos * mount[1], cos, sin
+
+
+@inlined_kernel
+def _measured(feature: Floats) -> Measured:
+    """Return a row of features."""
+    return feature[0], feature[1], feature[2], feature[3], feature[4]
 
 
 @inlined_kernel

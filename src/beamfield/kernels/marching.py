@@ -15,19 +15,9 @@ FAR = 1e9
 
 
 @kernel
-def march(
-    poses: Floats,
-    frame: tuple[float, float, float],
-    resolution: float,
-    starts: Floats,
-    bearings: Floats,
-    step: float,
-    one: float,
-    n_steps: int,
-    occupied: NDArray[np.bool_],
-    free: NDArray[np.bool_],
-    ranges: Floats,
-) -> None:
+def march(poses: Floats, frame: tuple[float, float, float], resolution: float, starts: Floats, bearings: Floats,
+          step: float, one: float, n_steps: int, occupied: NDArray[np.bool_], free: NDArray[np.bool_], ranges: Floats
+          ) -> None:  # fmt: skip
     """Look at every `step` of a ray until it meets an obstacle.
 
     Parameters

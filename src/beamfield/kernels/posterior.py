@@ -13,15 +13,9 @@ _ODD = np.uint64(0x9E3779B97F4A7C15)
 
 
 @kernel
-def number_distances(
-    distances: NDArray[np.uint64],
-    places: NDArray[np.int8],
-    slots: NDArray[np.int32],
-    known: NDArray[np.uint64],
-    known_places: NDArray[np.int8],
-    n_known: int,
-    codes: NDArray[np.int32],
-) -> int:
+def number_distances(distances: NDArray[np.uint64], places: NDArray[np.int8], slots: NDArray[np.int32],
+                     known: NDArray[np.uint64], known_places: NDArray[np.int8], n_known: int, codes: NDArray[np.int32]
+                     ) -> int:  # fmt: skip
     """Number end points by what lies there: equal distance and place, equal number, in the order of appearance.
 
     Parameters
@@ -99,16 +93,9 @@ def sum_values(
 
 
 @kernel
-def judge_posteriors(
-    near: NDArray[np.float64],
-    far: NDArray[np.float64],
-    mass: NDArray[np.float64],
-    density: NDArray[np.float64],
-    far_mass: float,
-    far_density: float,
-    ratios: NDArray[np.float64],
-    denser: NDArray[np.float64],
-) -> None:
+def judge_posteriors(near: NDArray[np.float64], far: NDArray[np.float64], mass: NDArray[np.float64],
+                     density: NDArray[np.float64], far_mass: float, far_density: float, ratios: NDArray[np.float64],
+                     denser: NDArray[np.float64]) -> None:  # fmt: skip
     """Fill the posterior density at the truth over the prior's, and how much of the posterior is denser.
 
     There are c guesses at what is not known, each with a truth, which is the pose of that number, and a prior.

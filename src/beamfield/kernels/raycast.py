@@ -523,16 +523,8 @@ def _start(lanes: Lanes, terrain: Terrain) -> None:
 
 
 @kernel
-def _walk(
-    state: NDArray[np.float32],
-    base: NDArray[np.int32],
-    index: NDArray[np.uint32],
-    size: NDArray[np.uint16],
-    alive: NDArray[np.uint8],
-    table: NDArray[np.uint16],
-    width: int,
-    steps: int,
-) -> None:
+def _walk(state: NDArray[np.float32], base: NDArray[np.int32], index: NDArray[np.uint32], size: NDArray[np.uint16],
+          alive: NDArray[np.uint8], table: NDArray[np.uint16], width: int, steps: int) -> None:  # fmt: skip
     """Jump `steps` times; say which rays are still under way."""
     for j in range(BLOCK):
         index[j] = base[j] + np.int32(state[ROW + j]) * np.int32(width) + np.int32(state[COL + j])

@@ -19,15 +19,8 @@ KNOWN, UNKNOWN, OFF_MAP = np.int8(0), np.int8(1), np.int8(2)
 
 
 @kernel
-def brushfire(
-    obstacles: NDArray[np.bool_],
-    limit: float,
-    neighbours: NDArray[np.int64],
-    columns_first: bool,
-    remove_last: bool,
-    settle_beyond: bool,
-    squared: NDArray[np.int32],
-) -> None:
+def brushfire(obstacles: NDArray[np.bool_], limit: float, neighbours: NDArray[np.int64], columns_first: bool,
+              remove_last: bool, settle_beyond: bool, squared: NDArray[np.int32]) -> None:  # fmt: skip
     """Fill squared distances in cells to the obstacle that a brushfire finds first, -1 where it ends before.
 
     Cells catch fire from a neighbour and take over its obstacle, nearest first. A cell's own nearest obstacle need not
@@ -133,16 +126,9 @@ def _pop(key: NDArray[np.int32], cell: NDArray[np.int32], n: int) -> int:
 
 
 @kernel
-def look_up_ends(
-    poses: Floats,
-    frame: tuple[float, float, float],
-    resolution: float,
-    ends: Floats,
-    distance: NDArray[np.floating],
-    unknown: NDArray[np.bool_],
-    distances: NDArray[np.floating],
-    places: NDArray[np.int8],
-) -> None:
+def look_up_ends(poses: Floats, frame: tuple[float, float, float], resolution: float, ends: Floats,
+                 distance: NDArray[np.floating], unknown: NDArray[np.bool_], distances: NDArray[np.floating],
+                 places: NDArray[np.int8]) -> None:  # fmt: skip
     """Look up the cell of every beam's end point.
 
     Parameters
@@ -183,15 +169,8 @@ def look_up_ends(
 
 
 @kernel
-def sum_ends(
-    poses: Floats,
-    frame: tuple[float, float, float],
-    resolution: float,
-    ends: Floats,
-    terms: Floats,
-    off_map: float,
-    sums: Floats,
-) -> None:
+def sum_ends(poses: Floats, frame: tuple[float, float, float], resolution: float, ends: Floats, terms: Floats,
+             off_map: float, sums: Floats) -> None:  # fmt: skip
     """Add up what the cells of all beams' end points hold.
 
     Parameters
@@ -224,19 +203,9 @@ def sum_ends(
 
 
 @kernel
-def cast_bresenham(
-    poses: Floats,
-    frame: tuple[float, float, float],
-    resolution: float,
-    starts: Floats,
-    bearings: Floats,
-    max_range: float,
-    stops: NDArray[np.bool_],
-    edge_stops: bool,
-    overshoot: int,
-    ties_turn: bool,
-    ranges: Floats,
-) -> None:
+def cast_bresenham(poses: Floats, frame: tuple[float, float, float], resolution: float, starts: Floats,
+                   bearings: Floats, max_range: float, stops: NDArray[np.bool_], edge_stops: bool, overshoot: int,
+                   ties_turn: bool, ranges: Floats) -> None:  # fmt: skip
     """Follow Bresenham's line from the cell of each beam's start to the cell max_range away.
 
     Parameters

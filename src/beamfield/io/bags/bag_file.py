@@ -140,18 +140,42 @@ class BagFile:
         """Return the topics with one of these message types."""
         return [topic for topic, msgtype in self.topics.items() if msgtype in msgtypes]
 
-    def find_topic(self, name: str) -> str:
-        """Return the topic of that name; a leading slash may be left out.
+    def find_topic(self, name: str, *msgtypes: str) -> str:
+        """Return the topic of that name, which holds one of these types; a leading slash may be left out.
 
         Raises
         ------
         InvalidInputError
-            If the bag has no such topic; the text lists those it has.
+            If the bag has no such topic (the text lists those it has), or it is of another type.
         """
-        for candidate in (name, f"/{name}"):
-            if candidate in self.topics:
-                return candidate
-        raise InvalidInputError(f"{self.path}: no topic {name!r}; the bag has {self.describe()}")
+        topic = next((t for t in (name, f"/{name}") if t in self.topics), None)
+        if topic is None:
+            raise InvalidInputError(f"{self.path}: no topic {name!r}; the bag has {self.describe()}")
+        if msgtypes and self.topics[topic] not in msgtypes:
+            held, expected = self.topics[topic], " or ".join(msgtypes)
+            raise InvalidInputError(f"{self.path}: topic {topic!r} holds {held}, expected {expected}")
+        return topic
+
+    def only_topic(self, what: str, name: str | None, *msgtypes: str, preferred: str = "") -> str:
+        """Return the topic of that name; if it is None the only one of these types, or the preferred one of several.
+
+        Raises
+        ------
+        FormatError
+            If there is none; `what` says of what.
+        InvalidInputError
+            As for `find_topic`, or if there are several.
+        """
+        if name is not None:
+            return self.find_topic(name, *msgtypes)
+        found = self.of_type(*msgtypes)
+        if not found:
+            expected = " or ".join(msgtypes)
+            raise FormatError(self.path, f"no {what} of type {expected} in this bag; it has {self.describe()}")
+        if len(found) > 1 and preferred not in found:
+            listed = ", ".join(map(repr, found))
+            raise InvalidInputError(f"{self.path}: several {what}s; choose one: the bag has {listed}")
+        return preferred if preferred in found else found[0]
 
     def describe(self) -> str:
         """Return the topics with their types in words, for messages."""

@@ -85,7 +85,7 @@ def read_camera(path: str | Path, topic: str | None = None) -> CameraIntrinsics:
     """
     camera: CameraIntrinsics | None = None
     with BagFile(path) as bag:
-        chosen = _topic(bag, topic, CAMERA_INFO)
+        chosen = bag.only_topic("topic", topic, CAMERA_INFO)
         for message in bag.messages([chosen]):
             with bag.quoting(message):
                 found = _camera(message)
@@ -121,7 +121,7 @@ def read_fiducials(path: str | Path, topic: str | None = None) -> list[FiducialD
     """
     found = []
     with BagFile(path) as bag:
-        chosen = _topic(bag, topic, CORNERS, POSES)
+        chosen = bag.only_topic("topic", topic, CORNERS, POSES)
         for message in bag.messages([chosen]):
             with bag.quoting(message):
                 found.append(_with_corners(message) if message.msgtype == CORNERS else _with_poses(message))
@@ -149,27 +149,10 @@ def read_camera_images(path: str | Path, topic: str | None = None) -> Iterator[t
         If the topic is not there, holds something else, or there are several to choose from.
     """
     with BagFile(path) as bag:
-        for message in bag.messages([_topic(bag, topic, COMPRESSED_IMAGE)]):
+        for message in bag.messages([bag.only_topic("topic", topic, COMPRESSED_IMAGE)]):
             with bag.quoting(message):
                 stamp, grey = message.stamp, _decode(bytes(message.content.data))
             yield stamp, grey
-
-
-def _topic(bag: BagFile, asked: str | None, *msgtypes: str) -> str:
-    expected = " or ".join(msgtypes)
-    if asked is not None:
-        topic = bag.find_topic(asked)
-        if bag.topics[topic] not in msgtypes:
-            raise InvalidInputError(f"{bag.path}: topic {topic!r} holds {bag.topics[topic]}, expected {expected}")
-        return topic
-    found = bag.of_type(*msgtypes)
-    if not found:
-        raise FormatError(bag.path, f"no topic of type {expected} in this bag; it has {bag.describe()}")
-    if len(found) > 1:
-        raise InvalidInputError(
-            f"{bag.path}: several topics; choose one: the bag has {', '.join(repr(t) for t in found)}"
-        )
-    return found[0]
 
 
 def _camera(message: BagMessage) -> CameraIntrinsics:
@@ -208,8 +191,7 @@ def _same(one: CameraIntrinsics, two: CameraIntrinsics) -> bool:
 
 
 def _with_corners(message: BagMessage) -> FiducialDetections:
-    fiducials = _limited(message.content.fiducials)
-    ids = _ids([f.fiducial_id for f in fiducials])
+    fiducials, ids = _limited(message.content.fiducials)
     corners = np.array(
         [[(f.x0, f.y0), (f.x1, f.y1), (f.x2, f.y2), (f.x3, f.y3)] for f in fiducials], dtype=np.float64
     ).reshape(-1, 4, 2)
@@ -220,8 +202,7 @@ def _with_corners(message: BagMessage) -> FiducialDetections:
 
 
 def _with_poses(message: BagMessage) -> FiducialDetections:
-    fiducials = _limited(message.content.transforms)
-    ids = _ids([f.fiducial_id for f in fiducials])
+    fiducials, ids = _limited(message.content.transforms)
     places = [f.transform.translation for f in fiducials]
     turns = [f.transform.rotation for f in fiducials]
     positions = np.array([(p.x, p.y, p.z) for p in places], dtype=np.float64).reshape(-1, 3)
@@ -234,17 +215,13 @@ def _with_poses(message: BagMessage) -> FiducialDetections:
     return FiducialDetections(message.stamp, ids, np.full((len(ids), 4, 2), np.nan), positions, rotations)
 
 
-def _limited(fiducials: list[Any]) -> list[Any]:
+def _limited(fiducials: list[Any]) -> tuple[list[Any], NDArray[np.int64]]:
     if len(fiducials) > MAX_FIDUCIALS:
         raise InvalidInputError(f"expected at most {MAX_FIDUCIALS} markers in an image, got {len(fiducials)}")
-    return fiducials
-
-
-def _ids(values: list[int]) -> NDArray[np.int64]:
-    ids = np.array(values, dtype=np.int64)
+    ids = np.array([f.fiducial_id for f in fiducials], dtype=np.int64)
     if (ids < 0).any():
         raise InvalidInputError(f"fiducial_id: expected a number >= 0, got {ids.min()}")
-    return ids
+    return fiducials, ids
 
 
 def _check(good: NDArray[np.bool_], expected: str, values: FloatArray, ids: NDArray[np.int64]) -> None:

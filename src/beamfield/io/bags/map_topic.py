@@ -38,7 +38,7 @@ def read_bag_map(path: str | Path, topic: str | None = None) -> OccupancyGrid:
         If the topic is not there or holds something else.
     """
     with BagFile(path) as bag:
-        chosen = _map_topic(bag, topic)
+        chosen = bag.only_topic("map topic", topic, OCCUPANCY_GRID, preferred="/map")
         last: BagMessage | None = None
         for last in bag.messages([chosen]):  # noqa: B007 - the last one counts
             pass
@@ -46,22 +46,6 @@ def read_bag_map(path: str | Path, topic: str | None = None) -> OccupancyGrid:
             raise FormatError(path, "the topic holds no message", field=chosen)
         with bag.quoting(last):
             return grid_from_message(last.content)
-
-
-def _map_topic(bag: BagFile, asked: str | None) -> str:
-    if asked is not None:
-        topic = bag.find_topic(asked)
-        if bag.topics[topic] != OCCUPANCY_GRID:
-            raise InvalidInputError(f"{bag.path}: topic {topic!r} holds {bag.topics[topic]}, expected {OCCUPANCY_GRID}")
-        return topic
-    found = bag.of_type(OCCUPANCY_GRID)
-    if not found:
-        raise FormatError(bag.path, f"no map (nav_msgs/OccupancyGrid) in this bag; it has {bag.describe()}")
-    if len(found) > 1 and "/map" not in found:
-        raise InvalidInputError(
-            f"{bag.path}: several maps; choose a topic: the bag has {', '.join(repr(t) for t in found)}"
-        )
-    return found[0] if len(found) == 1 else "/map"
 
 
 class OccupancyGridMessage(Protocol):

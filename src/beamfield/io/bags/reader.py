@@ -100,7 +100,7 @@ def read_bag(
     if poses_topic is not None and map_frame is not None:
         raise InvalidInputError("expected poses_topic or map_frame for the reference poses, got both")
     with BagFile(path) as bag:
-        poses_topic = None if poses_topic is None else bag.find_topic(poses_topic)
+        poses_topic = None if poses_topic is None else bag.find_topic(poses_topic, *POSE_TYPES)
         content = _collect(bag, _scan_topics(bag, sensor_topic), poses_topic)
     if mount is not None and len(content.scans) > 1:
         raise InvalidInputError(f"{path}: one mount was given, but the bag has {len(content.scans)} sensors")
@@ -140,11 +140,9 @@ def _scan_topics(bag: BagFile, asked: str | Sequence[str] | None) -> list[str]:
     names = [asked] if isinstance(asked, str) else list(asked)
     if not names:
         raise InvalidInputError("sensor_topic: expected at least one topic, or None for all, got none")
-    topics = [bag.find_topic(name) for name in names]
-    for topic in topics:
-        if bag.topics[topic] != LASER_SCAN and topic not in rangers:
-            raise InvalidInputError(f"{bag.path}: topic {topic!r} holds {bag.topics[topic]}, expected {LASER_SCAN}")
-    return list(dict.fromkeys(topics))
+    return list(
+        dict.fromkeys(t if (t := bag.find_topic(n)) in rangers else bag.find_topic(n, LASER_SCAN) for n in names)
+    )
 
 
 def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> BagContent:
@@ -183,13 +181,7 @@ def _collect(bag: BagFile, scan_topics: list[str], poses_topic: str | None) -> B
 def _pose_topics(bag: BagFile, asked: str | None) -> list[str]:
     """Return the topics of poses that may be needed: odometry, reference poses by name, and the one asked for."""
     topics = bag.of_type(ODOMETRY) + [t for t in bag.of_type(*POSE_TYPES[1:]) if says_truth(t)]
-    if asked is not None:
-        if bag.topics[asked] not in POSE_TYPES:
-            raise InvalidInputError(
-                f"{bag.path}: topic {asked!r} holds {bag.topics[asked]}, expected poses ({', '.join(POSE_TYPES)})"
-            )
-        topics.append(asked)
-    return list(dict.fromkeys(topics))
+    return list(dict.fromkeys(topics if asked is None else [*topics, asked]))
 
 
 def _add_transforms(frames: TransformBuffer, message: BagMessage) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,11 +13,10 @@ import numpy as np
 from beamfield.errors import InvalidInputError, MissingDependencyError
 from beamfield.geometry import FloatArray, compose, interpolate_poses, invert
 from beamfield.io.files.atomic import atomic_folder
-from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
+from beamfield.sensors import RangeFinder, ScanLog, Track
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Qos
-    from rosbags.rosbag2 import Writer
     from rosbags.typesys.store import Typestore
 
 ANGLE_TOLERANCE = 1e-6  # radians: what float32 angles keep
@@ -79,20 +78,20 @@ def write_bag(
     """
     if not any(len(sensor) for sensor in log.sensors.values()):
         raise InvalidInputError(f"{log.source or 'log'}: expected scans to write, got none")
-    plan = _Plan(log, topic, odometry_topic, pose_topic, map_frame, odom_frame, base_frame)
+    types = _typestore()
+    plan = _Plan(log, topic, odometry_topic, pose_topic, map_frame, odom_frame, base_frame, types.types)
     messages = sorted(plan.messages(), key=lambda m: (m.nanoseconds, m.topic != "/tf_static"))
     with atomic_folder(path) as part:
-        _write(part, Path(path).name, messages, storage)
+        _write(part, Path(path).name, messages, storage, types)
 
 
 @dataclass(frozen=True)
 class _Message:
-    """One message: when, where, its type and its fields by name."""
+    """One message: when, where, and what."""
 
     nanoseconds: int
     topic: str
-    msgtype: str
-    fields: dict[str, Any]
+    content: Any
 
 
 @dataclass(frozen=True)
@@ -106,6 +105,7 @@ class _Plan:
     map_frame: str
     odom_frame: str
     base_frame: str
+    types: Mapping[str, Any]  # the class of each type of message
 
     def messages(self) -> Iterator[_Message]:
         names = self._topics()
@@ -114,14 +114,14 @@ class _Plan:
             frame = "laser" if len(names) == 1 else f"laser_{number}"
             first, step = _even_bearings(sensor.finder, topic)
             mounts.append((frame, sensor.finder.mounts[0]))
-            for scan_fields, stamp in _scan_fields(sensor, frame, first, step):
-                yield self._at(stamp, topic, "sensor_msgs/msg/LaserScan", scan_fields)
+            for stamp, ranges in zip(sensor.stamps, sensor.ranges, strict=True):
+                yield self._at(stamp, topic, self._scan(stamp, ranges, sensor.finder, frame, first, step))
         first_stamps = [
             s.stamps[0] for s in (*self.log.sensors.values(), self.log.odometry) if s is not None and len(s)
         ]
         start = float(min(first_stamps))
-        fixed = [_transform(self.base_frame, frame, start, (m[0], m[1], 0.0)) for frame, m in mounts]
-        yield self._at(start, "/tf_static", "tf2_msgs/msg/TFMessage", {"transforms": fixed})
+        fixed = [self._transform(self.base_frame, frame, start, (m[0], m[1], 0.0)) for frame, m in mounts]
+        yield self._at(start, "/tf_static", self._new("tf2_msgs/msg/TFMessage", fixed))
         odometry = _odometry_samples(self.log)
         yield from self._odometry(odometry)
         yield from self._reference(odometry)
@@ -137,14 +137,14 @@ class _Plan:
             return
         track = samples if self.log.odometry is None else self.log.odometry
         for stamp, pose in zip(track.stamps, track.poses, strict=True):
-            twist = {"twist": {"linear": _vector(0, 0, 0), "angular": _vector(0, 0, 0)}, "covariance": NO_COVARIANCE}
-            fields = {
-                "header": _header(stamp, self.odom_frame),
-                "child_frame_id": self.base_frame,
-                "pose": {"pose": _pose(pose), "covariance": NO_COVARIANCE},
-                "twist": twist,
-            }
-            yield self._at(stamp, self.odometry_topic, "nav_msgs/msg/Odometry", fields)
+            still = self._new("geometry_msgs/msg/Twist", self._vector(0, 0, 0), self._vector(0, 0, 0))
+            yield self._at(stamp, self.odometry_topic, self._new(
+                "nav_msgs/msg/Odometry",
+                self._header(stamp, self.odom_frame),
+                self.base_frame,
+                self._new("geometry_msgs/msg/PoseWithCovariance", self._pose(pose), NO_COVARIANCE),
+                self._new("geometry_msgs/msg/TwistWithCovariance", still, NO_COVARIANCE),
+            ))  # fmt: skip
         for stamp, pose in zip(samples.stamps, samples.poses, strict=True):
             yield self._tf(self.odom_frame, self.base_frame, stamp, pose)
 
@@ -157,21 +157,54 @@ class _Plan:
             for stamp, pose, parent in zip(stamps, poses, parents, strict=True):
                 yield self._tf(self.map_frame, child, stamp, parent)
                 if self.pose_topic is not None:
-                    fields = {
-                        "header": _header(stamp, self.map_frame),
-                        "pose": {"pose": _pose(pose), "covariance": NO_COVARIANCE},
-                    }
-                    yield self._at(stamp, self.pose_topic, "geometry_msgs/msg/PoseWithCovarianceStamped", fields)
+                    pose = self._new("geometry_msgs/msg/PoseWithCovariance", self._pose(pose), NO_COVARIANCE)
+                    yield self._at(stamp, self.pose_topic, self._new(
+                        "geometry_msgs/msg/PoseWithCovarianceStamped", self._header(stamp, self.map_frame), pose
+                    ))  # fmt: skip
 
     def _tf(self, parent: str, child: str, stamp: float, pose: FloatArray) -> _Message:
-        return self._at(
-            stamp, "/tf", "tf2_msgs/msg/TFMessage", {"transforms": [_transform(parent, child, stamp, pose)]}
-        )
+        moved = [self._transform(parent, child, stamp, pose)]
+        return self._at(stamp, "/tf", self._new("tf2_msgs/msg/TFMessage", moved))
 
-    @staticmethod
-    def _at(stamp: float, topic: str, msgtype: str, fields: dict[str, Any]) -> _Message:
-        time = _time(stamp)
-        return _Message(time["sec"] * 10**9 + time["nanosec"], topic, msgtype, fields)
+    def _at(self, stamp: float, topic: str, content: Any) -> _Message:
+        time = self._time(stamp)
+        return _Message(time.sec * 10**9 + time.nanosec, topic, content)
+
+    def _new(self, msgtype: str, *fields: Any) -> Any:
+        """Return a message with its fields in the order of its definition."""
+        return self.types[msgtype](*fields)
+
+    def _scan(
+        self, stamp: float, ranges: FloatArray, finder: RangeFinder, frame: str, first: float, step: float
+    ) -> Any:
+        last = first + step * (finder.n_beams - 1)
+        return self._new(
+            "sensor_msgs/msg/LaserScan", self._header(stamp, frame), first, last, step, 0.0, 0.0,
+            finder.min_range, finder.max_range, ranges.astype(np.float32), np.empty(0, dtype=np.float32),
+        )  # fmt: skip
+
+    def _time(self, stamp: float) -> Any:
+        if not 0.0 <= stamp < 2**31:
+            raise InvalidInputError(f"stamps: expected seconds within [0, 2^31), as ROS 2 times are, got {stamp}")
+        second = math.floor(stamp)
+        nanosecond = round((stamp - second) * 1e9)
+        return self._new("builtin_interfaces/msg/Time", second + nanosecond // 10**9, nanosecond % 10**9)
+
+    def _header(self, stamp: float, frame: str) -> Any:
+        return self._new("std_msgs/msg/Header", self._time(float(stamp)), frame)
+
+    def _vector(self, x: float, y: float, z: float, kind: str = "Vector3") -> Any:
+        return self._new(f"geometry_msgs/msg/{kind}", float(x), float(y), float(z))
+
+    def _turn(self, heading: float) -> Any:
+        return self._new("geometry_msgs/msg/Quaternion", 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
+
+    def _pose(self, pose: FloatArray) -> Any:
+        return self._new("geometry_msgs/msg/Pose", self._vector(pose[0], pose[1], 0.0, "Point"), self._turn(pose[2]))
+
+    def _transform(self, parent: str, child: str, stamp: float, pose: FloatArray | tuple[float, float, float]) -> Any:
+        moved = self._new("geometry_msgs/msg/Transform", self._vector(pose[0], pose[1], 0.0), self._turn(pose[2]))
+        return self._new("geometry_msgs/msg/TransformStamped", self._header(stamp, parent), child, moved)
 
 
 def _even_bearings(finder: RangeFinder, topic: str) -> tuple[float, float]:
@@ -192,27 +225,6 @@ def _even_bearings(finder: RangeFinder, topic: str) -> tuple[float, float]:
             f"{topic}: a LaserScan's bearings are evenly spaced, but this sensor's are up to {worst:.3g} rad off"
         )
     return float(bearings[0]), step
-
-
-def _scan_fields(sensor: SensorLog, frame: str, first: float, step: float) -> Iterator[tuple[dict[str, Any], float]]:
-    finder = sensor.finder
-    last = first + step * (finder.n_beams - 1)
-    for stamp, ranges in zip(sensor.stamps, sensor.ranges, strict=True):
-        yield (
-            {
-                "header": _header(stamp, frame),
-                "angle_min": first,
-                "angle_max": last,
-                "angle_increment": step,
-                "time_increment": 0.0,
-                "scan_time": 0.0,
-                "range_min": finder.min_range,
-                "range_max": finder.max_range,
-                "ranges": ranges.astype(np.float32),
-                "intensities": np.empty(0, dtype=np.float32),
-            },
-            float(stamp),
-        )
 
 
 def _odometry_samples(log: ScanLog) -> Track | None:
@@ -245,81 +257,36 @@ def _corrections(name: str, stamps: FloatArray, poses: FloatArray, odometry: Tra
     return compose(poses, invert(in_odometry))
 
 
-def _time(stamp: float) -> dict[str, int]:
-    if not 0.0 <= stamp < 2**31:
-        raise InvalidInputError(f"stamps: expected seconds within [0, 2^31), as ROS 2 times are, got {stamp}")
-    second = math.floor(stamp)
-    nanosecond = round((stamp - second) * 1e9)
-    return {"sec": second + nanosecond // 10**9, "nanosec": nanosecond % 10**9}
-
-
-def _header(stamp: float, frame: str) -> dict[str, Any]:
-    return {"stamp": _time(float(stamp)), "frame_id": frame}
-
-
-def _vector(x: float, y: float, z: float) -> dict[str, float]:
-    return {"x": float(x), "y": float(y), "z": float(z)}
-
-
-def _quaternion(heading: float) -> dict[str, float]:
-    return {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
-
-
-def _pose(pose: FloatArray) -> dict[str, Any]:
-    return {"position": _vector(pose[0], pose[1], 0.0), "orientation": _quaternion(float(pose[2]))}
-
-
-def _transform(parent: str, child: str, stamp: float, pose: FloatArray | tuple[float, float, float]) -> dict[str, Any]:
-    return {
-        "header": _header(stamp, parent),
-        "child_frame_id": child,
-        "transform": {"translation": _vector(pose[0], pose[1], 0.0), "rotation": _quaternion(float(pose[2]))},
-    }
-
-
-def _write(folder: Path, name: str, messages: list[_Message], storage: str) -> None:
+def _typestore() -> Typestore:
     try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
+        import rosbags.rosbag2  # noqa: F401 - for `_write`
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingDependencyError("rosbags", "ros", "writing a bag") from error
+    return get_typestore(Stores.LATEST)
+
+
+def _write(folder: Path, name: str, messages: list[_Message], storage: str, types: Typestore) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
     plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
     if storage not in plugins:
         raise InvalidInputError(f"storage: expected 'mcap' or 'sqlite3', got {storage!r}")
-    types = get_typestore(Stores.LATEST)
     # The writer names its file after the folder that it makes.
-    made = folder / name
+    made, connections = folder / name, {}
     with Writer(made, version=9, storage_plugin=plugins[storage]) as writer:
-        _write_messages(writer, types, messages)
+        for message in messages:
+            msgtype = message.content.__msgtype__
+            if message.topic not in connections:
+                qos = [_latched()] if message.topic == "/tf_static" else []
+                connections[message.topic] = writer.add_connection(
+                    message.topic, msgtype, typestore=types, offered_qos_profiles=qos
+                )
+            raw = types.serialize_cdr(message.content, msgtype)
+            writer.write(connections[message.topic], message.nanoseconds, raw)
     for file in list(made.iterdir()):
         file.rename(folder / file.name)
     made.rmdir()
-
-
-def _write_messages(writer: Writer, types: Typestore, messages: list[_Message]) -> None:
-    connections = {}
-    for message in messages:
-        if message.topic not in connections:
-            qos = [_latched()] if message.topic == "/tf_static" else []
-            connections[message.topic] = writer.add_connection(
-                message.topic, message.msgtype, typestore=types, offered_qos_profiles=qos
-            )
-        content = _build(types, message.msgtype, message.fields)
-        raw = types.serialize_cdr(content, message.msgtype)
-        writer.write(connections[message.topic], message.nanoseconds, raw)
-
-
-def _build(types: Typestore, msgtype: str, fields: dict[str, Any]) -> Any:
-    """Return a message object from nested dictionaries."""
-    values = {}
-    for field, (_, content) in types.fielddefs[msgtype][1]:
-        value = fields[field]
-        if isinstance(value, dict):  # content is the name of the field's type
-            value = _build(types, str(content), value)
-        elif isinstance(value, list):  # content is ((kind, name of the elements' type), length)
-            value = [_build(types, str(content[0][1]), item) for item in value]
-        values[field] = value
-    return types.types[msgtype](**values)
 
 
 def _latched() -> Qos:

@@ -12,7 +12,7 @@ from beamfield.detections import SPURIOUS, UNKNOWN
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
 from beamfield.io.files.text_lines import Line, word_lines
-from beamfield.io.files.text_rows import is_id, write_csv
+from beamfield.io.files.text_rows import is_id
 
 COLUMNS = ("stamp", "x", "y", "theta", "id", "range", "bearing")
 
@@ -52,35 +52,6 @@ def read_sightings(path: str | Path) -> DetectionLog:
     stamps, first, observation = np.unique(table[:, 0], return_index=True, return_inverse=True)
     ids = table[:, 4].astype(np.int64)
     return DetectionLog(table[first, 1:4], group_detections(observation, stamps, table[:, 5], table[:, 6], ids))
-
-
-def write_sightings(path: str | Path, log: DetectionLog) -> None:
-    """Write the features of a log whose poses are known, so that `read_sightings` reads the same bits.
-
-    Observations without a feature or without a pose have no row; signatures, places and notes have no column.
-
-    Parameters
-    ----------
-    path
-        The file; an existing one is replaced.
-    log
-        The log.
-
-    Raises
-    ------
-    OSError
-        As the file system says; the old file is left as it was.
-    """
-    rows = []
-    for pose, seen in zip(log.poses, log.detections, strict=True):
-        if np.isnan(pose).any():
-            continue
-        ids = np.full(len(seen), UNKNOWN) if seen.ids is None else seen.ids
-        start = [repr(value) for value in (float(seen.stamp), *pose.tolist())]
-        for which, distance, bearing in zip(ids.tolist(), seen.ranges.tolist(), seen.bearings.tolist(), strict=True):
-            values = ["" if np.isnan(value) else repr(value) for value in (distance, bearing)]
-            rows.append([*start, "" if which == UNKNOWN else which, *values])
-    write_csv(path, COLUMNS, rows)
 
 
 def _numbers(row: Line) -> FloatArray:

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,17 +70,12 @@ def read_ros_map(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
     if resolution <= 0:
         raise yaml.error(f"expected a positive number of metres, got {resolution!r}", "resolution")
     origin = _origin(yaml)
-    negate = _negate(yaml)
-    occupied_thresh, free_thresh = _thresholds(yaml)
-    mode = _mode(yaml)
+    rule = _read_rule(yaml)
     image = read_map_image(_image_path(yaml), max_pixels=max_pixels)
-    if mode == "raw":
-        probability = _probability(image.grey, None, _raw_levels())
-    else:
-        probability = _probability(image.grey, image.opaque, _levels(mode, negate, occupied_thresh, free_thresh))
-        if mode == "scale":
-            occupied_thresh, free_thresh = 1.0, 0.0
-    return OccupancyGrid(probability, resolution, origin, occupied_thresh=occupied_thresh, free_thresh=free_thresh)
+    opaque = None if rule.mode == "raw" else image.opaque
+    occupied, free = (1.0, 0.0) if rule.mode == "scale" else (rule.occupied, rule.free)
+    probability = _probability(image.grey, opaque, _levels(rule))
+    return OccupancyGrid(probability, resolution, origin, occupied_thresh=occupied, free_thresh=free)
 
 
 def image_path(path: str | os.PathLike[str]) -> Path:
@@ -159,10 +154,8 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     that, every unknown cell of the map reads as free, here as in nav2.
     """
     yaml = read_yaml(path)
-    _, free_thresh = _thresholds(yaml)
-    shade = _UNKNOWN_GREY / 255.0
-    p = shade if _negate(yaml) else 1.0 - shade
-    if _mode(yaml) == "raw" or p > free_thresh:
+    rule = _read_rule(yaml)
+    if rule.mode == "raw" or rule.p[_UNKNOWN_GREY] > rule.free:
         return []
     counts = _grey_counts(MapImage(read_map_image(_image_path(yaml)).grey))
     share = float(counts[_UNKNOWN_GREY] / counts.sum())
@@ -170,7 +163,7 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
         return []
     note = (
         f"{share:.1%} of the pixels have grey {_UNKNOWN_GREY}, which map_saver writes for unknown; with free_thresh "
-        f"{free_thresh:g} they count as free, here and in nav2 (0.196 keeps them unknown)"
+        f"{rule.free:g} they count as free, here and in nav2 (0.196 keeps them unknown)"
     )
     return [note]
 
@@ -196,22 +189,39 @@ def between_share(path: str | os.PathLike[str]) -> float:
         As for `read_ros_map`.
     """
     yaml = read_yaml(path)
-    occupied, free = _thresholds(yaml)
-    if _mode(yaml) == "raw":
+    rule = _read_rule(yaml)
+    if rule.mode == "raw":
         return 0.0
     image = read_map_image(_image_path(yaml))
-    shade = np.arange(256) / 255.0
-    p = shade if _negate(yaml) else 1.0 - shade
-    counts = np.where((p > free) & (p < occupied), _grey_counts(image), 0)
+    counts = np.where((rule.p > rule.free) & (rule.p < rule.occupied), _grey_counts(image), 0)
     counts[_UNKNOWN_GREY] = 0
-    if not _negate(yaml):
-        counts[_middle_grey(free, occupied)] = 0
+    if not rule.negate:
+        counts[_middle_grey(rule.free, rule.occupied)] = 0
     if np.count_nonzero(counts) == 1:
         return 0.0
     return float(counts.sum() / image.grey.size)
 
 
 # ------------------------------------------------------------------------------------------------------- the YAML file
+
+
+class _Rule(NamedTuple):
+    """How the grey levels of the picture become probabilities."""
+
+    negate: bool
+    occupied: float
+    free: float
+    mode: str
+
+    @property
+    def p(self) -> NDArray[np.float64]:
+        """(256,) of each grey level, in double precision: comparisons are exact whatever the grid stores."""
+        shade = np.arange(256) / 255.0
+        return shade if self.negate else 1.0 - shade
+
+
+def _read_rule(yaml: YamlFile) -> _Rule:
+    return _Rule(_negate(yaml), *_thresholds(yaml), _mode(yaml))
 
 
 def _origin(yaml: YamlFile) -> NDArray[np.float64]:
@@ -268,21 +278,16 @@ def _image_path(yaml: YamlFile) -> Path:
 # --------------------------------------------------------------------------------------------------------- the picture
 
 
-def _raw_levels() -> NDArray[np.float32]:
-    of_grey = np.full(256, np.nan, dtype=np.float32)
-    of_grey[:101] = (np.arange(101) / 100.0).astype(np.float32)
-    return of_grey
-
-
-def _levels(mode: str, negate: bool, occupied_thresh: float, free_thresh: float) -> NDArray[np.float32]:
-    # One entry per grey level, in double precision, so that the comparisons are exact whatever the grid stores.
-    shade = np.arange(256) / 255.0
-    p = shade if negate else 1.0 - shade
+def _levels(rule: _Rule) -> NDArray[np.float32]:
+    """Return the probability of each grey level."""
     of_grey = np.full(256, np.nan)
-    if mode == "scale":
-        of_grey = np.floor(100.0 * (p - free_thresh) / (occupied_thresh - free_thresh) + 0.5) / 100.0
-    of_grey[p >= occupied_thresh] = 1.0
-    of_grey[p <= free_thresh] = 0.0
+    if rule.mode == "raw":
+        of_grey[:101] = np.arange(101) / 100.0
+        return of_grey.astype(np.float32)
+    if rule.mode == "scale":
+        of_grey = np.floor(100.0 * (rule.p - rule.free) / (rule.occupied - rule.free) + 0.5) / 100.0
+    of_grey[rule.p >= rule.occupied] = 1.0
+    of_grey[rule.p <= rule.free] = 0.0
     return of_grey.astype(np.float32)
 
 

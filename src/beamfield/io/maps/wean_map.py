@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.files.text_lines import most_bytes, read_lines
+from beamfield.io.files.text_lines import Line, most_bytes, read_lines
 from beamfield.io.files.yaml_file import shorten
 from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.maps.occupancy import OccupancyGrid
@@ -81,78 +81,75 @@ def read_wean_map(
 def _read_header(lines: Iterator[tuple[int, str]], path: Path, max_cells: int) -> tuple[float, int, int]:
     """Return the resolution in centimetres, and the number of cells in x and y."""
     numbers: dict[str, float] = {}
-    line = 0
-    for line, text in islice(lines, _HEADER_LINES):
+    number = 0
+    for number, text in islice(lines, _HEADER_LINES):
+        line = Line(path, number, text.split())
         size = _SIZE.match(text)
         if size is not None:
             n_x, n_y = int(size[1]), int(size[2])
-            _check_header(numbers, n_x, n_y, path, line, max_cells)
+            _check_header(numbers, n_x, n_y, line, max_cells)
             return numbers["resolution"], n_x, n_y
         specification = _SPECIFICATION.match(text)
         if specification is not None:
-            numbers[specification[1]] = _number(specification[2], path, line, specification[1])
+            numbers[specification[1]] = _number(line, specification[2], specification[1])
         elif text.strip():
-            raise FormatError(path, f"{_EXPECTED}, got {shorten(text[:60])}", line=line)
-    if line < _HEADER_LINES:
-        raise FormatError(path, f"{_EXPECTED}, got the end of the file", line=line + 1)
+            raise line.error(f"{_EXPECTED}, got {shorten(text[:60])}")
+    if number < _HEADER_LINES:
+        raise FormatError(path, f"{_EXPECTED}, got the end of the file", line=number + 1)
     raise FormatError(path, f"expected 'global_map[0]: rows cols' within {_HEADER_LINES} lines")
 
 
-def _number(text: str, path: Path, line: int, name: str) -> float:
+def _number(line: Line, text: str, name: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):
-        raise FormatError(path, f"expected a number, got {shorten(text)}", line=line, field=name)
+        raise line.error(f"expected a number, got {shorten(text)}", name)
     return value
 
 
-def _check_header(numbers: dict[str, float], n_x: int, n_y: int, path: Path, line: int, max_cells: int) -> None:
+def _check_header(numbers: dict[str, float], n_x: int, n_y: int, line: Line, max_cells: int) -> None:
     if "resolution" not in numbers:
-        raise FormatError(path, "expected 'robot_specifications->resolution' before the map", line=line)
+        raise line.error("expected 'robot_specifications->resolution' before the map")
     if numbers["resolution"] <= 0:
-        raise FormatError(
-            path, f"expected a positive number of centimetres, got {numbers['resolution']}", field="resolution"
-        )
+        text = f"expected a positive number of centimetres, got {numbers['resolution']}"
+        raise FormatError(line.path, text, field="resolution")
     for name in ("autoshifted_x", "autoshifted_y"):
         if numbers.get(name, 0.0) != 0.0:
-            raise FormatError(path, f"expected a map without a shift, got {numbers[name]}", field=name)
+            raise FormatError(line.path, f"expected a map without a shift, got {numbers[name]}", field=name)
     if n_x < 1 or n_y < 1:
-        raise FormatError(path, f"expected a map with cells, got {n_x} x {n_y}", line=line)
+        raise line.error(f"expected a map with cells, got {n_x} x {n_y}")
     if n_x * n_y > max_cells:
-        raise FormatError(path, f"{n_x} x {n_y} cells exceed the limit of {max_cells}", line=line)
+        raise line.error(f"{n_x} x {n_y} cells exceed the limit of {max_cells}")
     # A digit and a space for each.
-    if 2 * n_x * n_y - 1 > most_bytes(path):
-        raise FormatError(path, f"truncated: {n_x} x {n_y} cells are more than the file can hold", line=line)
+    if 2 * n_x * n_y - 1 > most_bytes(line.path):
+        raise line.error(f"truncated: {n_x} x {n_y} cells are more than the file can hold")
 
 
 def _read_values(lines: Iterator[tuple[int, str]], path: Path, n_x: int, n_y: int) -> NDArray[np.float32]:
     """Return the probabilities of being occupied, (n_x, n_y); NaN where it is unknown."""
     probability = np.empty((n_x, n_y), np.float32)
     done = 0
-    for line, text in lines:
+    for number, text in lines:
+        line = Line(path, number, text.split())
         if done < n_x:
-            free = _read_column(text, path, n_y, line)
+            free = _read_column(line, n_y)
             probability[done] = 1.0 - np.where(free < 0, np.nan, free)
             done += 1
-        elif text.strip():
-            raise FormatError(path, f"expected {n_x} lines of numbers, got more: {shorten(text[:40])}", line=line)
+        elif line.words:
+            raise line.error(f"expected {n_x} lines of numbers, got more: {shorten(text[:40])}")
     if done < n_x:
         raise FormatError(path, f"truncated: expected {n_x} lines of numbers, got {done}")
     return probability
 
 
-def _read_column(text: str, path: Path, n_y: int, line: int) -> NDArray[np.float64]:
-    words = text.split()
-    if len(words) != n_y:
-        raise FormatError(path, f"expected {n_y} numbers, got {len(words)}", line=line)
-    try:
-        values = np.array(words, dtype=np.float64)
-    except ValueError:
-        values = np.array([_number(word, path, line, "cell") for word in words])
+def _read_column(line: Line, n_y: int) -> NDArray[np.float64]:
+    if len(line.words) != n_y:
+        raise line.error(f"expected {n_y} numbers, got {len(line.words)}")
+    values = line.numbers(0, field="cell")
     valid = (values == -1.0) | ((values >= 0.0) & (values <= 1.0))
     if not valid.all():
-        bad = words[int(np.argmin(valid))]
-        raise FormatError(path, f"expected -1 or a probability in [0, 1], got {shorten(bad)}", line=line)
+        bad = line.words[int(np.argmin(valid))]
+        raise line.error(f"expected -1 or a probability in [0, 1], got {shorten(bad)}")
     return values

@@ -254,6 +254,8 @@ def test_what_cannot_be_run_is_refused():
         build_filter("nav2", Nav2Field(walls, NAV2))
     with pytest.raises(InvalidInputError, match="the filter of f1tenth is not emulated"):
         build_filter("f1tenth", Nav2Field(small_room(), NAV2))
+    with pytest.raises(InvalidInputError, match="start: expected a PoseBelief"):
+        nav2_filter().run(drive(2), [1.0, 1.0, 0.3], np.random.default_rng(1))
     for values in ({"min_particles": 0}, {"pf_err": 0.0}, {"update_min_d": -1.0}, {"resample_interval": 0}):
         with pytest.raises(InvalidInputError, match=next(iter(values))):
             AmclFilterParameters(**values)

@@ -15,7 +15,7 @@ from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.stacks.beluga.models import BelugaField, BelugaFieldProb
-from beamfield.stacks.filters.amcl_filter import BINS, AmclFilterParameters
+from beamfield.stacks.filters.amcl_filter import BINS, AmclFilterParameters, as_wrapped_rotations
 from beamfield.stacks.filters.histogram import Histogram, kld_limits
 from beamfield.stacks.filters.particles import (
     draw_by_weight,
@@ -32,6 +32,7 @@ from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import build_filter
 from beamfield.stacks.ros1.filter import Ros1FilterParameters
+from beamfield.stacks.ros1.motion import Ros1Motion
 from tests.stacks.small_room import small_room, small_scan
 from tests.stacks.test_emulators_contract import BELUGA, MRPT_FIELD, NAV2
 
@@ -235,6 +236,34 @@ def test_a_global_start_is_spread_over_the_free_cells():
     assert replay.covariances[0, 0, 0] == pytest.approx(spread, rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ("end", "splits"),
+    [((0.5, 0.1, 0.2), False), ((-0.5, 0.01, 0.1), True), ((0.0, 0.0, 3.0), True), ((-0.3, -0.2, -2.9), False)],
+)
+def test_headings_are_sums_of_wrapped_rotations_as_the_program_has_them(rng, end, splits):
+    odometry = np.array([[1.0, 2.0, 0.7], compose([1.0, 2.0, 0.7], end)])
+    before = rng.normal([3.0, 1.0, 2.5], 0.3, (400, 3))
+    # A transcription with noise of its own, which says what each rotation was.
+    d, r1 = math.hypot(end[0], end[1]), math.atan2(end[1], end[0]) if math.hypot(end[0], end[1]) >= 0.01 else 0.0
+    r2 = end[2] - r1
+    first, second = r1 + rng.normal(0.0, 0.3 * d, 400), r2 + rng.normal(0.0, 0.3, 400)
+    along = d + rng.normal(0.0, 0.2, 400)
+    x = before[:, 0] + along * np.cos(before[:, 2] + first)
+    y = before[:, 1] + along * np.sin(before[:, 2] + first)
+    drawn = np.column_stack([x, y, before[:, 2] + first + second])
+    heading = before[:, 2] + wrap_angle(first) + wrap_angle(second)
+    np.testing.assert_allclose(as_wrapped_rotations(before, drawn, odometry)[:, 2], heading, atol=1e-9)
+    assert (np.ptp(heading) > 6.0) == splits
+
+
+def test_only_differential_models_wrap_rotations():
+    model = Nav2Field(small_room(), NAV2)
+    assert build_filter("nav2", model, Nav2Motion()).wraps_rotations
+    assert not build_filter("nav2", model, Nav2Motion("nav2_amcl::OmniMotionModel")).wraps_rotations
+    assert build_filter("ros1", model, Ros1Motion("diff-corrected")).wraps_rotations
+    assert not build_filter("ros1", model, Ros1Motion("omni")).wraps_rotations
+
+
 def test_scans_without_odometry_are_left_out():
     log = drive(8)
     odometry = np.array(log.odometry)
@@ -254,6 +283,8 @@ def test_what_cannot_be_run_is_refused():
         build_filter("nav2", Nav2Field(walls, NAV2))
     with pytest.raises(InvalidInputError, match="the filter of f1tenth is not emulated"):
         build_filter("f1tenth", Nav2Field(small_room(), NAV2))
+    with pytest.raises(InvalidInputError, match="start: expected a PoseBelief"):
+        nav2_filter().run(drive(2), [1.0, 1.0, 0.3], np.random.default_rng(1))
     for values in ({"min_particles": 0}, {"pf_err": 0.0}, {"update_min_d": -1.0}, {"resample_interval": 0}):
         with pytest.raises(InvalidInputError, match=next(iter(values))):
             AmclFilterParameters(**values)

@@ -15,7 +15,7 @@ from beamfield.report.evaluation import Evaluation
 # Rows of one log lie a unit apart, logs a little more.
 GAP = 0.7
 # Labels of the logarithmic axis, metres.
-TICKS = tuple(digit * 10.0**power for power in range(-3, 3) for digit in (1, 2, 5))
+TICKS = tuple(digit * 10.0**power for power in range(-3, 3) for digit in (1, 1.5, 2, 3, 5, 7))
 RIGHT_SHARE = 0.95
 LONGEST_LABEL = 40
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from beamfield.models.motion import MotionModel
+from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.stacks.amcl.scan import amcl_grid
+from beamfield.stacks.emulation.stack_motion import StackMotion
 from beamfield.stacks.filters.amcl_filter import AmclFilter, AmclFilterParameters
 
 
 def amcl_filter(
-    model: Any, motion: MotionModel, parameters: AmclFilterParameters, *, selective_resampling: bool = False
+    model: Any, motion: StackMotion, parameters: AmclFilterParameters, *, selective_resampling: bool = False
 ) -> AmclFilter:
     """Return the filter that runs one of AMCL's models.
 
@@ -18,8 +19,11 @@ def amcl_filter(
     ----------
     model
         `AmclField`, `AmclFieldProb` or `AmclBeam` on its map.
-    motion, parameters, selective_resampling
+    motion
+        The program's own.
+    parameters, selective_resampling
         As for `AmclFilter`.
     """
     seen = amcl_grid(model.grid, model.map_mode)
-    return AmclFilter(model, seen, motion, parameters, selective_resampling=selective_resampling)
+    wraps = isinstance(motion.formula, DifferentialMotion)
+    return AmclFilter(model, seen, motion, parameters, selective_resampling, wraps)

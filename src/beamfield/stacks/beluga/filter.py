@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, between, wrap_angle
 from beamfield.localization.replay import PoseBelief, Replay
@@ -131,6 +132,7 @@ class BelugaFilter:
         if not self.seen.free.any():
             raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
 
+    @checked
     def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
         """Filter a log; see `ReplayedFilter.run`.
 

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.localization.replay import PoseBelief, Replay
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.differential_motion import SHORTEST_TRANSLATION
 from beamfield.models.motion import MotionModel
+from beamfield.models.motion_steps import rotations_and_translation
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers
@@ -110,6 +113,9 @@ class AmclFilter:
         The rest.
     selective_resampling
         Whether particles are kept while the effective number of them is above half their number (ROS 1).
+    wraps_rotations
+        Whether the program wraps the first and the second noisy rotation of a step each for itself, as it does in the
+        differential models; see `as_wrapped_rotations`.
 
     Raises
     ------
@@ -121,8 +127,7 @@ class AmclFilter:
     Re-derived from nav2's and ROS 1's pf.c, pf_kdtree.c and amcl_node.cpp. Random numbers are NumPy's, so that runs
     agree with the programs' in distribution only. Where all weights are 0, or too small for a double, all particles
     become equal. Headings of particles run on past pi, as the programs' do: particles that differ by a full turn lie
-    in different bins. (The programs wrap the noisy first and second rotation of a step each, so that a step backwards
-    can put such a turn between particles; the motion models here do not.) Scans without odometry are left out.
+    in different bins. Scans without odometry are left out.
     """
 
     model: StackModel[Any, Any]
@@ -130,6 +135,7 @@ class AmclFilter:
     motion: MotionModel
     parameters: AmclFilterParameters = AmclFilterParameters()
     selective_resampling: bool = False
+    wraps_rotations: bool = True
     _weights_of: ScanWeights = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -137,6 +143,7 @@ class AmclFilter:
         if not self.seen.free.any():
             raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
 
+    @checked
     def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
         """Filter a log; see `ReplayedFilter.run`.
 
@@ -151,6 +158,28 @@ class AmclFilter:
         turn = abs(float(wrap_angle(now[2] - last[2])))
         most = float(np.abs(now[:2] - last[:2]).max())
         return most > self.parameters.update_min_d or turn > self.parameters.update_min_a
+
+
+def as_wrapped_rotations(before: FloatArray, after: FloatArray, odometry: FloatArray) -> FloatArray:
+    """Return poses after a step (n, 3) with headings as AMCL has them: other ones may be full turns away.
+
+    Its differential models draw a first rotation, a translation and a second rotation, and wrap each rotation before
+    they are added up. Where a robot drives backwards the first is about a half turn, to one side for some particles and
+    to the other for the rest: their headings end up a full turn apart, and the particles in bins that do not touch.
+
+    Parameters
+    ----------
+    before, after
+        (n, 3) the particles before and after the step; the first rotation follows from them.
+    odometry
+        (2, 3) of the step.
+    """
+    rotation = rotations_and_translation(odometry, SHORTEST_TRANSLATION)[0]
+    bearing = np.arctan2(after[:, 1] - before[:, 1], after[:, 0] - before[:, 0]) - before[:, 2]
+    # A noisy translation may be negative.
+    first = wrap_angle(np.where(np.cos(bearing - rotation) < 0.0, bearing + np.pi, bearing))
+    second = wrap_angle(after[:, 2] - before[:, 2] - first)
+    return np.column_stack([after[:, :2], before[:, 2] + first + second])
 
 
 class _Particles:
@@ -169,7 +198,8 @@ class _Particles:
         self.weights = np.full(n, 1.0 / n)
 
     def move(self, odometry: FloatArray) -> None:
-        self.poses = self._amcl.motion.sample(self.poses, odometry, self._rng)
+        moved = self._amcl.motion.sample(self.poses, odometry, self._rng)
+        self.poses = as_wrapped_rotations(self.poses, moved, odometry) if self._amcl.wraps_rotations else moved
 
     def weigh(self, scan: Scan) -> None:
         log_weights = self._weights_of(scan, self.poses, converged=self._converged)

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from beamfield.models.motion import MotionModel
 from beamfield.stacks.amcl.filter import amcl_filter
 from beamfield.stacks.emulation.parameter_checks import check_switches
 from beamfield.stacks.filters.amcl_filter import AmclFilter, AmclFilterParameters, check_filter
+from beamfield.stacks.ros1.motion import Ros1Motion
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Ros1FilterParameters:
         check_switches(self, "selective_resampling")
 
 
-def ros1_filter(model: Any, motion: MotionModel, parameters: Ros1FilterParameters) -> AmclFilter:
+def ros1_filter(model: Any, motion: Ros1Motion, parameters: Ros1FilterParameters) -> AmclFilter:
     """Return the filter that runs one of ROS 1 amcl's models."""
     values = AmclFilterParameters(
         parameters.min_particles,

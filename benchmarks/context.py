@@ -5,7 +5,7 @@
     python benchmarks/context.py learning   the start (EM), an exponent alone, and parameters by gradient
     python benchmarks/context.py beams      4 to all beams of a scan
 
-Real logs and maps are in ../shared/data beside the checkout. Names after the table's choose logs: `beams Wean TurtleBot`.
+Real logs and maps are in ../shared/data beside the checkout. More words choose logs by name: `beams Wean TurtleBot`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from beamfield.calibration.cross_fit import build_cross_fit_maps
 from beamfield.calibration.evaluation import block_standard_error
 from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
+from beamfield.calibration.selection import select_scans
 from beamfield.calibration.time_split import time_blocks
-from beamfield.geometry import compose
+from beamfield.geometry import FloatArray, between, compose
 from beamfield.io.read_log import read_log
 from beamfield.localization.pose_posterior import PoseLattice, pose_posterior
 from beamfield.maps.occupancy import OccupancyGrid
@@ -47,6 +48,7 @@ from beamfield.simulation.log import simulate_log
 from real_logs import LOGS, read_log_and_map
 from tables import print_table
 
+PRIOR = np.array([0.25, 0.25, 0.1])
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WEAN_MAP = "wean_hall/derived_wean.yaml"
 NEAR = Dependence(float(np.radians(4.0)), 1.0)
@@ -188,8 +190,7 @@ def _coverages(
 def lattice(chosen: Sequence[str]) -> list[dict[str, Any]]:
     """Return the coverage of single scans at exponents learned from Wean Hall 1, on a lattice of poses.
 
-    The prior is uniform over a box of 1.5 m and 0.5 rad whose centre is off the truth; nothing but the model is shared
-    with what the exponents were learned by.
+    The prior is that of the windows; nothing else but the model is shared with what the exponents were learned by.
     """
     del chosen
     place = wean()
@@ -201,7 +202,7 @@ def lattice(chosen: Sequence[str]) -> list[dict[str, Any]]:
         )  # fmt: skip
         for where, log in place.others.items():
             held = []
-            usable = np.flatnonzero(np.isfinite(log.poses).all(axis=1))
+            usable = np.flatnonzero(select_scans(log, place.grid).used)
             for scan in usable[np.linspace(0, len(usable) - 1, 60).astype(int)]:
                 for _ in range(2):
                     truth = compose(log.poses[scan], rng.normal(0.0, (0.04, 0.04, 0.01)))
@@ -211,19 +212,23 @@ def lattice(chosen: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def _mass_above(
-    model: BeamModel | LikelihoodFieldModel, log: SensorLog, scan: int, truth: Any, rng: np.random.Generator
+    model: BeamModel | LikelihoodFieldModel, log: SensorLog, scan: int, truth: FloatArray, rng: np.random.Generator
 ) -> float:
     """Return the posterior probability of the cells of a lattice that are denser than the truth's."""
-    middle = compose(truth, rng.uniform((-0.5, -0.5, -0.15), (0.5, 0.5, 0.15)))
-    grid = PoseLattice.around(middle, reach=0.75, resolution=0.03, heading_reach=0.25, heading_step=0.015)
-    mass = pose_posterior(model, log.scan(scan), grid).log_mass
-    here = float(model.log_likelihood(log.scan(scan), truth) - model.log_likelihood(log.scan(scan), grid_pose(grid)))
-    return float(np.exp(mass[mass > mass[0, 0] + here]).sum())
+    middle = compose(truth, rng.normal(0.0, PRIOR))
+    lattice = PoseLattice.around(middle, reach=0.75, resolution=0.03, heading_reach=0.3, heading_step=0.015)
+    poses = np.empty((len(lattice.centres()), len(lattice.headings), 3))
+    poses[..., :2], poses[..., 2] = lattice.centres()[:, None], lattice.headings
+    values = pose_posterior(model, log.scan(scan), lattice).log_mass + _log_prior(middle, poses)
+    here = model.log_likelihood(log.scan(scan), truth) + _log_prior(middle, truth)
+    # What the posterior was divided by.
+    here -= model.log_likelihood(log.scan(scan), poses[0, 0]) + _log_prior(middle, poses[0, 0]) - values[0, 0]
+    mass = np.exp(values - values.max())
+    return float(mass[values > here].sum() / mass.sum())
 
 
-def grid_pose(grid: PoseLattice) -> Any:
-    """Return the lattice's first pose."""
-    return np.array([*grid.centres()[0], grid.headings[0]])
+def _log_prior(middle: FloatArray, poses: FloatArray) -> FloatArray:
+    return np.asarray(-0.5 * np.square(between(middle, poses) / PRIOR).sum(axis=-1))
 
 
 def learning(chosen: Sequence[str]) -> list[dict[str, Any]]:

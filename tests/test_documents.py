@@ -197,6 +197,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "calibrate": calibrate,
     "calibrate_stack": calibrate_stack,
     "features": features,
+    "in_context": calibrate_stack,
     "landmark_learning": landmark_learning,
     "landmarks": landmarks,
     "likelihood_field": likelihood_field,

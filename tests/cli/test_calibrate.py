@@ -94,6 +94,19 @@ class TestResult:
         assert '<h2 id="field">Likelihood field</h2>' in page
         assert f"sigma_hit: {saved.parameters.sigma_hit}" in page
 
+    def test_it_says_how_many_independent_beams_a_scan_is_worth(self, out: Path):
+        document = json.loads((out / "calibration.json").read_text())["independent_beams"]
+        saved = read_beam_model(out / "beam_model.yaml")
+        assert (saved.n_beams, document["n_beams"], document["beams_of_scan"]) == (30, 30, 61)
+        assert saved.exponent == pytest.approx(document["drive"]["value"], rel=5e-6)
+        assert saved.single_scan_exponent == pytest.approx(document["single"]["value"], rel=5e-6)
+        assert 0.0 < saved.exponent < saved.single_scan_exponent < 1.0
+        assert document["independent_beams"] == pytest.approx(30 * saved.single_scan_exponent, rel=5e-6)
+        said = f"A scan of 61 beams is worth about {document['independent_beams']:.2g} independent ones"
+        page = (out / "report.html").read_text()
+        assert '<h2 id="independent-beams">Independent beams</h2>' in page
+        assert said in page
+
     def test_the_provenance_names_inputs_by_hash_and_no_folder(self, out: Path, world: Path):
         origin = json.loads((out / "calibration.json").read_text())["provenance"]
         assert set(origin["inputs"]) == {"log", "map", "map image"}
@@ -376,6 +389,22 @@ def test_a_beam_model_file_has_six_digits_and_weights_that_sum_to_one(tmp_path, 
     assert "lambda_short: null" in text
 
 
+def test_exponents_come_back_from_a_beam_model_file(tmp_path):
+    from beamfield.io.parameters.beam_model_file import beam_model_text
+    from beamfield.sensors import RangeFinder
+
+    finder, path = RangeFinder.from_bearings([0.0], 10.0), tmp_path / "beam_model.yaml"
+    parameters = BeamParameters(0.25, 0.25, 0.25, 0.25, 0.5, 1.0)
+    path.write_text(beam_model_text(parameters, finder, exponent=0.05, single_scan_exponent=0.2, n_beams=30))
+    read = read_beam_model(path)
+    assert (read.exponent, read.single_scan_exponent, read.n_beams) == (0.05, 0.2, 30)
+    assert read.parameters == parameters
+    # Written before there were exponents, or without a map: the beams count whole.
+    path.write_text(beam_model_text(parameters, finder))
+    read = read_beam_model(path)
+    assert (read.exponent, read.single_scan_exponent, read.n_beams) == (1.0, 1.0, None)
+
+
 @pytest.mark.parametrize(
     ("limits", "written"),
     [
@@ -405,6 +434,10 @@ def test_limits_of_float32_are_written_short_unless_no_returns_would_become_read
         ("z_rand: 0.25", "z_rand: 0.5", "expected 1"),
         ("beam_model:", "model:", "beam_model"),
         ("min_range: 0.0", "min_range: 10.0", "sensor.min_range"),
+        ("  exponent: 0.1", "  exponent: 0.0", r"beam_model\.exponent"),
+        ("  exponent: 0.1", "  exponent: 1.5", r"beam_model\.exponent"),
+        ("single_scan_exponent: 0.2", "single_scan_exponent: -1", r"single_scan_exponent"),
+        ("n_beams: 30", "n_beams: 2.5", "n_beams"),
     ],
 )
 def test_a_damaged_beam_model_file_names_file_and_field(tmp_path, old, new, words):
@@ -413,8 +446,9 @@ def test_a_damaged_beam_model_file_names_file_and_field(tmp_path, old, new, word
     from beamfield.sensors import RangeFinder
 
     text = beam_model_text(
-        BeamParameters(0.25, 0.25, 0.25, 0.25, 0.5, 1.0), RangeFinder.from_bearings([0.0], 10.0, name="s")
-    )
+        BeamParameters(0.25, 0.25, 0.25, 0.25, 0.5, 1.0), RangeFinder.from_bearings([0.0], 10.0, name="s"),
+        exponent=0.1, single_scan_exponent=0.2, n_beams=30,
+    )  # fmt: skip
     assert old in text
     path = tmp_path / "beam_model.yaml"
     path.write_text(text.replace(old, new, 1))

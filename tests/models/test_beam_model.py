@@ -15,7 +15,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models import range_mixture
 from beamfield.models.beam import BeamModel, beam_log_density
-from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
 from beamfield.sensors import RangeFinder, Scan
 from tests.reference.beam_tables import beam_range_finder_model, expected_range_by_small_steps
 
@@ -106,6 +106,18 @@ def test_exponent_scales_the_logarithm(grid):
     plain, tempered = BeamModel(grid, PARAMETERS), BeamModel(grid, PARAMETERS, exponent=0.25)
     assert tempered.log_likelihood(scan, pose) == 0.25 * plain.log_likelihood(scan, pose)
     assert (tempered.beam_log_likelihood(scan, pose) == 0.25 * plain.beam_log_likelihood(scan, pose)).all()
+
+
+def test_a_saved_model_brings_its_exponent_and_beams(grid):
+    saved = SavedBeamModel(
+        *PARAMETERS.weights, PARAMETERS.sigma_hit, PARAMETERS.lambda_short, PARAMETERS.range_offset,
+        PARAMETERS.sigma_slope, exponent=0.05, single_scan_exponent=0.2, n_beams=3, max_range=8.0,
+    )  # fmt: skip
+    model = BeamModel(grid, saved)
+    assert (model.exponent, model.n_beams, model.parameters) == (0.05, 3, PARAMETERS)
+    assert not model.is_normalized
+    single = BeamModel(grid, saved, exponent=saved.single_scan_exponent, n_beams=2)
+    assert (single.exponent, single.n_beams) == (0.2, 2)
 
 
 def test_contributions_of_the_beams_sum_to_the_scan(grid, rng):

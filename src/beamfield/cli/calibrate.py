@@ -56,8 +56,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     model.add_argument("--block", type=positive, metavar="S", help="length of the blocks of time that are fitted or "
                        "held out (default: 20, or a twelfth of a shorter log)")  # fmt: skip
     model.add_argument("--reference-error", type=float, default=0.04, metavar="M",
-                       help="likelihood field and --stack: how wrong the reference poses may be, standard deviation "
-                       "per axis, and a quarter of it in radians (default: 0.04)")  # fmt: skip
+                       help="exponents, likelihood field and --stack: how wrong the reference poses may be, standard "
+                       "deviation per axis, and a quarter of it in radians (default: 0.04)")  # fmt: skip
     model.add_argument("--no-refine", action="store_true", help="do not refine reference poses to see their error")
     options.add_seed(model)
     choice = parser.add_argument_group("scans that are used")

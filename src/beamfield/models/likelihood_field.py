@@ -18,7 +18,8 @@ from beamfield.kernels import smooth_field
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLikelihoodField
+from beamfield.models.beam_dependence import settle_dependence
+from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.field_tables import FieldTables, Table
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.short_repr import short_repr
@@ -156,9 +157,7 @@ class LikelihoodFieldModel:
         self, max_distance: float | None, only_boundaries: bool, off_map: Literal["continued", "far"]
     ) -> None:
         check_fields(self)
-        self._complete()
-        require(0.0 < self.exponent < np.inf, "exponent", "a positive, finite number", self.exponent)
-        require(self.n_beams is None or self.n_beams >= 1, "n_beams", "at least 1 or None", self.n_beams)
+        settle_dependence(self)
         for name, known in (("unknown", ("free", "uniform")), ("interpolation", ("nearest", "bilinear"))):
             if getattr(self, name) not in known:
                 raise InvalidInputError(f"{name}: expected {known[0]!r} or {known[1]!r}, got {getattr(self, name)!r}")
@@ -171,14 +170,6 @@ class LikelihoodFieldModel:
         if (rows + 2) * (cols + 2) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"distances: expected fewer than 2^32 cells, got {rows} x {cols}")
         self._make_tables()
-
-    def _complete(self) -> None:
-        """Take exponent and n_beams of what a file says, where they are not given."""
-        learned: dict[str, Any] = {"exponent": 1.0}
-        if isinstance(self.parameters, SavedLikelihoodField):
-            learned = {"exponent": self.parameters.exponent, "n_beams": self.parameters.n_beams}
-            keep(self, parameters=self.parameters.parameters)
-        keep(self, **{name: value for name, value in learned.items() if getattr(self, name) is None})
 
     @classmethod
     @checked

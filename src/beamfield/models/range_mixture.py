@@ -8,13 +8,14 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_generator, check_fields, checked, require
+from beamfield.arguments import as_generator, check_fields, checked, keep
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities, read_only
-from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
+from beamfield.models.beam_dependence import settle_dependence
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.blind_zone import counted_from, expected_from
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
@@ -62,20 +63,8 @@ class RangeMixtureModel(ABC):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        self._complete()
-        require(0.0 < self.exponent < np.inf, "exponent", "a positive, finite number", self.exponent)
-        require(self.n_beams is None or self.n_beams >= 1, "n_beams", "at least 1 or None", self.n_beams)
-        object.__setattr__(self, "_source", self._make_source())
-
-    def _complete(self) -> None:
-        """Take exponent and n_beams of what a file says, where they are not given."""
-        learned: dict[str, Any] = {"exponent": 1.0}
-        if isinstance(self.parameters, SavedBeamModel):
-            learned = {"exponent": self.parameters.exponent, "n_beams": self.parameters.n_beams}
-            object.__setattr__(self, "parameters", self.parameters.parameters)
-        for name, value in learned.items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, value)
+        settle_dependence(self)
+        keep(self, _source=self._make_source())
 
     @property
     def is_normalized(self) -> bool:
@@ -278,4 +267,4 @@ class RangeMixtureModel(ABC):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        object.__setattr__(self, "_source", self._make_source())
+        keep(self, _source=self._make_source())

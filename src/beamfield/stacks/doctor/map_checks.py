@@ -16,38 +16,6 @@ YAW_TOLERANCE = 1e-9
 # More than this share of the cells changes hands, or of the free cells' neighbours is unknown.
 CHANGED_SHARE = 0.02
 OPEN_EDGE_SHARE = 0.002
-# What to say of unknown cells, by what they are to a model: name, why, what to do.
-UNKNOWN_CELLS = {
-    "stop": (
-        "unknown-stops-rays",
-        (
-            "rays stop at unknown cells as at walls: readings through open doors into unmapped rooms count against the "
-            "true pose, and poses inside unknown space see walls at arm's length"
-        ),
-        "paint unknown cells that beams pass as free, or use a field model",
-    ),
-    "pass": (
-        "unknown-is-free",
-        "rays pass unknown cells as free ones: readings that end in unmapped rooms count as short ones",
-        "nothing, if the map covers where the robot goes",
-    ),
-    "longest": (
-        "unknown-ends-rays",
-        (
-            "a ray that meets an unknown cell expects the sensor's longest range: readings through open doors into "
-            "unmapped rooms, and from walls behind unknown cells, count against the true pose"
-        ),
-        "paint unknown cells that beams pass as free, or use a field model",
-    ),
-    "free": (
-        "unknown-is-free",
-        (
-            "the field treats unknown cells as free: a pose whose readings end in unmapped space loses as much as one "
-            "whose readings end in a free room"
-        ),
-        "nothing, if the map covers where the robot goes",
-    ),
-}
 
 
 def ignored_yaw(subject: Subject) -> Iterator[Finding]:
@@ -87,8 +55,15 @@ def unknown_space(subject: Subject) -> Iterator[Finding]:
     if share <= OPEN_EDGE_SHARE:
         return
     seen = f"{share:.1%} of the free cells have an unknown neighbour"
-    attracts = subject.model.unknown_attracts
-    if attracts and getattr(subject.parameters, attracts):
+    cells, attracts = subject.model.unknown_cells, subject.model.unknown_attracts
+    if cells == "stop":
+        yield subject.finding(
+            "unknown-stops-rays", "info", seen,
+            "rays stop at unknown cells as at walls: readings through open doors into unmapped rooms count against the "
+            "true pose, and poses inside unknown space see walls at arm's length",
+            "paint unknown cells that beams pass as free, or use a field model", values={"share": share},
+        )  # fmt: skip
+    elif attracts and getattr(subject.parameters, attracts):
         yield subject.finding(
             "unknown-attracts", "warning", seen,
             f"with {attracts} an end point in unknown space scores 1 / laser_max_range, more than the "
@@ -96,9 +71,26 @@ def unknown_space(subject: Subject) -> Iterator[Finding]:
             "switch it off unless the robot really leaves the map",
             parameter=attracts, values={"share": share},
         )  # fmt: skip
+    elif cells == "pass":
+        yield subject.finding(
+            "unknown-is-free", "info", seen,
+            "rays pass unknown cells as free ones: readings that end in unmapped rooms count as short ones",
+            "nothing, if the map covers where the robot goes", values={"share": share},
+        )  # fmt: skip
+    elif cells == "longest":
+        yield subject.finding(
+            "unknown-ends-rays", "info", seen,
+            "a ray that meets an unknown cell expects the sensor's longest range: readings through open doors into "
+            "unmapped rooms, and from walls behind unknown cells, count against the true pose",
+            "paint unknown cells that beams pass as free, or use a field model", values={"share": share},
+        )  # fmt: skip
     else:
-        name, why, do = UNKNOWN_CELLS[subject.model.unknown_cells]
-        yield subject.finding(name, "info", seen, why, do, values={"share": share})
+        yield subject.finding(
+            "unknown-is-free", "info", seen,
+            "the field treats unknown cells as free: a pose whose readings end in unmapped space loses as much as one "
+            "whose readings end in a free room",
+            "nothing, if the map covers where the robot goes", values={"share": share},
+        )  # fmt: skip
 
 
 def lost_cells(subject: Subject) -> Iterator[Finding]:

@@ -181,6 +181,10 @@ def raycasting(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "poses": world.particles, "finder": world.finder, "origins": world.particles}
 
 
+def changed_places(world: World) -> dict[str, Any]:
+    return {"log": world.log, "grid": world.grid, "parameters": world.parameters}
+
+
 def scan_fit(world: World) -> dict[str, Any]:
     return {"model": world.model, "good_log": world.log, "scan": world.scan, "pose": world.log.poses[10],
             "log": world.log}  # fmt: skip
@@ -196,6 +200,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "alignment": alignment,
     "calibrate": calibrate,
     "calibrate_stack": calibrate_stack,
+    "changed_places": changed_places,
     "features": features,
     "in_context": calibrate_stack,
     "landmark_learning": landmark_learning,

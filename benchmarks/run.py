@@ -19,6 +19,7 @@ BENCHMARKS = (
     "map_matching",
     "alignment",
     "likelihood_map",
+    "particle_filter",
     "landmark",
     "line",
     "features",

@@ -177,6 +177,10 @@ def marker(world: World) -> dict[str, Any]:
     return {}
 
 
+def localization(world: World) -> dict[str, Any]:
+    return {"grid": world.grid, "log": world.log[:20]}
+
+
 def raycasting(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "poses": world.particles, "finder": world.finder, "origins": world.particles}
 
@@ -207,6 +211,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "landmarks": landmarks,
     "likelihood_field": likelihood_field,
     "lines": lines,
+    "localization": localization,
     "marker": marker,
     "raycasting": raycasting,
     "scan_fit": scan_fit,

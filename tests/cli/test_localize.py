@@ -137,3 +137,18 @@ def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsy
     assert "no free cell" in capsys.readouterr().err
     assert main(["localize", str(folder / "bare.log"), "--map", str(folder / "map.yaml")]) == 1
     assert "no scan has odometry" in capsys.readouterr().err
+
+
+def test_a_scan_is_worth_what_the_file_says_however_many_beams_are_used():
+    from argparse import Namespace
+
+    from beamfield.cli.localize import INDEPENDENT_BEAMS, _counting
+
+    saved = Namespace(n_beams=20, exponent=0.2)
+    given = Namespace(beams=None, exponent=None)
+    assert _counting(saved, 61, given) == {"n_beams": 20, "exponent": 0.2}
+    assert _counting(saved, 61, Namespace(beams=40, exponent=None)) == {"n_beams": 40, "exponent": 0.1}
+    assert _counting(saved, 61, Namespace(beams=0, exponent=0.5)) == {"n_beams": 61, "exponent": 0.5}
+    assert _counting(None, 30, given) == {"n_beams": 30, "exponent": INDEPENDENT_BEAMS / 30}
+    assert _counting(Namespace(n_beams=None, exponent=1.0), 30, given) == _counting(None, 30, given)
+    assert _counting(None, 1, given)["exponent"] == 1.0

@@ -71,7 +71,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                        help=f"beams of a scan that count, equally spaced; 0: all (default: {DEFAULT_BEAMS}, or as the "
                        "file says)")  # fmt: skip
     group.add_argument("--exponent", type=positive, metavar="E",
-                       help=f"power of each beam's likelihood (default: {INDEPENDENT_BEAMS} / beams)")  # fmt: skip
+                       help=f"power of each beam's likelihood (default: {INDEPENDENT_BEAMS} / beams, or as "
+                       "the file says)")  # fmt: skip
     group.add_argument("--odometry-noise", type=positive, default=1.0, metavar="K",
                        help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
     group.add_argument("--recovery", action="store_true", help="find a robot again that was carried elsewhere")
@@ -157,7 +158,7 @@ def _localizer(
     filter_options = FilterOptions(
         n_particles=max(least, PARTICLES_ANYWHERE) if wide else least,
         kld=KldSampling(least=least) if wide else None,
-        recovery=Recovery(readings=_independent_beams(model, log)) if arguments.recovery else None,
+        recovery=Recovery(readings=model.exponent * model.n_beams) if arguments.recovery else None,
     )
     motion = GaussianMotion(**{name: arguments.odometry_noise * value for name, value in ODOMETRY_NOISE.items()})
     return ScanLocalizer(
@@ -179,30 +180,28 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     from beamfield.models.likelihood_field import LikelihoodFieldModel
 
     is_field = arguments.model == "likelihood_field"
-    parameters: Any = BeamParameters(**DEFAULTS)
-    n_beams: int | None = DEFAULT_BEAMS if arguments.beams is None else arguments.beams or None
-    if arguments.params is not None and is_field and is_likelihood_field(arguments.params):
-        parameters = read_likelihood_field(arguments.params)
-        n_beams = parameters.n_beams if arguments.beams is None else n_beams
-    elif arguments.params is not None:
-        parameters = read_beam_model(arguments.params)
-    n_used = log.finder.n_beams if n_beams is None else min(n_beams, log.finder.n_beams)
-    how: dict[str, Any] = {
-        "n_beams": n_beams,
-        "exponent": arguments.exponent or min(1.0, INDEPENDENT_BEAMS / n_used),
-    }
+    saved: Any = None
+    if arguments.params is not None:
+        read: Any = read_likelihood_field if is_field and is_likelihood_field(arguments.params) else read_beam_model
+        saved = read(arguments.params)
+    how = _counting(saved, log.finder.n_beams, arguments)
+    parameters: Any = BeamParameters(**DEFAULTS) if saved is None else saved.parameters
     if not is_field:
         return BeamModel(grid, parameters, **how)
-    if isinstance(parameters, SavedLikelihoodField):
-        return LikelihoodFieldModel(grid, parameters.parameters, **how)
-    return LikelihoodFieldModel(
-        grid, LikelihoodFieldParameters.from_beam_parameters(parameters, drop=NOT_OF_A_FIELD), **how
-    )
+    if not isinstance(saved, SavedLikelihoodField):
+        parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=NOT_OF_A_FIELD)
+    return LikelihoodFieldModel(grid, parameters, **how)
 
 
-def _independent_beams(model: Any, log: SensorLog) -> float:
-    n = log.finder.n_beams if model.n_beams is None else min(model.n_beams, log.finder.n_beams)
-    return float(model.exponent * n)
+def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the number of beams and the exponent: a scan is worth as much, however many of its beams are used."""
+    n_beams, worth = DEFAULT_BEAMS, INDEPENDENT_BEAMS
+    if saved is not None and saved.n_beams is not None:
+        n_beams, worth = saved.n_beams, saved.exponent * min(saved.n_beams, n_in_scan)
+    if arguments.beams is not None:
+        n_beams = arguments.beams or n_in_scan
+    n_used = min(n_beams, n_in_scan)
+    return {"n_beams": n_used, "exponent": arguments.exponent or min(1.0, worth / n_used)}
 
 
 class _Film:

@@ -183,27 +183,27 @@ def _is_repeated(log: SensorLog, i: int) -> bool:
 _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
     "no-odometry": (
         "warning",
-        "{n} of {t} scans have no odometry",
+        "{n} of {t} scans have no odometry.",
         "They were not used and have no pose; the next odometry bridges the gap.",
     ),
     "odometry-jumps": (
         "warning",
-        "the odometry jumped {n} times farther than a robot can drive or turn",
+        "The odometry jumped {n} times farther than a robot can drive or turn.",
         "The jumps were not followed: the particles stayed, spread by 0.3 m and 0.3 rad.",
     ),
     "stamps-back": (
         "warning",
-        "the stamps run backwards {n} times",
+        "The stamps run backwards {n} times.",
         "The order of the log was kept: time only tells a fast robot from a jump of the odometry.",
     ),
     "repeated-scans": (
         "info",
-        "{n} of {t} scans repeat the one before, stamp and readings",
+        "{n} of {t} scans repeat the one before, stamp and readings.",
         "They were used once.",
     ),
     "impossible-scans": (
         "warning",
-        "{n} scans used are impossible at every particle",
+        "{n} scans used are impossible at every particle.",
         "They changed no weight. Give the model some z_rand, or begin with a wider cloud.",
     ),
 }

@@ -1,0 +1,234 @@
+"""Localize real and simulated logs with the particle filter as the command does it, and print three tables.
+
+Run: python benchmarks/localize.py [FOLDER [SEEDS [TABLE ...]]]
+
+FOLDER holds the logs and maps (default: ../shared/data beside the checkout). They are other people's data and not part
+of this repository. The first table follows robots from a start known to 0.5 m and 15 degrees, and finds them from
+anywhere; the second has other exponents; the third leaves out readings of people; the fourth finds robots again that
+were carried elsewhere. TABLE is accuracy, exponents, people or recovery.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, ODOMETRY_NOISE, PARTICLES_ANYWHERE
+from beamfield.geometry import between, compose
+from beamfield.kernels.threads import set_threads
+from beamfield.localization.particle_filter import FilterOptions
+from beamfield.localization.recovery import PosesFromScan, Recovery
+from beamfield.localization.replay import ReplayErrors, judge_replay, reference_start
+from beamfield.localization.resampling import KldSampling
+from beamfield.localization.scan_localizer import ScanLocalizer
+from beamfield.localization.short_readings import ShortReadings
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.gaussian_motion import GaussianMotion
+from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.dependence import Dependence
+from beamfield.simulation.floor_plan import draw_floor_plan
+from beamfield.simulation.log import simulate_log
+from real_logs import read_log_and_map
+from tables import print_table
+
+WEAN = "wean_hall/derived_wean.yaml"
+LOGS = {
+    **{f"Wean Hall {k}": (f"wean_hall/robotdata{k}.log.gz", WEAN, f"wean_hall/reference_robotdata{k}.csv.gz")
+       for k in (1, 3, 5)},
+    "TurtleBot 4": ("olin_mac_tb4/macfirst_floor_take_2", "olin_mac_tb4/map/mac_1st_floor_final.yaml",
+                    "olin_mac_tb4/derived_ref_take_2.csv.gz"),
+    "simulated Pioneer": ("uob_stage_sim/simpath2.bag", "uob_stage_sim/derived_meeting_stageframe.yaml", None),
+}  # fmt: skip
+PARAMETERS = BeamParameters(**DEFAULTS)
+KINDS = ("likelihood field", "beam model")
+EXPONENTS = (1.0, 0.1, 0.03, 0.01)
+# Found: within this distance of the reference in 95 % of the last fifth of the scans.
+FOUND_WITHIN = 0.5
+
+
+def model_of(kind: str, grid: OccupancyGrid, exponent: float) -> Any:
+    """Return a model as the command makes it."""
+    if kind == "beam model":
+        return BeamModel(grid, PARAMETERS, n_beams=DEFAULT_BEAMS, exponent=exponent)
+    field = LikelihoodFieldParameters.from_beam_parameters(PARAMETERS)
+    return LikelihoodFieldModel(grid, field, n_beams=DEFAULT_BEAMS, exponent=exponent)
+
+
+def localizer_of(kind: str, grid: OccupancyGrid, exponent: float = INDEPENDENT_BEAMS / DEFAULT_BEAMS) -> ScanLocalizer:
+    """Return the filter as the command makes it."""
+    return ScanLocalizer(grid, model_of(kind, grid, exponent), GaussianMotion(**ODOMETRY_NOISE))
+
+
+def followed(localizer: ScanLocalizer, log: SensorLog, seeds: int) -> list[ReplayErrors]:
+    """Return the errors of each seed, from a start known roughly."""
+    first, start = reference_start(log)
+    log = log[first:]
+    return [judge_replay(localizer.run(log, start, np.random.default_rng(seed)), log.poses) for seed in range(seeds)]
+
+
+def found_from_anywhere(localizer: ScanLocalizer, log: SensorLog, seeds: int) -> int:
+    """Return how many seeds find the robot from anywhere on the map."""
+    log = log[reference_start(log)[0] :]
+    options = FilterOptions(n_particles=PARTICLES_ANYWHERE, kld=KldSampling(least=localizer.options.n_particles))
+    wide, found = replace(localizer, options=options), 0
+    for seed in range(seeds):
+        off = wide.run(log, None, np.random.default_rng(seed)).poses - log.poses
+        distance = np.hypot(off[:, 0], off[:, 1])
+        distance = distance[np.isfinite(distance)]
+        found += bool((distance[-(len(distance) // 5) :] < FOUND_WITHIN).mean() > 0.95)
+    return found
+
+
+def numbers(errors: Sequence[ReplayErrors]) -> dict[str, Any]:
+    """Return means over seeds."""
+
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(e, name) for e in errors]))
+
+    each = np.array([e.mean for e in errors])
+    return {
+        "mean error [m]": f"{each.mean():.3f} +- {each.std(ddof=1) / np.sqrt(len(each)):.3f}",
+        "95 % [m]": round(mean("p95"), 3),
+        "heading, rms [deg]": round(mean("yaw_rmse_deg"), 2),
+        "inside": round(mean("inside_noisy"), 2),
+        "NEES, median": round(mean("nees_median"), 2),
+        "lost": f"{sum(e.lost for e in errors)} of {len(errors)}",
+    }
+
+
+def accuracy(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return one row per log and model."""
+    rows = []
+    for name, paths in LOGS.items():
+        log, grid = read_log_and_map(folder, *paths)
+        for kind in KINDS:
+            localizer = localizer_of(kind, grid)
+            row = {"log": name, "model": kind, **numbers(followed(localizer, log, seeds))}
+            if kind == "likelihood field":
+                row["found from anywhere"] = f"{found_from_anywhere(localizer, log, 2 * seeds)} of {2 * seeds}"
+            rows.append(row)
+    return rows
+
+
+def exponents(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return one row per log and exponent of the field."""
+    rows = []
+    for name in ("Wean Hall 1", "Wean Hall 5", "simulated Pioneer"):
+        log, grid = read_log_and_map(folder, *LOGS[name])
+        for exponent in EXPONENTS:
+            localizer = localizer_of("likelihood field", grid, exponent)
+            found = f"{found_from_anywhere(localizer, log, seeds)} of {seeds}"
+            rows.append(
+                {
+                    "log": name,
+                    "exponent": exponent,
+                    **numbers(followed(localizer, log, seeds)),
+                    "found from anywhere": found,
+                }
+            )
+    return rows
+
+
+def people(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return one row per log, model and whether readings of people are left out."""
+    office = draw_floor_plan(seed=3)
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 181), 12.0)
+    logs = {}
+    for share in (0.1, 0.4, 0.7):
+        crowd = BeamParameters(0.95 - share, share, 0.02, 0.03, 0.05, 0.3)
+        drive = simulate_log(
+            office, finder, crowd, duration=120.0, scan_rate=5.0, seed=2, dependence=Dependence(angle=0.3, time=1.0)
+        )
+        logs[f"simulated, {share:.0%} short"] = drive.only_sensor(), office
+    logs["Wean Hall 1"] = read_log_and_map(folder, *LOGS["Wean Hall 1"])
+    rows = []
+    for name, (log, grid) in logs.items():
+        for kind in KINDS:
+            for left_out in (False, True):
+                localizer = localizer_of(kind, grid)
+                if left_out:
+                    localizer = replace(localizer, short_readings=ShortReadings(grid, sigma=PARAMETERS.sigma_hit))
+                rows.append(
+                    {
+                        "log": name,
+                        "model": kind,
+                        "left out": "yes" if left_out else "no",
+                        **numbers(followed(localizer, log, seeds)),
+                    }
+                )
+    return rows
+
+
+def recovery(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return one row per log and rule: runs lost with nothing wrong, and found again at the end after a kidnapping."""
+    rows = []
+    for name in ("Wean Hall 1", "Wean Hall 3", "Wean Hall 5", "simulated Pioneer"):
+        log, grid = read_log_and_map(folder, *LOGS[name])
+        carried = kidnapped(log[reference_start(log)[0] :])
+        for rule, numbers_ in RULES.items():
+            localizer = localizer_of("likelihood field", grid)
+            if numbers_ is not None:
+                options = FilterOptions(
+                    n_particles=PARTICLES_ANYWHERE,
+                    kld=KldSampling(least=localizer.options.n_particles),
+                    recovery=Recovery(readings=INDEPENDENT_BEAMS, **numbers_),
+                )
+                localizer = replace(localizer, options=options, source=PosesFromScan(grid, localizer.model))
+            at_end = [e.end < FOUND_WITHIN for e in followed(localizer, carried, seeds)]
+            rows.append(
+                {
+                    "log": name,
+                    "recovery": rule,
+                    "lost though never carried": f"{sum(e.lost for e in followed(localizer, log, seeds))} of {seeds}",
+                    "back at the end": f"{sum(at_end)} of {seeds}",
+                }
+            )
+    return rows
+
+
+# The table's rule, and with the bound and the slow averages that are the defaults.
+RULES: dict[str, dict[str, float] | None] = {
+    "none": None,
+    "alphas 0.02 and 0.2, no bound": {"alpha_slow": 0.02, "alpha_fast": 0.2, "most": 1.0},
+    "alphas 0.02 and 0.2": {"alpha_slow": 0.02, "alpha_fast": 0.2},
+    "alphas 0.005 and 0.1": {},
+}
+
+
+def kidnapped(log: SensorLog) -> SensorLog:
+    """Return the log without its scans from 35 to 60 %, whose motion the odometry has not noticed."""
+    first, last = int(0.35 * len(log)), int(0.6 * len(log))
+    rest = log[np.r_[:first, last : len(log)]]
+    odometry, stamps = np.array(rest.odometry), np.array(rest.stamps)
+    odometry[first:] = compose(odometry[first - 1], between(odometry[first], odometry[first:]))
+    stamps[first:] -= stamps[first] - stamps[first - 1]
+    return replace(rest, odometry=odometry, stamps=stamps)
+
+
+TABLES = {"accuracy": accuracy, "exponents": exponents, "people": people, "recovery": recovery}
+
+
+def main(folder: Path, seeds: int, tables: Sequence[str]) -> None:
+    """Print the tables as Markdown."""
+    with set_threads(1):
+        for table in tables:
+            print_table(TABLES[table](folder, seeds))
+            print(flush=True)
+
+
+if __name__ == "__main__":
+    here = Path(__file__).resolve().parents[1]
+    main(
+        Path(sys.argv[1]) if len(sys.argv) > 1 else here.parent / "shared" / "data",
+        int(sys.argv[2]) if len(sys.argv) > 2 else 10,
+        sys.argv[3:] or list(TABLES),
+    )

@@ -59,6 +59,8 @@ _NAMES = {
     "localization.likelihood_map": ("likelihood_map",),
     "localization.alignment": ("align",),
     "localization.global_search": ("GlobalSearch", "SearchWindow"),
+    "localization.trajectory": ("fit_trajectory",),
+    "localization.trajectory_options": ("TrajectoryOptions",),
     "features.lines": ("find_lines",),
     "features.corners": ("find_corners",),
     "features.poles": ("find_poles",),

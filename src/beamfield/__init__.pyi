@@ -68,6 +68,8 @@ from beamfield.scan_fit.scan_fit import judge_scan as judge_scan, judge_log as j
 from beamfield.localization.likelihood_map import likelihood_map as likelihood_map
 from beamfield.localization.alignment import align as align
 from beamfield.localization.global_search import GlobalSearch as GlobalSearch, SearchWindow as SearchWindow
+from beamfield.localization.trajectory import fit_trajectory as fit_trajectory
+from beamfield.localization.trajectory_options import TrajectoryOptions as TrajectoryOptions
 from beamfield.features.lines import find_lines as find_lines
 from beamfield.features.corners import find_corners as find_corners
 from beamfield.features.poles import find_poles as find_poles

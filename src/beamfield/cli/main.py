@@ -22,6 +22,7 @@ from beamfield.cli import (
     inspect,
     likelihood,
     simulate,
+    trajectory,
     translate,
 )
 from beamfield.cli import map as map_command
@@ -39,6 +40,7 @@ COMMANDS = (
     doctor,
     translate,
     inspect,
+    trajectory,
     map_command,
     simulate,
     likelihood,

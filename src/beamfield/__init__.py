@@ -75,6 +75,8 @@ _NAMES = {
     "localization.recovery": ("FreePoses", "PosesFromLandmarks", "PosesFromScan", "Recovery"),
     "localization.short_readings": ("ShortReadings",),
     "localization.scan_localizer": ("ScanLocalizer",),
+    "localization.trajectory": ("fit_trajectory",),
+    "localization.trajectory_options": ("TrajectoryOptions",),
     "features.lines": ("find_lines",),
     "features.corners": ("find_corners",),
     "features.poles": ("find_poles",),

@@ -89,6 +89,8 @@ from beamfield.localization.recovery import (
 )
 from beamfield.localization.short_readings import ShortReadings as ShortReadings
 from beamfield.localization.scan_localizer import ScanLocalizer as ScanLocalizer
+from beamfield.localization.trajectory import fit_trajectory as fit_trajectory
+from beamfield.localization.trajectory_options import TrajectoryOptions as TrajectoryOptions
 from beamfield.features.lines import find_lines as find_lines
 from beamfield.features.corners import find_corners as find_corners
 from beamfield.features.poles import find_poles as find_poles

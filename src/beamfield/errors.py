@@ -59,6 +59,12 @@ class TooLittleDataError(BeamfieldError):
     exit_code = 3
 
 
+class TrajectoryNotFoundError(BeamfieldError):
+    """No trajectory, or more than one, fits a log and a map; the text names the best two starts."""
+
+    exit_code = 3
+
+
 class MissingDependencyError(BeamfieldError, ImportError):
     """An optional dependency is not installed.
 

@@ -24,6 +24,7 @@ from beamfield.cli import (
     likelihood,
     localize,
     simulate,
+    trajectory,
     translate,
 )
 from beamfield.cli import map as map_command
@@ -42,6 +43,7 @@ COMMANDS = (
     evaluate,
     translate,
     inspect,
+    trajectory,
     map_command,
     simulate,
     likelihood,

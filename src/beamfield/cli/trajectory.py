@@ -1,0 +1,155 @@
+"""Find the poses of a log in a map.
+
+Fit the whole trajectory to odometry, scans and map at once: the start is searched for, stretches that cannot be trusted
+are named, and so are slips of the wheels and times at which the robot was carried. Writes the poses as TUM lines, which
+--poses of other commands takes, and a picture of the same name. A trajectory that cannot be found is not written; nor
+is one of two that fit equally well.
+
+for example:
+
+  beamfield trajectory run.bag --map map.yaml
+  beamfield trajectory run.bag --map map.yaml --start 1.5 2.0 90 --out run.tum
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beamfield.cli import options
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command, positive
+from beamfield.errors import (
+    BeamfieldError,
+    FormatError,
+    InvalidInputError,
+    TooLittleDataError,
+    TrajectoryNotFoundError,
+)
+
+if TYPE_CHECKING:
+    from beamfield.localization.trajectory import TrajectoryFit
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
+    """Register the command."""
+    parser = add_command(subparsers, run, "trajectory", __doc__)
+    parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
+    options.add_map(parser, required=True)
+    add_start(parser)
+    options.add_out(parser, "beamfield_trajectory.tum", metavar="FILE.tum", what="poses, beside their picture .png")
+    parser.add_argument("--trusted-only", action="store_true", help="write only the poses that are trusted")
+    parser.add_argument("--max-deviation", type=positive, default=0.15, metavar="M",
+                        help="a position is trusted up to this standard deviation (default: 0.15)")  # fmt: skip
+    options.add_log(parser)
+    options.add_threads(parser)
+    parser.set_defaults(poses=None)
+
+
+def add_start(parser: argparse._ActionsContainer) -> None:
+    """Add --start."""
+    parser.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "DEG"),
+                        help="where the log begins, to about 2 m and 45 degrees (default: searched)")  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read, fit, write."""
+    # The numerical libraries load here, so that --help answers at once.
+    from beamfield.io.files.atomic import atomic_files
+    from beamfield.io.trajectory import write_tum
+    from beamfield.localization.trajectory import fit_trajectory
+    from beamfield.localization.trajectory_options import TrajectoryOptions
+    from beamfield.report.trajectory_figure import draw_fit
+    from beamfield.sensors import Track
+
+    picture = _picture(arguments)
+    with options.progress(arguments) as progress:
+        progress("reading the map", 0, 1)
+        grid = options.read_walls(arguments)
+        progress("reading the log", 0, 1)
+        sensor, notes = options.read_sensor(arguments)
+        try:
+            fit = fit_trajectory(
+                sensor, grid, start=start_of(arguments), progress=progress,
+                options=TrajectoryOptions(max_deviation=arguments.max_deviation),
+            )  # fmt: skip
+        except InvalidInputError as error:
+            raise _about_its_file(error, arguments) from error
+        except TooLittleDataError as error:
+            raise TooLittleDataError(f"{arguments.log}: {error}") from error
+        except TrajectoryNotFoundError as error:
+            raise TrajectoryNotFoundError(f"{arguments.log}: {error}") from error
+        progress("writing", 0, 1)
+        written = fit.trusted if arguments.trusted_only else slice(None)
+        figure = draw_fit(fit, sensor, grid, f"{arguments.log.name} in {arguments.map.name}")
+        with atomic_files([picture, arguments.out]) as (drawn, poses):
+            figure.savefig(drawn, dpi=130)
+            write_tum(poses, Track(fit.stamps[written], fit.poses[written]))
+    return _outcome(fit, notes, [arguments.out, picture])
+
+
+def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
+    """Return --start in metres and radians."""
+    if arguments.start is None:
+        return None
+    x, y, degrees = arguments.start
+    if not all(map(math.isfinite, arguments.start)):
+        raise InvalidInputError("--start: expected finite numbers")
+    return x, y, math.radians(degrees)
+
+
+def _picture(arguments: argparse.Namespace) -> Path:
+    from beamfield.io.files.atomic import check_writable
+
+    out: Path = arguments.out
+    if out.suffix.lower() not in (".tum", ".txt"):
+        raise InvalidInputError(f"--out: expected a name ending in .tum or .txt, got {out.name!r}")
+    picture = out.with_suffix(".png")
+    check_writable(out)
+    check_writable(picture)
+    return picture
+
+
+def _about_its_file(error: InvalidInputError, arguments: argparse.Namespace) -> BeamfieldError:
+    """Return an error of the library as one of the file that it is about; a bad start is a wrong option."""
+    about, _, text = str(error).partition(": ")
+    if about == "start":
+        return InvalidInputError(f"--start: {text}")
+    return FormatError(arguments.map if about == "grid" else arguments.log, text or str(error))
+
+
+def _outcome(fit: TrajectoryFit, notes: tuple[str, ...], wrote: list[Path]) -> Outcome:
+    found = "\n".join(f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in fit.findings)
+    problem = ""
+    if not fit.trusted.all():
+        problem = f"{(~fit.trusted).mean():.1%} of the scans are not trusted"
+    elif not fit.converged:
+        problem = "the fit did not converge"
+    return Outcome(
+        f"wrote {wrote[0]} and {wrote[1].name}", fit.summary() + (f"\n{found}" if found else ""), _document(fit), notes,
+        wrote, code=3 if problem else 0, problem=problem,
+    )  # fmt: skip
+
+
+def _document(fit: TrajectoryFit) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from beamfield.localization.trajectory import position_deviations
+
+    deviations = position_deviations(fit.covariances)
+    return {
+        "scans": len(fit),
+        "share_trusted": float(fit.trusted.mean()),
+        "start": fit.poses[0].tolist(),
+        "end": fit.poses[-1].tolist(),
+        "deviation_m": {"median": float(sorted(deviations)[len(fit) // 2]), "largest": float(deviations.max())},
+        "sigma_m": fit.sigma,
+        "odometry": {"distance_scale": fit.distance_scale, "turn_scale": fit.turn_scale,
+                     "turn_per_metre_rad": fit.turn_per_metre},
+        "hypotheses": [{"start": one.pose.tolist(), "cost": one.cost, "share_that_agrees": one.agrees,
+                        "share_through_walls": one.through} for one in fit.hypotheses],
+        "findings": [asdict(finding) for finding in fit.findings],
+        "converged": fit.converged,
+    }  # fmt: skip

@@ -1,0 +1,243 @@
+"""What scans and odometry say about a trajectory: end points against a map's walls, steps against the wheels.
+
+The table of signed distances to the walls' surfaces has metres in single precision, interpolated between cell centres:
+positive in front of a wall, negative deep inside. End points off the table say nothing.
+
+A reading's weight is the probability that it is a hit, w = h / (h + clutter) with h = exp(-r^2 / (2 sigma^2)); its cost
+is -log((h + clutter) / (1 + clutter)), at most that of a reading that has nothing to do with the map.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.kernels.chain import invert_3x3
+from beamfield.kernels.jit import integer, kernel
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
+# Steps of the correction of one pose while tracking, and sigmas further that it may go.
+TRACK_STEPS = integer(4)
+
+
+class Walls(NamedTuple):
+    """Signed distances to the walls, and where the table lies."""
+
+    distance: Singles
+    """(rows, cols) metres."""
+    x: float
+    y: float
+    yaw: float
+    """Pose of the table's lower-left corner in the map."""
+    resolution: float
+
+
+class HitNoise(NamedTuple):
+    """How end points of hits lie about the walls."""
+
+    sigma: float
+    """Standard deviation, metres."""
+    clutter: float
+    """How likely a reading is that has nothing to do with the map, relative to a hit on the wall."""
+    low: float
+    high: float
+    """Hits lie between these signed distances, metres, wherever the wall's surface is in its painted cells."""
+
+
+class StepNoise(NamedTuple):
+    """Variances of odometry per metre driven and per radian turned, and of one step whatever its length."""
+
+    along: float
+    aside: float
+    drift: float
+    turn: float
+    turn_aside: float
+    floor: float
+
+
+@kernel
+def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradient: Floats, information: Floats
+             ) -> tuple[float, float]:  # fmt: skip
+    """Fill in gradient (3,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost and the weights' sum.
+
+    End points are (k, 2) in the robot's frame.
+    """
+    rows, cols = walls.distance.shape
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    wc, ws = math.cos(walls.yaw), math.sin(walls.yaw)
+    per_cell = 1.0 / walls.resolution
+    precision = 1.0 / (noise.sigma * noise.sigma)
+    miss = -math.log(noise.clutter / (1.0 + noise.clutter))
+    cost, weights = 0.0, 0.0
+    gradient[:] = 0.0
+    information[:] = 0.0
+    for j in range(points.shape[0]):
+        rx = c * points[j, 0] - s * points[j, 1]
+        ry = s * points[j, 0] + c * points[j, 1]
+        dx, dy = pose[0] + rx - walls.x, pose[1] + ry - walls.y
+        u = (dx * wc + dy * ws) * per_cell - 0.5
+        v = (dy * wc - dx * ws) * per_cell - 0.5
+        if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
+            cost += miss
+            continue
+        col, row = int(u), int(v)
+        a, b = u - col, v - row
+        d00, d01 = np.float64(walls.distance[row, col]), np.float64(walls.distance[row, col + 1])
+        d10, d11 = np.float64(walls.distance[row + 1, col]), np.float64(walls.distance[row + 1, col + 1])
+        low, high = d00 + a * (d01 - d00), d10 + a * (d11 - d10)
+        signed = low + b * (high - low)
+        residual = max(signed - noise.high, 0.0) + min(signed - noise.low, 0.0)
+        exponent = 0.5 * residual * residual * precision
+        if exponent > 30.0:
+            cost += miss
+            continue
+        hit = math.exp(-exponent)
+        weight = hit / (hit + noise.clutter)
+        cost -= math.log((hit + noise.clutter) / (1.0 + noise.clutter))
+        weights += weight
+        along = ((d01 - d00) + b * ((d11 - d10) - (d01 - d00))) * per_cell
+        across = (high - low) * per_cell
+        gx, gy = along * wc - across * ws, along * ws + across * wc
+        gt = gy * rx - gx * ry
+        pull = weight * residual * precision
+        weight *= precision if residual != 0.0 else 0.0
+        gradient[0] += pull * gx
+        gradient[1] += pull * gy
+        gradient[2] += pull * gt
+        information[0, 0] += weight * gx * gx
+        information[0, 1] += weight * gx * gy
+        information[0, 2] += weight * gx * gt
+        information[1, 1] += weight * gy * gy
+        information[1, 2] += weight * gy * gt
+        information[2, 2] += weight * gt * gt
+    information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
+    return cost, weights
+
+
+@kernel
+def sum_scans(points: Floats, first: Integers, poses: Floats, walls: Walls, noise: HitNoise, gradients: Floats,
+              informations: Floats, costs: Floats, weights: Floats) -> None:  # fmt: skip
+    """Do `sum_scan` for many: the end points of scan i are points[first[i]:first[i + 1]]."""
+    for i in range(poses.shape[0]):
+        costs[i], weights[i] = sum_scan(
+            points[first[i] : first[i + 1]], poses[i], walls, noise, gradients[i], informations[i]
+        )
+
+
+@kernel
+def fill_residuals(points: Floats, first: Integers, poses: Floats, walls: Walls, out: Floats, ends: Floats) -> None:
+    """Fill out (m,) with the signed distance at each end point, NaN off the table, and ends (m, 2) with where it is."""
+    rows, cols = walls.distance.shape
+    wc, ws = math.cos(walls.yaw), math.sin(walls.yaw)
+    for i in range(poses.shape[0]):
+        c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        for j in range(first[i], first[i + 1]):
+            x = poses[i, 0] + c * points[j, 0] - s * points[j, 1]
+            y = poses[i, 1] + s * points[j, 0] + c * points[j, 1]
+            ends[j, 0], ends[j, 1] = x, y
+            dx, dy = x - walls.x, y - walls.y
+            u = (dx * wc + dy * ws) / walls.resolution - 0.5
+            v = (dy * wc - dx * ws) / walls.resolution - 0.5
+            if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
+                out[j] = math.nan
+                continue
+            col, row = int(u), int(v)
+            a, b = u - col, v - row
+            low = (1.0 - a) * walls.distance[row, col] + a * walls.distance[row, col + 1]
+            high = (1.0 - a) * walls.distance[row + 1, col] + a * walls.distance[row + 1, col + 1]
+            out[j] = (1.0 - b) * low + b * high
+
+
+@kernel
+def step_variances(step: Floats, noise: StepNoise, out: Floats) -> None:
+    """Fill out (3,) with the variances of a step (x, y, heading) of odometry, in the frame where it begins."""
+    distance, turn = math.hypot(step[0], step[1]), abs(step[2])
+    out[0] = noise.along * distance + noise.turn_aside * turn + noise.floor
+    out[1] = noise.aside * distance + noise.turn_aside * turn + noise.floor
+    out[2] = noise.drift * distance + noise.turn * turn + noise.floor
+
+
+@kernel
+def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: HitNoise, step_noise: StepNoise,
+          independent: float, start: int, direction: int, poses: Floats, covariance: Floats, costs: Floats
+          ) -> None:  # fmt: skip
+    """Follow a pose through a log: odometry's step, then a correction towards the walls, as an extended Kalman filter.
+
+    Parameters
+    ----------
+    points, first
+        End points of all scans.
+    steps
+        (n - 1, 3) odometry from each scan to the next, in the frame of the first of them.
+    walls, noise, step_noise
+        The map, and how wrong both sensors are.
+    independent
+        How many independent end points a scan is worth.
+    start
+        Scan at which `poses[start]` and `covariance` (3, 3, used up) are given.
+    direction
+        1 for forwards, -1 for backwards.
+    poses, costs
+        (n, 3) and (n,) overwritten from the start to the end of the log in that direction: where the robot is then
+        thought to be, and the cost in nats of the scan and of the correction.
+    """
+    n = first.size - 1
+    variances, rotated, information = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    prior, gradient, inverse, jacobian = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.eye(3)
+    i = start
+    while True:
+        pose, predicted = poses[i], poses[i].copy()
+        if not invert_3x3(covariance, prior):
+            covariance[:] = np.eye(3)
+            prior[:] = np.eye(3)
+        ends = points[first[i] : first[i + 1]]
+        share = independent / max(1, ends.shape[0])
+        for _ in range(TRACK_STEPS):
+            sum_scan(ends, pose, walls, noise, gradient, information)
+            turn = pose[2] - predicted[2]
+            difference = np.array([pose[0] - predicted[0], pose[1] - predicted[1], turn])
+            information *= share
+            gradient *= share
+            gradient += prior @ difference
+            information += prior
+            if not invert_3x3(information, inverse):
+                break
+            move = inverse @ gradient
+            pose -= move
+            if abs(move[0]) + abs(move[1]) + abs(move[2]) < 1e-4:
+                break
+        costs[i] = share * sum_scan(ends, pose, walls, noise, gradient, information)[0]
+        information *= share
+        difference = np.array([pose[0] - predicted[0], pose[1] - predicted[1], pose[2] - predicted[2]])
+        costs[i] += 0.5 * np.dot(difference, prior @ difference)
+        information += prior
+        if invert_3x3(information, inverse):
+            covariance[:] = inverse
+        following = i + direction
+        if following < 0 or following >= n:
+            return
+        if direction > 0:
+            ux, uy, ut = steps[i, 0], steps[i, 1], steps[i, 2]
+        else:
+            c, s = math.cos(steps[following, 2]), math.sin(steps[following, 2])
+            ux = -c * steps[following, 0] - s * steps[following, 1]
+            uy = s * steps[following, 0] - c * steps[following, 1]
+            ut = -steps[following, 2]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        x, y = c * ux - s * uy, s * ux + c * uy
+        poses[following, 0], poses[following, 1], poses[following, 2] = pose[0] + x, pose[1] + y, pose[2] + ut
+        step_variances(np.array([ux, uy, ut]), step_noise, variances)
+        jacobian[0, 2], jacobian[1, 2] = -y, x
+        rotated[:] = 0.0
+        rotated[0, 0] = c * c * variances[0] + s * s * variances[1]
+        rotated[0, 1] = rotated[1, 0] = c * s * (variances[0] - variances[1])
+        rotated[1, 1] = s * s * variances[0] + c * c * variances[1]
+        rotated[2, 2] = variances[2]
+        covariance[:] = jacobian @ covariance @ jacobian.T + rotated
+        i = following

@@ -1,0 +1,140 @@
+"""A log prepared for fitting a trajectory: odometry as steps, and end points of the scans that are held to the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.geometry import FloatArray, between, interpolate_poses
+from beamfield.maps.end_points import end_points
+from beamfield.sensors import SensorLog
+
+# Scans are held to the map after so much motion (metres, radians) or so many seconds at rest: what lies between them
+# sees the same walls with the same errors.
+SPACING, SPACING_TURN, SPACING_TIME = 0.1, 0.1, 2.0
+MOST_SCANS = 5000
+# End points of each.
+BEAMS = 60
+# A step beyond what a robot does (metres, m/s, radians, rad/s) is no motion: the odometry was reset, or is wrong.
+JUMP, JUMP_SPEED, JUMP_TURN, JUMP_RATE = 1.0, 3.0, 1.0, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What a log says, as the smoother takes it.
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds.
+    steps
+        (t - 1, 3) odometry from each scan to the next, in the frame of the first of them.
+    broken
+        (t - 1,) steps that no robot makes; they are 0.
+    scans
+        (n,) indices of the scans that are held to the map.
+    points, first
+        End points (m, 2) of these in the robot's frame; those of the i-th are points[first[i]:first[i + 1]].
+    n_unknown
+        Scans whose odometry was interpolated.
+    """
+
+    stamps: FloatArray
+    steps: FloatArray
+    broken: NDArray[np.bool_]
+    scans: NDArray[np.int64]
+    points: FloatArray
+    first: NDArray[np.int64]
+    n_unknown: int
+
+    @property
+    def steps_between_scans(self) -> FloatArray:
+        """(n - 1, 3) odometry from each scan that is held to the map to the next."""
+        path = chained(np.zeros(3), self.steps)
+        return between(path[self.scans[:-1]], path[self.scans[1:]])
+
+    @property
+    def way(self) -> FloatArray:
+        """(t,) metres driven until each scan, a radian turned counting as a tenth of a metre."""
+        length = np.hypot(self.steps[:, 0], self.steps[:, 1]) + 0.1 * np.abs(self.steps[:, 2])
+        return np.concatenate([[0.0], np.cumsum(length)])
+
+
+def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
+    """Prepare a log.
+
+    Parameters
+    ----------
+    log
+        At least one scan.
+    odometry
+        (t, 3) finite somewhere.
+
+    Returns
+    -------
+    What the smoother takes.
+    """
+    known = np.isfinite(odometry).all(axis=1)
+    when = np.arange(len(log), dtype=np.float64)
+    inside = np.clip(when, when[known][0], when[known][-1])
+    filled = interpolate_poses(when[known], odometry[known], inside)
+    steps = between(filled[:-1], filled[1:])
+    broken = _jumps(steps, np.maximum(np.diff(log.stamps), 0.0))
+    steps[broken] = 0.0
+    scans = _spread(steps, log.stamps)
+    points, first = _points(log, scans)
+    return Drive(log.stamps, steps, broken, scans, points, first, int(np.count_nonzero(~known)))
+
+
+def mirrored(drive: Drive) -> list[tuple[str, Drive]]:
+    """Return the log with odometry in the senses that it may have been meant in, and what was changed."""
+    return [
+        (name, replace(drive, steps=drive.steps * np.array(signs)))
+        for name, signs in (
+            ("with its turns reversed", (1.0, -1.0, -1.0)),
+            ("with its direction reversed", (-1.0, -1.0, 1.0)),
+            ("with its turns and its direction reversed", (-1.0, 1.0, -1.0)),
+        )
+    ]
+
+
+def chained(start: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the poses (t, 3) that steps (t - 1, 3) lead to; headings are not wrapped."""
+    heading = start[2] + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
+    poses = np.empty((len(steps) + 1, 3))
+    poses[0] = start
+    poses[1:, 0] = start[0] + np.cumsum(cos * steps[:, 0] - sin * steps[:, 1])
+    poses[1:, 1] = start[1] + np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
+    poses[:, 2] = heading
+    return poses
+
+
+def _jumps(steps: FloatArray, seconds: FloatArray) -> NDArray[np.bool_]:
+    far = np.hypot(steps[:, 0], steps[:, 1]) > JUMP + JUMP_SPEED * seconds
+    return np.asarray(far | (np.abs(steps[:, 2]) > JUMP_TURN + JUMP_RATE * seconds))
+
+
+def _spread(steps: FloatArray, stamps: FloatArray) -> NDArray[np.int64]:
+    """Return scans that motion, or time, sets apart."""
+    progress = np.concatenate(
+        [[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) / SPACING + np.abs(steps[:, 2]) / SPACING_TURN
+                          + np.maximum(np.diff(stamps), 0.0) / SPACING_TIME)]
+    )  # fmt: skip
+    each = max(1.0, progress[-1] / MOST_SCANS)
+    return np.unique(np.searchsorted(progress, np.arange(0.0, progress[-1] + each, each)).clip(max=len(stamps) - 1))
+
+
+def _points(log: SensorLog, scans: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return up to BEAMS end points of each scan, spread evenly over its hits."""
+    kept = []
+    for scan in scans:
+        ends = end_points(log.ranges[scan], log.finder)
+        ends = ends[np.isfinite(ends[:, 0])]
+        if len(ends) > BEAMS:
+            ends = ends[np.linspace(0, len(ends) - 1, BEAMS).round().astype(np.int64)]
+        kept.append(ends)
+    first = np.concatenate([[0], np.cumsum([len(ends) for ends in kept])])
+    return np.ascontiguousarray(np.concatenate(kept)), first

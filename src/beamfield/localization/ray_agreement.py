@@ -1,0 +1,62 @@
+"""How scans agree with the map along their beams, which end points alone do not tell: what stands in the way counts."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.geometry import FloatArray
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
+from beamfield.sensors import SensorLog, usable_ranges
+
+# So many scans with so many beams tell enough.
+SCANS, BEAMS = 200, 60
+# A reading agrees within so many metres, or cells if they are larger, and this share of its length.
+TOLERANCE, TOLERANCE_CELLS, TOLERANCE_SHARE = 0.25, 3.0, 0.02
+
+
+class RayAgreement(NamedTuple):
+    """Shares of the beams that should hit something.
+
+    Parameters
+    ----------
+    agrees
+        The reading is about as long as the map says.
+    through
+        It is longer, or missing: the beam passed where the map has a wall.
+    """
+
+    agrees: float
+    through: float
+
+
+def ray_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans: NDArray[np.int64]) -> RayAgreement:
+    """Compare scans with the map along their beams.
+
+    Parameters
+    ----------
+    log, grid
+        The scans and the map.
+    poses
+        (n, 3) where they were taken.
+    scans
+        (n,) their indices.
+
+    Returns
+    -------
+    Shares; agreement 0 and the rest 1 if no beam should hit anything.
+    """
+    chosen = np.unique(np.linspace(0, len(scans) - 1, SCANS).astype(np.int64))
+    beams = np.unique(np.linspace(0, log.finder.n_beams - 1, BEAMS).astype(np.int64))
+    finder = log.finder.subset(beams)
+    ranges = usable_ranges(log.ranges[np.ix_(scans[chosen], beams)], finder)
+    expected = RayCaster(grid).expected_ranges(poses[chosen], finder)
+    counted = np.isfinite(ranges) & (expected < finder.max_range)
+    z, expected = ranges[counted], expected[counted]
+    if not len(z):
+        return RayAgreement(0.0, 1.0)
+    tolerance = max(TOLERANCE, TOLERANCE_CELLS * grid.resolution) + TOLERANCE_SHARE * expected
+    return RayAgreement(float(np.mean(np.abs(z - expected) <= tolerance)), float(np.mean(z - expected > tolerance)))

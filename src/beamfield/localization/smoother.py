@@ -1,0 +1,317 @@
+"""A trajectory that fits both the odometry and the map, by least squares over the whole log at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.geometry import FloatArray, between, wrap_angle
+from beamfield.kernels import chain
+from beamfield.kernels import trajectory as kernels
+from beamfield.kernels.trajectory import HitNoise, StepNoise, Walls
+from beamfield.localization.drive import Drive
+from beamfield.localization.hit_noise import fit_hits, hit_weights, off_band, painted_walls, stand_on_faces
+
+# Odometry's errors have the tails of Student's distribution with so many degrees of freedom: slips are no catastrophe.
+FREEDOM = 4.0
+# What is taken to be known about odometry's systematic errors (standard deviations): scale of distances and turns, and
+# radians turned per metre.
+SYSTEMATIC_DEVIATIONS = np.array([0.05, 0.05, 0.02])
+# First guesses: variances per metre and radian, and of a step; hits at worst about the walls.
+FIRST_STEP_NOISE = StepNoise(0.03**2, 0.02**2, 0.02**2, 0.05**2, 0.01**2, 1e-7)
+FIRST_SIGMA, CLUTTER = 0.15, 0.1
+# Poses across a broken step know nothing of each other.
+UNKNOWN_STEP = 1e-8
+# Rounds of estimating the noise, steps of each, and when both end (metres or radians); a fit whose last round moved
+# less than SETTLED has converged.
+ROUNDS, STEPS, TOLERANCE, SETTLED = 8, 8, 1e-3, 0.02
+# End points on one patch of wall (metres a side), seen along so much of the way (metres), share its errors.
+PATCH, STRETCH = 0.5, 1.0
+# Numbers patch and stretch as one: no map has so many patches a side.
+PRIME = 1_000_003
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """How wrong both sensors are.
+
+    Parameters
+    ----------
+    hits, steps
+        Of the end points and of the odometry.
+    share
+        Share of the end points' information that counts, because they depend on each other.
+    """
+
+    hits: HitNoise
+    steps: StepNoise
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """The fitted trajectory.
+
+    Parameters
+    ----------
+    poses, covariances
+        (t, 3) and (t, 3, 3).
+    systematic, systematic_covariance
+        (3,) and (3, 3): scale errors of odometry's distances and turns, and its radians per metre.
+    noise
+        As estimated.
+    step_errors, step_variances
+        (t - 1, 3) of odometry's steps: how far they are from the fitted ones, and what was expected of them.
+    converged
+        Whether the steps ended by themselves.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    systematic: FloatArray
+    systematic_covariance: FloatArray
+    noise: Noise
+    step_errors: FloatArray
+    step_variances: FloatArray
+    converged: bool
+
+
+def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_],
+           progress: Callable[[int, int], None]) -> Smoothed:  # fmt: skip
+    """Fit a trajectory and the noise of its sensors, in turn.
+
+    Parameters
+    ----------
+    drive, walls
+        The log and the map.
+    poses
+        (t, 3) to start from.
+    cut
+        (t - 1,) steps over which odometry says nothing.
+    progress
+        Called with (done, total) rounds.
+    """
+    noise = Noise(painted_walls(FIRST_SIGMA, CLUTTER, walls), FIRST_STEP_NOISE, 0.2)
+    state = _State(poses.copy(), np.zeros(3))
+    for done in range(ROUNDS):
+        progress(done, ROUNDS)
+        solved = _climb(drive, walls, state, cut, noise)
+        moved = np.abs(solved.state.poses - state.poses).max()
+        state, converged = solved.state, bool(moved < SETTLED)
+        if done == 0:
+            on_faces = stand_on_faces(_signed(drive, walls, state)[0], walls)
+        previous, noise = noise, _estimated(drive, walls, solved, cut, noise, on_faces)
+        if moved < TOLERANCE and _alike(previous, noise):
+            break
+    poses = state.poses.copy()
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    progress(ROUNDS, ROUNDS)
+    return Smoothed(poses, solved.covariances, state.systematic, solved.systematic, noise, _step_errors(drive, state),
+                    _variances(drive, noise, cut), converged)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    poses: FloatArray
+    systematic: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    state: _State
+    covariances: FloatArray
+    cross: FloatArray
+    systematic: FloatArray
+
+
+def _climb(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> _Solved:
+    """Take damped Gauss-Newton steps; return where they end, with marginals."""
+    damping = 1e-6
+    cost = _cost(drive, walls, state, cut, noise)
+    for _ in range(STEPS):
+        system = _linearised(drive, walls, state, cut, noise)
+        while True:
+            move, systematic, *_ = system.solve(damping)
+            trial = _State(state.poses + move, state.systematic + systematic)
+            trial_cost = _cost(drive, walls, trial, cut, noise)
+            if trial_cost <= cost or damping > 1e6:
+                break
+            damping = max(100.0 * damping, 1e-3)
+        if trial_cost > cost:
+            break
+        damping = max(damping * 1e-2, 1e-9)
+        state, cost = trial, trial_cost
+        if np.abs(move).max() < TOLERANCE:
+            break
+    *_, covariances, cross, systematic = _linearised(drive, walls, state, cut, noise).solve(0.0)
+    return _Solved(state, covariances, cross, systematic)
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    diagonal: FloatArray
+    upper: FloatArray
+    right: FloatArray
+    border: FloatArray
+    corner: FloatArray
+    corner_right: FloatArray
+
+    def solve(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return moves of the poses and the systematic errors, and the marginals of the inverse."""
+        n = len(self.diagonal)
+        diagonal = self.diagonal.copy()
+        index = np.arange(3)
+        diagonal[:, index, index] *= 1.0 + damping
+        diagonal[:, index, index] += 1e-9
+        columns = np.concatenate([self.right[..., None], self.border], axis=2)
+        solution, covariances, cross = np.empty_like(columns), np.empty((n, 3, 3)), np.empty((n - 1, 3, 3))
+        if not chain.solve_chain(diagonal, self.upper, columns, solution, covariances, cross):
+            raise FloatingPointError("the chain's matrix is not positive definite")
+        onto = solution[..., 1:]
+        schur = self.corner - np.einsum("nip,niq->pq", self.border, onto)
+        inverse = np.linalg.inv(0.5 * (schur + schur.T))
+        systematic = inverse @ (self.corner_right - np.einsum("nip,ni->p", self.border, solution[..., 0]))
+        covariances += np.einsum("nip,pq,njq->nij", onto, inverse, onto)
+        cross += np.einsum("nip,pq,njq->nij", onto[:-1], inverse, onto[1:])
+        return solution[..., 0] - onto @ systematic, systematic, covariances, cross, inverse
+
+
+def _linearised(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> _System:
+    t = len(state.poses)
+    error, before, after, by_systematic = _step_jacobians(drive, state)
+    variances = _variances(drive, noise, cut)
+    surprise = np.sum(error**2 / variances, axis=1)
+    weight = ((FREEDOM + 3.0) / (FREEDOM + surprise))[:, None] / variances
+    weight[cut] = UNKNOWN_STEP
+    diagonal, right, border = np.zeros((t, 3, 3)), np.zeros((t, 3)), np.zeros((t, 3, 3))
+    for place, jacobian in ((slice(None, -1), before), (slice(1, None), after)):
+        weighted = jacobian * weight[..., None]
+        diagonal[place] += np.einsum("nki,nkj->nij", weighted, jacobian)
+        right[place] -= np.einsum("nki,nk->ni", weighted, error)
+        border[place] += np.einsum("nki,nkp->nip", weighted, by_systematic)
+    upper = np.einsum("nki,nkj->nij", before * weight[..., None], after)
+    weighted = by_systematic * weight[..., None]
+    corner = np.einsum("nkp,nkq->pq", weighted, by_systematic) + np.diag(SYSTEMATIC_DEVIATIONS**-2)
+    corner_right = -np.einsum("nkp,nk->p", weighted, error) - state.systematic / SYSTEMATIC_DEVIATIONS**2
+    gradients, informations, _, _ = _scan_sums(drive, walls, state, noise)
+    diagonal[drive.scans] += noise.share * informations
+    right[drive.scans] -= noise.share * gradients
+    return _System(diagonal, np.ascontiguousarray(upper), right, border, corner, corner_right)
+
+
+def _cost(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> float:
+    surprise = np.sum(_step_errors(drive, state) ** 2 / _variances(drive, noise, cut), axis=1)[~cut]
+    costs = _scan_sums(drive, walls, state, noise)[2]
+    known = np.sum((state.systematic / SYSTEMATIC_DEVIATIONS) ** 2)
+    wheels = 0.5 * (FREEDOM + 3.0) * np.sum(np.log1p(surprise / FREEDOM))
+    return float(wheels + noise.share * costs.sum() + 0.5 * known)
+
+
+def _scan_sums(drive: Drive, walls: Walls, state: _State, noise: Noise
+               ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    n = len(drive.scans)
+    gradients, informations, costs, weights = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n), np.empty(n)
+    kernels.sum_scans(drive.points, drive.first, state.poses[drive.scans], walls, noise.hits, gradients, informations,
+                      costs, weights)  # fmt: skip
+    return gradients, informations, costs, weights
+
+
+def _corrected_steps(drive: Drive, systematic: FloatArray) -> FloatArray:
+    steps = drive.steps.copy()
+    steps[:, :2] *= 1.0 + systematic[0]
+    steps[:, 2] = (1.0 + systematic[1]) * steps[:, 2] + systematic[2] * drive.steps[:, 0]
+    return steps
+
+
+def _step_errors(drive: Drive, state: _State) -> FloatArray:
+    error = between(state.poses[:-1], state.poses[1:]) - _corrected_steps(drive, state.systematic)
+    error[:, 2] = wrap_angle(error[:, 2])
+    return error
+
+
+def _step_jacobians(drive: Drive, state: _State) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the steps' errors (n, 3), and derivatives by the poses before and after and the systematic errors."""
+    error = _step_errors(drive, state)
+    local = between(state.poses[:-1], state.poses[1:])
+    cos, sin = np.cos(state.poses[:-1, 2]), np.sin(state.poses[:-1, 2])
+    before, after, by_systematic = (np.zeros((len(error), 3, 3)) for _ in range(3))
+    after[:, 0, 0], after[:, 0, 1], after[:, 1, 0], after[:, 1, 1], after[:, 2, 2] = cos, sin, -sin, cos, 1.0
+    before[:] = -after
+    before[:, 0, 2], before[:, 1, 2] = local[:, 1], -local[:, 0]
+    by_systematic[:, 0, 0], by_systematic[:, 1, 0] = -drive.steps[:, 0], -drive.steps[:, 1]
+    by_systematic[:, 2, 1], by_systematic[:, 2, 2] = -drive.steps[:, 2], -drive.steps[:, 0]
+    return error, before, after, by_systematic
+
+
+def _variances(drive: Drive, noise: Noise, cut: NDArray[np.bool_]) -> FloatArray:
+    """(t - 1, 3) of odometry's steps."""
+    q = noise.steps
+    distance, turn = np.hypot(drive.steps[:, 0], drive.steps[:, 1]), np.abs(drive.steps[:, 2])
+    variances = np.stack([q.along * distance + q.turn_aside * turn, q.aside * distance + q.turn_aside * turn,
+                          q.drift * distance + q.turn * turn], axis=1) + q.floor  # fmt: skip
+    variances[cut] = 1.0 / UNKNOWN_STEP
+    return np.asarray(variances)
+
+
+def _estimated(drive: Drive, walls: Walls, solved: _Solved, cut: NDArray[np.bool_], noise: Noise, on_faces: bool
+               ) -> Noise:  # fmt: skip
+    """Estimate the noise from what the fitted trajectory leaves."""
+    hits, share = _estimated_hits(drive, walls, solved.state, on_faces)
+    return Noise(hits, _estimated_steps(drive, solved, cut, noise), share)
+
+
+def _estimated_hits(drive: Drive, walls: Walls, state: _State, on_faces: bool) -> tuple[HitNoise, float]:
+    signed, ends = _signed(drive, walls, state)
+    known = np.isfinite(signed)
+    hits = fit_hits(signed, walls, on_faces)
+    residual = off_band(signed[known], hits)
+    pulls = hit_weights(residual, hits) * residual
+    scan = np.repeat(np.arange(len(drive.scans)), np.diff(drive.first))[known]
+    stretch = np.floor(drive.way[drive.scans] / STRETCH)[scan]
+    col, row = np.floor(ends[known] / PATCH).astype(np.int64).T
+    _, patch = np.unique((col * PRIME + row) * PRIME + stretch.astype(np.int64), return_inverse=True)
+    together = np.bincount(patch, weights=pulls)
+    inflation = float(np.sum(together**2) / max(np.sum(pulls**2), 1e-300))
+    return hits, 1.0 / max(1.0, inflation)
+
+
+def _signed(drive: Drive, walls: Walls, state: _State) -> tuple[FloatArray, FloatArray]:
+    """Return signed distances to the walls (m,), NaN off the map, and where end points are (m, 2)."""
+    signed, ends = np.empty(len(drive.points)), np.empty((len(drive.points), 2))
+    kernels.fill_residuals(drive.points, drive.first, state.poses[drive.scans], walls, signed, ends)
+    return signed, ends
+
+
+def _estimated_steps(drive: Drive, solved: _Solved, cut: NDArray[np.bool_], noise: Noise) -> StepNoise:
+    """One step of expectation maximisation for the variances per metre and per radian, with Student's weights."""
+    error, before, after, _ = _step_jacobians(drive, solved.state)
+    p, c = solved.covariances, solved.cross
+    mixed = np.einsum("nki,nij,nkj->nk", before, c, after)
+    spread = (np.einsum("nki,nij,nkj->nk", before, p[:-1], before) + 2.0 * mixed
+              + np.einsum("nki,nij,nkj->nk", after, p[1:], after))  # fmt: skip
+    variances = _variances(drive, noise, cut)
+    weight = (FREEDOM + 3.0) / (FREEDOM + np.sum(error**2 / variances, axis=1))
+    squares = weight[:, None] * error**2 + np.maximum(spread, 0.0)
+    distance, turn = np.hypot(drive.steps[:, 0], drive.steps[:, 1]), np.abs(drive.steps[:, 2])
+    used = ~cut
+    q = noise.steps
+
+    def component(rate: float, size: FloatArray, axes: tuple[int, ...]) -> float:
+        top = bottom = 0.0
+        for axis in axes:
+            ratio = rate * size[used] / variances[used, axis]
+            top += float(np.sum(rate * size[used] * (1.0 - ratio) + ratio**2 * squares[used, axis]))
+            bottom += float(np.sum(size[used]))
+        return max(top / bottom, 1e-10) if bottom > 0.0 else rate
+
+    return StepNoise(
+        component(q.along, distance, (0,)), component(q.aside, distance, (1,)), component(q.drift, distance, (2,)),
+        component(q.turn, turn, (2,)), component(q.turn_aside, turn, (0, 1)), q.floor,
+    )  # fmt: skip
+
+
+def _alike(a: Noise, b: Noise) -> bool:
+    return abs(a.hits.sigma / b.hits.sigma - 1.0) < 0.01 and abs(a.share / b.share - 1.0) < 0.02

@@ -1,0 +1,328 @@
+"""The poses of a whole log, fitted to its odometry and to a map at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from beamfield.arguments import checked
+from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
+from beamfield.finding import Finding, worst_first
+from beamfield.geometry import FloatArray, as_poses, wrap_angle
+from beamfield.kernels.trajectory import Walls
+from beamfield.localization.drive import Drive, chained, mirrored, prepare
+from beamfield.localization.ray_agreement import RayAgreement, ray_agreement
+from beamfield.localization.scan_odometry import odometry_from_scans
+from beamfield.localization.smoother import Smoothed, smooth
+from beamfield.localization.trajectory_options import TrajectoryOptions
+from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
+from beamfield.localization.trajectory_trust import judge_trajectory, odometry_findings
+from beamfield.localization.wall_distance import walls_of
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog, Track
+from beamfield.short_repr import short_repr
+
+Progress = Callable[[str, int, int], None]
+
+# Nats that a scan costs if all of its beams pass walls.
+THROUGH_COST = 6.0
+# Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
+# buildings (at least 5.2) of the logs that docs/trajectory.md lists.
+MOST_COST = 4.6
+# A start that is given is believed against a worse fit.
+MOST_COST_FROM_START = 7.0
+# Two courses whose costs differ by less, in nats, are equally likely.
+SURELY_BETTER = 30.0
+FEWEST_SCANS, FEWEST_POINTS = 3, 100
+
+
+class StartHypothesis(NamedTuple):
+    """Where the log may have begun.
+
+    Parameters
+    ----------
+    pose
+        (3,) of the first scan, metres and radians.
+    cost
+        Nats that scans and corrections of the odometry cost, per scan; the best start has the least.
+    agrees, through
+        Shares of the beams: as long as the map says; longer, through its walls.
+    """
+
+    pose: FloatArray
+    cost: float
+    agrees: float
+    through: float
+
+    def __str__(self) -> str:
+        x, y, theta = self.pose
+        return f"({x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f} deg): {self.agrees:.0%} of the beams agree"
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryFit:
+    """A trajectory with its uncertainty, and what is wrong with it.
+
+    Parameters
+    ----------
+    stamps
+        (t,) seconds, of the scans.
+    poses
+        (t, 3) of the robot in the map, metres and radians.
+    covariances
+        (t, 3, 3) of x, y, theta, in the map's frame.
+    trusted
+        (t,) whether a pose can be relied on; see the findings for why not.
+    findings
+        What a user should know, worst first.
+    hypotheses
+        Where the log may have begun: the start that was chosen, and the next best that is elsewhere.
+    sigma
+        Standard deviation of the hits about the map's walls, metres.
+    distance_scale, turn_scale, turn_per_metre
+        What was found about the odometry: relative errors of its distances and turns, and radians that the robot turned
+        per metre without its noticing.
+    converged
+        Whether the fit ended by itself.
+
+    Notes
+    -----
+    The poses were fitted to the map: errors of the map that the scans can follow are in them, and do not show.
+    """
+
+    stamps: FloatArray
+    poses: FloatArray
+    covariances: FloatArray
+    trusted: NDArray[np.bool_]
+    findings: tuple[Finding, ...]
+    hypotheses: tuple[StartHypothesis, ...]
+    sigma: float
+    distance_scale: float
+    turn_scale: float
+    turn_per_metre: float
+    converged: bool
+
+    __repr__ = short_repr
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @property
+    def track(self) -> Track:
+        """The poses with their stamps, for writing."""
+        return Track(self.stamps, self.poses)
+
+    @property
+    def trusted_poses(self) -> FloatArray:
+        """(t, 3) the poses, NaN where they are not trusted: what `SensorLog.with_poses` takes."""
+        return np.where(self.trusted[:, None], self.poses, np.nan)
+
+    def summary(self) -> str:
+        """Return what was found in a few lines."""
+        deviation = position_deviations(self.covariances)
+        way = float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+        x, y, theta = self.poses[0]
+        return (
+            f"start      {x:.3f} m, {y:.3f} m, {np.degrees(theta):.1f} deg; "
+            f"{self.hypotheses[0].agrees:.0%} of the beams agree with the map\n"
+            f"way        {len(self)} scans, {way:.1f} m, {self.stamps[-1] - self.stamps[0]:.1f} s\n"
+            f"trusted    {self.trusted.mean():.1%} of the scans\n"
+            f"position   {np.median(deviation):.3f} m standard deviation (median), {deviation.max():.3f} m at worst\n"
+            f"odometry   distances {-self.distance_scale:+.2%}, turns {-self.turn_scale:+.2%} wrong"
+        )
+
+
+def position_deviations(covariances: FloatArray) -> FloatArray:
+    """Return the standard deviation of each position in its worst direction, (t,) metres."""
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, 1]))
+
+
+@checked
+def fit_trajectory(
+    log: SensorLog,
+    grid: OccupancyGrid,
+    *,
+    start: ArrayLike | None = None,
+    options: TrajectoryOptions | None = None,
+    progress: Progress | None = None,
+) -> TrajectoryFit:
+    """Find where a robot drove, from its odometry, its scans and a map; offline, over the whole log at once.
+
+    1. The map is searched for the surroundings of eight places of the log. What is found at each is followed forwards
+       and backwards through the log; the cheapest way through these hypotheses is taken, with jumps from one to another
+       where the robot was carried away.
+    2. All poses are then fitted together: odometry from scan to scan, with errors that have long tails; end points of
+       the scans to the nearest walls. How wrong both are is estimated from the log itself, as are scale errors of the
+       odometry. Corridors are held by the odometry on both sides of them.
+    3. Poses are not trusted where too little holds them, where the scans do not fit, and where the robot was carried.
+
+    Parameters
+    ----------
+    log
+        Scans with odometry. Without odometry, neighbouring scans are aligned in its place. Reference poses are not
+        used.
+    grid
+        The map.
+    start
+        (3,) pose of the first scan, to about two metres and 45 degrees; None searches the whole map.
+    options
+        When a pose is trusted.
+    progress
+        Called with (stage, done, total).
+
+    Returns
+    -------
+    Poses, covariances, and what is wrong with them. All numbers are finite.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map has no free or no occupied cell, the start is not a pose on the map, or stamps run backwards.
+    TooLittleDataError
+        If the log has fewer than 3 scans or next to no readings.
+    TrajectoryNotFoundError
+        If no course fits, or two fit equally well; the best two starts are named.
+
+    Notes
+    -----
+    Covariances are the marginals of the whole fit. End points on one patch of wall share its errors, so they count less
+    than if they were independent; see docs/trajectory.md for the measured coverage.
+
+    References
+    ----------
+    Probabilistic Robotics, (6.32) and section 6.4 for the end points. Lu and Milios, "Globally consistent range scan
+    alignment for environment mapping" (1997), for fitting all poses at once.
+
+    Examples
+    --------
+    >>> import beamfield as bf
+    >>> grid = bf.draw_floor_plan()
+    >>> finder = bf.RangeFinder.from_bearings(np.linspace(-2, 2, 60), max_range=12.0)
+    >>> truth = bf.BeamParameters(0.85, 0.08, 0.02, 0.05, sigma_hit=0.03, lambda_short=0.5)
+    >>> log = bf.simulate_log(grid, finder, truth, duration=20.0, scan_rate=4.0).only_sensor()
+    >>> fit = fit_trajectory(log, grid)
+    >>> bool(np.abs(fit.poses - log.poses)[:, :2].max() < 0.1)
+    True
+    """
+    options = options or TrajectoryOptions()
+    report = progress or (lambda _stage, _done, _total: None)
+    initial = _checked(log, grid, start)
+    findings: list[Finding] = []
+    odometry = log.odometry
+    if not log.has_odometry:
+        odometry = odometry_from_scans(log, lambda done, total: report("aligning scans", done, total))
+        findings.append(_no_odometry())
+    walls, drive = walls_of(grid), prepare(log, odometry)
+    if len(drive.points) < FEWEST_POINTS:
+        raise TooLittleDataError(
+            f"the scans have {len(drive.points)} readings with an end point; expected {FEWEST_POINTS}"
+        )
+    drive, course, hypotheses = _found(log, grid, drive, walls, initial, findings, report)
+    poses, cut = _spread_out(drive, course)
+    report("fitting all poses", 0, 1)
+    fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
+    findings += odometry_findings(drive, course, fitted)
+    trusted, more = judge_trajectory(drive, walls, fitted, cut, options)
+    return _result(log, fitted, trusted, [*findings, *more], hypotheses)
+
+
+def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> FloatArray | None:
+    if not grid.occupied.any():
+        raise InvalidInputError("grid: the map has no occupied cell, so no pose can be told from another")
+    if not grid.free.any():
+        raise InvalidInputError("grid: the map has no free cell, so the robot can be nowhere")
+    if len(log) < FEWEST_SCANS:
+        raise TooLittleDataError(f"the log has {len(log)} scans; a trajectory needs at least {FEWEST_SCANS}")
+    if not np.isfinite(log.stamps).all() or (np.diff(log.stamps) < 0.0).any():
+        where = int(np.argmin(np.diff(log.stamps))) + 1
+        raise InvalidInputError(f"log: the stamps run backwards at scan {where}; cut the log there")
+    if start is None:
+        return None
+    pose = as_poses(start, "start")
+    if pose.shape != (3,):
+        raise InvalidInputError(f"start: expected (x, y, theta), got shape {pose.shape}")
+    col, row = grid.to_cells(pose[:2])
+    if not (0.0 <= col < grid.shape[1] and 0.0 <= row < grid.shape[0]):
+        raise InvalidInputError(f"start: ({pose[0]:g} m, {pose[1]:g} m) lies off the map")
+    return pose
+
+
+def _found(log: SensorLog, grid: OccupancyGrid, drive: Drive, walls: Walls, start: FloatArray | None,
+           findings: list[Finding], report: Progress) -> tuple[Drive, Course, tuple[StartHypothesis, ...]]:  # fmt: skip
+    """Return the course through the log, with odometry put right where its sign is wrong."""
+    limit = MOST_COST if start is None else MOST_COST_FROM_START
+    tried = []
+    for kind, steps in (("", drive), *mirrored(drive)):
+        stage = "searching the map" + (f", {kind}" if kind else "")
+        followed = follow_hypotheses(steps, grid, walls, start, partial(report, stage))
+        if not followed:
+            raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
+        best = cheapest_course(steps, followed, start)
+        judged = [(_hypothesis(log, grid, steps, one), one) for one in (best, *other_courses(followed, best, start)[:3])]
+        judged.sort(key=lambda pair: pair[0].cost)
+        hypotheses, best = tuple(pair[0] for pair in judged[:2]), judged[0][1]
+        if hypotheses[0].cost <= limit:
+            break
+        tried.append(hypotheses)
+    else:
+        raise TrajectoryNotFoundError(
+            f"no trajectory through this map fits the log (another building?); {_named(tried[0])}"
+        )
+    if kind:
+        findings.append(_wrong_sign(kind))
+    if len(hypotheses) > 1 and (hypotheses[1].cost - hypotheses[0].cost) * len(drive.scans) < SURELY_BETTER:
+        raise TrajectoryNotFoundError(
+            f"two trajectories fit the log equally well, give the start of one; {_named(hypotheses)}"
+        )
+    return steps, best, hypotheses
+
+
+def _hypothesis(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Course) -> StartHypothesis:
+    agreement: RayAgreement = ray_agreement(log, grid, course.poses, drive.scans)
+    pose = course.poses[0].copy()
+    pose[2] = wrap_angle(pose[2])
+    cost = course.cost / len(drive.scans) + THROUGH_COST * agreement.through
+    return StartHypothesis(pose, cost, *agreement)
+
+
+def _named(hypotheses: tuple[StartHypothesis, ...]) -> str:
+    return "best starts: " + "; ".join(map(str, hypotheses))
+
+
+def _spread_out(drive: Drive, course: Course) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return poses of all scans, and the steps over which the robot was carried or the odometry is broken."""
+    ends = [*drive.scans[1:], len(drive.stamps)]
+    parts = [chained(pose, drive.steps[a : b - 1]) for pose, a, b in zip(course.poses, drive.scans, ends, strict=True)]
+    cut = drive.broken.copy()
+    for jump in course.jumps:
+        cut[drive.scans[jump] - 1] = True
+    return np.concatenate(parts), cut
+
+
+def _result(log: SensorLog, fitted: Smoothed, trusted: NDArray[np.bool_], findings: list[Finding],
+            hypotheses: tuple[StartHypothesis, ...]) -> TrajectoryFit:  # fmt: skip
+    first = hypotheses[0]._replace(pose=fitted.poses[0])
+    distance, turn, per_metre = (float(value) for value in fitted.systematic)
+    return TrajectoryFit(
+        log.stamps, fitted.poses, fitted.covariances, trusted, worst_first(findings), (first, *hypotheses[1:]),
+        fitted.noise.hits.sigma, distance, turn, per_metre, fitted.converged,
+    )  # fmt: skip
+
+
+def _no_odometry() -> Finding:
+    return Finding(
+        "no-odometry", "warning", "The log has no odometry: each scan was aligned with the one before in its place.",
+        why="Along corridors, scans alone slide.", do="Record the odometry (docs/recording.md).",
+    )  # fmt: skip
+
+
+def _wrong_sign(kind: str) -> Finding:
+    return Finding(
+        "odometry-sign", "warning", f"The odometry fits only {kind}; that was done.",
+        why="A robot that takes its odometry as it is gets lost.", do="Correct the sign where the odometry is made.",
+    )  # fmt: skip

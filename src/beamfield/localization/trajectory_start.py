@@ -1,0 +1,208 @@
+"""Where a drive may have begun: poses found by global search at several places, each followed through the whole log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.geometry import FloatArray, compose, invert, transform_points, wrap_angle
+from beamfield.kernels import trajectory as kernels
+from beamfield.kernels.trajectory import HitNoise, StepNoise, Walls
+from beamfield.localization.drive import Drive, chained
+from beamfield.localization.global_search import GlobalSearch, SearchWindow
+from beamfield.maps.occupancy import OccupancyGrid
+
+# Places along the way from which the map is searched, and how far around each its scans make one local map, metres.
+PLACES, LOCAL_WAY = 8, 1.5
+LOCAL_POINTS = 150
+# Cells and headings of the search, and the width of its field: maps and odometry need not be better.
+SEARCH_CELL, SEARCH_SIGMA, SEARCH_STEP = 0.1, 0.2, np.radians(2.0)
+# While tracking, hits lie so far from the walls, and odometry errs by so much.
+TRACK_HITS = (0.2, 0.02)
+TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
+# A scan is worth so many independent readings when hypotheses are compared.
+INDEPENDENT = 6.0
+# How uncertain a pose of the search is: metres, radians.
+SEARCH_DEVIATION = (0.15, np.radians(2.0))
+# Nats that a jump from one hypothesis to another costs: a robot is seldom carried away.
+SWITCH = 200.0
+# A robot was carried, or its odometry failed, where the course differs from it by more; less is a slip.
+CARRIED, CARRIED_TURN = 0.7, np.radians(30.0)
+# Two hypotheses are apart where they differ by more than this, metres and radians; others count as one.
+APART, APART_TURN = 1.0, np.radians(30.0)
+# A start that is given is meant to be about right: metres, radians.
+NEAR_START, NEAR_START_TURN = 2.0, np.radians(45.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A hypothesis followed through the log.
+
+    Parameters
+    ----------
+    place
+        Index of the scan, of those held to the map, at which it was found.
+    poses, costs
+        (n, 3) and (n,): pose of and cost in nats at each scan held to the map.
+    """
+
+    place: int
+    poses: FloatArray
+    costs: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A way through hypotheses: which one holds at each scan.
+
+    Parameters
+    ----------
+    poses
+        (n, 3) at each scan held to the map.
+    cost
+        Nats: the scans' costs and the jumps'.
+    jumps
+        Indices i of scans held to the map where the hypothesis changes between i - 1 and i.
+    """
+
+    poses: FloatArray
+    cost: float
+    jumps: NDArray[np.int64]
+
+
+def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
+                      progress: Callable[[int, int], None]) -> list[Followed]:  # fmt: skip
+    """Search the map at several places of the log, and follow what is found forwards and backwards.
+
+    Parameters
+    ----------
+    drive, grid, walls
+        The log and the map.
+    start
+        (3,) where the first scan was taken, roughly; None if that is not known.
+    progress
+        Called with (done, total) places.
+
+    Returns
+    -------
+    Hypotheses; those that are alike are not told apart.
+    """
+    search, followed = GlobalSearch(_coarse(grid), sigma=SEARCH_SIGMA, angle_step=SEARCH_STEP), []
+    places = _places(drive)
+    for done, place in enumerate(places):
+        points = _local_points(drive, place)
+        window, poses = SearchWindow.whole_map(search.grid), []
+        if start is not None and done == 0:
+            window = SearchWindow(start, 2.0 * NEAR_START, 2.0 * NEAR_START, 2.0 * NEAR_START_TURN)
+            poses.append(start)
+        if len(points):
+            found = search.search(_as_grid(points), window, apart=(APART, APART_TURN))
+            poses += [one.pose for one in (found.best, found.runner_up) if found.found and one is not None]
+        followed += [_follow(drive, walls, place, pose) for pose in poses]
+        progress(done + 1, len(places))
+    return followed
+
+
+def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | None = None) -> Course:
+    """Return the cheapest way through hypotheses, with jumps from one to another where that pays."""
+    costs = np.array([one.costs for one in followed])
+    n = costs.shape[1]
+    total = costs[:, 0].copy()
+    if start is not None:
+        total[[not _near(one.poses[0], start, NEAR_START, NEAR_START_TURN) for one in followed]] += 10.0 * SWITCH
+    came_from = np.empty((n, len(followed)), np.int64)
+    for i in range(1, n):
+        cheapest = int(np.argmin(total))
+        stays = total <= total[cheapest] + SWITCH
+        came_from[i] = np.where(stays, np.arange(len(followed)), cheapest)
+        total = np.minimum(total, total[cheapest] + SWITCH) + costs[:, i]
+    which = np.empty(n, np.int64)
+    which[-1] = np.argmin(total)
+    for i in range(n - 1, 0, -1):
+        which[i - 1] = came_from[i, which[i]]
+    poses = np.array([followed[which[i]].poses[i] for i in range(n)])
+    expected = compose(poses[:-1], drive.steps_between_scans)
+    changes = np.flatnonzero(np.diff(which)) + 1
+    jumps = [i for i in changes if not _near(expected[i - 1], poses[i], CARRIED, CARRIED_TURN)]
+    return Course(poses, float(total.min()), np.array(jumps, dtype=np.int64))
+
+
+def other_courses(followed: list[Followed], best: Course, start: FloatArray | None = None) -> list[Course]:
+    """Return the hypotheses that are elsewhere most of the time, cheapest first, each as a course without jumps.
+
+    Of a start that is given, only those that begin there.
+    """
+    others: list[Course] = []
+    for one in sorted(followed, key=lambda one: float(one.costs.sum())):
+        if start is not None and not _near(one.poses[0], start, NEAR_START, NEAR_START_TURN):
+            continue
+        if all(_share_apart(one.poses, course.poses) > 0.5 for course in [best, *others]):
+            others.append(Course(one.poses, float(one.costs.sum()), np.empty(0, np.int64)))
+    return others
+
+
+def _share_apart(a: FloatArray, b: FloatArray) -> float:
+    far = np.hypot(*(a - b)[:, :2].T) > APART
+    return float(np.mean(far | (np.abs(wrap_angle(a[:, 2] - b[:, 2])) > APART_TURN)))
+
+
+def _near(a: FloatArray, b: FloatArray, distance: float, turn: float) -> bool:
+    return bool(np.hypot(*(a - b)[:2]) <= distance and abs(float(wrap_angle(a[2] - b[2]))) <= turn)
+
+
+def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray) -> Followed:
+    n = len(drive.scans)
+    poses, costs = np.empty((n, 3)), np.empty(n)
+    noise, steps = HitNoise(*TRACK_HITS, -np.inf, 0.0), drive.steps_between_scans
+    for direction in (-1, 1):
+        poses[place] = pose
+        covariance = np.diag([SEARCH_DEVIATION[0] ** 2] * 2 + [SEARCH_DEVIATION[1] ** 2])
+        kernels.track(drive.points, drive.first, steps, walls, noise, TRACK_STEPS, INDEPENDENT, place, direction,
+                      poses, covariance, costs)  # fmt: skip
+    return Followed(place, poses, costs)
+
+
+def _places(drive: Drive) -> list[int]:
+    """Return scans at equal parts of the way, the first included."""
+    way = drive.way[drive.scans]
+    n = max(1, min(PLACES, len(way)))
+    wanted = np.linspace(way[0], way[-1], n)
+    return [int(i) for i in np.unique(np.searchsorted(way, wanted).clip(max=len(way) - 1))]
+
+
+def _local_points(drive: Drive, place: int) -> FloatArray:
+    """Return end points seen around a place, in the robot's frame there."""
+    way = drive.way[drive.scans]
+    near = np.flatnonzero(np.abs(way - way[place]) <= LOCAL_WAY)
+    path = chained(np.zeros(3), drive.steps)[drive.scans]
+    path = compose(invert(path[place]), path[near])
+    kept = [transform_points(pose, drive.points[drive.first[i] : drive.first[i + 1]])
+            for pose, i in zip(path, near, strict=True)]  # fmt: skip
+    points = np.concatenate(kept)
+    # One point for each cell, so that walls seen often do not outvote those seen once.
+    _, index = np.unique(np.floor(points / SEARCH_CELL).astype(np.int64), axis=0, return_index=True)
+    points = points[np.sort(index)]
+    return points[np.linspace(0, len(points) - 1, min(len(points), LOCAL_POINTS)).astype(np.int64)]
+
+
+def _as_grid(points: FloatArray) -> OccupancyGrid:
+    """Return points as a local map, which is what the search takes."""
+    low = np.floor(points.min(axis=0) / SEARCH_CELL)
+    cells = (np.floor(points / SEARCH_CELL) - low).astype(np.int64)
+    cols, rows = (int(side) for side in cells.max(axis=0) + 1)
+    probability = np.zeros((rows, cols), np.float32)
+    probability[cells[:, 1], cells[:, 0]] = 1.0
+    return OccupancyGrid(probability, SEARCH_CELL, np.array([*(low * SEARCH_CELL), 0.0]))
+
+
+def _coarse(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return a map with cells of about SEARCH_CELL, occupied where any of its cells is."""
+    factor = max(1, round(SEARCH_CELL / grid.resolution))
+    rows, cols = (-(-n // factor) for n in grid.shape)
+    padded = np.zeros((rows * factor, cols * factor), bool)
+    padded[: grid.shape[0], : grid.shape[1]] = grid.occupied
+    occupied = padded.reshape(rows, factor, cols, factor).any(axis=(1, 3))
+    return OccupancyGrid(np.asarray(occupied, np.float32), factor * grid.resolution, grid.origin)

@@ -1,0 +1,169 @@
+"""Which poses of a fitted trajectory can be trusted, and what happened where they cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.finding import Finding
+from beamfield.geometry import FloatArray
+from beamfield.kernels import trajectory as kernels
+from beamfield.kernels.trajectory import Walls
+from beamfield.localization.drive import Drive
+from beamfield.localization.hit_noise import off_band
+from beamfield.localization.smoother import Smoothed
+from beamfield.localization.trajectory_options import TrajectoryOptions
+from beamfield.localization.trajectory_start import Course
+
+# Readings agree within so many sigma, or metres if that is more; their share is taken over so much of the way.
+AGREES_SIGMAS, AGREES, AGREEMENT_WAY = 3.0, 0.1, 2.0
+# What is named as a slip: odometry and the rest differ by so much within a second, metres and radians, and sigmas.
+SLIP, SLIP_TURN, SLIP_SIGMAS, SLIP_TIME = 0.15, np.radians(8.0), 4.0, 1.0
+# A gap in time, seconds and multiples of the usual step.
+GAP, GAP_STEPS = 5.0, 20.0
+MOST_NAMED = 5
+
+
+def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[np.bool_], options: TrajectoryOptions
+                     ) -> tuple[NDArray[np.bool_], list[Finding]]:  # fmt: skip
+    """Return which scans (t,) are trusted, and a finding for each reason why not."""
+    position = np.sqrt(np.linalg.eigvalsh(fitted.covariances[:, :2, :2])[:, 1])
+    heading = np.sqrt(fitted.covariances[:, 2, 2])
+    agreement = _agreement(drive, walls, fitted)
+    usual = float(np.median(agreement))
+    weak = (position > options.max_deviation) | (heading > options.max_heading_deviation)
+    poor = agreement < options.least_agreement * usual
+    carried = _around(drive, cut)
+    findings = []
+    if weak.any():
+        worst = float(position.max())
+        findings.append(_stretches(
+            "weak-stretch", weak, drive, {"worst_m": worst},
+            f"too little holds the position there: its standard deviation is up to {worst:.2f} m",
+            "a corridor without ends in sight, or no walls", "Drive where more walls are in sight",
+        ))  # fmt: skip
+    if poor.any():
+        findings.append(_stretches(
+            "poor-fit-stretch", poor & ~weak, drive, {"usual_share": usual},
+            f"the scans do not fit the map there: less than {options.least_agreement * usual:.0%} of the readings "
+            f"agree, elsewhere {usual:.0%}", "the world differs from the map, or the robot is elsewhere",
+            "Look at these scans with beamfield check",
+        ))  # fmt: skip
+    return ~(weak | poor | carried), [finding for finding in findings if finding is not None]
+
+
+def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Finding]:
+    """Name the times at which the odometry was wrong: resets, slips, being carried away, gaps."""
+    since = drive.stamps - drive.stamps[0]
+    findings = [*_carried(drive, course, since), *_resets(drive, since), *_slips(fitted, since), *_gaps(since)]
+    if drive.n_unknown:
+        findings.append(Finding(
+            "odometry-missing", "warning", f"{drive.n_unknown} scans have no odometry; it was interpolated for them.",
+            {"scans": float(drive.n_unknown)},
+        ))  # fmt: skip
+    return findings
+
+
+def _agreement(drive: Drive, walls: Walls, fitted: Smoothed) -> FloatArray:
+    """Return (t,) the share of readings that agree with the map around each scan."""
+    signed, ends = np.empty(len(drive.points)), np.empty((len(drive.points), 2))
+    kernels.fill_residuals(drive.points, drive.first, fitted.poses[drive.scans], walls, signed, ends)
+    limit = max(AGREES_SIGMAS * fitted.noise.hits.sigma, AGREES)
+    good = np.nan_to_num(np.abs(off_band(signed, fitted.noise.hits)), nan=np.inf) <= limit
+    n, sums = len(drive.scans), np.concatenate([[0], np.cumsum(good)])
+    hits = np.concatenate([[0], sums[drive.first[1:]]])
+    way = drive.way[drive.scans]
+    low = np.searchsorted(way, way - 0.5 * AGREEMENT_WAY, side="left")
+    high = np.searchsorted(way, way + 0.5 * AGREEMENT_WAY, side="right")
+    share = (hits[high] - hits[low]) / np.maximum(drive.first[high] - drive.first[low], 1)
+    nearest = np.clip(np.searchsorted(drive.scans, np.arange(len(drive.stamps)), side="right") - 1, 0, n - 1)
+    return np.asarray(share[nearest])
+
+
+def _around(drive: Drive, cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the scans (t,) between the last one that was held to the map before a jump and the first one after."""
+    around = np.zeros(len(drive.stamps), bool)
+    for step in np.flatnonzero(cut):
+        after = min(int(np.searchsorted(drive.scans, step + 1)), len(drive.scans) - 1)
+        around[drive.scans[max(after - 1, 0)] : drive.scans[after] + 1] = True
+    return around
+
+
+def _carried(drive: Drive, course: Course, since: FloatArray) -> list[Finding]:
+    found = []
+    for jump in course.jumps:
+        a, b = course.poses[jump - 1], course.poses[jump]
+        distance, when = float(np.hypot(*(b - a)[:2])), float(since[drive.scans[jump]])
+        found.append(Finding(
+            "kidnapped", "warning",
+            f"The robot was carried {distance:.1f} m {when:.1f} s after the first scan, or its odometry failed there.",
+            {"time_s": when, "distance_m": distance},
+            do="Split the log there if that was no accident.",
+        ))  # fmt: skip
+    return found
+
+
+def _resets(drive: Drive, since: FloatArray) -> list[Finding]:
+    times = since[1:][drive.broken]
+    if not len(times):
+        return []
+    text = f"The odometry jumps {_at(times)}, as after a reset; these steps were not used."
+    return [Finding("odometry-reset", "warning", text, {"count": float(len(times)), "time_s": float(times[0])})]
+
+
+def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:
+    """Find stretches of a second in which odometry and the fitted motion differ too much."""
+    error, variance = fitted.step_errors, fitted.step_variances
+    end = np.searchsorted(since, since[:-1] + SLIP_TIME, side="right").clip(max=len(since) - 1)
+    begin = np.arange(len(end))
+    sums, variances = (np.concatenate([np.zeros((1, 3)), np.cumsum(a, axis=0)]) for a in (error, variance))
+    total, expected = sums[end] - sums[begin], variances[end] - variances[begin]
+    distance, turn = np.hypot(total[:, 0], total[:, 1]), np.abs(total[:, 2])
+    surprise = np.sqrt(np.max(total**2 / np.maximum(expected, 1e-12), axis=1))
+    slips = ((distance > SLIP) | (turn > SLIP_TURN)) & (surprise > SLIP_SIGMAS)
+    found = []
+    for first, last in _runs(slips):
+        part = slice(first, last + 1)
+        when = float(since[first])
+        found.append(Finding(
+            "wheel-slip", "info",
+            f"Odometry and scans differ by {distance[part].max():.2f} m and {np.degrees(turn[part].max()):.0f} degrees "
+            f"within a second, {when:.1f} s after the first scan: wheels that slipped, or a push.",
+            {"time_s": when, "distance_m": float(distance[part].max()), "turn_rad": float(turn[part].max())},
+        ))  # fmt: skip
+    return sorted(found, key=lambda one: -one.values["distance_m"])[:MOST_NAMED]
+
+
+def _gaps(since: FloatArray) -> list[Finding]:
+    steps = np.diff(since)
+    gaps = steps > max(GAP, GAP_STEPS * float(np.median(steps)))
+    if not gaps.any():
+        return []
+    text = f"There is no scan for up to {steps.max():.1f} s, {_at(since[:-1][gaps])}; odometry bridges it."
+    return [Finding("time-gap", "info", text, {"longest_s": float(steps.max())})]
+
+
+def _at(times: FloatArray) -> str:
+    named = ", ".join(f"{time:.1f}" for time in times[:MOST_NAMED]) + (", ..." if len(times) > MOST_NAMED else "")
+    return f"{named} s after the first scan"
+
+
+def _stretches(name: str, where: NDArray[np.bool_], drive: Drive, values: dict[str, float], text: str, why: str,
+               do: str) -> Finding | None:  # fmt: skip
+    runs = _runs(where)
+    if not runs:
+        return None
+    since = drive.stamps - drive.stamps[0]
+    longest = sorted(runs, key=lambda run: run[0] - run[1])[:MOST_NAMED]
+    times = ", ".join(f"{since[a]:.1f} to {since[b]:.1f} s" for a, b in sorted(longest))
+    share = float(where.mean())
+    return Finding(
+        name, "warning", f"{share:.1%} of the scans are not trusted ({times} after the first): {text}.",
+        {"share": share, "stretches": float(len(runs)), **values}, why=f"The reason may be: {why}.", do=f"{do}.",
+    )  # fmt: skip
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first and last index of each run of True."""
+    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))

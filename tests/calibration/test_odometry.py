@@ -119,6 +119,8 @@ def test_what_a_drive_does_not_show_is_left_out():
     assert set(result.systematic) == {"distance_scale", "drift", "yaw"}
     assert "odometry-is-reference" in {finding.name for finding in result.findings}
     assert "not shown by this drive" in result.summary()
+    # Rotation from rotation, and the other three, which the reference's error hides.
+    assert [(level.value, level.high) for level in result.candidates[3].levels] == [(0.0, np.inf)] * 4
 
 
 def test_a_missed_turn_is_a_fault_and_not_noise(common):
@@ -155,7 +157,8 @@ def test_covariances_of_poses_take_the_place_of_one_error_for_all():
     log = amcl_log((0.03,) * 4, 1)[:60]
     same = np.tile(np.diag([0.02**2, 0.02**2, 0.005**2]), (len(log), 1, 1))
     given = calibrate_odometry(log, replace(EVERY_SCAN, reference_error=1.0), covariances=same)
-    assert given.candidates[1].levels[0] == calibrate_odometry(log, EVERY_SCAN).candidates[1].levels[0]
+    constant = calibrate_odometry(log, EVERY_SCAN)
+    assert given.candidates[1].levels[0].value == pytest.approx(constant.candidates[1].levels[0].value, rel=1e-4)
 
 
 @pytest.mark.parametrize("model", [DifferentialMotion(0.01, 0.01, 0.02, 0.02)])
@@ -269,6 +272,16 @@ def test_logs_that_show_nothing_are_refused(change, error, words):
     log = replace(amcl_log((0.03,) * 4, 1), **change)
     with pytest.raises(error, match=words):
         calibrate_odometry(log)
+    if "no " not in words:
+        with pytest.raises(error, match="never moves"):
+            calibrate_odometry(log, EVERY_SCAN)
+
+
+def test_exact_poses_and_exact_odometry_give_numbers():
+    poses = chained(drive(np.random.default_rng(12), 60))
+    result = calibrate_odometry(log_of(poses, poses), EVERY_SCAN, covariances=np.zeros((61, 3, 3)))
+    assert result.alphas == DifferentialMotion(0.02, 0.02, 0.02, 0.02)
+    assert np.isfinite([error.value for error in result.systematic.values()]).all()
 
 
 def test_a_short_log_has_no_intervals_but_values():

@@ -71,6 +71,24 @@ def test_a_wide_density_integrates_to_one_in_polar_coordinates_too(odometry):
     assert np.sum(density * grid[..., 0]) * 0.02 * (2 * np.pi / 60) ** 2 == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.parametrize(
+    "model",
+    [
+        DifferentialMotion(0.004, 0.004, 0.006, 0.002),
+        OmniMotion(0.01, 0.01, 0.02, 0.01, 0.03),
+        GaussianMotion(),
+        VelocityMotion(0.01, 0.01, 0.01, 0.01, 0.01, 0.01, duration=0.7),
+        MrptGaussianMotion(),
+        MrptThrunMotion(0.05, 0.05, 0.05, 0.05, 0.05, 0.05),
+    ],
+)
+def test_the_covariance_of_a_step_is_that_of_its_draws(model):
+    drawn = model.sample(np.zeros((40_000, 3)), AHEAD, np.random.default_rng(6))
+    seen = np.cov(drawn.T)
+    scale = np.sqrt(np.outer(np.diag(seen), np.diag(seen)))
+    np.testing.assert_allclose(model.step(np.array(AHEAD)).covariance() / scale, seen / scale, atol=0.03)
+
+
 def test_turning_in_place_is_certain_but_for_translation_and_heading():
     model = DifferentialMotion(0.1, 0.0, 0.0, 0.1)
     odometry = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]

@@ -107,7 +107,7 @@ def _noise_rows(result: OdometryCalibration) -> list[tuple[str, ...]]:
 
 def _level_text(level: Estimate) -> str:
     if level.value == 0.0:
-        return "0 (the reference's error hides it)"
+        return "0 (does not show)"
     if not level.high < WIDEST * level.low:
         return f"{level.value:.2g} (not determined)"
     return f"{level.value:.2g} [{level.low:.2g}, {level.high:.2g}]"

@@ -41,9 +41,7 @@ def fit_levels(
     gradient, information = np.empty(len(start)), np.empty((len(start), len(start)))
 
     def loss(at: FloatArray) -> float:
-        return float(
-            negative_log_likelihood(residuals, reference, by_window, np.exp(at), gradient, information)
-        )  # fmt: skip
+        return float(negative_log_likelihood(residuals, reference, by_window, np.exp(at), gradient, information))
 
     # Fisher scoring in the logarithms of the levels, with steps halved until the likelihood rises.
     low, high = np.log(LEAST_LEVEL), np.log(LARGEST_LEVEL)
@@ -53,7 +51,7 @@ def fit_levels(
         levels = np.exp(at)
         slope, curvature = gradient * levels, information * np.outer(levels, levels)
         step = -np.linalg.solve(curvature + 1e-6 * np.trace(curvature) * np.eye(len(at)), slope)
-        step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
         for _ in range(20):
             there = np.clip(at + step, low, high)
             new = loss(there)

@@ -74,8 +74,8 @@ class Estimate:
     Parameters
     ----------
     value, low, high
-        The ends are infinite, or 0 and infinite for noise, where there are too few blocks for an interval, or where the
-        reference's error hides the noise; its level is 0 then.
+        The ends are infinite, or 0 and infinite for noise, where there are too few blocks for an interval, or where
+        noise does not show: behind the reference's error, or in a drive without turns. Its level is 0 then.
     """
 
     value: float

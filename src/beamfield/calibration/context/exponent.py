@@ -159,7 +159,7 @@ def learn_exponent(
 
     References
     ----------
-    Probabilistic Robotics, 6.3.4.
+    Probabilistic Robotics, section 6.3.4.
     """
     options = WindowOptions(
         reference_error=reference_error, reference_turn_error=reference_error / REFERENCE_LEVER, seed=seed

@@ -114,7 +114,7 @@ def learn_in_context(
 
     References
     ----------
-    Probabilistic Robotics, 6.3.4: intrinsic parameters in the context of the application.
+    Probabilistic Robotics, section 6.3.4: intrinsic parameters in the context of the application.
     """
     options = options or WindowOptions()
     rivals = draw_rivals(options, grid)

@@ -129,7 +129,8 @@ def _not_white(result: OdometryCalibration) -> Iterator[Finding]:
     yield Finding(
         "odometry-not-white",
         "warning",
-        f"The common alpha is {low:.2g} with windows of {short} update steps and {high:.2g} with {long}.",
+        f"The common alpha {'grows' if high > low else 'shrinks'} from {low:.2g} over {short} to {high:.2g} over "
+        f"{long} update steps.",
         {"short": float(short), "long": float(long), "alpha_short": low, "alpha_long": high},
         why="Errors that last, such as a wrong scale, add up faster than noise."
         if high > low

@@ -57,15 +57,15 @@ def test_numbers_have_no_more_digits_than_are_known(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "line", "message"),
     [
-        ("  exponent: 0.142857", "  exponent: 1.5", 10, r"expected a number in \(0, 1\], got 1.5"),
-        ("  exponent: 0.142857", "  exponent: 0", 10, "expected a number in"),
-        ("  n_beams: 60", "  n_beams: 2.5", 11, "expected a whole number >= 1, got 2.5"),
-        ("  n_beams: 60", "  n_beams: 0", 11, "expected a whole number >= 1, got 0"),
+        ("  exponent: 0.142857", "  exponent: 1.5", 11, r"expected a number in \(0, 1\], got 1.5"),
+        ("  exponent: 0.142857", "  exponent: 0", 11, "expected a number in"),
+        ("  n_beams: 60", "  n_beams: 2.5", 13, "expected a whole number >= 1, got 2.5"),
+        ("  n_beams: 60", "  n_beams: 0", 13, "expected a whole number >= 1, got 0"),
         ("  n_beams: 60\n", "", None, "n_beams"),
-        ("  n_beams: 60", "  n_beans: 60", 11, "unknown parameter 'n_beans'"),
-        ("  sigma_hit: 0.07", "  sigma_hit: -1", 6, "sigma_hit: expected a positive number"),
-        ("  sigma_hit: 0.07", "  sigma_hit: wide", 9, "wide"),
-        ("  min_range: 0.15", "  min_range: 13", 14, "expected 0 <= min_range < max_range = 12.5, got 13"),
+        ("  n_beams: 60", "  n_beans: 60", 13, "unknown parameter 'n_beans'"),
+        ("  sigma_hit: 0.07", "  sigma_hit: -1", 7, "sigma_hit: expected a positive number"),
+        ("  sigma_hit: 0.07", "  sigma_hit: wide", 10, "wide"),
+        ("  min_range: 0.15", "  min_range: 13", 16, "expected 0 <= min_range < max_range = 12.5, got 13"),
         ("likelihood_field:", "something_else:", None, "likelihood_field"),
     ],
 )

@@ -105,7 +105,7 @@ def test_a_start_given_is_where_it_starts(folder, capsys, drive):
     "words",
     [
         ("--params", "beam_model.yaml", "--model", "beam", "--beams", "15"),
-        ("--params", "beam_model.yaml", "--leave-out-short", "--recovery", "--beams", "0", "--odometry-noise", "2"),
+        ("--params", "beam_model.yaml", "--leave-out-short", "--recovery", "--beams", "0", "--odometry-error", "2"),
         ("--params", "likelihood_field.yaml", "--exponent", "0.1"),
     ],
 )

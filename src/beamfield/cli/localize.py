@@ -40,7 +40,7 @@ DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
 # Measured in docs/localization.md.
 INDEPENDENT_BEAMS = 1.8
-# Standard deviations of the odometry, for --odometry-noise 1: after one metre and after one radian.
+# Standard deviations of the odometry, for --odometry-error 1: after one metre and after one radian.
 ODOMETRY_NOISE = {"forward": 0.06, "sideways": 0.02, "shift": 0.02, "drift": 0.04, "turn": 0.08}
 PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
 # Particles kept for an animation, and pictures of it, at most.
@@ -73,7 +73,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     group.add_argument("--exponent", type=positive, metavar="E",
                        help=f"power of each beam's likelihood (default: {INDEPENDENT_BEAMS} / beams, or as "
                        "the file says)")  # fmt: skip
-    group.add_argument("--odometry-noise", type=positive, default=1.0, metavar="K",
+    group.add_argument("--odometry-error", type=positive, default=1.0, metavar="K",
                        help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
     group.add_argument("--recovery", action="store_true", help="find a robot again that was carried elsewhere")
     group.add_argument("--leave-out-short", action="store_true", help="leave out readings that are likely of people")
@@ -160,7 +160,7 @@ def _localizer(
         kld=KldSampling(least=least) if wide else None,
         recovery=Recovery(readings=model.exponent * model.n_beams) if arguments.recovery else None,
     )
-    motion = GaussianMotion(**{name: arguments.odometry_noise * value for name, value in ODOMETRY_NOISE.items()})
+    motion = GaussianMotion(**{name: arguments.odometry_error * value for name, value in ODOMETRY_NOISE.items()})
     return ScanLocalizer(
         grid,
         model,

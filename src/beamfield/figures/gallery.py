@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -175,7 +174,8 @@ def save_figure(figure: Figure, path: Path) -> None:
         If the ending is another.
     """
     kind = path.suffix.lower().lstrip(".")
-    require(kind in FORMATS, "picture", "a name ending in .svg, .png or .pdf", path.name)
+    if kind not in FORMATS:
+        raise InvalidInputError(f"picture: expected a name ending in .svg, .png or .pdf, got {path.name!r}")
     without_date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
     import matplotlib
 

@@ -45,6 +45,7 @@ class CellDifferenceModel(LocalMapModel):
 
     Examples
     --------
+    >>> from beamfield.maps.occupancy import OccupancyGrid
     >>> grid = OccupancyGrid([[0.0, 0.0, 0.0, 1.0]], resolution=0.5)
     >>> seen = OccupancyGrid([[0.0, 0.0, 1.0]], resolution=0.5, origin=(0.0, -0.25, 0.0))
     >>> CellDifferenceModel(grid).log_likelihood(seen, [[0.5, 0.25, 0.0], [0.0, 0.25, 0.0]]).round(2).tolist()

@@ -49,6 +49,7 @@ class HistogramMatchingModel(LocalMapModel):
 
     Examples
     --------
+    >>> from beamfield.maps.occupancy import OccupancyGrid
     >>> grid = OccupancyGrid([[0.0, 0.0, 0.0, 1.0]], resolution=0.5)
     >>> seen = OccupancyGrid([[0.0, 0.0, 1.0]], resolution=0.5, origin=(0.0, -0.25, 0.0))
     >>> model = HistogramMatchingModel(grid)

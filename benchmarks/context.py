@@ -4,6 +4,7 @@
     python benchmarks/context.py lattice    the same for single scans, by posteriors on a lattice of poses
     python benchmarks/context.py learning   the start (EM), an exponent alone, and parameters by gradient
     python benchmarks/context.py beams      4 to all beams of a scan
+    python benchmarks/context.py filter     what the exponents of one log do in the particle filter on others
 
 Real logs and maps are in ../shared/data beside the checkout. More words choose logs by name: `beams Wean TurtleBot`.
 """
@@ -34,17 +35,21 @@ from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 from beamfield.calibration.selection import select_scans
 from beamfield.calibration.time_split import time_blocks
+from beamfield.cli.localize import ODOMETRY_NOISE
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.io.read_log import read_log
 from beamfield.localization.pose_posterior import PoseLattice, pose_posterior
+from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.gaussian_motion import GaussianMotion
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from localize import followed, numbers
 from real_logs import LOGS, read_log_and_map
 from tables import print_table
 
@@ -58,6 +63,7 @@ BEAM_COUNTS = (4, 8, 15, 30, 60, 120, 180)
 N_BEAMS = {"beam": 30, "field": 60}
 # Many drives of few scans: coverage of 100 posteriors is known to 3 %.
 MANY = 150
+N_SEEDS = 6
 TRUTH = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
 
 
@@ -248,6 +254,22 @@ def learning(chosen: Sequence[str]) -> list[dict[str, Any]]:
     return rows
 
 
+def filtered(chosen: Sequence[str]) -> list[dict[str, Any]]:
+    """Return one row per model, log and exponent learned from Wean Hall 1: errors of the particle filter."""
+    del chosen
+    place, rows = wean(), []
+    for name, model in models_of(place).items():
+        learned = learn_exponent(model, place.log, place.grid)
+        powers = {"independent": 1.0, "one scan's": learned.single.value, "a filter's": learned.drive.value}
+        for where, log in place.others.items():
+            for way, power in powers.items():
+                tempered = type(model)(place.grid, model.parameters, n_beams=model.n_beams, exponent=power)
+                localizer = ScanLocalizer(place.grid, tempered, GaussianMotion(**ODOMETRY_NOISE))
+                errors = numbers(followed(localizer, log, N_SEEDS))
+                rows.append({"model": name, "log": where, "exponent": way, "value": power, **errors})
+    return rows
+
+
 def beams(chosen: Sequence[str]) -> list[dict[str, Any]]:
     """Return one row per log, model and number of beams."""
     rows = []
@@ -268,4 +290,5 @@ def beams(chosen: Sequence[str]) -> list[dict[str, Any]]:
 
 if __name__ == "__main__":
     what, *words = sys.argv[1:]
-    print_table({"coverage": coverage, "lattice": lattice, "learning": learning, "beams": beams}[what](words), digits=3)
+    tables = {"coverage": coverage, "lattice": lattice, "learning": learning, "beams": beams, "filter": filtered}
+    print_table(tables[what](words), digits=3)

@@ -99,10 +99,10 @@ def ways(world: World) -> dict[str, tuple[LikelihoodFieldParameters, float]]:
     return {
         "nav2's defaults": (NAV2_DEFAULTS, 1.0),
         "beam model's": (of_beam, 1.0),
-        "beam model's, exponent by the posterior": (of_beam, world.suited_exponent(of_beam)),
+        "beam model's, exponent by coverage": (of_beam, world.suited_exponent(of_beam)),
         "density": (density, 1.0),
-        "density, exponent by the posterior": (density, world.suited_exponent(density)),
-        "**density and the reference's error, exponent by the posterior**": (learned.parameters, learned.exponent),
+        "density, exponent by coverage": (density, world.suited_exponent(density)),
+        "**density and the reference's error, exponent by coverage**": (learned.parameters, learned.exponent),
         "z_hit : z_rand and sigma_hit by the posterior": world.by_posterior(NAV2_DEFAULTS, 1.0),
         "all by the posterior": world.by_posterior(learned.parameters, None),
     }

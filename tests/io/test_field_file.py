@@ -25,7 +25,9 @@ PARAMETERS = LikelihoodFieldParameters(0.1 + 0.2, 1.0 / 3.0, 0.07)
 @pytest.fixture
 def text() -> str:
     intervals = {"z_hit": (0.2, 0.4), "exponent": (0.0, float("inf"))}
-    return likelihood_field_text(PARAMETERS, FINDER, exponent=1.0 / 7.0, n_beams=60, intervals=intervals)
+    return likelihood_field_text(
+        PARAMETERS, FINDER, exponent=1.0 / 7.0, single_scan_exponent=0.5, n_beams=60, intervals=intervals
+    )
 
 
 def written(folder: Path, text: str) -> Path:
@@ -39,6 +41,10 @@ def test_reading_returns_what_was_written(tmp_path, text):
     saved = read_likelihood_field(path)
     assert saved.parameters == LikelihoodFieldParameters(0.3, 0.333333, 0.07)
     assert (saved.exponent, saved.n_beams, saved.max_range, saved.min_range) == (0.142857, 60, 12.5, 0.15)
+    assert saved.single_scan_exponent == 0.5
+    # Older files have one exponent.
+    one = read_likelihood_field(written(tmp_path, text.replace("  single_scan_exponent: 0.5\n", "", 1)))
+    assert one.single_scan_exponent == one.exponent == 0.142857
     assert is_likelihood_field(path)
     assert "  exponent: null\n" in text.split("intervals_95")[1]
     assert not is_likelihood_field(written(tmp_path, "beam_model:\n  z_hit: 1.0\n"))
@@ -59,6 +65,7 @@ def test_numbers_have_no_more_digits_than_are_known(tmp_path):
     [
         ("  exponent: 0.142857", "  exponent: 1.5", 11, r"expected a number in \(0, 1\], got 1.5"),
         ("  exponent: 0.142857", "  exponent: 0", 11, "expected a number in"),
+        ("  single_scan_exponent: 0.5", "  single_scan_exponent: 2", 12, r"expected a number in \(0, 1\], got 2"),
         ("  n_beams: 60", "  n_beams: 2.5", 13, "expected a whole number >= 1, got 2.5"),
         ("  n_beams: 60", "  n_beams: 0", 13, "expected a whole number >= 1, got 0"),
         ("  n_beams: 60\n", "", None, "n_beams"),

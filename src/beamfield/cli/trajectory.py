@@ -41,8 +41,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     add_start(parser)
     options.add_out(parser, "beamfield_trajectory.tum", metavar="FILE.tum", what="poses, beside their picture .png")
     parser.add_argument("--trusted-only", action="store_true", help="write only the poses that are trusted")
-    parser.add_argument("--max-deviation", type=positive, default=0.15, metavar="M",
-                        help="a position is trusted up to this standard deviation (default: 0.15)")  # fmt: skip
+    parser.add_argument("--max-deviation", type=positive, default=0.1, metavar="M",
+                        help="a position is trusted up to this standard deviation (default: 0.1)")  # fmt: skip
     options.add_log(parser)
     options.add_threads(parser)
     parser.set_defaults(poses=None)

@@ -64,9 +64,10 @@ class StepNoise(NamedTuple):
 @kernel
 def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradient: Floats, information: Floats
              ) -> tuple[float, float]:  # fmt: skip
-    """Fill in gradient (3,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost and the weights' sum.
+    """Fill in gradient (6,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost and the weights' sum.
 
-    End points are (k, 2) in the robot's frame.
+    End points are (k, 2) in the robot's frame. The last three numbers of the gradient are by how much its first three
+    fall if all hits lie one metre further in front of the walls.
     """
     rows, cols = walls.distance.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -110,6 +111,9 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
         gradient[0] += pull * gx
         gradient[1] += pull * gy
         gradient[2] += pull * gt
+        gradient[3] += weight * gx
+        gradient[4] += weight * gy
+        gradient[5] += weight * gt
         information[0, 0] += weight * gx * gx
         information[0, 1] += weight * gx * gy
         information[0, 2] += weight * gx * gt
@@ -122,12 +126,10 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
 
 @kernel
 def sum_scans(points: Floats, first: Integers, poses: Floats, walls: Walls, noise: HitNoise, gradients: Floats,
-              informations: Floats, costs: Floats, weights: Floats) -> None:  # fmt: skip
+              infos: Floats, costs: Floats, weights: Floats) -> None:  # fmt: skip
     """Do `sum_scan` for many: the end points of scan i are points[first[i]:first[i + 1]]."""
     for i in range(poses.shape[0]):
-        costs[i], weights[i] = sum_scan(
-            points[first[i] : first[i + 1]], poses[i], walls, noise, gradients[i], informations[i]
-        )
+        costs[i], weights[i] = sum_scan(points[first[i] : first[i + 1]], poses[i], walls, noise, gradients[i], infos[i])
 
 
 @kernel
@@ -189,7 +191,7 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
     """
     n = first.size - 1
     variances, rotated, information = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    prior, gradient, inverse, jacobian = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.eye(3)
+    prior, gradient, inverse, jacobian = np.empty((3, 3)), np.empty(6), np.empty((3, 3)), np.eye(3)
     i = start
     while True:
         pose, predicted = poses[i], poses[i].copy()
@@ -203,12 +205,11 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
             turn = pose[2] - predicted[2]
             difference = np.array([pose[0] - predicted[0], pose[1] - predicted[1], turn])
             information *= share
-            gradient *= share
-            gradient += prior @ difference
+            pull = share * gradient[:3] + prior @ difference
             information += prior
             if not invert_3x3(information, inverse):
                 break
-            move = inverse @ gradient
+            move = inverse @ pull
             pose -= move
             if abs(move[0]) + abs(move[1]) + abs(move[2]) < 1e-4:
                 break

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +16,24 @@ from beamfield.localization.drive import Drive
 from beamfield.localization.hit_noise import fit_hits, hit_weights, off_band, painted_walls, stand_on_faces
 
 # Odometry's errors have the tails of Student's distribution with so many degrees of freedom: slips are no catastrophe.
-FREEDOM = 4.0
+# The first rounds have next to no such tails, or a first guess that is off for a while would be taken for two slips.
+FREEDOM, FIRST_FREEDOM, FIRST_ROUNDS = 4.0, 100.0, 2
 # What is taken to be known about odometry's systematic errors (standard deviations): scale of distances and turns, and
 # radians turned per metre.
 SYSTEMATIC_DEVIATIONS = np.array([0.05, 0.05, 0.02])
 # First guesses: variances per metre and radian, and of a step; hits at worst about the walls.
 FIRST_STEP_NOISE = StepNoise(0.03**2, 0.02**2, 0.02**2, 0.05**2, 0.01**2, 1e-7)
+# Covariances reckon with at least this noise: along corridors, nothing shows how bad odometry is.
+LEAST_STEP_NOISE = StepNoise(0.03**2, 0.01**2, 0.01**2, 0.03**2, 0.005**2, 1e-7)
 FIRST_SIGMA, CLUTTER = 0.15, 0.1
 # Poses across a broken step know nothing of each other.
 UNKNOWN_STEP = 1e-8
 # Rounds of estimating the noise, steps of each, and when both end (metres or radians); a fit whose last round moved
 # less than SETTLED has converged.
-ROUNDS, STEPS, TOLERANCE, SETTLED = 8, 8, 1e-3, 0.02
+ROUNDS, STEPS, TOLERANCE, SETTLED = 10, 8, 1e-3, 0.05
+# Covariances are this much larger than residuals tell, for errors that the poses take up; chosen on simulations. Hits
+# lie on average off where they are expected, by this standard deviation in cells: people, and walls along no axis.
+INFLATION, OFFSET_DEVIATION = 2.0, 0.35
 # End points on one patch of wall (metres a side), seen along so much of the way (metres), share its errors.
 PATCH, STRETCH = 0.5, 1.0
 # Numbers patch and stretch as one: no map has so many patches a side.
@@ -44,11 +50,14 @@ class Noise:
         Of the end points and of the odometry.
     share
         Share of the end points' information that counts, because they depend on each other.
+    freedom
+        Degrees of freedom of the odometry's errors.
     """
 
     hits: HitNoise
     steps: StepNoise
     share: float
+    freedom: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +103,7 @@ def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_]
     progress
         Called with (done, total) rounds.
     """
-    noise = Noise(painted_walls(FIRST_SIGMA, CLUTTER, walls), FIRST_STEP_NOISE, 0.2)
+    noise = Noise(painted_walls(FIRST_SIGMA, CLUTTER, walls), FIRST_STEP_NOISE, 0.2, FIRST_FREEDOM)
     state = _State(poses.copy(), np.zeros(3))
     for done in range(ROUNDS):
         progress(done, ROUNDS)
@@ -104,13 +113,19 @@ def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_]
         if done == 0:
             on_faces = stand_on_faces(_signed(drive, walls, state)[0], walls)
         previous, noise = noise, _estimated(drive, walls, solved, cut, noise, on_faces)
-        if moved < TOLERANCE and _alike(previous, noise):
+        if done + 1 == FIRST_ROUNDS:
+            noise = replace(noise, freedom=FREEDOM)
+        elif moved < TOLERANCE and _alike(previous, noise):
             break
     poses = state.poses.copy()
     poses[:, 2] = wrap_angle(poses[:, 2])
+    # Where scans say little, the odometry's noise was estimated from little.
+    wheels = StepNoise(*(max(pair) for pair in zip(noise.steps, LEAST_STEP_NOISE, strict=True)))
+    cautious = replace(noise, steps=wheels)
+    solved = _Solved(state, *_linearised(drive, walls, state, cut, cautious).solve(0.0)[2:])
     progress(ROUNDS, ROUNDS)
-    return Smoothed(poses, solved.covariances, state.systematic, solved.systematic, noise, _step_errors(drive, state),
-                    _variances(drive, noise, cut), converged)  # fmt: skip
+    return Smoothed(poses, solved.honest_covariances(walls), state.systematic, solved.systematic, noise,
+                    _step_errors(drive, state), _variances(drive, noise, cut), converged)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +140,12 @@ class _Solved:
     covariances: FloatArray
     cross: FloatArray
     systematic: FloatArray
+    shifts: FloatArray
+
+    def honest_covariances(self, walls: Walls) -> FloatArray:
+        """Return the poses' covariances with what the linearised fit does not know of."""
+        offset = OFFSET_DEVIATION * walls.resolution
+        return np.asarray(INFLATION * self.covariances + offset**2 * self.shifts[:, :, None] * self.shifts[:, None, :])
 
 
 def _climb(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> _Solved:
@@ -146,8 +167,7 @@ def _climb(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], no
         state, cost = trial, trial_cost
         if np.abs(move).max() < TOLERANCE:
             break
-    *_, covariances, cross, systematic = _linearised(drive, walls, state, cut, noise).solve(0.0)
-    return _Solved(state, covariances, cross, systematic)
+    return _Solved(state, *_linearised(drive, walls, state, cut, noise).solve(0.0)[2:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,28 +175,31 @@ class _System:
     diagonal: FloatArray
     upper: FloatArray
     right: FloatArray
+    shift: FloatArray
     border: FloatArray
     corner: FloatArray
     corner_right: FloatArray
 
-    def solve(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return moves of the poses and the systematic errors, and the marginals of the inverse."""
+    def solve(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return moves of the poses and the systematic errors, the marginals, and the poses' moves if hits shift."""
         n = len(self.diagonal)
         diagonal = self.diagonal.copy()
         index = np.arange(3)
         diagonal[:, index, index] *= 1.0 + damping
         diagonal[:, index, index] += 1e-9
-        columns = np.concatenate([self.right[..., None], self.border], axis=2)
+        columns = np.concatenate([self.right[..., None], self.shift[..., None], self.border], axis=2)
         solution, covariances, cross = np.empty_like(columns), np.empty((n, 3, 3)), np.empty((n - 1, 3, 3))
         if not chain.solve_chain(diagonal, self.upper, columns, solution, covariances, cross):
             raise FloatingPointError("the chain's matrix is not positive definite")
-        onto = solution[..., 1:]
+        onto = solution[..., 2:]
         schur = self.corner - np.einsum("nip,niq->pq", self.border, onto)
         inverse = np.linalg.inv(0.5 * (schur + schur.T))
         systematic = inverse @ (self.corner_right - np.einsum("nip,ni->p", self.border, solution[..., 0]))
         covariances += np.einsum("nip,pq,njq->nij", onto, inverse, onto)
         cross += np.einsum("nip,pq,njq->nij", onto[:-1], inverse, onto[1:])
-        return solution[..., 0] - onto @ systematic, systematic, covariances, cross, inverse
+        shifted = inverse @ np.einsum("nip,ni->p", self.border, solution[..., 1])
+        moves = solution[..., 0] - onto @ systematic
+        return moves, systematic, covariances, cross, inverse, solution[..., 1] + onto @ shifted
 
 
 def _linearised(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> _System:
@@ -184,7 +207,7 @@ def _linearised(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_
     error, before, after, by_systematic = _step_jacobians(drive, state)
     variances = _variances(drive, noise, cut)
     surprise = np.sum(error**2 / variances, axis=1)
-    weight = ((FREEDOM + 3.0) / (FREEDOM + surprise))[:, None] / variances
+    weight = ((noise.freedom + 3.0) / (noise.freedom + surprise))[:, None] / variances
     weight[cut] = UNKNOWN_STEP
     diagonal, right, border = np.zeros((t, 3, 3)), np.zeros((t, 3)), np.zeros((t, 3, 3))
     for place, jacobian in ((slice(None, -1), before), (slice(1, None), after)):
@@ -196,27 +219,29 @@ def _linearised(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_
     weighted = by_systematic * weight[..., None]
     corner = np.einsum("nkp,nkq->pq", weighted, by_systematic) + np.diag(SYSTEMATIC_DEVIATIONS**-2)
     corner_right = -np.einsum("nkp,nk->p", weighted, error) - state.systematic / SYSTEMATIC_DEVIATIONS**2
-    gradients, informations, _, _ = _scan_sums(drive, walls, state, noise)
-    diagonal[drive.scans] += noise.share * informations
-    right[drive.scans] -= noise.share * gradients
-    return _System(diagonal, np.ascontiguousarray(upper), right, border, corner, corner_right)
+    gradients, infos, _, _ = _scan_sums(drive, walls, state, noise)
+    diagonal[drive.scans] += noise.share * infos
+    right[drive.scans] -= noise.share * gradients[:, :3]
+    shift = np.zeros((t, 3))
+    shift[drive.scans] = noise.share * gradients[:, 3:]
+    return _System(diagonal, np.ascontiguousarray(upper), right, shift, border, corner, corner_right)
 
 
 def _cost(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> float:
     surprise = np.sum(_step_errors(drive, state) ** 2 / _variances(drive, noise, cut), axis=1)[~cut]
     costs = _scan_sums(drive, walls, state, noise)[2]
     known = np.sum((state.systematic / SYSTEMATIC_DEVIATIONS) ** 2)
-    wheels = 0.5 * (FREEDOM + 3.0) * np.sum(np.log1p(surprise / FREEDOM))
+    wheels = 0.5 * (noise.freedom + 3.0) * np.sum(np.log1p(surprise / noise.freedom))
     return float(wheels + noise.share * costs.sum() + 0.5 * known)
 
 
 def _scan_sums(drive: Drive, walls: Walls, state: _State, noise: Noise
                ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     n = len(drive.scans)
-    gradients, informations, costs, weights = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n), np.empty(n)
-    kernels.sum_scans(drive.points, drive.first, state.poses[drive.scans], walls, noise.hits, gradients, informations,
+    gradients, infos, costs, weights = np.empty((n, 6)), np.empty((n, 3, 3)), np.empty(n), np.empty(n)
+    kernels.sum_scans(drive.points, drive.first, state.poses[drive.scans], walls, noise.hits, gradients, infos,
                       costs, weights)  # fmt: skip
-    return gradients, informations, costs, weights
+    return gradients, infos, costs, weights
 
 
 def _corrected_steps(drive: Drive, systematic: FloatArray) -> FloatArray:
@@ -260,7 +285,7 @@ def _estimated(drive: Drive, walls: Walls, solved: _Solved, cut: NDArray[np.bool
                ) -> Noise:  # fmt: skip
     """Estimate the noise from what the fitted trajectory leaves."""
     hits, share = _estimated_hits(drive, walls, solved.state, on_faces)
-    return Noise(hits, _estimated_steps(drive, solved, cut, noise), share)
+    return Noise(hits, _estimated_steps(drive, solved, cut, noise), share, noise.freedom)
 
 
 def _estimated_hits(drive: Drive, walls: Walls, state: _State, on_faces: bool) -> tuple[HitNoise, float]:
@@ -293,7 +318,7 @@ def _estimated_steps(drive: Drive, solved: _Solved, cut: NDArray[np.bool_], nois
     spread = (np.einsum("nki,nij,nkj->nk", before, p[:-1], before) + 2.0 * mixed
               + np.einsum("nki,nij,nkj->nk", after, p[1:], after))  # fmt: skip
     variances = _variances(drive, noise, cut)
-    weight = (FREEDOM + 3.0) / (FREEDOM + np.sum(error**2 / variances, axis=1))
+    weight = (noise.freedom + 3.0) / (noise.freedom + np.sum(error**2 / variances, axis=1))
     squares = weight[:, None] * error**2 + np.maximum(spread, 0.0)
     distance, turn = np.hypot(drive.steps[:, 0], drive.steps[:, 1]), np.abs(drive.steps[:, 2])
     used = ~cut

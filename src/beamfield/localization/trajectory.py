@@ -35,7 +35,7 @@ THROUGH_COST = 6.0
 # buildings (at least 5.2) of the logs that docs/trajectory.md lists.
 MOST_COST = 4.6
 # A start that is given is believed against a worse fit.
-MOST_COST_FROM_START = 7.0
+MOST_COST_FROM_START = 9.0
 # Two courses whose costs differ by less, in nats, are equally likely.
 SURELY_BETTER = 30.0
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
@@ -263,7 +263,9 @@ def _found(log: SensorLog, grid: OccupancyGrid, drive: Drive, walls: Walls, star
         if not followed:
             raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
         best = cheapest_course(steps, followed, start)
-        judged = [(_hypothesis(log, grid, steps, one), one) for one in (best, *other_courses(followed, best, start)[:3])]
+        judged = [
+            (_hypothesis(log, grid, steps, one), one) for one in (best, *other_courses(followed, best, start)[:3])
+        ]
         judged.sort(key=lambda pair: pair[0].cost)
         hypotheses, best = tuple(pair[0] for pair in judged[:2]), judged[0][1]
         if hypotheses[0].cost <= limit:

@@ -30,7 +30,7 @@ class TrajectoryOptions:
         If a number is not positive and finite.
     """
 
-    max_deviation: float = 0.15
+    max_deviation: float = 0.1
     max_heading_deviation: float = float(np.radians(4.0))
     least_agreement: float = 0.5
 

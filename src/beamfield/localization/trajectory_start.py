@@ -182,10 +182,13 @@ def _local_points(drive: Drive, place: int) -> FloatArray:
     kept = [transform_points(pose, drive.points[drive.first[i] : drive.first[i + 1]])
             for pose, i in zip(path, near, strict=True)]  # fmt: skip
     points = np.concatenate(kept)
-    # One point for each cell, so that walls seen often do not outvote those seen once.
-    _, index = np.unique(np.floor(points / SEARCH_CELL).astype(np.int64), axis=0, return_index=True)
-    points = points[np.sort(index)]
-    return points[np.linspace(0, len(points) - 1, min(len(points), LOCAL_POINTS)).astype(np.int64)]
+    # One point for each cell: walls seen often do not outvote others. The cells hit most often are walls; people and
+    # random readings hit others.
+    _, index, count = np.unique(
+        np.floor(points / SEARCH_CELL).astype(np.int64), axis=0, return_index=True, return_counts=True
+    )
+    index = np.sort(index[np.argsort(-count, kind="stable")[: 2 * LOCAL_POINTS]])
+    return points[index[np.linspace(0, len(index) - 1, min(len(index), LOCAL_POINTS)).astype(np.int64)]]
 
 
 def _as_grid(points: FloatArray) -> OccupancyGrid:

@@ -1,0 +1,62 @@
+"""beamfield trajectory, by what it prints and writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamfield.cli.main import main
+from beamfield.io.logs.carmen import write_carmen
+from beamfield.io.maps.ros_map import write_map
+from beamfield.io.trajectory import read_trajectory
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import ScanLog, SensorLog
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, office: OccupancyGrid, drive: SensorLog) -> Path:
+    """The map, and a log whose reference poses are not used."""
+    path = tmp_path_factory.mktemp("trajectory")
+    write_map(office, path / "map.yaml")
+    write_carmen(path / "run.log", ScanLog({"laser": drive.select(np.arange(100))}))
+    return path
+
+
+def run(folder: Path, *words: str) -> int:
+    return main(["trajectory", str(folder / "run.log"), "--map", str(folder / "map.yaml"), *words])
+
+
+def test_poses_and_a_picture_are_written_and_numbers_printed(
+    folder: Path, drive: SensorLog, capsys: pytest.CaptureFixture[str]
+):
+    out = folder / "run.tum"
+    assert run(folder, "--out", str(out), "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    track = read_trajectory(out)
+    assert len(track) == document["scans"] == 100
+    assert np.hypot(*(track.poses - drive.poses[:100])[:, :2].T).max() < 0.1
+    assert document["share_trusted"] == 1.0
+    assert document["hypotheses"][0]["share_that_agrees"] > 0.5
+    assert (folder / "run.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_start_off_the_map_and_a_name_without_an_ending_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]):
+    out = folder / "none.tum"
+    assert run(folder, "--out", str(out), "--start", "900", "0", "0") == 2
+    assert capsys.readouterr().err.endswith("error: --start: (900 m, 0 m) lies off the map\n")
+    assert run(folder, "--out", str(folder / "poses.csv")) == 2
+    assert not out.exists()
+
+
+def test_a_log_of_another_building_is_refused_and_nothing_written(folder: Path, capsys: pytest.CaptureFixture[str]):
+    cells = np.zeros((200, 200))
+    cells[[0, -1]] = cells[:, [0, -1]] = 100
+    cells[60:64, 40:90] = cells[100:150, 120:124] = 100
+    write_map(OccupancyGrid.from_ros(cells, 0.1), folder / "other.yaml")
+    out = folder / "wrong.tum"
+    assert main(["trajectory", str(folder / "run.log"), "--map", str(folder / "other.yaml"), "-o", str(out)]) == 3
+    assert "another building?); best starts: (" in capsys.readouterr().err
+    assert not out.exists()

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.finding import Finding, worst_first
-from beamfield.geometry import FloatArray, as_poses, wrap_angle
+from beamfield.geometry import FloatArray, as_pose, wrap_angle
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive, chained, mirrored, prepare
 from beamfield.localization.ray_agreement import RayAgreement, ray_agreement
@@ -243,9 +243,7 @@ def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> Fl
         raise InvalidInputError(f"log: the stamps run backwards at scan {where}; cut the log there")
     if start is None:
         return None
-    pose = as_poses(start, "start")
-    if pose.shape != (3,):
-        raise InvalidInputError(f"start: expected (x, y, theta), got shape {pose.shape}")
+    pose = as_pose(start, "start")
     col, row = grid.to_cells(pose[:2])
     if not (0.0 <= col < grid.shape[1] and 0.0 <= row < grid.shape[0]):
         raise InvalidInputError(f"start: ({pose[0]:g} m, {pose[1]:g} m) lies off the map")

@@ -60,7 +60,7 @@ def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: Senso
 
 
 def test_odometry_of_the_wrong_sign_is_put_right_and_said(drive: SensorLog, office: OccupancyGrid):
-    log = drive.select(np.arange(120))
+    log = drive.select(np.arange(80))
     poses = [np.zeros(3)]
     for step in between(log.odometry[:-1], log.odometry[1:]):
         poses.append(compose(poses[-1], step * [1.0, -1.0, -1.0]))
@@ -82,9 +82,9 @@ def test_slips_are_named_and_do_not_move_the_trajectory(drive: SensorLog, office
 
 
 def test_a_reset_and_missing_odometry_are_bridged_and_said(drive: SensorLog, office: OccupancyGrid):
-    log = drive.select(np.arange(160))
+    log = drive.select(np.arange(100))
     odometry = log.odometry.copy()
-    odometry[80:] = between(odometry[80] - [9.0, 0.0, 0.0], odometry[80:])
+    odometry[50:] = between(odometry[50] - [9.0, 0.0, 0.0], odometry[50:])
     odometry[:3] = np.nan
     fit = fit_trajectory(replace(log, odometry=odometry, stamps=np.repeat(log.stamps[::2], 2)), office)
     assert {"odometry-reset", "odometry-missing"} <= names(fit)
@@ -92,8 +92,8 @@ def test_a_reset_and_missing_odometry_are_bridged_and_said(drive: SensorLog, off
 
 
 def test_without_odometry_scans_are_aligned_in_its_place(drive: SensorLog, office: OccupancyGrid):
-    log = drive.select(np.arange(60))
-    fit = fit_trajectory(replace(log, odometry=np.full((60, 3), np.nan)), office, start=log.poses[0])
+    log = drive.select(np.arange(30))
+    fit = fit_trajectory(replace(log, odometry=np.full((30, 3), np.nan)), office, start=log.poses[0])
     assert "no-odometry" in names(fit)
     assert np.median(distances(fit, log)) < 0.1
 
@@ -102,15 +102,15 @@ def test_a_corridor_without_ends_in_sight_is_not_sure(drive: SensorLog):
     cells = np.zeros((48, 1000))
     cells[[0, 1, -1, -2]] = cells[:, [0, 1, -1, -2]] = 100
     grid = OccupancyGrid.from_ros(cells, 0.05)
-    poses = np.column_stack([np.linspace(2.0, 46.0, 250), np.full(250, 1.2), np.zeros(250)])
+    poses = np.column_stack([np.linspace(2.0, 46.0, 150), np.full(150, 1.2), np.zeros(150)])
     finder = replace(drive.finder, max_range=5.0)
     rng = np.random.default_rng(3)
     ranges = drawn_readings(RayCaster(grid).expected_ranges(poses, finder), finder, TRUTH, rng)
     noise = OdometryNoise(0.05, 0.008, 0.015, 0.02, 0.0)
-    log = SensorLog(finder, 0.2 * np.arange(250), ranges, poses, noisy_odometry(poses, rng, noise))
+    log = SensorLog(finder, 0.3 * np.arange(150), ranges, poses, noisy_odometry(poses, rng, noise))
     fit = fit_trajectory(log, grid, start=poses[0])
     assert "weak-stretch" in names(fit)
-    assert not fit.trusted[110:140].any()
+    assert not fit.trusted[66:84].any()
     deviation = np.sqrt(fit.covariances[:, 0, 0])
     assert (np.abs(fit.poses - poses)[:, 0] < 4.0 * deviation + 0.02).all()
 
@@ -128,16 +128,6 @@ def test_two_equal_rooms_are_refused_until_a_start_is_given(drive: SensorLog):
         fit_trajectory(log, grid)
     fit = fit_trajectory(log, grid, start=poses[0] + [6.3, 0.3, 0.1])
     np.testing.assert_allclose(fit.poses[:, :2], poses[:, :2] + [6.0, 0.0], atol=0.05)
-
-
-def test_a_log_of_another_building_is_refused_with_the_best_starts(drive: SensorLog):
-    rng = np.random.default_rng(4)
-    cells = np.zeros((300, 300))
-    cells[[0, -1]] = cells[:, [0, -1]] = 100
-    for x, y in rng.integers(0, 290, (120, 2)):
-        cells[y : y + 4, x : x + 4] = 100
-    with pytest.raises(TrajectoryNotFoundError, match=r"another building.*best starts: \(.* m, .* m, .* deg\)"):
-        fit_trajectory(drive.select(np.arange(80)), OccupancyGrid.from_ros(cells, 0.05))
 
 
 def test_impossible_input_is_refused(drive: SensorLog, office: OccupancyGrid):

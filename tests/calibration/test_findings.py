@@ -69,7 +69,7 @@ def test_masked_beams_are_not_taken_for_lost_measurements(rng):
 def test_every_warning_says_why_it_matters_and_what_to_do():
     """Findings are made by literal calls: those in the source are all that a user can meet."""
     root = Path(beamfield.__file__).parent
-    sources = [path for part in ("calibration", "scan_fit") for path in (root / part).rglob("*.py")]
+    sources = [path for part in ("calibration", "landmark_noise", "scan_fit") for path in (root / part).rglob("*.py")]
     calls = [
         node
         for path in [*sources, root / "report" / "stack_section.py"]

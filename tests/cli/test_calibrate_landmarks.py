@@ -66,7 +66,7 @@ def test_it_prints_parameters_with_intervals_and_the_bias(folder, capsys):
     assert float(row[1]) == pytest.approx(0.5, abs=0.03)
     assert "range_scale" not in printed
     assert "warning (range-bias): Range bias +0." in printed
-    assert "remove it at the sensor or keep range_bias" in printed
+    assert "Remove it at the sensor (mount, clock) or keep range_bias." in printed
 
 
 def test_what_it_writes_is_read_back(folder, tmp_path, capsys):

@@ -181,9 +181,9 @@ def test_biases_are_reported_and_do_not_end_up_in_the_sigmas(rng):
     truth = replace(BOTH, range_scale=1.0, range_bias=2.8, spurious_rate=0.0)
     result = learn(simulate(truth, rng))
     assert result.parameters.sigma_range == pytest.approx(0.15, rel=0.1)
-    text = finding(result, "range-bias").text
+    text = finding(result, "range-bias").full_text
     assert text.startswith("Range bias +2.")
-    assert "remove it at the sensor or keep range_bias" in text
+    assert "Remove it at the sensor (mount, clock) or keep range_bias." in text
     assert finding(result, "bearing-bias").values["bias"] == pytest.approx(-0.05, abs=0.01)
     assert "sigma_range would be 2.8" in text
 

@@ -101,7 +101,7 @@ def _summary(result: LandmarkLearningResult) -> str:
     lines = [f"{result.n_sightings} sightings in {result.n_blocks} blocks\n", landmark_parameter_table(result)]
     if result.findings:
         lines.append("")
-    lines += [f"{finding.severity} ({finding.name}): {printable(finding.text)}" for finding in result.findings]
+    lines += [f"{finding.severity} ({finding.name}): {printable(finding.full_text)}" for finding in result.findings]
     return "\n".join(lines)
 
 

@@ -70,8 +70,17 @@ def noise_findings(
             continue
         found += _bias_finding(what, theta, intervals)
         if sigma <= least:
-            text = f"The {what} residuals have no noise: sigma_{what} stops at {sigma:g} {UNITS[what]}. Simulated?"
-            found.append(Finding(f"{what}-exact", "warning", text, {f"sigma_{what}": sigma}))
+            text = f"The {what} residuals have no noise: sigma_{what} stops at {sigma:g} {UNITS[what]}."
+            found.append(
+                Finding(
+                    f"{what}-exact",
+                    "warning",
+                    text,
+                    {f"sigma_{what}": sigma},
+                    why="No real sensor is exact: a filter with this sigma would trust it too much.",
+                    do="Learn from measured, not from simulated or rounded sightings.",
+                )
+            )
             continue
         found += _dependence(what, e[used], of_landmark[used], table.blocks[used])
         found += _tails(what, e[used], of_landmark[used])
@@ -84,19 +93,31 @@ def _climb_finding(climb: NoiseClimb) -> list[Finding]:
     if climb.converged:
         return []
     n = len(climb.trace) - 1
-    text = f"Learning stopped after {n} iterations before it converged; raise max_iterations."
-    return [Finding("not-converged", "warning", text, {"iterations": float(n)})]
+    text = f"Learning stopped after {n} iterations before it converged."
+    return [
+        Finding(
+            "not-converged",
+            "warning",
+            text,
+            {"iterations": float(n)},
+            why="The parameters are not yet the most likely ones.",
+            do="Raise max_iterations.",
+        )
+    ]
 
 
 def _block_finding(intervals: NoiseIntervals) -> list[Finding]:
     n = intervals.n_blocks
     if n == 1:
-        text = "All sightings lie in one stretch of time, so there are no intervals: a longer log is needed."
-        return [Finding("no-intervals", "warning", text, {"n_blocks": 1.0})]
-    if n < FEWEST_TRUSTED_BLOCKS:
-        text = f"The intervals rest on {n} stretches of time, fewer than {FEWEST_TRUSTED_BLOCKS}, and are rough."
-        return [Finding("few-blocks", "warning", text, {"n_blocks": float(n)})]
-    return []
+        text = "All sightings lie in one stretch of time, so there are no intervals."
+        name, why = "no-intervals", "How far off the parameters may be is not known."
+    elif n < FEWEST_TRUSTED_BLOCKS:
+        text = f"The intervals rest on {n} stretches of time, fewer than {FEWEST_TRUSTED_BLOCKS}."
+        name, why = "few-blocks", "They are rough, those of the sigmas too narrow if errors last as long as a stretch."
+    else:
+        return []
+    do = "Record a longer log, from more places."
+    return [Finding(name, "warning", text, {"n_blocks": float(n)}, why=why, do=do)]
 
 
 def _left_out(table: SightingTable) -> list[Finding]:
@@ -118,23 +139,35 @@ def _bias_finding(what: str, theta: NoiseTheta, intervals: NoiseIntervals) -> li
     bias, sigma = getattr(theta, name), getattr(theta, f"sigma_{what}")
     beside = " at distance 0" if what == "range" and theta.range_scale != 1.0 else ""
     notable = abs(bias) > NOTABLE_BIAS * sigma
-    text = (
-        f"{what.capitalize()} bias{beside} {bias:+.3g} {UNITS[what]} [{low:.3g}, {high:.3g}]: "
-        f"remove it at the sensor or keep {name}. Left out, sigma_{what} would be "
-        f"{math.hypot(sigma, bias):.3g} {UNITS[what]} instead of {sigma:.3g}."
-    )
-    return [Finding(f"{what}-bias", "warning" if notable else "info", text, {"bias": bias, "low": low, "high": high})]
+    text = f"{what.capitalize()} bias{beside} {bias:+.3g} {UNITS[what]} [{low:.3g}, {high:.3g}]."
+    without = f"{math.hypot(sigma, bias):.3g} {UNITS[what]} instead of {sigma:.3g}"
+    return [
+        Finding(
+            f"{what}-bias",
+            "warning" if notable else "info",
+            text,
+            {"bias": bias, "low": low, "high": high},
+            why=f"Left out, sigma_{what} would be {without}.",
+            do=f"Remove it at the sensor (mount, clock) or keep {name}.",
+        )
+    ]
 
 
 def _scale_finding(theta: NoiseTheta, intervals: NoiseIntervals) -> list[Finding]:
     if theta.range_scale == 1.0:
         return []
     low, high = intervals.intervals.get("range_scale", (math.nan, math.nan))
-    text = (
-        f"Measured ranges are {theta.range_scale:.4f} [{low:.4f}, {high:.4f}] times the true ones: correct the "
-        "sensor's scale (speed of light or sound, clock, focal length) or keep range_scale."
-    )
-    return [Finding("range-scale", "warning", text, {"range_scale": theta.range_scale, "low": low, "high": high})]
+    text = f"Measured ranges are {theta.range_scale:.4f} [{low:.4f}, {high:.4f}] times the true ones."
+    return [
+        Finding(
+            "range-scale",
+            "warning",
+            text,
+            {"range_scale": theta.range_scale, "low": low, "high": high},
+            why="The error grows with the distance, which no sigma or bias makes up for.",
+            do="Correct the sensor's scale (speed of light or sound, clock, focal length) or keep range_scale.",
+        )
+    ]
 
 
 def _spurious_finding(intervals: NoiseIntervals, of_landmark: FloatArray) -> list[Finding]:
@@ -154,11 +187,17 @@ def _dependence(what: str, e: FloatArray, w: FloatArray, blocks: NDArray[np.int6
     correlation = float(off[1:] @ off[:-1] / (off @ off))
     if correlation < NOTABLE_CORRELATION:
         return []
-    text = (
-        f"Mean {what} residuals of neighbouring blocks go together (correlation {correlation:.2f}): the errors last "
-        "longer than a block, and the intervals are too narrow. Give a longer block_s, or record more places."
-    )
-    return [Finding(f"{what}-blocks-depend", "warning", text, {"correlation": correlation})]
+    text = f"Mean {what} residuals of neighbouring blocks go together (correlation {correlation:.2f})."
+    return [
+        Finding(
+            f"{what}-blocks-depend",
+            "warning",
+            text,
+            {"correlation": correlation},
+            why="The errors last longer than a block, and the intervals are too narrow.",
+            do="Give a longer block_s, or record more places.",
+        )
+    ]
 
 
 def _tails(what: str, e: FloatArray, w: FloatArray) -> list[Finding]:
@@ -173,10 +212,18 @@ def _tails(what: str, e: FloatArray, w: FloatArray) -> list[Finding]:
         return []
     text = (
         f"{beyond:.1%} of the {what}s of landmarks lie beyond three times the deviation of the middle half, "
-        f"{middle:.3g} {UNITS[what]}, where a normal has 0.3 %: the tails are heavier. sigma_{what} is a compromise; "
-        "a filter should give such sightings a larger spurious_rate."
+        f"{middle:.3g} {UNITS[what]}, where a normal has 0.3 %: the tails are heavier."
     )
-    return [Finding(f"{what}-heavy-tails", "warning", text, {"beyond": beyond, "middle_deviation": middle})]
+    return [
+        Finding(
+            f"{what}-heavy-tails",
+            "warning",
+            text,
+            {"beyond": beyond, "middle_deviation": middle},
+            why=f"sigma_{what} is a compromise between most sightings and the few that are far off.",
+            do="Give a filter a larger spurious_rate.",
+        )
+    ]
 
 
 def _by_distance(what: str, distances: FloatArray, e: FloatArray, w: FloatArray) -> list[Finding]:
@@ -214,11 +261,18 @@ def _by_landmark(
     worst = max(off, key=lambda name: abs(off[name]))
     text = (
         f"{len(off)} of {len(seen)} landmarks have a {what} bias of their own, most of all {worst} with "
-        f"{off[worst]:+.3g} {UNITS[what]} beside the others: check where they are in the map, or how they look from "
-        "where they are seen."
+        f"{off[worst]:+.3g} {UNITS[what]} beside the others."
     )
-    values = {"n": float(len(off)), "worst": off[worst], "id": float(worst)}
-    return [Finding(f"{what}-bias-by-landmark", "warning", text, values)]
+    return [
+        Finding(
+            f"{what}-bias-by-landmark",
+            "warning",
+            text,
+            {"n": float(len(off)), "worst": off[worst], "id": float(worst)},
+            why="They pull the pose the same way whenever they are seen.",
+            do="Check where they are in the map, and how they look from where they are seen.",
+        )
+    ]
 
 
 def _block_means(e: FloatArray, w: FloatArray, blocks: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:

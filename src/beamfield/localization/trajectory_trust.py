@@ -60,6 +60,7 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Fi
         findings.append(Finding(
             "odometry-missing", "warning", f"{drive.n_unknown} scans have no odometry; it was interpolated for them.",
             {"scans": float(drive.n_unknown)},
+            why="Slips in between are not seen.", do="Record the odometry for as long as the scans.",
         ))  # fmt: skip
     return findings
 
@@ -98,6 +99,7 @@ def _carried(drive: Drive, course: Course, since: FloatArray) -> list[Finding]:
             "kidnapped", "warning",
             f"The robot was carried {distance:.1f} m {when:.1f} s after the first scan, or its odometry failed there.",
             {"time_s": when, "distance_m": distance},
+            why="Nothing but the scans says where it went on; they are right only if the map is distinct there.",
             do="Split the log there if that was no accident.",
         ))  # fmt: skip
     return found
@@ -108,7 +110,16 @@ def _resets(drive: Drive, since: FloatArray) -> list[Finding]:
     if not len(times):
         return []
     text = f"The odometry jumps {_at(times)}, as after a reset; these steps were not used."
-    return [Finding("odometry-reset", "warning", text, {"count": float(len(times)), "time_s": float(times[0])})]
+    return [
+        Finding(
+            "odometry-reset",
+            "warning",
+            text,
+            {"count": float(len(times)), "time_s": float(times[0])},
+            why="There only scans hold the trajectory.",
+            do="Look for a restart of the base at these times.",
+        )
+    ]
 
 
 def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:

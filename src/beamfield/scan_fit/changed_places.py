@@ -347,7 +347,13 @@ def _rate_interval(readings: NDArray[np.int64], beams: NDArray[np.int64]) -> tup
 
 
 def _no_scan(selection: Selection) -> Finding:
-    return Finding("no-usable-scan", "warning", f"No place could be compared with the map: {selection.describe()}.")
+    return Finding(
+        "no-usable-scan",
+        "warning",
+        f"No place could be compared with the map: {selection.describe()}.",
+        why="Nothing is known of where the map is wrong.",
+        do="Use a log in which the robot drives through the map, with reference poses.",
+    )
 
 
 def _findings(places: list[ChangedPlace], n_visits: int, visit_s: float) -> Iterator[Finding]:

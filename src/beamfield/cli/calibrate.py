@@ -60,8 +60,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                        "held out (default: 20, or a twelfth of a shorter log)")  # fmt: skip
     model.add_argument("--reference-error", type=float, metavar="M",
                        help="exponents, likelihood field and --stack: how wrong the reference poses may be, standard "
-                       "deviation per axis, and a quarter of it in radians (default: 0.04; of poses that are fitted, "
-                       "what the fit says)")  # fmt: skip
+                       "deviation per axis, and a quarter of it in radians (default: 0.04; of fitted poses, what the "
+                       "fit says, at least half a cell of the map)")  # fmt: skip
     model.add_argument("--no-refine", action="store_true", help="do not refine reference poses to see their error")
     options.add_seed(model)
     choice = parser.add_argument_group("scans that are used")

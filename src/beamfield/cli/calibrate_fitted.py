@@ -34,7 +34,7 @@ def with_fitted_error(job: CalibrationJob, fitted: CrossFittedPoses) -> Calibrat
     """Return the job with the poses' error as the fit says it, unless the user gave one."""
     if job.error_is_given:
         return job
-    error = float(f"{fitted.deviation:.3g}")
+    error = float(f"{fitted.reference_error:.3g}")
     options = {**job.origin["options"], "reference_error": error}
     arguments = argparse.Namespace(**{**vars(job.arguments), "reference_error": error})
     return replace(job, arguments=arguments, origin={**job.origin, "options": options})

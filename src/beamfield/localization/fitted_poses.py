@@ -35,11 +35,16 @@ class FittedPoses:
     deviation
         How wrong they are by the fit, standard deviation per axis, metres; the median over the trusted scans. The
         difference between poses from two halves of the beams, where there are such, counts if it is more.
+    reference_error
+        How wrong they should be taken to be when posteriors are compared with them, metres: the deviation, but at least
+        half a cell. Nobody knows better where in its cells a wall stands, and the beams of a scan do not say: all of
+        them follow the map.
     """
 
     fit: TrajectoryFit
     log: SensorLog
     deviation: float
+    reference_error: float
 
     __repr__ = short_repr
 
@@ -121,7 +126,8 @@ def fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | None = 
         As `fit_trajectory`.
     """
     fit = fit_trajectory(log, grid, start=start, progress=progress)
-    return FittedPoses(fit, _posed(log, fit, fit.trusted), _deviation(fit, fit.trusted))
+    posed, deviation = _posed(log, fit, fit.trusted), _deviation(fit, fit.trusted)
+    return FittedPoses(fit, posed, deviation, max(deviation, 0.5 * grid.resolution))
 
 
 def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | None = None,
@@ -149,7 +155,7 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
     """
     if log.finder.n_beams < FEWEST_BEAMS:
         plain = fit_poses(log, grid, start=start, progress=progress)
-        return CrossFittedPoses(plain.fit, plain.log, plain.deviation, plain.log, None, None)
+        return CrossFittedPoses(plain.fit, plain.log, plain.deviation, plain.reference_error, plain.log, None, None)
     report = progress or (lambda _stage, _done, _total: None)
     even, odd = (_beams(log, first) for first in (0, 1))
     fit = fit_trajectory(odd, grid, start=start, progress=report)
@@ -161,8 +167,9 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
     swapped = _posed(odd, again, trusted)
     # Each half has half of the variance of their difference; the median of a normal's absolute value is 0.674 sd.
     between = float(np.median(np.abs(apart[trusted]))) / 0.674 / np.sqrt(2.0)
+    deviation = max(_deviation(fit, trusted), between)
     return CrossFittedPoses(
-        fit, _posed(log, fit, trusted), max(_deviation(fit, trusted), between),
+        fit, _posed(log, fit, trusted), deviation, max(deviation, 0.5 * grid.resolution),
         judged=_posed(even, fit, trusted), swapped=swapped, same=_posed(odd, fit, trusted),
     )  # fmt: skip
 

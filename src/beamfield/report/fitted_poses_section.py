@@ -45,7 +45,8 @@ def fitted_poses_sentence(
     given
         Whether the user said so.
     """
-    error = f"--reference-error is {reference_error:.3g} m, as {'given' if given else 'the fit says'}."
+    how = "as given" if given else "from the fit's covariance, and at least half a cell of the map"
+    error = f"The poses count as {reference_error:.3g} m wrong (--reference-error), {how}."
     if fitted.swapped is None:
         return (
             f"With {fitted.log.finder.n_beams} beams the poses were fitted to all of them, and the parameters learned "

@@ -155,23 +155,6 @@ def test_a_broken_reference_names_the_file(world, result, tmp_path, capsys):
     assert "broken.json: reference: Expecting" in capsys.readouterr().err
 
 
-def test_a_log_without_poses_is_refused(world, tmp_path, capsys):
-    lone = tmp_path / "lone.log"
-    log = (world / "good" / "log.carmen").read_text().splitlines()
-    kept = []
-    for line in log:
-        word = line.split()
-        if word and word[0] == "FLASER":
-            k = 2 + int(word[1])
-            word[k : k + 3] = word[k + 3 : k + 6]
-        kept.append(" ".join(word))
-    lone.write_text("\n".join(kept) + "\n")
-    map_path = str(world / "good" / "map.yaml")
-    code = main(["check", str(lone), "--map", map_path, "--lone-poses", "odometry", "--out", str(tmp_path / "out")])
-    assert code == 1
-    assert "no scan has a reference pose; give a TUM or CSV file with --poses" in capsys.readouterr().err
-
-
 def test_the_old_name_is_the_same_command_but_not_in_the_help(world, tmp_path, capsys):
     words = [str(world / "good" / "log.carmen"), "--map", str(world / "good" / "map.yaml"), "--poses", "missing.tum"]
     said = []

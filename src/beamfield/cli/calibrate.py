@@ -1,8 +1,9 @@
 """Learn a sensor model from a log and a map.
 
-Learn the parameters of the beam model (z_hit, z_short, z_max, z_rand, sigma_hit, lambda_short) from a log with
-reference poses and a map, and with --map those of the likelihood field. Prints tables and writes beam_model.yaml,
-likelihood_field.yaml, calibration.json and report.html into the output folder, whole or not at all.
+Learn the parameters of the beam model (z_hit, z_short, z_max, z_rand, sigma_hit, lambda_short) from a log and a map,
+and with --map those of the likelihood field. A log without reference poses gets them first: they are fitted to the map,
+by every other beam, and the beams between are judged. Prints tables and writes beam_model.yaml, likelihood_field.yaml,
+calibration.json and report.html into the output folder, whole or not at all.
 
 for example:
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from beamfield.sensors import ScanLog, SensorLog
 
 ODOMETRY_NOTE = "reference poses: the odometry of the log, as asked for; its drift counts as noise of the sensor"
+# How wrong reference poses may be if nobody says so, metres.
+REFERENCE_ERROR = 0.04
 # Whether a parameter beyond the chapter's is learned.
 SWITCH = ("auto", "on", "off")
 
@@ -40,7 +43,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
     options.add_map(parser, what="the map; without it, two are drawn from the log")
     parser.add_argument("--resolution", type=positive, metavar="M", help="side of a cell of drawn maps (default: 0.05)")
-    options.add_poses(parser)
+    options.add_poses(parser, fitted=True)
     parser.add_argument("--odometry", action="store_true",
                         help="without --map: the log's odometry as reference poses; drift counts as noise")  # fmt: skip
     options.add_out(parser, "beamfield_calibration", metavar="DIR", what="output folder")
@@ -55,9 +58,10 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                        help="do not learn this parameter; repeatable")  # fmt: skip
     model.add_argument("--block", type=positive, metavar="S", help="length of the blocks of time that are fitted or "
                        "held out (default: 20, or a twelfth of a shorter log)")  # fmt: skip
-    model.add_argument("--reference-error", type=float, default=0.04, metavar="M",
+    model.add_argument("--reference-error", type=float, metavar="M",
                        help="exponents, likelihood field and --stack: how wrong the reference poses may be, standard "
-                       "deviation per axis, and a quarter of it in radians (default: 0.04)")  # fmt: skip
+                       "deviation per axis, and a quarter of it in radians (default: 0.04; of fitted poses, what the "
+                       "fit says, at least half a cell of the map)")  # fmt: skip
     model.add_argument("--no-refine", action="store_true", help="do not refine reference poses to see their error")
     options.add_seed(model)
     choice = parser.add_argument_group("scans that are used")
@@ -78,6 +82,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
 
+    arguments, error_is_given = _with_reference_error(arguments)
     _check(arguments)
     check_folder_writable(arguments.out)
     learning = _options(arguments)
@@ -95,7 +100,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 "--patch: one file cannot hold the parameters of several sensors; choose one with --sensor"
             )
         notes = (*log.notes, *([ODOMETRY_NOTE] if arguments.odometry else []))
-        job = CalibrationJob(arguments, grid, learning, provenance(arguments), notes, patched, progress)
+        job = CalibrationJob(
+            arguments, grid, learning, provenance(arguments), notes, patched, progress, error_is_given=error_is_given
+        )
         results = {name: job.learn(sensor) for name, sensor in sensors.items()}
     with atomic_folder(arguments.out) as folder:
         for name, result in results.items():
@@ -123,7 +130,16 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
 
 
+def _with_reference_error(arguments: argparse.Namespace) -> tuple[argparse.Namespace, bool]:
+    """Return the command line with a --reference-error, and whether it was given."""
+    if arguments.reference_error is not None:
+        return arguments, True
+    return argparse.Namespace(**{**vars(arguments), "reference_error": REFERENCE_ERROR}), False
+
+
 def _check(arguments: argparse.Namespace) -> None:
+    if arguments.start is not None and (arguments.map is None or arguments.poses is not None):
+        raise InvalidInputError("--start: is for poses that are fitted to a map: give --map, and no --poses")
     if arguments.odometry and (arguments.map is not None or arguments.poses is not None):
         raise InvalidInputError("--odometry: only without --map and --poses: odometry is not in the map's frame")
     if arguments.odometry and arguments.odometry_noise:
@@ -166,18 +182,18 @@ def _held(word: str) -> tuple[str, float]:
 
 
 def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str, SensorLog]:
-    """Return the sensors to calibrate, those asked for or the only one, with the poses asked for."""
+    """Return the sensors to calibrate, those asked for or the only one; without a map, with the poses asked for."""
     names: list[Any] = arguments.sensor or list(log.sensors)
     if not arguments.sensor and len(names) != 1:
         known = ", ".join(map(repr, names))
         raise FormatError(arguments.log, f"has several sensors, choose with --sensor: {known}")
-    may = arguments.map is None
+    logs = {name: log.only_sensor(name) for name in names}
+    if arguments.map is not None:  # poses that are missing will be fitted to it
+        return logs
     return {
-        name: options.require_poses(
-            log.only_sensor(name), arguments.log, odometry=arguments.odometry, may_be_odometry=may
-        )
-        for name in names
-    }  # fmt: skip
+        name: options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True)
+        for name, sensor in logs.items()
+    }
 
 
 def _folder_name(sensor: str) -> str:

@@ -14,6 +14,7 @@ from beamfield.calibration.calibrate import Calibration, CalibrationOptions, cal
 from beamfield.calibration.cross_fit import CrossFitMaps, build_cross_fit_maps
 from beamfield.cli.calibrate_exponent import learn_beam_exponent
 from beamfield.cli.calibrate_field import learn_field
+from beamfield.cli.calibrate_fitted import cross_fitted, judge_fitted, with_fitted_error
 from beamfield.cli.calibrate_odometry import learn_odometry
 from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
 from beamfield.cli.progress import StageProgress
@@ -29,6 +30,7 @@ from beamfield.sensors import SensorLog
 
 if TYPE_CHECKING:
     from beamfield.calibration.context.exponent import ExponentLearning
+    from beamfield.localization.fitted_poses import CrossFittedPoses
     from beamfield.stacks.files.parameter_file import StackFile
 
 
@@ -77,6 +79,8 @@ class CalibrationJob:
         The other program's file that is to be changed.
     progress
         Called with stage, steps done and steps in all.
+    error_is_given
+        Whether --reference-error was typed: poses that are fitted say it themselves.
     """
 
     arguments: argparse.Namespace
@@ -86,11 +90,21 @@ class CalibrationJob:
     notes: tuple[str, ...]
     patched: StackFile | None
     progress: StageProgress
+    error_is_given: bool = False
 
     def learn(self, sensor: SensorLog) -> SensorResult:
-        """Learn the beam model, the likelihood field and the stack's parameters, and draw the report."""
+        """Learn the beam model, the likelihood field and the stack's parameters, and draw the report.
+
+        Poses that the log does not have are fitted first, to every other beam; the others are learned from.
+        """
+        fitted = cross_fitted(self, sensor)
+        if fitted is not None:
+            return with_fitted_error(self, fitted)._learned(fitted.judged, fitted)
+        return self._learned(sensor, None)
+
+    def _learned(self, sensor: SensorLog, fitted: CrossFittedPoses | None) -> SensorResult:
         try:
-            maps, result, exponents, parts = self._learn(sensor)
+            maps, result, exponents, parts = self._learn(sensor, fitted)
         except InvalidInputError as error:  # the options were checked before, so it is about the data
             raise FormatError(self.arguments.log, str(error)) from error
         except TooLittleDataError as error:
@@ -125,7 +139,7 @@ class CalibrationJob:
         return SensorResult(files, _table(result, parts), document, stack, tuple(problems))
 
     def _learn(
-        self, sensor: SensorLog
+        self, sensor: SensorLog, fitted: CrossFittedPoses | None
     ) -> tuple[OccupancyGrid | CrossFitMaps, Calibration, ExponentLearning | None, list[ReportPart]]:
         """Return the map, or those drawn, what was learned, how much beams count, and what else a map teaches."""
         if self.grid is None:
@@ -133,18 +147,22 @@ class CalibrationJob:
             maps = build_cross_fit_maps(sensor, resolution=resolution, progress=self.progress)
             result = calibrate(sensor, maps, self.options, progress=self.progress)
             return maps, result, None, [learn_odometry(self, sensor)[0]] if self.arguments.odometry_noise else []
+        whole = sensor if fitted is None else fitted.log
         if self.arguments.stack is not None:
-            warn_if_too_short(self, sensor, self.grid)
+            warn_if_too_short(self, whole, self.grid)
         result = calibrate(sensor, self.grid, self.options, progress=self.progress)
         counting, exponents = learn_beam_exponent(self, sensor, self.grid, result)
-        parts = [counting, learn_field(self, sensor, self.grid, result)]
-        result = replace(result, findings=(*result.findings, *(found for part in parts for found in part.findings)))
+        parts = [] if fitted is None else [judge_fitted(self, fitted, self.grid, result)]
+        parts += [counting, learn_field(self, sensor, self.grid, result)]
+        found = [finding for part in parts for finding in part.findings]
+        result = replace(result, findings=(*result.findings, *found))
         motion: dict[str, Any] = {}
         if self.arguments.odometry_noise:
             part, motion = learn_odometry(self, sensor)
             parts.append(part)
         if self.arguments.stack is not None:
-            parts.append(fit_for_stack(self, sensor, self.grid, result, motion))
+            # Another program sees whole scans.
+            parts.append(fit_for_stack(self, whole, self.grid, result, motion))
         return self.grid, result, exponents, parts
 
 

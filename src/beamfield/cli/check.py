@@ -2,7 +2,8 @@
 
 Judge every scan of a log at its pose: a p-value (how many good scans fit the map as badly) and a running probability
 that the robot is lost. Draw over the map where the world differs from it: new obstacles, missing walls, glass, people.
-What good scans look like is learned from the log itself, or from another one with --good.
+What good scans look like is learned from the log itself, or from another one with --good. A log without poses gets them
+first, fitted to the map.
 Prints a table and writes scan_fit.json, scan_fit.csv, scan_fit.html, and what it learned (beam_model.yaml,
 scan_fit_reference.json), whole or not at all.
 
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
+from beamfield.cli.fitted_poses import NAME, Start, as_document, as_notes, posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index, positive
 from beamfield.cli.progress import StageProgress
@@ -29,6 +31,7 @@ from beamfield.cli.provenance import provenance
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.localization.fitted_poses import FittedPoses
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.models.beam_parameters import BeamParameters
     from beamfield.models.range_mixture import RangeMixtureModel
@@ -47,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser = add_command(subparsers, run, "check", __doc__)
     parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
     options.add_map(parser, required=True)
-    options.add_poses(parser)
+    options.add_poses(parser, fitted=True)
     options.add_params(parser, "a beam_model.yaml from beamfield calibrate (default: calibrate now)")
     parser.add_argument("--good", type=Path, metavar="LOG2",
                         help="log of a good run to compare with (default: LOG, but no neighbours)")  # fmt: skip
@@ -79,6 +82,7 @@ class _Inputs:
     parameters: BeamParameters | None
     reference: ScanFitReference | None
     notes: tuple[str, ...]
+    fitted: FittedPoses | None
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
@@ -115,6 +119,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         document = {
             "provenance": origin,
             "notes": list(given.notes),
+            NAME: as_document(given.fitted),
             **fit_as_dict(fits, reference, worst, own=given.is_own),
             "changed_places": None if places is None else places_as_dict(places),
         }
@@ -143,9 +148,11 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     progress("reading the map", 0, 1)
     grid = options.read_walls(arguments)
     progress("reading the log", 0, 1)
-    log, notes = _sensor(arguments, arguments.log, arguments.poses)
+    log, fitted, notes = _sensor(arguments, arguments.log, arguments.poses, grid, progress, options.start_of(arguments))
     is_own = arguments.good is None
-    good, more = (log, ()) if is_own else _sensor(arguments, arguments.good, arguments.good_poses)
+    good, more = log, tuple[str, ...]()
+    if not is_own:
+        good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, grid, progress)
     parameters, limit = None, good.finder.max_range
     if arguments.params is not None:
         saved = read_beam_model(arguments.params)
@@ -154,7 +161,7 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     log, note = _with_limit(log, limit, arguments.log)
     good, _ = _with_limit(good, limit, arguments.good or arguments.log)
     is_own = is_own and reference is None
-    return _Inputs(grid, log, good, is_own, parameters, reference, (*notes, *more, *note))
+    return _Inputs(grid, log, good, is_own, parameters, reference, (*notes, *more, *note), fitted)
 
 
 # Limits found in two logs of one sensor differ by less (81.83 and 81.87 m); those of two sensors by more.
@@ -185,9 +192,14 @@ def _read_reference(path: Path) -> ScanFitReference:
         raise FormatError(path, str(error)) from error
 
 
-def _sensor(arguments: argparse.Namespace, path: Path, poses: Path | None) -> tuple[SensorLog, tuple[str, ...]]:
+def _sensor(
+    arguments: argparse.Namespace, path: Path, poses: Path | None, grid: OccupancyGrid, progress: StageProgress,
+    start: Start = None,
+) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
+    """Return the sensor with poses, its own or fitted to the map, and notes."""
     sensor, notes = options.read_sensor(arguments, path, poses)
-    return options.require_poses(sensor, path), notes
+    sensor, fitted = posed_log(sensor, grid, arguments, progress, path=path, start=start)
+    return sensor, fitted, (*notes, *as_notes(fitted))
 
 
 def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StageProgress) -> BeamParameters:

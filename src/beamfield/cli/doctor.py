@@ -19,14 +19,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
+from beamfield.cli.fitted_poses import as_notes, posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
-from beamfield.errors import InvalidInputError
+from beamfield.cli.progress import StageProgress
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
     from beamfield.finding import Finding
     from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
     from beamfield.stacks.doctor.subject import MapFile
     from beamfield.stacks.files.parameter_file import StackFile
 
@@ -38,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     add_file_options(parser)
     options.add_map(parser)
     parser.add_argument("--log", type=Path, metavar="LOG", help=f"a log of the robot's scans: {options.LOG_FORMATS}")
-    options.add_poses(parser)
+    options.add_poses(parser, fitted=True)
     options.add_log(parser)
 
 
@@ -66,14 +69,31 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
     if arguments.poses is not None and arguments.log is None:
         raise InvalidInputError("--poses: are poses of a log's scans, but there is no --log")
+    if arguments.start is not None and (arguments.log is None or arguments.map is None):
+        raise InvalidInputError("--start: is for poses of a --log that are fitted to a --map")
     with options.progress(arguments) as progress:
         progress("reading", 0, 1)
         grid, map_file = (None, None) if arguments.map is None else _read_map(arguments)
         log, notes = (None, ()) if arguments.log is None else options.read_sensor(arguments)
+        if log is not None and grid is not None:
+            log, more = _posed(log, grid, arguments, progress)
+            notes = (*notes, *more)
         progress("examining", 0, 1)
         found = examine(file, grid=grid, map_file=map_file, log=log)
     code = 1 if any(item.severity != "info" for item in found) else 0
     return Outcome(_counts(found), _as_text(file, found), _as_document(file, found), notes, code=code)
+
+
+def _posed(
+    log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
+) -> tuple[SensorLog, tuple[str, ...]]:
+    """Return the log with poses, its own or fitted to the map; as it was, and why, if none can be fitted."""
+    start = options.start_of(arguments)
+    try:
+        log, fitted = posed_log(log, grid, arguments, progress, path=arguments.log, start=start)
+    except (FormatError, TooLittleDataError) as error:
+        return log, (f"{error}; tests at the scans' poses are left out",)
+    return log, as_notes(fitted)
 
 
 def _read_map(arguments: argparse.Namespace) -> tuple[OccupancyGrid, MapFile]:

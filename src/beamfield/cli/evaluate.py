@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli import options
+from beamfield.cli.fitted_poses import as_notes, posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
 from beamfield.cli.progress import StageProgress
@@ -31,6 +32,7 @@ from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 if TYPE_CHECKING:
     from beamfield.localization.replay import PoseBelief, ReplayedFilter
     from beamfield.localization.replay_comparison import ReplayTrials
+    from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.report.evaluation import Evaluation, FindTrials
     from beamfield.sensors import SensorLog
     from beamfield.stacks.files.filter_file import FilterSettings
@@ -44,7 +46,9 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--params", type=Path, nargs="+", required=True, metavar="FILE",
                         help="parameter files of nav2, ROS 1 amcl or Beluga")  # fmt: skip
     parser.add_argument("--poses", type=Path, nargs="+", metavar="FILE",
-                        help="reference poses of each LOG, TUM or CSV (default: those in the logs)")  # fmt: skip
+                        help="reference poses of each LOG, TUM or CSV (default: those in the logs, or else fitted to "
+                        "the map)")  # fmt: skip
+    options.add_start(parser, "for one LOG without reference poses, ")
     parser.add_argument("--seeds", type=count, default=50, metavar="N",
                         help="runs of each filter on each log (default: %(default)s)")  # fmt: skip
     parser.add_argument("--start-error", type=positive, nargs=2, default=(0.5, 15.0), metavar=("M", "DEG"),
@@ -83,7 +87,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             except InvalidInputError as error:
                 raise FormatError(arguments.map, str(error)) from error
         progress("reading the logs", 0, 1)
-        logs, more = _read_logs(arguments)
+        logs, more = _read_logs(arguments, grid, progress)
         evaluation = _evaluate(arguments, filters, logs, progress)
         document = {
             "provenance": provenance(arguments),
@@ -103,6 +107,8 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError(
             f"--poses: expected one file for each LOG, got {len(arguments.poses)} for {len(arguments.logs)}"
         )
+    if arguments.start is not None and len(arguments.logs) > 1:
+        raise InvalidInputError(f"--start: expected one LOG, got {len(arguments.logs)}")
 
 
 def _read_settings(arguments: argparse.Namespace) -> tuple[dict[str, FilterSettings], list[str]]:
@@ -121,17 +127,20 @@ def _read_settings(arguments: argparse.Namespace) -> tuple[dict[str, FilterSetti
     return settings, notes
 
 
-def _read_logs(arguments: argparse.Namespace) -> tuple[dict[str, SensorLog], list[str]]:
+def _read_logs(
+    arguments: argparse.Namespace, grid: OccupancyGrid, progress: StageProgress
+) -> tuple[dict[str, SensorLog], list[str]]:
     logs: dict[str, SensorLog] = {}
     notes: list[str] = []
     poses = arguments.poses or [None] * len(arguments.logs)
     for (name, path), reference in zip(_short_names(arguments.logs).items(), poses, strict=True):
         log = options.read_scans(arguments, path, reference)
-        sensor = options.require_poses(log.only_sensor(arguments.sensor[0] if arguments.sensor else None), path)
+        sensor = log.only_sensor(arguments.sensor[0] if arguments.sensor else None)
         if not sensor.has_odometry:
             raise FormatError(path, "the log has no odometry, by which a filter moves its particles")
-        logs[name] = sensor
-        notes += [f"{name}: {note}" for note in log.notes]
+        start = options.start_of(arguments)
+        logs[name], fitted = posed_log(sensor, grid, arguments, progress, path=path, start=start)
+        notes += [f"{name}: {note}" for note in (*log.notes, *as_notes(fitted))]
     return logs, notes
 
 

@@ -39,10 +39,29 @@ def add_map(parser: argparse.ArgumentParser, *, required: bool = False, what: st
     parser.add_argument("--map-topic", metavar="TOPIC", help="topic of the map in a bag (default: the only one)")
 
 
-def add_poses(parser: argparse.ArgumentParser) -> None:
-    """Add --poses."""
+def add_poses(parser: argparse.ArgumentParser, *, fitted: bool = False) -> None:
+    """Add --poses, and --start if they can be fitted to a map."""
+    otherwise = ", or else fitted to the map" if fitted else ""
     parser.add_argument("--poses", type=Path, metavar="FILE",
-                        help="reference poses: TUM or CSV file (default: those in the log)")  # fmt: skip
+                        help=f"reference poses: TUM or CSV file (default: those in the log{otherwise})")  # fmt: skip
+    if fitted:
+        add_start(parser, "for a log without reference poses, ")
+
+
+def add_start(parser: argparse._ActionsContainer, when: str = "") -> None:
+    """Add --start."""
+    said = f"{when}where the log begins, to about 2 m and 45 degrees (default: searched)"
+    parser.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "DEG"), help=said)
+
+
+def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
+    """Return --start in metres and radians."""
+    if arguments.start is None:
+        return None
+    x, y, degrees = arguments.start
+    if not all(map(math.isfinite, arguments.start)):
+        raise InvalidInputError("--start: expected finite numbers")
+    return x, y, math.radians(degrees)
 
 
 def add_params(parser: argparse.ArgumentParser, what: str) -> None:
@@ -202,7 +221,11 @@ def require_poses(sensor: SensorLog, path: Path, *, odometry: bool = False, may_
         return sensor.with_poses(sensor.odometry)
     if not sensor.has_poses:
         wheels = ", or --odometry to trust the wheels" if may_be_odometry and sensor.has_odometry else ""
-        raise FormatError(path, f"no scan has a reference pose; give a TUM or CSV file with --poses{wheels}")
+        raise FormatError(
+            path,
+            f"no scan has a reference pose; give a TUM or CSV file with --poses{wheels} (beamfield trajectory finds "
+            "poses in a map)",
+        )
     return sensor
 
 

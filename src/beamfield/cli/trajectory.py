@@ -14,7 +14,6 @@ for example:
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser = add_command(subparsers, run, "trajectory", __doc__)
     parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
     options.add_map(parser, required=True)
-    add_start(parser)
+    options.add_start(parser)
     options.add_out(parser, "beamfield_trajectory.tum", metavar="FILE.tum", what="poses, beside their picture .png")
     parser.add_argument("--trusted-only", action="store_true", help="write only the poses that are trusted")
     parser.add_argument("--max-deviation", type=positive, default=0.1, metavar="M",
@@ -46,12 +45,6 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_log(parser)
     options.add_threads(parser)
     parser.set_defaults(poses=None)
-
-
-def add_start(parser: argparse._ActionsContainer) -> None:
-    """Add --start."""
-    parser.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "DEG"),
-                        help="where the log begins, to about 2 m and 45 degrees (default: searched)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
@@ -72,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         sensor, notes = options.read_sensor(arguments)
         try:
             fit = fit_trajectory(
-                sensor, grid, start=start_of(arguments), progress=progress,
+                sensor, grid, start=options.start_of(arguments), progress=progress,
                 options=TrajectoryOptions(max_deviation=arguments.max_deviation),
             )  # fmt: skip
         except InvalidInputError as error:
@@ -88,16 +81,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
             figure.savefig(drawn, dpi=130)
             write_tum(poses, Track(fit.stamps[written], fit.poses[written]))
     return _outcome(fit, notes, [arguments.out, picture])
-
-
-def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None:
-    """Return --start in metres and radians."""
-    if arguments.start is None:
-        return None
-    x, y, degrees = arguments.start
-    if not all(map(math.isfinite, arguments.start)):
-        raise InvalidInputError("--start: expected finite numbers")
-    return x, y, math.radians(degrees)
 
 
 def _picture(arguments: argparse.Namespace) -> Path:

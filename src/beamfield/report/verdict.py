@@ -18,6 +18,7 @@ DOUBTS = {
     "poses-off-map": "many reference poses lie off the map",
     "reference-stands-still": "the reference poses stand still while the robot drives",
     "reference-slides": "the reference poses do not move as the odometry does",
+    "few-poses-trusted": "less than half of the poses that were fitted to the map can be trusted",
     "field-says-nothing": "the readings hardly tell where the robot is in this map",
 }
 

@@ -1,0 +1,76 @@
+"""The part of ``beamfield calibrate`` that fits the poses of a log to the map, and measures what that hides."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from beamfield.cli import options
+from beamfield.cli.fitted_poses import NAME, fit_in_map, has_poses
+from beamfield.cli.report_part import ReportPart
+
+if TYPE_CHECKING:
+    from beamfield.calibration.calibrate import Calibration
+    from beamfield.cli.calibrate_sensor import CalibrationJob
+    from beamfield.localization.fitted_poses import CrossFittedPoses
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
+
+
+def cross_fitted(job: CalibrationJob, sensor: SensorLog) -> CrossFittedPoses | None:
+    """Return poses of a log, fitted by one half of its beams each; None for a log that has poses, or has no map."""
+    from beamfield.localization.fitted_poses import cross_fit_poses
+
+    start = options.start_of(job.arguments)
+    if job.grid is None or has_poses(sensor, start):
+        return None
+    return fit_in_map(
+        cross_fit_poses, sensor, job.grid, job.arguments, job.progress, path=job.arguments.log, start=start
+    )
+
+
+def with_fitted_error(job: CalibrationJob, fitted: CrossFittedPoses) -> CalibrationJob:
+    """Return the job with the poses' error as the fit says it, unless the user gave one."""
+    if job.error_is_given:
+        return job
+    error = float(f"{fitted.reference_error:.3g}")
+    options = {**job.origin["options"], "reference_error": error}
+    arguments = argparse.Namespace(**{**vars(job.arguments), "reference_error": error})
+    return replace(job, arguments=arguments, origin={**job.origin, "options": options})
+
+
+def judge_fitted(job: CalibrationJob, fitted: CrossFittedPoses, grid: OccupancyGrid, result: Calibration) -> ReportPart:
+    """Learn from the other beams too, at poses from the first and at their own: the difference is what fitting hides.
+
+    The form of the hit component is that of the result.
+    """
+    from beamfield.calibration.calibrate import calibrate
+    from beamfield.report.fitted_poses_section import (
+        SAME,
+        SWAPPED,
+        USED,
+        fitted_poses_as_dict,
+        fitted_poses_section,
+        fitted_poses_sentence,
+        fitted_poses_table,
+    )
+
+    results = {USED: result}
+    form = result.parameters
+    plain = replace(
+        job.options, refine=False, range_offset="on" if form.range_offset else "off",
+        sigma_slope="on" if form.sigma_slope else "off",
+    )  # fmt: skip
+    job.progress("learning from the other beams", 0, 2)
+    for name, log in ((SWAPPED, fitted.swapped), (SAME, fitted.same)):
+        if log is not None:
+            results[name] = calibrate(log, grid, plain)
+            job.progress("learning from the other beams", len(results) - 1, 2)
+    error = job.arguments.reference_error
+    measured = fitted_poses_sentence(fitted, results, error, given=job.error_is_given)
+    sentence = f"{fitted.sentence} {measured}"
+    return ReportPart(
+        NAME, f"{sentence}\n\n{fitted_poses_table(results)}", fitted_poses_as_dict(fitted, results, error),
+        fitted_poses_section(sentence, results), {}, fitted.findings(measured),
+    )  # fmt: skip

@@ -1,0 +1,119 @@
+"""What commands do with a log that has no reference poses: fit them to the map first."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from beamfield.cli.progress import StageProgress
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
+
+if TYPE_CHECKING:
+    from beamfield.localization.fitted_poses import FittedPoses
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
+
+NAME = "fitted_poses"
+Fitted = TypeVar("Fitted", bound="FittedPoses")
+Start = tuple[float, float, float] | None
+NO_POSE = "no scan has a reference pose"
+
+
+def posed_log(
+    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress, *, path: Path,
+    start: Start = None,
+) -> tuple[SensorLog, FittedPoses | None]:  # fmt: skip
+    """Return a log with reference poses: its own, or else those fitted to the map.
+
+    Parameters
+    ----------
+    sensor, path
+        What was read, and from where.
+    grid
+        The map.
+    arguments
+        The command line.
+    progress
+        Called with stage, steps done and steps in all.
+    start
+        See `options.start_of`.
+    """
+    from beamfield.localization.fitted_poses import fit_poses
+
+    if has_poses(sensor, start):
+        return sensor, None
+    fitted = fit_in_map(fit_poses, sensor, grid, arguments, progress, path=path, start=start)
+    return fitted.log, fitted
+
+
+def has_poses(sensor: SensorLog, start: Start) -> bool:
+    """Return whether a log has poses of its own, and refuse a --start for them."""
+    if sensor.has_poses and start is not None:
+        raise InvalidInputError("--start: is for a log without reference poses, and this one has them")
+    return sensor.has_poses
+
+
+def fit_in_map(
+    fit: Callable[..., Fitted],
+    sensor: SensorLog,
+    grid: OccupancyGrid,
+    arguments: argparse.Namespace,
+    progress: StageProgress,
+    *,
+    path: Path,
+    start: Start,
+) -> Fitted:
+    """Return what `fit` finds, or an error in the words of the command line.
+
+    Parameters
+    ----------
+    fit
+        `fit_poses` or `cross_fit_poses`.
+    sensor, grid, arguments, progress, path, start
+        As for `posed_log`.
+    """
+    if not sensor.has_odometry:
+        raise FormatError(
+            path,
+            f"{NO_POSE}, and without odometry none is fitted: scans alone slide along corridors; give poses with "
+            "--poses (beamfield trajectory makes some from scans, to be looked at)",
+        )
+    if sensor.finder.opening_angle > 0.0:
+        raise FormatError(path, f"{NO_POSE}, and none is fitted to the cones of a sonar; give poses with --poses")
+    try:
+        return fit(sensor, grid, start=start, progress=progress)
+    except InvalidInputError as error:
+        about, _, text = str(error).partition(": ")
+        if about == "start":
+            raise InvalidInputError(f"--start: {text}") from error
+        raise FormatError(arguments.map if about == "grid" else path, text or str(error)) from error
+    except TooLittleDataError as error:
+        raise TooLittleDataError(f"{path}: {NO_POSE}, and none can be fitted: {error}") from error
+    except TrajectoryNotFoundError as error:
+        raise FormatError(
+            path, f"{NO_POSE}, and none can be fitted: {error}; what helps: --start X Y DEG, or --poses FILE"
+        ) from error
+
+
+def as_document(fitted: FittedPoses | None) -> dict[str, Any] | None:
+    """Return what --json and the written documents say about fitted poses; None for a log with poses."""
+    from beamfield.report.as_json import plain
+
+    if fitted is None:
+        return None
+    return {
+        "n_scans": len(fitted.log),
+        "n_trusted": fitted.n_trusted,
+        "deviation_m": fitted.deviation,
+        "start": plain(fitted.fit.poses[0]),
+        "hypotheses": plain(fitted.fit.hypotheses),
+        "converged": fitted.fit.converged,
+        "findings": plain(fitted.findings()),
+    }
+
+
+def as_notes(fitted: FittedPoses | None) -> tuple[str, ...]:
+    """Return what a command says about fitted poses: where they come from, what that hides, what was found."""
+    return () if fitted is None else tuple(finding.full_text for finding in fitted.findings())

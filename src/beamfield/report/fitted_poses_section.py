@@ -1,0 +1,136 @@
+"""What fitting the poses of a log to the map did to the parameters: a sentence, a table, a section of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from beamfield.calibration.calibrate import Calibration
+from beamfield.localization.fitted_poses import CrossFittedPoses
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.report.as_json import plain
+from beamfield.report.escape import escaped
+from beamfield.report.page import table
+from beamfield.report.page_section import PageSection
+from beamfield.report.text_table import aligned
+
+TITLE = "Poses fitted to the map"
+# The parameters that are used, and two that show what would be hidden.
+USED, SWAPPED, SAME = "used", "swapped", "same"
+ROWS = {
+    USED: ("even (used)", "odd beams"),
+    SWAPPED: ("odd", "even beams"),
+    SAME: ("odd", "the same odd beams"),
+}
+NAMES = ("z_hit", "z_short", "z_max", "z_rand")
+NUMBERS = (2, 3, 4, 5, 6)
+
+
+def fitted_poses_sentence(
+    fitted: CrossFittedPoses, results: Mapping[str, Calibration], reference_error: float, *, given: bool
+) -> str:
+    """Return in words what was measured about the fit, and what was done about it.
+
+    Parameters
+    ----------
+    fitted
+        The poses.
+    results
+        What was learned, by `USED`, `SWAPPED` and `SAME`; only the first where the beams were not halved.
+    reference_error
+        How wrong the poses are taken to be.
+    given
+        Whether the user said so.
+    """
+    how = "as given" if given else "from the fit's covariance, and at least half a cell of the map"
+    error = f"The poses count as {reference_error:.3g} m wrong (--reference-error), {how}."
+    if fitted.swapped is None:
+        return (
+            f"With {fitted.log.finder.n_beams} beams the poses were fitted to all of them, and the parameters learned "
+            f"from the same: they flatter the sensor. {error}"
+        )
+    swapped, same = (f"{_noise(results, name):.4f} m, z_hit {_of(results, name).z_hit:.3f}" for name in (SWAPPED, SAME))
+    return (
+        "The poses were fitted to every other beam, and the parameters learned from the beams between. On the beams "
+        f"that made the poses, the noise of a hit is {same} at these poses, and {swapped} at poses from the other "
+        f"half: so much would be hidden. {error}"
+    )
+
+
+def fitted_poses_table(results: Mapping[str, Calibration]) -> str:
+    """Return what is printed: the parameters of both halves, and those that the fit would have flattered.
+
+    Parameters
+    ----------
+    results
+        As for `fitted_poses_sentence`.
+    """
+    return aligned(_header(results), _rows(results), right=NUMBERS)
+
+
+def fitted_poses_section(sentence: str, results: Mapping[str, Calibration]) -> PageSection:
+    """Return the section of the report.
+
+    Parameters
+    ----------
+    sentence
+        Where the poses come from, and `fitted_poses_sentence`.
+    results
+        As for `fitted_poses_sentence`.
+    """
+    markup = f"<p>{escaped(sentence)}</p>{table(_header(results), _rows(results), right=NUMBERS)}"
+    return PageSection("fitted-poses", TITLE, markup)
+
+
+def fitted_poses_as_dict(
+    fitted: CrossFittedPoses, results: Mapping[str, Calibration], reference_error: float
+) -> dict[str, Any]:
+    """Return plain values for JSON.
+
+    Parameters
+    ----------
+    fitted, results, reference_error
+        As for `fitted_poses_sentence`.
+    """
+    return {
+        "n_scans": len(fitted.log),
+        "n_trusted": fitted.n_trusted,
+        "deviation_m": fitted.deviation,
+        "reference_error_m": reference_error,
+        "start": plain(fitted.fit.poses[0]),
+        "hypotheses": plain(fitted.fit.hypotheses),
+        "cross_fitted": fitted.swapped is not None,
+        "halves": {
+            name: {"noise_m": _noise(results, name), "at_range_m": _range(results), **plain(asdict(_of(results, name)))}
+            for name in results
+        },
+    }
+
+
+def _of(results: Mapping[str, Calibration], name: str) -> BeamParameters:
+    return results[name].parameters
+
+
+def _range(results: Mapping[str, Calibration]) -> float:
+    return float(np.median(results[USED].table.expected_ranges))
+
+
+def _noise(results: Mapping[str, Calibration], name: str) -> float:
+    """Return the noise of a hit at the median range, by which forms with and without a slope compare."""
+    found = _of(results, name)
+    return float(np.hypot(found.sigma_hit, found.sigma_slope * _range(results)))
+
+
+def _header(results: Mapping[str, Calibration]) -> tuple[str, ...]:
+    return ("beams", "poses from", f"noise at {_range(results):.1f} m", *NAMES)
+
+
+def _rows(results: Mapping[str, Calibration]) -> list[tuple[str, ...]]:
+    return [
+        (*(ROWS[name] if len(results) > 1 else ("all", "the same beams")), f"{_noise(results, name):.4f}",
+         *(f"{getattr(_of(results, name), weight):.4f}" for weight in NAMES))
+        for name in results
+    ]  # fmt: skip

@@ -1,0 +1,234 @@
+"""Commands on a log that has no reference poses: they are fitted to the map first."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamfield.calibration.calibrate import CalibrationOptions, calibrate
+from beamfield.cli.fitted_poses import posed_log
+from beamfield.cli.main import main
+from beamfield.cli.progress import StageProgress
+from beamfield.errors import BeamfieldError, TrajectoryNotFoundError
+from beamfield.io.maps.ros_map import write_map
+from beamfield.io.read_log import read_log
+from beamfield.io.read_map import read_map
+from beamfield.localization import fitted_poses
+from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.report import html
+from beamfield.sensors import RangeFinder, SensorLog
+
+LONE = ("--lone-poses", "odometry")
+LASER = RangeFinder.from_bearings(np.linspace(-1.5, 1.5, 8), max_range=8.0)
+RING = replace(LASER, opening_angle=0.3)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated log with its map; lone.carmen is the same log with odometry only."""
+    folder = tmp_path_factory.mktemp("world")
+    code = main([
+        "simulate", "--out", str(folder), "--seed", "4", "--duration", "40", "--scan-rate", "4", "--beams", "61",
+        "--width", "26", "--height", "20", "--quiet",
+    ])  # fmt: skip
+    assert code == 0
+    (folder / "lone.carmen").write_text(without_poses((folder / "log.carmen").read_text()))
+    return folder
+
+
+def without_poses(carmen: str) -> str:
+    """Return a log with each reference pose replaced by the odometry."""
+    kept = []
+    for line in carmen.splitlines():
+        words = line.split()
+        if words and words[0] == "FLASER":
+            k = 2 + int(words[1])
+            words[k : k + 3] = words[k + 3 : k + 6]
+        kept.append(" ".join(words))
+    return "\n".join(kept) + "\n"
+
+
+def on_map(command: str, world: Path, log: str, out: Path, *more: str) -> int:
+    return main([command, str(world / log), "--map", str(world / "map.yaml"), "--out", str(out), *more])
+
+
+@pytest.fixture(scope="module")
+def fitted(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What calibrate makes of the log without poses; of the report, only the sections."""
+    out = tmp_path_factory.mktemp("fitted") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(html, "render_report", lambda *_, sections, **__: "".join(part.markup for part in sections))
+        assert on_map("calibrate", world, "lone.carmen", out, *LONE, "--no-refine", "--quiet") == 0
+    return out
+
+
+@pytest.fixture
+def fitted_once(world: Path, monkeypatch) -> None:
+    """Let commands share one fit of all beams."""
+    monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda *_, **__: fit_of(world))
+
+
+@cache
+def fit_of(world: Path) -> TrajectoryFit:
+    return fit_trajectory(
+        read_log(world / "lone.carmen", lone_poses="odometry").only_sensor(), read_map(world / "map.yaml")
+    )
+
+
+def document_of(folder: Path) -> dict:
+    return json.loads((folder / "calibration.json").read_text())
+
+
+def test_calibrate_without_poses_learns_what_it_learns_with_them(world: Path, fitted: Path):
+    log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
+    expected = calibrate(log, grid, CalibrationOptions(refine=False)).parameters
+    document = document_of(fitted)
+    for name in ("z_hit", "z_short", "z_max", "z_rand"):
+        # From half of the beams: the standard error of a weight is about 0.006.
+        assert document["parameters"][name]["value"] == pytest.approx(getattr(expected, name), abs=0.02), name
+    assert document["parameters"]["sigma_hit"]["value"] == pytest.approx(expected.sigma_hit, abs=0.006)
+
+
+def test_the_outputs_say_where_the_poses_come_from_and_what_that_hides(fitted: Path):
+    document = document_of(fitted)
+    part = document["fitted_poses"]
+    assert part["n_scans"] == 160
+    assert part["n_trusted"] > 145
+    assert set(part["halves"]) == {"used", "swapped", "same"}
+    (finding,) = [one for one in document["findings"] if one["name"] == "poses-fitted"]
+    assert finding["severity"] == "info"
+    assert f"{part['n_trusted']} of 160 scans are trusted" in finding["text"]
+    assert "do not show" in finding["why"]
+    assert finding["do"]
+    page = (fitted / "report.html").read_text()
+    assert "odd beams" in page
+
+
+def test_the_error_of_the_poses_is_what_the_fit_says(fitted: Path):
+    document = document_of(fitted)
+    error = document["fitted_poses"]["reference_error_m"]
+    # Half a cell of the map: the fit alone says less.
+    assert error == 0.025
+    assert document["provenance"]["options"]["reference_error"] == error
+    assert 0.001 < document["fitted_poses"]["deviation_m"] < error
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_check_fits_the_poses_first_and_says_so(world: Path, fitted: Path, tmp_path: Path, capsys):
+    words = (*LONE, "--params", str(fitted / "beam_model.yaml"), "--worst", "0")
+    assert on_map("check", world, "lone.carmen", tmp_path / "out", *words) == 0
+    said = capsys.readouterr()
+    assert "they were fitted to this map" in said.err
+    document = json.loads((tmp_path / "out" / "scan_fit.json").read_text())
+    assert document["fitted_poses"]["n_trusted"] > 145
+    assert document["share_that_fits"] > 0.85
+
+
+def test_a_log_with_poses_is_not_touched(world: Path, tmp_path: Path, monkeypatch, capsys):
+    def never(*_arguments, **_options):
+        raise AssertionError("fitted")
+
+    monkeypatch.setattr(fitted_poses, "fit_trajectory", never)
+    words = ("--start", "1", "1", "0")
+    assert on_map("calibrate", world, "log.carmen", tmp_path / "out", *words) == 2
+    assert "--start: is for a log without reference poses, and this one has them" in capsys.readouterr().err
+    assert doctor(world, tmp_path, "log.carmen") == 0
+
+
+def doctor(world: Path, tmp_path: Path, log: str, *more: str) -> int:
+    file = tmp_path / "nav2.yaml"
+    file.write_text("amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n    max_beams: 30\n"
+                    "    z_hit: 0.95\n    z_rand: 0.05\n    sigma_hit: 0.1\n    laser_likelihood_max_dist: 2.0\n"
+                    "    robot_model_type: nav2_amcl::DifferentialMotionModel\n")  # fmt: skip
+    return main(["doctor", str(file), "--map", str(world / "map.yaml"), "--log", str(world / log), *more])
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_doctor_fits_the_poses_first_and_says_so(world: Path, tmp_path: Path, capsys):
+    doctor(world, tmp_path, "lone.carmen", *LONE)
+    said = capsys.readouterr()
+    assert "they were fitted to this map" in said.err
+
+
+def test_doctor_goes_on_without_poses_where_none_can_be_fitted(world: Path, tmp_path: Path, monkeypatch, capsys):
+    def refuses(*_, **__):
+        raise TrajectoryNotFoundError("no trajectory through this map fits the log")
+
+    monkeypatch.setattr(fitted_poses, "fit_trajectory", refuses)
+    doctor(world, tmp_path, "lone.carmen", *LONE)
+    said = capsys.readouterr()
+    assert "--poses FILE; tests at the scans' poses are left out" in said.err
+    assert "likelihood_field_prob" in said.out
+
+
+def write_another_building(path: Path) -> None:
+    rng = np.random.default_rng(4)
+    cells = np.zeros((90, 90))
+    cells[[0, -1]] = cells[:, [0, -1]] = 100
+    for x, y in rng.integers(0, 85, (14, 2)):
+        cells[y : y + 4, x : x + 4] = 100
+    write_map(OccupancyGrid.from_ros(cells, resolution=0.1), path)
+
+
+def one_line(capsys, code: int, expected: int = 1) -> str:
+    assert code == expected
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1, error
+    assert error.startswith("beamfield: error: ")
+    return error
+
+
+def test_a_log_of_another_building_is_refused_with_the_best_starts(world: Path, tmp_path: Path, capsys):
+    write_another_building(tmp_path / "map.yaml")
+    lines = (world / "lone.carmen").read_text().splitlines()
+    (tmp_path / "short.carmen").write_text("\n".join(lines[: len(lines) // 4]) + "\n")
+    code = main(["calibrate", str(tmp_path / "short.carmen"), "--map", str(tmp_path / "map.yaml"), *LONE, "--quiet",
+                 "--out", str(tmp_path / "out")])  # fmt: skip
+    error = one_line(capsys, code)
+    assert "no scan has a reference pose, and none can be fitted: no trajectory through this map fits" in error
+    assert error.count("of the beams agree") == 2
+    assert "--start X Y DEG, or --poses FILE" in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"odometry": np.full((3, 3), np.nan)}, "run.bag: no scan has a reference pose, and without odometry none"),
+        ({"finder": RING}, "run.bag: no scan has a reference pose, and none is fitted to the cones of a sonar"),
+        ({"stamps": [0.0, 2.0, 1.0]}, "run.bag: the stamps run backwards at scan 2"),
+        ({"ranges": np.full((3, 8), np.nan)}, "run.bag: no scan has a reference pose, and none can be fitted: the"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_fitted_is_refused_with_what_helps(change: dict, message: str):
+    cells = np.zeros((40, 40))
+    cells[[0, -1]] = 100
+    log = SensorLog(LASER, [0.0, 1.0, 2.0], np.full((3, 8), 2.0), np.full((3, 3), np.nan), np.zeros((3, 3)))
+    arguments = argparse.Namespace(map=Path("map.yaml"))
+    with pytest.raises(BeamfieldError) as refused:
+        posed_log(
+            replace(log, **change), OccupancyGrid.from_ros(cells, resolution=0.1), arguments,
+            StageProgress(quiet=True), path=Path("run.bag"),
+        )  # fmt: skip
+    assert str(refused.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--start", "500", "0", "0"), r"--start: \(500 m, 0 m\) lies off the map"),
+        (("--start", "nan", "0", "0"), "--start: expected finite numbers"),
+        (("--start", "1", "1", "0", "--poses", "x.tum"), "--start: is for poses that are fitted to a map"),
+    ],
+)
+def test_a_bad_start_is_wrong_usage(world: Path, tmp_path: Path, capsys, more, message):
+    code = on_map("calibrate", world, "lone.carmen", tmp_path / "out", *LONE, "--quiet", *more)
+    assert re.search(message, one_line(capsys, code, 2))

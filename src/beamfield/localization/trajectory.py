@@ -263,7 +263,9 @@ def _found(log: SensorLog, grid: OccupancyGrid, drive: Drive, walls: Walls, star
         if not followed:
             raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
         best = cheapest_course(steps, followed, start)
-        judged = [(_hypothesis(log, grid, steps, one), one) for one in (best, *other_courses(followed, best, start)[:3])]
+        judged = [
+            (_hypothesis(log, grid, steps, one), one) for one in (best, *other_courses(followed, best, start)[:3])
+        ]
         judged.sort(key=lambda pair: pair[0].cost)
         hypotheses, best = tuple(pair[0] for pair in judged[:2]), judged[0][1]
         if hypotheses[0].cost <= limit:

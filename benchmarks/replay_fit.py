@@ -1,4 +1,4 @@
-"""Calibrate a stack by replay and evaluate its filter on this log and others: ``python benchmarks/replay_fit.py [FOLDER]``.
+"""Calibrate a stack by replay, evaluate its filter on logs: ``python benchmarks/replay_fit.py [FOLDER]``.
 
 FOLDER holds the logs and maps (default: ../shared/data beside the checkout): other people's data, no part of this
 repository. Fitted to Wean Hall 1 alone and evaluated on 1, 3 and 5; simulated Pioneer and TurtleBot 4 are evaluated on
@@ -34,7 +34,7 @@ from beamfield.stacks.registry import STACKS
 
 
 def choose(stack: str, model: str, log: SensorLog, grid: OccupancyGrid, error: float) -> tuple[ReplayChoice, float]:
-    """Return what `beamfield calibrate --stack` chooses, starting from the stack's defaults, and the seconds of replay."""
+    """Return what `beamfield calibrate --stack` chooses, from the stack's defaults, and the seconds of replay."""
     described = STACKS[stack]
     chapter = None
     if not described.model(model).weight.of_field:
@@ -55,7 +55,7 @@ def choose(stack: str, model: str, log: SensorLog, grid: OccupancyGrid, error: f
     choice = choose_by_replay(
         before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},
         motion_candidates(before, log, error, error / 4.0),
-        (0.0, 0.5 * grid.resolution) if described.half_cell_low else (0.0,), segments, grid, amount,
+        0.5 * grid.resolution if described.half_cell_low else 0.0, segments, grid, amount,
     )  # fmt: skip
     return choice, time.process_time() - began
 

@@ -72,7 +72,7 @@ def replay_fit(
         sensors["fitted"] = fit.parameters
     try:
         choice = choose_by_replay(
-            before, sensors, motions, _shifts(job, before, grid), segments, grid, options, job.progress
+            before, sensors, motions, _shift(job, before, grid), segments, grid, options, job.progress
         )
     except TooLittleDataError as problem:
         return Replayed(None, str(problem))
@@ -118,9 +118,9 @@ def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:
     )
 
 
-def _shifts(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> tuple[float, ...]:
-    """Return what may be added to the map's origin: half a cell where the program is off by that."""
+def _shift(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> float:
+    """Return what sets the map's origin right: half a cell where the program is off by that, and a file can say so."""
     from beamfield.stacks.registry import STACKS
 
     can_write = job.arguments.map.suffix in (".yaml", ".yml") and grid.origin[2] == 0.0
-    return (0.0, 0.5 * grid.resolution) if STACKS[before.stack].half_cell_low and can_write else (0.0,)
+    return 0.5 * grid.resolution if STACKS[before.stack].half_cell_low and can_write else 0.0

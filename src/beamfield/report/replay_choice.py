@@ -14,7 +14,6 @@ from beamfield.report.page import table
 from beamfield.report.text_table import aligned
 from beamfield.stacks.fit.motion_candidates import BEFORE
 from beamfield.stacks.fit.replay_choice import ReplayChoice, ReplaySetting
-from beamfield.stacks.fit.replay_segments import WARM_UP
 
 _HEADER = ("", "position error [m]", "difference, 95 % interval", "lost runs", "inside 95 %")
 _PARTS = {
@@ -91,8 +90,8 @@ def _what(choice: ReplayChoice) -> str:
     return (
         f"{choice.n_settings} settings of sensor, motion noise and map origin were replayed in the emulated filter of "
         f"{choice.before.filter.stack}; the best on every other stretch of the log is judged on the rest, over "
-        f"{choice.n_runs} runs. Each starts from a belief 0.5 m and 15 degrees wide, is judged after {WARM_UP} "
-        "updates, and counts as 1 m off at most."
+        f"{choice.n_runs} runs. Each starts a stretch earlier from a belief 0.5 m and 15 "
+        "degrees wide, and counts as 1 m off at most."
     )
 
 

@@ -33,9 +33,9 @@ NEAREST = 0.001
 # have held the reference and did not: 0.1 m with 20 % missed as 0.14 m.
 COVERAGE_PRICE = 2.0
 COVERAGE = 0.95
-# If a setting with more motion noise than the best one's costs so little more, relatively, it is taken: noise four times
-# too large costs little, five times too small it loses robots.
-AS_GOOD = 0.05
+# Where the least motion noise is best, a setting with the next more is taken if it costs so little more, relatively:
+# noise four times too large costs little, but five times too small it loses robots.
+AS_GOOD = 0.1
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class ReplayOptions:
 
 # By the model's kind: a cast ray costs some twenty times a look-up in a field.
 OF_FIELDS = ReplayOptions()
-OF_RAYS = ReplayOptions(runs=30, most_stretches=4, longest=20)
+OF_RAYS = ReplayOptions(runs=30, most_stretches=4, longest=12)
 
 
 def replay_options(stack: str, model: str, seed: int) -> ReplayOptions:
@@ -159,7 +159,7 @@ def choose_by_replay(
     before: FilterSettings,
     sensors: Mapping[str, Any],
     motions: Mapping[str, Mapping[str, float]],
-    shifts: Sequence[float],
+    shift: float,
     segments: ReplaySegments,
     grid: OccupancyGrid,
     options: ReplayOptions | None = None,
@@ -167,8 +167,10 @@ def choose_by_replay(
 ) -> ReplayChoice:
     """Choose sensor parameters, motion noise and the map's origin by replaying the stack's filter.
 
-    All combinations race on every other stretch of the log: each round has more seeds, and fewer settings stay. What is
-    left is judged against the user's on the other stretches, which had no part in the race.
+    All combinations of sensor and motion race on every other stretch of the log: each round has more seeds, and fewer
+    settings stay. They race with the map's origin set right, where that is possible: that the program reads its map
+    half a cell off is known, and only a surely greater error there speaks against it. What is left is judged against
+    the user's on the other stretches, which had no part in the race.
 
     Parameters
     ----------
@@ -178,8 +180,8 @@ def choose_by_replay(
         Parameters of the measurement model by name, "before" for the user's.
     motions
         Parameters of the motion model to change by name, "before" for none.
-    shifts
-        What may be added to the map's x and y origin, metres; 0 among them.
+    shift
+        What sets the map's x and y origin right for the program, metres; 0 if it reads maps as they are.
     segments
         Stretches of the log.
     grid
@@ -195,10 +197,12 @@ def choose_by_replay(
             sensor, motion, shift,
             replace(before, sensor=sensors[sensor], motion=replace(before.motion, **motions[motion])),
         )
-        for sensor, motion, shift in product(sensors, motions, shifts)
+        for sensor, motion, shift in product(sensors, motions, {0.0, shift})
     }  # fmt: skip
-    finalist = _race(list(settings.values()), segments, grid, options, progress)
     own = settings[BEFORE, BEFORE, 0.0]
+    raced = [one for one in settings.values() if one.shift == shift or one is own]
+    best = _race(raced, segments, grid, options, progress)
+    finalist = _with_origin_or_without(best, settings[best.sensor, best.motion, 0.0], segments, grid, options)
     without = _without_each_part(settings, finalist)
     judged: dict[Key, list[ReplayTrials]] = {one.key: [] for one in (own, finalist, *without.values())}
     seeds = range(options.seed, options.seed + options.seeds(len(segments.judging)))
@@ -216,7 +220,7 @@ def choose_by_replay(
         error=error,
         cost=cost,
         parts={name: _compared(judged[rival.key], better, clipped) for name, rival in without.items()},
-        n_settings=len(settings),
+        n_settings=len(raced) + (best.shift > 0.0),
         n_choosing=len(segments.choosing),
     )
 
@@ -263,14 +267,27 @@ def _race(
             done += len(seeds)
         cost = {one.key: float(np.concatenate(runs[one.key]).mean()) for one in raced}
         left, ran = sorted(raced, key=lambda one: cost[one.key])[:keep], n_seeds
-    return _with_some_reserve(raced, cost)
+    return _with_some_reserve(raced, cost, min(one.noise for one in settings))
 
 
-def _with_some_reserve(settings: Sequence[ReplaySetting], cost: Mapping[Key, float]) -> ReplaySetting:
-    """Return the setting with the least cost, or that with the next more motion noise if it is about as good."""
+def _with_some_reserve(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], least: float) -> ReplaySetting:
+    """Return the best setting; if its motion noise is the least that was tried, one about as good with more."""
     best = min(settings, key=lambda one: cost[one.key])
+    if best.noise > least:
+        return best
     noisier = [one for one in settings if one.noise > best.noise and cost[one.key] <= cost[best.key] + AS_GOOD]
     return min(noisier, key=lambda one: (one.noise, cost[one.key]), default=best)
+
+
+def _with_origin_or_without(
+    shifted: ReplaySetting, plain: ReplaySetting, segments: ReplaySegments, grid: OccupancyGrid, options: ReplayOptions
+) -> ReplaySetting:
+    """Return the setting with the map's origin set right, unless its error is surely higher."""
+    if shifted is plain:
+        return plain
+    seeds = range(options.seed, options.seed + options.seeds(len(segments.choosing)))
+    with_it, without = (_runs(one, segments.choosing, segments.names[0], grid, seeds) for one in (shifted, plain))
+    return plain if _compared(without, with_it, clipped).is_higher else shifted
 
 
 def _n_raced(n: int, rounds: Iterable[tuple[int, int]]) -> int:

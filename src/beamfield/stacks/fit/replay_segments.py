@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,17 +13,15 @@ from beamfield.calibration.odometry.windows import update_scans
 from beamfield.errors import TooLittleDataError
 from beamfield.sensors import SensorLog
 
-# Updates of a stretch in which particles gather from the start's wide belief; they are not judged, or they would count
-# more than all tracking that follows.
-WARM_UP = 8
 # Updates of a stretch: the least that says anything, and as many as it has before there are more stretches.
-FEWEST_UPDATES, USUAL_UPDATES = 16, 25
+FEWEST_UPDATES, USUAL_UPDATES = 12, 25
 
 
 class ReplaySegments(NamedTuple):
-    """Stretches of one log in turn; each is replayed from its own start, and judged after the first updates.
+    """Stretches of one log in turn, each with the one before it, in which a filter starts.
 
-    Scans that are not judged have no reference pose, but for the first, from which a filter starts.
+    What leads in is not judged: it has no reference poses but for the first scan's, from which the filter starts. Where
+    places look alike, particles from a wide start need long to gather, which would count for more than all tracking.
     """
 
     choosing: tuple[SensorLog, ...]
@@ -41,8 +40,6 @@ def cut_segments(
 ) -> ReplaySegments:
     """Cut a log into an even number of stretches with as many updates of a filter each.
 
-    Reference poses of the first updates of each stretch are left out, but for the first scan's.
-
     Parameters
     ----------
     log
@@ -52,30 +49,30 @@ def cut_segments(
     most
         Stretches at most, even.
     longest
-        Updates of a stretch at most: of a long log the end of each stretch is left out.
+        Updates of a stretch at most, and as many lead in: of a long log the rest is left out.
 
     Raises
     ------
     TooLittleDataError
-        If there are not enough updates for two stretches.
+        If there are not enough updates for three stretches.
     """
     with_reference = np.where(np.isfinite(log.poses).all(axis=1, keepdims=True), log.odometry, np.nan)
     updates = update_scans(with_reference, update_min_d, update_min_a)
-    if len(updates) < 2 * FEWEST_UPDATES:
+    if len(updates) < 3 * FEWEST_UPDATES:
         raise TooLittleDataError(
-            f"replaying needs {2 * FEWEST_UPDATES} updates of a filter with reference poses, the drive has "
+            f"a replay needs {3 * FEWEST_UPDATES} updates of the filter with reference poses, this drive has "
             f"{len(updates)}"
         )
-    n = 2 * int(np.clip(len(updates) // (2 * USUAL_UPDATES), 1, most // 2))
-    parts = np.array_split(updates, n)
-    segments = [_judged_after(WARM_UP, log, part[: longest + 1]) for part in parts]
+    n = 2 * int(np.clip((len(updates) // USUAL_UPDATES - 1) // 2, 1, most // 2))
+    parts = np.array_split(updates, n + 1)
+    segments = [_judged_after(log, lead[-longest:], part[:longest]) for lead, part in pairwise(parts)]
     return ReplaySegments(tuple(segments[::2]), tuple(segments[1::2]))
 
 
-def _judged_after(n_updates: int, log: SensorLog, updates: NDArray[np.int64]) -> SensorLog:
-    """Return the scans from the first update to the last, without the reference poses of the first updates."""
-    first, judged, last = (int(updates[i]) for i in (0, n_updates, -1))
+def _judged_after(log: SensorLog, lead: NDArray[np.int64], judged: NDArray[np.int64]) -> SensorLog:
+    """Return the scans of some updates that lead in and of those that are judged, which alone keep reference poses."""
+    first, start, last = int(lead[0]), int(judged[0]), int(judged[-1])
     segment = log[first : last + 1]
     poses = segment.poses.copy()
-    poses[1 : judged - first] = np.nan
+    poses[1 : start - first] = np.nan
     return replace(segment, poses=poses)

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.report import html
-from beamfield.stacks.fit import fit_space
+from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,11 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def short_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which numbers of beams are tried, and the report's own figures, are tested elsewhere."""
+    """Which numbers of beams and settings are tried, and the report's own figures, are tested elsewhere."""
+    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=20)
+    monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
+    monkeypatch.setattr(replay_choice, "OF_RAYS", few)
+    monkeypatch.setattr(motion_candidates, "COMMON_ALPHAS", (0.05,))
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))
     monkeypatch.setattr(html, "report_figures", lambda *_, **__: [])
 

@@ -12,7 +12,7 @@ from beamfield.cli.main import main
 from beamfield.report import html
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.fit import fit_space
+from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
 MINE = """\
 amcl:
@@ -23,7 +23,7 @@ amcl:
     sigma_hit: 0.6   # wide
     laser_model_type: "likelihood_field_prob"
     max_beams: 60
-    alpha1: 0.2
+    alpha1: 0.2   # as shipped
 """
 
 
@@ -40,7 +40,11 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def short_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which numbers of beams are tried, and the report's own figures, are tested elsewhere."""
+    """Which numbers of beams and settings are tried, and the report's own figures, are tested elsewhere."""
+    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=20)
+    monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
+    monkeypatch.setattr(replay_choice, "OF_RAYS", few)
+    monkeypatch.setattr(motion_candidates, "COMMON_ALPHAS", (0.05,))
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9, 20))
     monkeypatch.setattr(html, "report_figures", lambda *_, **__: [])
 
@@ -62,7 +66,7 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     assert (tmp_path / "mine.yaml.bak").read_text() == MINE
     after = mine.read_text()
     assert "    # tuned on a Friday\n" in after
-    assert "    alpha1: 0.2\n" in after
+    assert re.search(r"    alpha1: 0\.0\d+   # as shipped\n", after)
     new, own = checked_values(read_stack_file(mine)), checked_values(read_stack_file(tmp_path / "out" / "nav2.yaml"))
     assert new == own
     assert new.sigma_hit != 0.6
@@ -79,8 +83,9 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     assert "info: calibrated" not in capsys.readouterr().out
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<title>nav2: likelihood_field_prob for FLASER</title>" in page
-    assert page.index("With the calibrated values of nav2") < page.index("beats nav2")
-    assert document["verdict"].startswith("With the calibrated values of nav2's likelihood_field_prob, 95 % regions")
+    assert page.index("Use the new values: replayed in nav2&#x27;s own filter") < page.index("beats nav2")
+    assert document["verdict"].startswith("Use the new values: replayed in nav2's own filter, emulated")
+    assert document["replay"]["error"]["after"] < document["replay"]["error"]["before"]
     assert 'id="stack-choice"' in page
 
 

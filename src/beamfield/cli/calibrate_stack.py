@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield import __version__
+from beamfield.cli.calibrate_replay import MAP_NAME, replay_fit, shifted_map_file
 from beamfield.cli.report_part import ReportPart, StackPart
 from beamfield.cli.terminal import complain
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from beamfield.calibration.pose_windows import WindowOptions
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.report.stack_section import StackResult
     from beamfield.sensors import SensorLog
     from beamfield.stacks.files.parameter_file import StackFile
     from beamfield.stacks.fit.fit import StackFit
@@ -84,7 +86,7 @@ def fit_for_stack(
     """Fit one model of the stack, or all of them, and return what comes of it; `motion` goes into its file, too."""
     from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
-    from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
+    from beamfield.report.stack_section import StackResult, stack_as_dict, stack_section, stack_tables
     from beamfield.stacks.fit.fit import net_score
     from beamfield.stacks.registry import STACKS
 
@@ -96,14 +98,19 @@ def fit_for_stack(
         section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
         return ReportPart("stack", why, {"stack": stack, "missing": str(error)}, section, {}, problem=why)
     best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
-    record = _record(best) if best.covers else ""
-    text = _file_text(job.arguments, best.model.model, {**asdict(best.parameters), **motion}, record)
+    replayed = replay_fit(job, sensor, grid, best, motion)
+    found = StackResult(fits, best, replayed.choice, replayed.why_not)
+    record = _record(found) if found.covers else ""
     start_values = asdict(best.start)
-    changed = {name: value for name, value in asdict(best.parameters).items() if value != start_values[name]}
-    changed |= motion
+    changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
+    changed |= motion if replayed.choice is None else found.motion
+    text = _file_text(job.arguments, found, {**asdict(found.parameters), **changed}, record)
+    files = {f"{stack}.{STACKS[stack].syntax}": text}
+    if replayed.choice is not None:
+        files |= shifted_map_file(job, replayed.choice)
     return StackPart(
-        "stack", stack_tables(fits, best), stack_as_dict(fits, best), stack_section(fits, best, text),
-        {f"{stack}.{STACKS[stack].syntax}": text}, values=changed, record=record,
+        "stack", stack_tables(found), stack_as_dict(found), stack_section(found, text), files,
+        values=changed, record=record,
     )  # fmt: skip
 
 
@@ -149,19 +156,26 @@ def write_patch(file: StackFile, fitted: StackPart) -> str:
     return f"changed {', '.join(values) or 'nothing'} in {file.section.path}; the old file is {backup.name}"
 
 
-def _record(fit: StackFit) -> str:
+def _record(found: StackResult) -> str:
     from beamfield.stacks.files.calibration_record import record_text
 
-    held_out = fit.chosen.held_out
+    held_out, model = found.trial.held_out, found.chosen.model
     judged = f"{held_out.coverage:.0%} of {len(held_out.log_score)} held-out windows covered"
-    return record_text(fit.model.stack, fit.model.model, fit.parameters, __version__, judged)
+    return record_text(model.stack, model.model, found.parameters, __version__, judged)
 
 
-def _file_text(arguments: argparse.Namespace, model: str, values: dict[str, Any], record: str) -> str:
+def _file_text(arguments: argparse.Namespace, found: StackResult, values: dict[str, Any], record: str) -> str:
+    from beamfield.report.stack_section import small_z_hit, stack_verdict
     from beamfield.stacks.files.new_file import new_file_text
 
+    model = found.chosen.model
     comments = [
-        record or f"{arguments.stack} {model}: fitted by beamfield {__version__}, but too many held-out windows missed",
+        record
+        or f"{model.stack} {model.model}: fitted by beamfield {__version__}, but too many held-out windows missed",
         f"log {json.dumps(arguments.log.name)}, map {json.dumps(arguments.map.name)}",
+        stack_verdict(found),
+        *(item.text for item in small_z_hit(model.stack, model.model, found.parameters)),
     ]
+    if found.replay is not None and found.replay.chosen.shift:
+        comments.append(f"for the map {MAP_NAME} beside this file, see there")
     return new_file_text(arguments.stack, values, comments=comments)

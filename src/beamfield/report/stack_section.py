@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,12 @@ from beamfield.report.escape import escaped
 from beamfield.report.page import figure, finding_list, table
 from beamfield.report.page_section import Level, PageSection
 from beamfield.report.panel import Panel, ReportFigure, svg_panel
+from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
 from beamfield.report.text_table import aligned
-from beamfield.stacks.fit.fit import StackFit, Trial, net_score
+from beamfield.stacks.fit.fit import LEAST_COVERAGE, StackFit, Trial, net_score
+from beamfield.stacks.fit.motion_candidates import BEFORE
 from beamfield.stacks.fit.particle_update import ParticleUpdate
+from beamfield.stacks.fit.replay_choice import ReplayChoice
 from beamfield.stacks.registry import model_named
 
 HOW = {
@@ -26,25 +29,13 @@ HOW = {
     "translated; the number of beams is chosen on windows of the log.",
     "posterior": "Values were chosen for the best pose posterior on short windows of the log.",
 }
+# A z_hit below this share of z_rand looks like a mistake to people.
+SMALL_Z_HIT = 0.1
 
 
-def stack_tables(fits: Sequence[StackFit], chosen: StackFit) -> str:
-    """Return the tables for the terminal: parameters, then start against calibrated for every model fitted."""
-    parts = [
-        f"{chosen.model.stack}, {chosen.model.model}: {HOW[chosen.how]}",
-        aligned(("parameter", "before", "calibrated"), _parameter_rows(chosen), right=(1, 2)),
-        aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, fit is chosen)], right=(2, 3, 4, 5)),
-        f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
-    ]
-    parts += [
-        f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.text} {item.why} {item.do}"
-        for item in stack_findings(chosen)
-    ]
-    return "\n\n".join(parts)
-
-
-def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) -> PageSection:
-    """Return the section of the report, which answers what was asked for: it opens the page.
+@dataclass(frozen=True, eq=False)
+class StackResult:
+    """What calibrating for another program's model found.
 
     Parameters
     ----------
@@ -52,15 +43,78 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
         One per model of the stack that was fitted.
     chosen
         The one that the file holds.
+    replay
+        What its filter decided; None if it was not replayed.
+    why_not
+        Why not.
+    """
+
+    fits: Sequence[StackFit]
+    chosen: StackFit
+    replay: ReplayChoice | None = None
+    why_not: str = ""
+
+    @property
+    def trial(self) -> Trial:
+        """The sensor's values to use: those before or those fitted."""
+        keeps = self.replay is not None and self.replay.chosen.sensor == BEFORE
+        return self.chosen.before if keeps else self.chosen.chosen
+
+    @property
+    def parameters(self) -> Any:
+        """The sensor's values to use."""
+        return self.trial.parameters
+
+    @property
+    def covers(self) -> bool:
+        """Whether enough held-out windows have the reference in their 95 % region with these values."""
+        return self.trial.held_out.coverage >= LEAST_COVERAGE
+
+    @property
+    def motion(self) -> dict[str, Any]:
+        """The motion model's values that replay changed."""
+        if self.replay is None:
+            return {}
+        before, after = (asdict(one.filter.motion) for one in (self.replay.before, self.replay.chosen))
+        return {name: value for name, value in after.items() if value != before[name]}
+
+
+def stack_tables(result: StackResult) -> str:
+    """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay."""
+    fits, chosen = result.fits, result.chosen
+    rows = _parameter_rows(result)
+    parts = [
+        f"{chosen.model.stack}, {chosen.model.model}: {HOW[chosen.how]}",
+        aligned(("parameter", "before", "to use"), rows, right=(1, 2)) if rows else "All values stay as they are.",
+        aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, fit is chosen)], right=(2, 3, 4, 5)),
+        f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
+    ]
+    parts.append(_not_replayed(result) if result.replay is None else replay_tables(result.replay))
+    parts += [
+        f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.text} {item.why} {item.do}"
+        for item in stack_findings(result)
+    ]
+    return "\n\n".join(parts)
+
+
+def stack_section(result: StackResult, file_text: str) -> PageSection:
+    """Return the section of the report, which answers what was asked for: it opens the page.
+
+    Parameters
+    ----------
+    result
+        What was found.
     file_text
         The parameter file.
     """
+    fits, chosen, replay = result.fits, result.chosen, result.replay
     stack, model = chosen.model.stack, chosen.model.model
     rows = [row for fit in fits for row in _score_rows(fit, fit is chosen)]
     chosen_rows = [number for number, row in enumerate(rows) if row[0]]
     scores = table(_SCORE_HEADER[1:], [row[1:] for row in rows], right=(1, 2, 3, 4), bold=chosen_rows)
-    values = table(("parameter", "before", "calibrated"), _parameter_rows(chosen), right=(1, 2), css="stack")
-    found = stack_findings(chosen)
+    values = table(("parameter", "before", "to use"), _parameter_rows(result), right=(1, 2), css="stack")
+    found = stack_findings(result)
+    replayed = f"<p>{escaped(_not_replayed(result))}</p>" if replay is None else replay_markup(replay)
     options = chosen.options
     choice = ReportFigure(
         "stack-choice",
@@ -72,7 +126,8 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
         "",
     )
     markup = (
-        f"{finding_list(found) if found else ''}{values}\n<p>The file:</p><pre>{escaped(file_text)}</pre>\n{scores}"
+        f"{finding_list(found) if found else ''}{values}\n<p>The file:</p><pre>{escaped(file_text)}</pre>\n{replayed}\n"
+        f"<h3>Windows</h3>\n{scores}"
         f"<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the mean "
         "logarithm of the posterior's density at the reference over the prior's, in "
         "nats: 0 for weights that say nothing, far below 0 for weights that are certain and wrong. Coverage: share of "
@@ -82,12 +137,16 @@ def stack_section(fits: Sequence[StackFit], chosen: StackFit, file_text: str) ->
         f"scan.</p>\n<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
         f"{escaped(model_named(stack, model).formula)}.</p>\n{figure(choice)}"
     )
-    level: Level = "good" if chosen.covers and chosen.chosen is not chosen.before else "care"
-    return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(chosen), level)
+    changed = chosen.chosen is not chosen.before if replay is None else replay.is_better
+    level: Level = "good" if result.covers and changed else "care"
+    return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(result), level)
 
 
-def stack_verdict(fit: StackFit) -> str:
-    """Return what the fitted values do, before and after, and whether to use them."""
+def stack_verdict(result: StackResult) -> str:
+    """Return what the values to use do, before and after: in the replayed filter, or else on windows of the log."""
+    if result.replay is not None:
+        return replay_verdict(result.replay)
+    fit = result.chosen
     name, held_out, before = f"{fit.model.stack}'s {fit.model.model}", fit.chosen.held_out, fit.before.held_out
     n = len(held_out.log_score)
     covered = f"95 % regions hold the reference in {held_out.coverage:.0%} of {n} held-out windows"
@@ -104,10 +163,11 @@ def stack_verdict(fit: StackFit) -> str:
     return f"{text}." if fit.covers else f"{text}. The coverage is too low: the weights are still too sure."
 
 
-def stack_findings(fit: StackFit) -> list[Finding]:
-    """Return what to know before using the fitted values: coverage, and choices at the end of what was tried."""
-    found, coverage = [], fit.chosen.held_out.coverage
-    if not fit.covers:
+def stack_findings(result: StackResult) -> list[Finding]:
+    """Return what to know before using the values: coverage, odd numbers, choices at the end of what was tried."""
+    fit = result.chosen
+    found, coverage = small_z_hit(fit.model.stack, fit.model.model, result.parameters), result.trial.held_out.coverage
+    if not result.covers:
         found.append(
             Finding(
                 "stack-coverage",
@@ -118,7 +178,9 @@ def stack_findings(fit: StackFit) -> list[Finding]:
                 do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",
             )
         )
-    if fit.chosen is not fit.before and len(fit.trials) > 1 and fit.chosen.setting == fit.trials[-1].setting:
+    if result.trial is fit.before:
+        return found
+    if len(fit.trials) > 1 and fit.chosen.setting == fit.trials[-1].setting:
         setting = ", ".join(f"{name} = {value}" for name, value in fit.chosen.setting.items())
         found.append(
             Finding(
@@ -143,16 +205,43 @@ def stack_findings(fit: StackFit) -> list[Finding]:
     return found
 
 
-def stack_as_dict(fits: Sequence[StackFit], chosen: StackFit) -> dict[str, Any]:
-    """Return the fits as plain values for JSON."""
+def small_z_hit(stack: str, model: str, parameters: Any) -> list[Finding]:
+    """Return the explanation of a z_hit that looks wrong, if it is that small."""
+    described = model_named(stack, model)
+    z_hit, z_rand = (described.value(parameters, name) for name in ("z_hit", "z_rand"))
+    if not described.multiplies(parameters) or not z_hit or not z_rand or z_hit > SMALL_Z_HIT * z_rand:
+        return []
+    return [
+        Finding(
+            "stack-small-z-hit",
+            "info",
+            f"{described.own_name('z_hit')} = {z_hit:.2g} is meant so: it does not say that so few readings hit the "
+            "map.",
+            {"z_hit": z_hit},
+            why=f"{model} multiplies over beams as if they erred independently. A beam that fits raises a weight by "
+            "z_hit range_max / z_rand, so that a small z_hit is the only way to count each beam for less.",
+            do="Leave it, and change z_hit and z_rand together only.",
+        )
+    ]
+
+
+def _not_replayed(result: StackResult) -> str:
+    return f"Nothing was replayed: {result.why_not}. Values are those of the best score on windows."
+
+
+def stack_as_dict(result: StackResult) -> dict[str, Any]:
+    """Return everything as plain values for JSON."""
+    fits, chosen, replay = result.fits, result.chosen, result.replay
     return {
         "stack": chosen.model.stack,
         "model": chosen.model.model,
-        "parameters": asdict(chosen.parameters),
+        "parameters": asdict(result.parameters),
+        "motion": result.motion,
+        "replay": {"missing": result.why_not} if replay is None else replay_as_dict(replay),
         "how": chosen.how,
-        "covers": chosen.covers,
-        "verdict": stack_verdict(chosen),
-        "findings": plain(stack_findings(chosen)),
+        "covers": result.covers,
+        "verdict": stack_verdict(result),
+        "findings": plain(stack_findings(result)),
         "options": asdict(chosen.options),
         "models": [
             {
@@ -195,8 +284,10 @@ def _score_rows(fit: StackFit, is_chosen: bool) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-def _parameter_rows(fit: StackFit) -> list[tuple[str, ...]]:
-    before, after = asdict(fit.start), asdict(fit.parameters)
+def _parameter_rows(result: StackResult) -> list[tuple[str, ...]]:
+    before, after = asdict(result.chosen.start), {**asdict(result.parameters), **result.motion}
+    if result.replay is not None:
+        before |= asdict(result.replay.before.filter.motion)
     return [(name, _value(before[name]), _value(value)) for name, value in after.items() if value != before[name]]
 
 

@@ -135,6 +135,40 @@ def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | 
         yaml_part.write_text(_yaml_text(grid, image_path.name, mode), encoding="utf-8")
 
 
+def moved_map_text(path: str | os.PathLike[str], step: tuple[float, float], image: str) -> str:
+    """Return the text of a map_server YAML file for the same map with its origin moved.
+
+    Parameters
+    ----------
+    path
+        The YAML file.
+    step
+        Added to the origin's x and y, metres.
+    image
+        What the file is to call the picture: relative to where it will lie, or absolute.
+
+    Raises
+    ------
+    FormatError
+        If a key is missing or wrong, with its line.
+    InvalidInputError
+        If the picture's name is not printable.
+    OSError
+        As the file system says.
+    """
+    yaml = read_yaml(path)
+    rule, origin = _read_rule(yaml), _origin(yaml) + np.array([*step, 0.0])
+    return (
+        f"image: {_yaml_name(image)}\n"
+        f"mode: {rule.mode}\n"
+        f"resolution: {_number(yaml.number('resolution'))}\n"
+        f"origin: [{', '.join(map(_number, np.round(origin, 9)))}]\n"
+        f"negate: {int(rule.negate)}\n"
+        f"occupied_thresh: {_number(rule.occupied)}\n"
+        f"free_thresh: {_number(rule.free)}\n"
+    )
+
+
 def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     """Return what a user should know about a map_server file, one sentence each.
 

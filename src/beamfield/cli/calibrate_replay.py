@@ -1,0 +1,126 @@
+"""The part of ``beamfield calibrate --stack`` that replays the program's filter to decide which values are written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from beamfield.errors import FormatError, TooLittleDataError
+
+if TYPE_CHECKING:
+    from beamfield.cli.calibrate_sensor import CalibrationJob
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
+    from beamfield.stacks.files.filter_file import FilterSettings
+    from beamfield.stacks.fit.fit import StackFit
+    from beamfield.stacks.fit.replay_choice import ReplayChoice
+
+# A map with its origin set right, beside the parameter file.
+MAP_NAME = "amcl_map.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """What replay decided, or why there was none.
+
+    Parameters
+    ----------
+    choice
+        The decision; None if nothing was replayed.
+    why_not
+        The reason, for people.
+    """
+
+    choice: ReplayChoice | None
+    why_not: str = ""
+
+
+def replay_fit(
+    job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, fit: StackFit, learned: Mapping[str, Any]
+) -> Replayed:
+    """Choose between the values before and those fitted, with several motion noises, by the stack's own filter.
+
+    `learned` is the motion noise that was asked for with --odometry-noise: it is then the only other one.
+    """
+    from beamfield.calibration.pose_windows import REFERENCE_LEVER
+    from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED, motion_candidates
+    from beamfield.stacks.fit.replay_choice import choose_by_replay, replay_options
+    from beamfield.stacks.fit.replay_segments import cut_segments
+
+    if not sensor.has_odometry:
+        return Replayed(None, "the log has no odometry")
+    try:
+        before = _settings(job, fit)
+        if before is None:
+            return Replayed(None, f"the particle filter of {fit.model.stack} is not emulated")
+        options = replay_options(fit.model.stack, fit.model.model, job.arguments.seed)
+        segments = cut_segments(
+            sensor, before.particles.update_min_d, before.particles.update_min_a,
+            most=options.most_stretches, longest=options.longest,
+        )  # fmt: skip
+    except (FormatError, TooLittleDataError) as problem:  # a value that only the filter reads, or a short drive
+        return Replayed(None, str(problem))
+    error = job.arguments.reference_error
+    job.progress("replay: looking at the odometry", 0, 1)
+    motions = motion_candidates(before, sensor, error, error / REFERENCE_LEVER)
+    if learned:
+        motions = {BEFORE: {}, LEARNED: learned}
+    sensors = {BEFORE: fit.before.parameters}
+    if fit.chosen is not fit.before:
+        sensors["fitted"] = fit.parameters
+    try:
+        choice = choose_by_replay(
+            before, sensors, motions, _shift(job, before, grid), segments, grid, options, job.progress
+        )
+    except TooLittleDataError as problem:
+        return Replayed(None, str(problem))
+    return Replayed(choice)
+
+
+def shifted_map_file(job: CalibrationJob, choice: ReplayChoice) -> dict[str, str]:
+    """Return the file of the map with another origin, by name; none if the origin stays."""
+    from beamfield.cli.provenance import file_name
+    from beamfield.io.maps.ros_map import image_path, moved_map_text
+
+    shift, arguments = choice.chosen.shift, job.arguments
+    if not shift:
+        return {}
+    # Files of several sensors lie in folders of their own.
+    folder = arguments.out / "sensor" if len(arguments.sensor or []) > 1 else arguments.out
+    image = os.path.relpath(image_path(arguments.map).resolve(), folder.resolve())
+    comments = [
+        f"{file_name(arguments.map)} for amcl alone: its origin is moved by {shift:g} m, half a cell, in x and in y.",
+        "amcl takes the origin for the centre of the first cell, everything else for its corner. With this origin amcl",
+        "has the walls where they are. Costmaps, planners and rviz need the map as it was: let a second map_server",
+        "publish this one, on a topic that amcl alone takes.",
+    ]
+    head = "".join(f"# {line}\n" for line in comments)
+    return {MAP_NAME: head + moved_map_text(arguments.map, (shift, shift), image)}
+
+
+def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:
+    """Return the user's filter, or the program's default; None if it is not emulated."""
+    from dataclasses import replace
+
+    from beamfield.stacks.files.filter_file import FilterSettings, read_filter_settings
+    from beamfield.stacks.registry import STACKS
+
+    described = STACKS[fit.model.stack].filter
+    if described is None or (job.patched is not None and job.patched.is_of_other_node):
+        return None
+    if job.patched is not None:
+        # With the sensor's values that the program can run with.
+        return replace(read_filter_settings(job.patched), sensor=fit.before.parameters)
+    return FilterSettings(
+        fit.model.stack, fit.model.model, fit.before.parameters, described.motion(), described.parameters()
+    )
+
+
+def _shift(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> float:
+    """Return what sets the map's origin right: half a cell where the program is off by that, and a file can say so."""
+    from beamfield.stacks.registry import STACKS
+
+    can_write = job.arguments.map.suffix in (".yaml", ".yml") and grid.origin[2] == 0.0
+    return 0.5 * grid.resolution if STACKS[before.stack].half_cell_low and can_write else 0.0

@@ -1,0 +1,140 @@
+"""What replaying a stack's filter decided: tables for the terminal and the page, a verdict, JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from beamfield.localization.replay_comparison import ReplayComparison, ReplayTrials
+from beamfield.report.escape import escaped
+from beamfield.report.page import table
+from beamfield.report.text_table import aligned
+from beamfield.stacks.fit.motion_candidates import BEFORE
+from beamfield.stacks.fit.replay_choice import ReplayChoice, ReplaySetting
+
+_HEADER = ("", "position error [m]", "difference, 95 % interval", "lost runs", "inside 95 %")
+_PARTS = {
+    "sensor": "with the sensor's values before",
+    "motion": "with the motion noise before",
+    "origin": "with the map's origin before",
+}
+
+
+def replay_tables(choice: ReplayChoice) -> str:
+    """Return what was replayed, the table of errors, and the decision."""
+    rows = _rows(choice)
+    return "\n".join([f"{_what(choice)}\n", aligned(_HEADER, rows, right=(1, 2, 3, 4)), f"\n{replay_verdict(choice)}"])
+
+
+def replay_markup(choice: ReplayChoice) -> str:
+    """Return the same for the page."""
+    return (
+        f"<h3>Replay</h3>\n<p>{escaped(_what(choice))}</p>\n"
+        f"{table(_HEADER, _rows(choice), right=(1, 2, 3, 4), css='stack')}"
+    )
+
+
+def replay_verdict(choice: ReplayChoice) -> str:
+    """Return the decision with its reasons."""
+    before, after = choice.trials_before, choice.trials_finalist
+    where = (
+        f"replayed in {choice.before.filter.stack}'s own filter, emulated, on {len(before)} "
+        f"{'stretches' if len(before) > 1 else 'stretch'} of this log, {choice.n_runs} runs"
+    )
+    inside = f"truth in the particles' 95 % ellipse {_inside(before):.0%} -> {_inside(after):.0%}"
+    lost = f"lost runs {_lost(before)} -> {_lost(after)}"
+    if choice.is_better:
+        return (
+            f"Use the new values: {where}, the position error is {choice.error.before:.3f} m before and "
+            f"{choice.error.after:.3f} m after ({_interval(choice.error)}), {lost}, {inside}."
+        )
+    if choice.finalist is choice.before:
+        return f"Keep the values you have: {where}, none of {choice.n_settings} settings did better."
+    return (
+        f"Keep the values you have: {where}, the best of {choice.n_settings} settings ({describe(choice.finalist)}) is "
+        f"not better for sure: position error {choice.error.before:.3f} -> {choice.error.after:.3f} m "
+        f"({_interval(choice.error)}), {lost}, {inside}."
+    )
+
+
+def describe(setting: ReplaySetting) -> str:
+    """Return where the values of a setting come from."""
+    if setting.sensor == setting.motion == BEFORE and not setting.shift:
+        return "the values before"
+    parts = [f"sensor {setting.sensor}", f"motion noise {setting.motion}"]
+    return ", ".join([*parts, *([f"map's origin {setting.shift:+g} m"] if setting.shift else [])])
+
+
+def replay_as_dict(choice: ReplayChoice) -> dict[str, Any]:
+    """Return everything as plain values."""
+    return {
+        "is_better": choice.is_better,
+        "verdict": replay_verdict(choice),
+        "chosen": _setting_as_dict(choice.chosen),
+        "finalist": _setting_as_dict(choice.finalist),
+        "settings": choice.n_settings,
+        "stretches": {"choosing": choice.n_choosing, "judging": len(choice.trials_before)},
+        "runs": choice.n_runs,
+        "error": _comparison_as_dict(choice.error),
+        "cost": _comparison_as_dict(choice.cost),
+        "lost": [_lost(choice.trials_before), _lost(choice.trials_finalist)],
+        "inside": [_inside(choice.trials_before), _inside(choice.trials_finalist)],
+        "without": {name: _comparison_as_dict(one) for name, one in choice.parts.items()},
+    }
+
+
+def _what(choice: ReplayChoice) -> str:
+    return (
+        f"{choice.n_settings} settings of sensor, motion noise and map origin were replayed in the emulated filter of "
+        f"{choice.before.filter.stack}; the best on every other stretch of the log is judged on the rest, over "
+        f"{choice.n_runs} runs. Each starts a stretch earlier from a belief 0.5 m and 15 "
+        "degrees wide, and counts as 1 m off at most."
+    )
+
+
+def _rows(choice: ReplayChoice) -> list[tuple[str, ...]]:
+    """Return a row for the values before, for the best setting, and for it without each part."""
+    rows: list[tuple[str, ...]] = [("before", f"{choice.error.before:.3f}", "", *_counts(choice.trials_before))]
+    if choice.finalist is not choice.before:
+        name = f"{'chosen' if choice.is_better else 'best tried'}: {describe(choice.finalist)}"
+        error = choice.error
+        rows.append((name, f"{error.after:.3f}", _interval(error), *_counts(choice.trials_finalist)))
+    if len(choice.parts) > 1:
+        rows += [
+            (_PARTS[name], f"{one.before:.3f}", _interval(one, -1.0), "", "") for name, one in choice.parts.items()
+        ]
+    return rows
+
+
+def _counts(trials: Sequence[ReplayTrials]) -> tuple[str, str]:
+    return f"{_lost(trials)} of {sum(map(len, trials))}", f"{_inside(trials):.0%}"
+
+
+def _interval(comparison: ReplayComparison, sign: float = 1.0) -> str:
+    low, high = sorted((sign * comparison.low, sign * comparison.high))
+    return f"{low:+.3f} to {high:+.3f}"
+
+
+def _lost(trials: Sequence[ReplayTrials]) -> int:
+    return sum(one.n_lost for one in trials)
+
+
+def _inside(trials: Sequence[ReplayTrials]) -> float:
+    return float(np.mean([one.mean("inside_noisy") for one in trials]))
+
+
+def _setting_as_dict(setting: ReplaySetting) -> dict[str, Any]:
+    return {
+        "sensor": setting.sensor,
+        "motion": setting.motion,
+        "origin_shift": setting.shift,
+        "parameters": {**asdict(setting.filter.sensor), **asdict(setting.filter.motion)},
+    }
+
+
+def _comparison_as_dict(comparison: ReplayComparison) -> dict[str, float]:
+    names = ("before", "after", "low", "high")
+    return {name: getattr(comparison, name) for name in names}

@@ -1,0 +1,65 @@
+"""Settings of a stack's motion noise that are worth a replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from beamfield.calibration.odometry.learning import calibrate_odometry
+from beamfield.calibration.odometry.result import OdometryCalibration, OdometryOptions
+from beamfield.errors import TooLittleDataError
+from beamfield.models.differential_motion import DifferentialMotion
+from beamfield.sensors import SensorLog
+from beamfield.stacks.files.filter_file import FilterSettings
+from beamfield.stacks.registry import STACKS
+
+BEFORE, LEARNED = "before", "learned"
+# One alpha for all, in nav2's formula.
+COMMON_ALPHAS = (0.02, 0.05, 0.1)
+
+
+def motion_candidates(
+    settings: FilterSettings, log: SensorLog, reference_error: float, reference_turn_error: float
+) -> dict[str, Mapping[str, float]]:
+    """Return values for the motion model's parameters by a name for people, the user's own (none to change) first.
+
+    Others are those learned from the log, at the filter's own update distance, and common alphas. Where the stack's
+    formula is not nav2's, values with the noise of such an alpha at the same steps stand for it. There are no others
+    if the log does not show the odometry's noise, or the motion model has none that could be set.
+    """
+    described = STACKS[settings.stack]
+    convert = described.motions.get(getattr(settings.motion, described.motion_key, ""))
+    candidates: dict[str, Mapping[str, float]] = {BEFORE: {}}
+    if convert is None:
+        return candidates
+    options = OdometryOptions(
+        update_min_d=settings.particles.update_min_d,
+        update_min_a=settings.particles.update_min_a,
+        reference_error=reference_error,
+        reference_turn_error=reference_turn_error,
+    )
+    try:
+        learned = calibrate_odometry(log, options)
+    except TooLittleDataError:
+        return candidates
+    candidates[LEARNED] = convert(learned)
+    for alpha in COMMON_ALPHAS:
+        candidates[f"alpha {alpha:g}"] = convert(_with_alpha(learned, alpha))
+    return _without_repetition(candidates)
+
+
+def _with_alpha(learned: OdometryCalibration, alpha: float) -> OdometryCalibration:
+    """Return the calibration with one alpha for all; in formulas that are fitted anew, with no less noise than that."""
+    return replace(
+        learned,
+        alphas=DifferentialMotion(alpha, alpha, alpha, alpha),
+        options=replace(learned.options, floor=alpha),
+    )
+
+
+def _without_repetition(candidates: Mapping[str, Mapping[str, float]]) -> dict[str, Mapping[str, float]]:
+    kept: dict[str, Mapping[str, float]] = {}
+    for name, values in candidates.items():
+        if values not in kept.values():
+            kept[name] = values
+    return kept

@@ -1,0 +1,327 @@
+"""Choose a stack's parameters by what its own filter does with them: replay decides what windows propose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from beamfield.geometry import FloatArray
+from beamfield.localization.replay import ReplayErrors
+from beamfield.localization.replay_comparison import FEWEST_SEEDS, ReplayComparison, ReplayTrials, compare_trials
+from beamfield.localization.replay_trials import run_trials
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+from beamfield.stacks.files.filter_file import FilterSettings
+from beamfield.stacks.fit.motion_candidates import BEFORE
+from beamfield.stacks.fit.replay_segments import ReplaySegments
+from beamfield.stacks.registry import model_named
+
+Progress = Callable[[str, int, int], None]
+# Names of the sensor's and the motion's values, and the shift of the origin, metres.
+Key = tuple[str, str, float]
+
+# A run that is farther off counts as so far, metres: lost runs count, but not how far they went.
+FARTHEST = 1.0
+# No reference is better than this, metres.
+NEAREST = 0.001
+# An error counts this many times more than it is, per share of the updates in which the particles' 95 % ellipse should
+# have held the reference and did not: 0.1 m with 20 % missed as 0.14 m.
+COVERAGE_PRICE = 2.0
+COVERAGE = 0.95
+# Where the least motion noise is best, a setting with the next more is taken if it costs so little more, relatively:
+# noise four times too large costs little, but five times too small it loses robots.
+AS_GOOD = 0.1
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """How much is replayed.
+
+    Parameters
+    ----------
+    runs
+        Of each setting that comes into the last round, over stretches and seeds: at least so many.
+    most_stretches, longest
+        Stretches of the log, and updates of one, at most.
+    seed
+        The first seed.
+    """
+
+    runs: int = 60
+    most_stretches: int = 12
+    longest: int = 40
+    seed: int = 0
+
+    def seeds(self, n_stretches: int) -> int:
+        """Return how many seeds make so many runs on these stretches, and not too few to be sure of anything."""
+        return max(FEWEST_SEEDS, ceil(self.runs / n_stretches))
+
+    def rounds(self, n_stretches: int) -> tuple[tuple[int, int], ...]:
+        """Return the race: seeds that each setting has had after a round, and how many settings stay."""
+        seeds = self.seeds(n_stretches)
+        return (2, 6), (max(3, seeds // 3), 3), (seeds, 1)
+
+
+# By the model's kind: a cast ray costs some twenty times a look-up in a field.
+OF_FIELDS = ReplayOptions()
+OF_RAYS = ReplayOptions(runs=30, most_stretches=4, longest=12)
+
+
+def replay_options(stack: str, model: str, seed: int) -> ReplayOptions:
+    """Return how much a model can afford."""
+    return replace(OF_FIELDS if model_named(stack, model).weight.of_field else OF_RAYS, seed=seed)
+
+
+@dataclass(frozen=True, eq=False)
+class ReplaySetting:
+    """One setting of everything that is chosen.
+
+    Parameters
+    ----------
+    sensor, motion
+        Where its parameters come from: "before" for the user's.
+    shift
+        What is added to the map's x and y origin, metres.
+    filter
+        All parameters.
+    """
+
+    sensor: str
+    motion: str
+    shift: float
+    filter: FilterSettings
+
+    @property
+    def key(self) -> Key:
+        """What tells it from others."""
+        return self.sensor, self.motion, self.shift
+
+    @property
+    def noise(self) -> float:
+        """The sum of the motion model's noise parameters."""
+        return sum(float(value) for name, value in asdict(self.filter.motion).items() if "alpha" in name)
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayChoice:
+    """What replay decided.
+
+    Parameters
+    ----------
+    before
+        The user's setting.
+    finalist
+        The best on the stretches for choosing; the same if that was the user's.
+    is_better
+        Whether the finalist won: on the judging stretches its cost is surely lower, and neither its error nor the share
+        of lost runs is surely higher.
+    trials_before, trials_finalist
+        Their runs on the judging stretches, paired.
+    error
+        Mean position error of a run, no more than 1 m: before and finalist.
+    cost
+        The same raised for missing coverage, as a natural logarithm: a difference of -0.1 is about 10 % less. Places
+        where every setting is far off so count no more than others.
+    parts
+        By "sensor", "motion" or "origin", as far as the finalist differs in it: the error without and with it.
+    n_settings, n_choosing
+        How many settings were tried, and on how many stretches.
+    """
+
+    before: ReplaySetting
+    finalist: ReplaySetting
+    is_better: bool
+    trials_before: tuple[ReplayTrials, ...]
+    trials_finalist: tuple[ReplayTrials, ...]
+    error: ReplayComparison
+    cost: ReplayComparison
+    parts: Mapping[str, ReplayComparison]
+    n_settings: int
+    n_choosing: int
+
+    @property
+    def chosen(self) -> ReplaySetting:
+        """The setting to use."""
+        return self.finalist if self.is_better else self.before
+
+    @property
+    def n_runs(self) -> int:
+        """How many runs judged each."""
+        return sum(map(len, self.trials_before))
+
+
+def choose_by_replay(
+    before: FilterSettings,
+    sensors: Mapping[str, Any],
+    motions: Mapping[str, Mapping[str, float]],
+    shift: float,
+    segments: ReplaySegments,
+    grid: OccupancyGrid,
+    options: ReplayOptions | None = None,
+    progress: Progress | None = None,
+) -> ReplayChoice:
+    """Choose sensor parameters, motion noise and the map's origin by replaying the stack's filter.
+
+    All combinations of sensor and motion race on every other stretch of the log: each round has more seeds, and fewer
+    settings stay. They race with the map's origin set right, where that is possible: that the program reads its map
+    half a cell off is known, and only a surely greater error there speaks against it. What is left is judged against
+    the user's on the other stretches, which had no part in the race.
+
+    Parameters
+    ----------
+    before
+        The user's filter.
+    sensors
+        Parameters of the measurement model by name, "before" for the user's.
+    motions
+        Parameters of the motion model to change by name, "before" for none.
+    shift
+        What sets the map's x and y origin right for the program, metres; 0 if it reads maps as they are.
+    segments
+        Stretches of the log.
+    grid
+        The map.
+    options
+        How many runs.
+    progress
+        Called with what is done, runs done and runs in all.
+    """
+    options = options or ReplayOptions()
+    settings = {
+        (sensor, motion, shift): ReplaySetting(
+            sensor, motion, shift,
+            replace(before, sensor=sensors[sensor], motion=replace(before.motion, **motions[motion])),
+        )
+        for sensor, motion, shift in product(sensors, motions, {0.0, shift})
+    }  # fmt: skip
+    own = settings[BEFORE, BEFORE, 0.0]
+    raced = [one for one in settings.values() if one.shift == shift or one is own]
+    best = _race(raced, segments, grid, options, progress)
+    finalist = _with_origin_or_without(best, settings[best.sensor, best.motion, 0.0], segments, grid, options)
+    without = _without_each_part(settings, finalist)
+    judged: dict[Key, list[ReplayTrials]] = {one.key: [] for one in (own, finalist, *without.values())}
+    seeds = range(options.seed, options.seed + options.seeds(len(segments.judging)))
+    for done, key in enumerate(judged):
+        _tell(progress, "replay: judging the choice", done, len(judged))
+        judged[key] = _runs(settings[key], segments.judging, segments.names[1], grid, seeds)
+    trials, better = judged[own.key], judged[finalist.key]
+    error, cost = _compared(trials, better, clipped), _compared(trials, better, costs)
+    return ReplayChoice(
+        before=own,
+        finalist=finalist,
+        is_better=cost.is_lower and not error.is_higher and not compare_trials(trials, better, "lost").is_higher,
+        trials_before=tuple(trials),
+        trials_finalist=tuple(better),
+        error=error,
+        cost=cost,
+        parts={name: _compared(judged[rival.key], better, clipped) for name, rival in without.items()},
+        n_settings=len(raced) + (best.shift > 0.0),
+        n_choosing=len(segments.choosing),
+    )
+
+
+def shifted_map(grid: OccupancyGrid, shift: float) -> OccupancyGrid:
+    """Return the map with another origin."""
+    return replace(grid, origin=grid.origin + np.array([shift, shift, 0.0])) if shift else grid
+
+
+def clipped(trials: ReplayTrials) -> ReplayTrials:
+    """Return runs whose mean error is no more than 1 m."""
+    return _counted(trials, lambda one: min(one.mean, FARTHEST))
+
+
+def costs(trials: ReplayTrials) -> ReplayTrials:
+    """Return runs with the logarithm of their error, no more than 1 m and raised for missing coverage, as the mean."""
+
+    def cost(one: ReplayErrors) -> float:
+        missing = max(0.0, COVERAGE - one.inside_noisy)
+        return float(np.log(max(min(one.mean, FARTHEST), NEAREST) * (1.0 + COVERAGE_PRICE * missing)))
+
+    return _counted(trials, cost)
+
+
+def _counted(trials: ReplayTrials, count: Callable[[ReplayErrors], float]) -> ReplayTrials:
+    return replace(trials, errors=tuple(replace(one, mean=count(one)) for one in trials.errors))
+
+
+def _race(
+    settings: list[ReplaySetting], segments: ReplaySegments, grid: OccupancyGrid, options: ReplayOptions,
+    progress: Progress | None,
+) -> ReplaySetting:  # fmt: skip
+    """Return the best setting on the stretches for choosing."""
+    rounds = options.rounds(len(segments.choosing))
+    left, ran, done, total = settings, 0, 0, _n_raced(len(settings), rounds)
+    runs: dict[Key, list[FloatArray]] = {one.key: [] for one in settings}
+    for n_seeds, keep in rounds:
+        raced = left
+        for setting in raced:
+            _tell(progress, f"replay: racing {len(settings)} settings", done, total)
+            seeds = range(options.seed + ran, options.seed + n_seeds)
+            trials = _runs(setting, segments.choosing, segments.names[0], grid, seeds)
+            runs[setting.key] += [costs(one).column("mean") for one in trials]
+            done += len(seeds)
+        cost = {one.key: float(np.concatenate(runs[one.key]).mean()) for one in raced}
+        left, ran = sorted(raced, key=lambda one: cost[one.key])[:keep], n_seeds
+    return _with_some_reserve(raced, cost, min(one.noise for one in settings))
+
+
+def _with_some_reserve(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], least: float) -> ReplaySetting:
+    """Return the best setting; if its motion noise is the least that was tried, one about as good with more."""
+    best = min(settings, key=lambda one: cost[one.key])
+    if best.noise > least:
+        return best
+    noisier = [one for one in settings if one.noise > best.noise and cost[one.key] <= cost[best.key] + AS_GOOD]
+    return min(noisier, key=lambda one: (one.noise, cost[one.key]), default=best)
+
+
+def _with_origin_or_without(
+    shifted: ReplaySetting, plain: ReplaySetting, segments: ReplaySegments, grid: OccupancyGrid, options: ReplayOptions
+) -> ReplaySetting:
+    """Return the setting with the map's origin set right, unless its error is surely higher."""
+    if shifted is plain:
+        return plain
+    seeds = range(options.seed, options.seed + options.seeds(len(segments.choosing)))
+    with_it, without = (_runs(one, segments.choosing, segments.names[0], grid, seeds) for one in (shifted, plain))
+    return plain if _compared(without, with_it, clipped).is_higher else shifted
+
+
+def _n_raced(n: int, rounds: Iterable[tuple[int, int]]) -> int:
+    """Return how many seeds run on the stretches in all rounds."""
+    total = ran = 0
+    for n_seeds, keep in rounds:
+        total += n * (n_seeds - ran)
+        n, ran = min(n, keep), n_seeds
+    return total
+
+
+def _without_each_part(settings: Mapping[Key, ReplaySetting], finalist: ReplaySetting) -> dict[str, ReplaySetting]:
+    """Return the finalist with each part as it was before, as far as it was changed."""
+    sensor, motion, shift = finalist.key
+    without = {
+        "sensor": (BEFORE, motion, shift), "motion": (sensor, BEFORE, shift), "origin": (sensor, motion, 0.0),
+    }  # fmt: skip
+    return {name: settings[key] for name, key in without.items() if key != finalist.key}
+
+
+def _runs(
+    setting: ReplaySetting, segments: Sequence[SensorLog], names: Sequence[str], grid: OccupancyGrid,
+    seeds: Sequence[int],
+) -> list[ReplayTrials]:  # fmt: skip
+    replayed = setting.filter.filter(shifted_map(grid, setting.shift))
+    return [run_trials(replayed, segment, seeds, name=name) for segment, name in zip(segments, names, strict=True)]
+
+
+def _compared(
+    before: Sequence[ReplayTrials], after: Sequence[ReplayTrials], counted: Callable[[ReplayTrials], ReplayTrials]
+) -> ReplayComparison:
+    return compare_trials([counted(one) for one in before], [counted(one) for one in after])
+
+
+def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
+    if progress is not None:
+        progress(stage, done, total)

@@ -1,0 +1,78 @@
+"""A log cut into stretches for replaying filters: those that a choice is made on, and those that judge it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.calibration.odometry.windows import update_scans
+from beamfield.errors import TooLittleDataError
+from beamfield.sensors import SensorLog
+
+# Updates of a stretch: the least that says anything, and as many as it has before there are more stretches.
+FEWEST_UPDATES, USUAL_UPDATES = 12, 25
+
+
+class ReplaySegments(NamedTuple):
+    """Stretches of one log in turn, each with the one before it, in which a filter starts.
+
+    What leads in is not judged: it has no reference poses but for the first scan's, from which the filter starts. Where
+    places look alike, particles from a wide start need long to gather, which would count for more than all tracking.
+    """
+
+    choosing: tuple[SensorLog, ...]
+    judging: tuple[SensorLog, ...]
+
+    @property
+    def names(self) -> tuple[list[str], list[str]]:
+        """What the stretches of both kinds are called."""
+        return [f"stretch {2 * i + 1}" for i in range(len(self.choosing))], [
+            f"stretch {2 * i + 2}" for i in range(len(self.judging))
+        ]
+
+
+def cut_segments(
+    log: SensorLog, update_min_d: float, update_min_a: float, *, most: int, longest: int
+) -> ReplaySegments:
+    """Cut a log into an even number of stretches with as many updates of a filter each.
+
+    Parameters
+    ----------
+    log
+        With odometry and reference poses.
+    update_min_d, update_min_a
+        Motion between two updates, metres and radians.
+    most
+        Stretches at most, even.
+    longest
+        Updates of a stretch at most, and as many lead in: of a long log the rest is left out.
+
+    Raises
+    ------
+    TooLittleDataError
+        If there are not enough updates for three stretches.
+    """
+    with_reference = np.where(np.isfinite(log.poses).all(axis=1, keepdims=True), log.odometry, np.nan)
+    updates = update_scans(with_reference, update_min_d, update_min_a)
+    if len(updates) < 3 * FEWEST_UPDATES:
+        raise TooLittleDataError(
+            f"a replay needs {3 * FEWEST_UPDATES} updates of the filter with reference poses, this drive has "
+            f"{len(updates)}"
+        )
+    n = 2 * int(np.clip((len(updates) // USUAL_UPDATES - 1) // 2, 1, most // 2))
+    parts = np.array_split(updates, n + 1)
+    segments = [_judged_after(log, lead[-longest:], part[:longest]) for lead, part in pairwise(parts)]
+    return ReplaySegments(tuple(segments[::2]), tuple(segments[1::2]))
+
+
+def _judged_after(log: SensorLog, lead: NDArray[np.int64], judged: NDArray[np.int64]) -> SensorLog:
+    """Return the scans of some updates that lead in and of those that are judged, which alone keep reference poses."""
+    first, start, last = int(lead[0]), int(judged[0]), int(judged[-1])
+    segment = log[first : last + 1]
+    poses = segment.poses.copy()
+    poses[1 : start - first] = np.nan
+    return replace(segment, poses=poses)

@@ -1,0 +1,208 @@
+"""Replay decides: what it repairs, what it leaves alone, and what it is judged on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from beamfield.calibration.odometry.windows import update_scans
+from beamfield.cli.calibrate_replay import replay_fit
+from beamfield.errors import TooLittleDataError
+from beamfield.localization.replay import ReplayErrors
+from beamfield.localization.replay_comparison import ReplayTrials
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
+from beamfield.report.stack_section import small_z_hit
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.floor_plan import draw_floor_plan
+from beamfield.simulation.log import simulate_log
+from beamfield.stacks.beluga.motion import BelugaMotion
+from beamfield.stacks.files.filter_file import FilterSettings
+from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
+from beamfield.stacks.fit.motion_candidates import motion_candidates
+from beamfield.stacks.fit.replay_choice import (
+    ReplayOptions,
+    ReplaySetting,
+    _with_some_reserve,
+    choose_by_replay,
+    clipped,
+    costs,
+    replay_options,
+)
+from beamfield.stacks.fit.replay_segments import cut_segments
+from beamfield.stacks.nav2.motion import Nav2Motion
+from beamfield.stacks.nav2.parameters import Nav2Parameters
+from beamfield.stacks.ros1.motion import Ros1Motion
+
+FEW = ReplayOptions(runs=10, most_stretches=2, longest=16)
+GOOD = {f"alpha{i}": 0.02 for i in range(1, 5)}
+ABSURD = {f"alpha{i}": 2.0 for i in range(1, 5)}
+KIND = "likelihood_field_prob"
+SENSOR = Nav2Parameters(laser_model_type=KIND, max_beams=20)
+
+
+@pytest.fixture(scope="module")
+def office():
+    return draw_floor_plan(seed=3)
+
+
+@pytest.fixture(scope="module")
+def drive(office) -> SensorLog:
+    finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 31), 10.0, name="laser")
+    truth = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
+    return simulate_log(office, finder, truth, duration=60.0, scan_rate=3.0, seed=5).only_sensor()
+
+
+def nav2_filter(**motion: float) -> FilterSettings:
+    return FilterSettings("nav2", KIND, SENSOR, Nav2Motion(**motion), AmclFilterParameters(100, 200))
+
+
+@pytest.fixture(scope="module")
+def segments(drive):
+    return cut_segments(drive, 0.25, 0.2, most=FEW.most_stretches, longest=FEW.longest)
+
+
+@pytest.fixture(scope="module")
+def repaired(office, segments):
+    told: list[tuple[str, int, int]] = []
+    choice = choose_by_replay(
+        nav2_filter(**ABSURD), {"before": SENSOR}, {"before": {}, "alpha 0.02": GOOD}, 0.5 * office.resolution,
+        segments, office, FEW, progress=lambda *words: told.append(words),
+    )  # fmt: skip
+    assert {stage for stage, _, _ in told} == {"replay: racing 3 settings", "replay: judging the choice"}
+    assert all(0 <= done < total for _, done, total in told)
+    return choice
+
+
+def test_absurd_motion_noise_is_repaired(repaired, office):
+    assert repaired.is_better
+    assert repaired.chosen.motion == "alpha 0.02"
+    assert repaired.chosen.filter.motion == Nav2Motion(**GOOD)
+    assert repaired.error.after < 0.7 * repaired.error.before
+    assert repaired.error.is_lower
+    assert repaired.chosen.shift in (0.0, 0.5 * office.resolution)
+    # Each part is judged for itself: the motion noise is what was wrong.
+    assert repaired.parts["motion"].is_lower
+    assert "sensor" not in repaired.parts
+
+
+def test_values_that_nothing_beats_are_kept(office, segments):
+    own = nav2_filter(**GOOD)
+    worse = replace(SENSOR, z_hit=0.0, z_rand=1.0)  # says nothing
+    choice = choose_by_replay(
+        own, {"before": SENSOR, "fitted": worse}, {"before": {}, "absurd": ABSURD}, 0.0, segments, office, FEW
+    )
+    assert not choice.is_better
+    assert choice.chosen is choice.finalist is choice.before
+    assert choice.chosen.filter.motion == own.motion
+    assert choice.error.difference == 0.0
+    assert replay_verdict(choice).startswith("Keep the values you have: replayed in nav2's own filter")
+    assert "none of 4 settings did better" in replay_verdict(choice)
+
+
+def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
+    text, document = replay_tables(repaired), replay_as_dict(repaired)
+    assert "Use the new values: replayed in nav2's own filter, emulated, on 1 stretch of this log, 10 runs" in text
+    assert f"{repaired.error.before:.3f} m before and {repaired.error.after:.3f} m after" in text
+    assert document["error"]["high"] < 0.0
+    assert document["chosen"]["parameters"]["alpha3"] == 0.02
+    assert document["without"].keys() == repaired.parts.keys()
+    assert "alpha 0.02" in replay_markup(repaired)
+
+
+def test_stretches_take_turns_and_only_what_follows_the_lead_in_is_judged(drive):
+    segments = cut_segments(drive, 0.1, 0.1, most=4, longest=1000)
+    in_turn = [segment for pair in zip(*segments, strict=True) for segment in pair]
+    assert len(in_turn) == 4
+    judged = [np.flatnonzero(np.isfinite(segment.poses[:, 0])) for segment in in_turn]
+    stamps = [segment.stamps[scans] for segment, scans in zip(in_turn, judged, strict=True)]
+    for segment, scans in zip(in_turn, judged, strict=True):
+        updates = update_scans(segment.odometry, 0.1, 0.1)
+        assert scans[0] == 0
+        assert 0.4 < np.searchsorted(updates, scans[1]) / len(updates) < 0.6
+    for one, other in pairwise(stamps):
+        assert one[-1] < other[1]  # no scan judges two
+
+
+def test_stretches_of_a_long_log_are_cut_to_what_is_affordable(drive):
+    segments = cut_segments(drive, 0.1, 0.1, most=2, longest=13)
+    for segment in (*segments.choosing, *segments.judging):
+        assert len(update_scans(segment.odometry, 0.1, 0.1)) == pytest.approx(26, abs=2)
+
+
+def test_a_short_drive_is_too_little(drive):
+    with pytest.raises(TooLittleDataError, match="a replay needs 36 updates of the filter with reference poses"):
+        cut_segments(drive[:40], 0.25, 0.2, most=4, longest=40)
+
+
+def test_motion_candidates_are_the_logs_and_common_alphas(drive):
+    found = motion_candidates(nav2_filter(), drive, 0.01, 0.003)
+    assert found["before"] == {}
+    assert found["alpha 0.1"] == {f"alpha{i}": 0.1 for i in range(1, 5)}
+    assert all(value >= 0.02 for value in found["learned"].values())
+    assert len({tuple(values.values()) for values in found.values()}) == len(found)
+
+
+def test_where_alphas_mean_something_else_they_stand_for_the_same_noise(drive):
+    settings = FilterSettings("ros1", KIND, None, Ros1Motion(), AmclFilterParameters())
+    found = motion_candidates(settings, drive, 0.01, 0.003)
+    literal = {name: values["odom_alpha3"] for name, values in found.items() if name.startswith("alpha")}
+    # A deviation of alpha x step^2 instead of sqrt(alpha) x step: ten times the alpha at steps of 0.3 m or so.
+    assert literal["alpha 0.1"] > literal["alpha 0.05"] > 0.2
+
+
+def test_a_motion_model_without_alphas_stays(drive):
+    settings = FilterSettings("beluga", KIND, None, BelugaMotion("stationary"), AmclFilterParameters())
+    assert motion_candidates(settings, drive, 0.01, 0.003) == {"before": {}}
+
+
+def test_lost_runs_and_missing_coverage_cost_without_drowning_the_rest():
+    run = ReplayErrors(mean=0.1, median=0.1, p95=0.2, end=0.1, lost=False, yaw_mean_deg=1.0, yaw_median_deg=1.0,
+                       yaw_p95_deg=2.0, yaw_rmse_deg=1.2, nees_median=2.4, inside=0.9, inside_noisy=0.95,
+                       sd_position=0.1, particles=500.0, updates=100)  # fmt: skip
+    trials = ReplayTrials("hall", (0, 1, 2), (run, replace(run, inside_noisy=0.75), replace(run, mean=40.0)))
+    np.testing.assert_allclose(clipped(trials).column("mean"), [0.1, 0.1, 1.0])
+    np.testing.assert_allclose(np.exp(costs(trials).column("mean")), [0.1, 0.14, 1.0])
+
+
+def test_a_small_z_hit_is_explained_where_the_weight_is_a_product():
+    small = replace(SENSOR, z_hit=0.006, z_rand=0.994)
+    (finding,) = small_z_hit("nav2", KIND, small)
+    assert finding.text.startswith("z_hit = 0.006 is meant so")
+    assert "z_hit range_max / z_rand" in finding.why
+    assert small_z_hit("nav2", KIND, SENSOR) == []
+    assert small_z_hit("nav2", "likelihood_field", replace(small, laser_model_type="likelihood_field")) == []
+
+
+def test_rays_are_replayed_less():
+    assert replay_options("nav2", "beam", 3).runs < replay_options("nav2", KIND, 3).runs
+    assert replay_options("nav2", "beam", 3).seed == 3
+
+
+def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, office):
+    job = SimpleNamespace(patched=None)
+    blind = replace(drive, odometry=np.full_like(drive.poses, np.nan))
+    fit = SimpleNamespace(model=SimpleNamespace(stack="mrpt"))
+    assert replay_fit(job, blind, office, fit, {}).why_not == "the log has no odometry"
+    assert replay_fit(job, drive, office, fit, {}).why_not == "the particle filter of mrpt is not emulated"
+
+
+def test_the_least_noise_that_was_tried_gets_a_reserve_where_that_costs_little():
+    settings = [
+        ReplaySetting("before", name, 0.0, nav2_filter(**{f"alpha{i}": value for i in range(1, 5)}))
+        for name, value in (("a", 0.02), ("b", 0.05), ("c", 0.1))
+    ]
+
+    def chosen(*costs: float, least: float = 0.02) -> str:
+        by_key = {one.key: cost for one, cost in zip(settings, costs, strict=True)}
+        return _with_some_reserve(settings, by_key, 4.0 * least + 0.2).motion  # alpha5 stays at 0.2
+
+    assert chosen(-2.0, -1.95, -1.99) == "b"
+    assert chosen(-2.0, -1.8, -1.95) == "c"
+    assert chosen(-2.0, -1.8, -1.8) == "a"
+    assert chosen(-1.9, -2.0, -1.95) == "b"
+    assert chosen(-2.0, -1.95, -1.99, least=0.01) == "a"

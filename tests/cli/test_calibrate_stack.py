@@ -6,13 +6,17 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.io.read_map import read_map
 from beamfield.report import html
+from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
+from beamfield.stacks.nav2.motion import Nav2Motion
 
 MINE = """\
 amcl:
@@ -75,6 +79,16 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     (only,) = document["models"]
     assert only["calibrated"]["score"] > only["before"]["score"]
     assert only["parameters"]["sigma_hit"] == pytest.approx(new.sigma_hit, rel=1e-5)
+    both = [
+        read_filter_settings(read_stack_file(path, stack="nav2")) for path in (mine, tmp_path / "out" / "nav2.yaml")
+    ]
+    assert both[0].motion == both[1].motion == Nav2Motion(**document["motion"])
+    shift = document["replay"]["chosen"]["origin_shift"]
+    assert shift == 0.025  # nav2 reads maps half a cell off
+    corrected, as_it_was = read_map(tmp_path / "out" / "amcl_map.yaml"), read_map(world / "map.yaml")
+    np.testing.assert_allclose(corrected.origin, as_it_was.origin + np.array([shift, shift, 0.0]), atol=1e-9)
+    np.testing.assert_array_equal(corrected.probability, as_it_was.probability)
+    assert "for the map amcl_map.yaml beside this file" in (tmp_path / "out" / "nav2.yaml").read_text()
     for path in (mine, tmp_path / "out" / "nav2.yaml"):
         assert main(["doctor", str(path), "--map", str(world / "map.yaml")]) == 0
         assert "info: calibrated" in capsys.readouterr().out

@@ -164,7 +164,7 @@ def test_lost_runs_and_missing_coverage_cost_without_drowning_the_rest():
     run = ReplayErrors(mean=0.1, median=0.1, p95=0.2, end=0.1, lost=False, yaw_mean_deg=1.0, yaw_median_deg=1.0,
                        yaw_p95_deg=2.0, yaw_rmse_deg=1.2, nees_median=2.4, inside=0.9, inside_noisy=0.95,
                        sd_position=0.1, particles=500.0, updates=100)  # fmt: skip
-    trials = ReplayTrials("hall", (0, 1, 2), (run, replace(run, inside_noisy=0.75), replace(run, mean=40.0)))
+    trials = ReplayTrials("hall", (0, 1, 2), (run, replace(run, inside_noisy=0.7), replace(run, mean=40.0)))
     np.testing.assert_allclose(clipped(trials).column("mean"), [0.1, 0.1, 1.0])
     np.testing.assert_allclose(np.exp(costs(trials).column("mean")), [0.1, 0.14, 1.0])
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from beamfield.report.stack_section import stack_findings, stack_verdict
+from beamfield.report.stack_section import StackResult, stack_findings, stack_verdict
 from beamfield.stacks.coordinates import FitSpace, log_of
 from beamfield.stacks.fit.fit import _at_edge
 
@@ -18,11 +18,11 @@ def scores(coverage: float, mean: float) -> SimpleNamespace:
 
 def fitted(coverage: float = 0.95, error: float = 0.1, setting: int = 9, at_edge: tuple[str, ...] = (), **changes):
     """A fit of nav2's beam model as far as these functions look at it: 4, 9 and 13 beams were tried."""
-    before = SimpleNamespace(held_out=scores(0.5, 2.0), setting={"max_beams": 60})
+    before = SimpleNamespace(held_out=scores(0.5, 2.0), setting={"max_beams": 60}, parameters=None)
     return SimpleNamespace(**{
         "model": SimpleNamespace(stack="nav2", model="beam"),
         "before": before,
-        "chosen": SimpleNamespace(held_out=scores(coverage, 4.0), setting={"max_beams": setting}),
+        "chosen": SimpleNamespace(held_out=scores(coverage, 4.0), setting={"max_beams": setting}, parameters=None),
         "trials": tuple(SimpleNamespace(setting={"max_beams": n}) for n in (4, 9, 13)),
         "update": SimpleNamespace(error_after=np.array([error])),
         "update_before": SimpleNamespace(error_after=np.array([0.2])),
@@ -30,6 +30,10 @@ def fitted(coverage: float = 0.95, error: float = 0.1, setting: int = 9, at_edge
         "at_edge": at_edge,
         **changes,
     })  # fmt: skip
+
+
+def result(fit: SimpleNamespace) -> StackResult:
+    return StackResult((fit,), fit, None, "the log has no odometry")
 
 
 @pytest.mark.parametrize(
@@ -43,22 +47,22 @@ def fitted(coverage: float = 0.95, error: float = 0.1, setting: int = 9, at_edge
     ids=["nothing", "most beams", "edge", "coverage"],
 )
 def test_choices_at_the_end_of_what_was_tried_are_named(fit, names):
-    found = stack_findings(fit)
+    found = stack_findings(result(fit))
     assert [finding.name for finding in found] == names
     assert all(finding.why and finding.do for finding in found)
 
 
 def test_the_verdict_compares_with_the_values_before():
-    text = stack_verdict(fitted())
+    text = stack_verdict(result(fitted()))
     assert "95 % regions hold the reference in 95% of 20 held-out windows, with the values before in 50%" in text
     assert "0.100 m from the reference in the mean, before 0.200 m." in text
-    assert "before 0.200 m: the values before were surer" in stack_verdict(fitted(error=0.3))
-    assert "still too sure" in stack_verdict(fitted(coverage=0.6))
+    assert "before 0.200 m: the values before were surer" in stack_verdict(result(fitted(error=0.3)))
+    assert "still too sure" in stack_verdict(result(fitted(coverage=0.6)))
     kept = fitted()
     kept.chosen = kept.before
-    assert stack_verdict(kept).startswith("Keep the values you have for nav2's beam")
+    assert stack_verdict(result(kept)).startswith("Keep the values you have for nav2's beam")
     kept.chosen.setting = {"max_beams": 13}
-    assert stack_findings(kept) == []
+    assert stack_findings(result(kept)) == []
 
 
 @pytest.mark.parametrize(("sigma", "names"), [(0.1, ()), (0.0205, ("sigma",)), (0.94, ()), (0.98, ("sigma",))])

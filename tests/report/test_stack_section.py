@@ -60,6 +60,7 @@ def test_the_verdict_compares_with_the_values_before():
     assert "still too sure" in stack_verdict(result(fitted(coverage=0.6)))
     kept = fitted()
     kept.chosen = kept.before
+    kept.chosen.held_out = scores(0.95, 4.0)
     assert stack_verdict(result(kept)).startswith("Keep the values you have for nav2's beam")
     kept.chosen.setting = {"max_beams": 13}
     assert stack_findings(result(kept)) == []

@@ -64,7 +64,7 @@ class ReplayOptions:
     def rounds(self, n_stretches: int) -> tuple[tuple[int, int], ...]:
         """Return the race: seeds that each setting has had after a round, and how many settings stay."""
         seeds = self.seeds(n_stretches)
-        return (2, 6), (max(3, seeds // 3), 3), (seeds, 1)
+        return (2, 6), (max(3, seeds // 3), 4), (seeds, 1)
 
 
 # By the model's kind: a cast ray costs some twenty times a look-up in a field.

@@ -79,7 +79,7 @@ class FittedPoses:
             " ".join(filter(None, (self.sentence, measured))),
             values,
             why="Errors of the map that all beams follow, such as a wall drawn 5 cm off, move the poses with them and "
-            "do not show. In simulated maps whose walls were up to 5 cm off, sigma_hit came out 9 to 23 % too small so.",
+            "do not show. In simulated maps whose walls were up to 5 cm off, sigma_hit came out 9 to 23 % too small.",
             do="Look at the way over the map (beamfield trajectory draws it). If you have poses from motion capture or "
             "from a SLAM run that did not use this map, give those.",
         )

@@ -123,6 +123,7 @@ class TestResult:
             assert name in page
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert calibrate(world, tmp_path / "out", quiet=False) == 0
     text = capsys.readouterr().out
@@ -134,6 +135,7 @@ def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.Captur
         assert words in text
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdict(
     world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -153,6 +155,7 @@ def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdic
     assert 'class="verdict bad"><b class="label">Do not trust</b> Do not use these values yet' in head
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_masked_beams_count_as_no_measurement_and_the_mask_is_recorded(world: Path, tmp_path: Path):
     assert calibrate(world, tmp_path / "out", "--no-refine", "--mask=-30.5:-10", "--mask=170:-170") == 0
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())
@@ -172,6 +175,7 @@ def test_a_mask_that_is_no_sector_is_refused(world: Path, tmp_path: Path, capsys
     assert "--mask: expected DEG:DEG, got" in line
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, tmp_path: Path):
     assert calibrate(world, tmp_path / "text") == 0
     code = main([
@@ -184,6 +188,7 @@ def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, tmp_pat
         assert getattr(text, name) == pytest.approx(getattr(bag, name), rel=5e-3, abs=1e-4), name
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_poses_come_from_a_file_if_one_is_given(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert calibrate(world, tmp_path / "out", "--poses", str(world / "truth.tum"), quiet=False) == 0
     assert "reference pose from the given trajectory" in capsys.readouterr().err
@@ -191,6 +196,7 @@ def test_poses_come_from_a_file_if_one_is_given(world: Path, tmp_path: Path, cap
     assert origin["inputs"]["poses"]["name"] == "truth.tum"
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_held_parameter_and_a_fixed_form_are_respected(world: Path, tmp_path: Path):
     code = calibrate(
         world, tmp_path / "out", "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off", "--no-refine"
@@ -335,6 +341,7 @@ def test_wrong_usage_has_exit_code_two(capsys):
     assert "missing: LOG. See beamfield calibrate --help" in fails(capsys, main(["calibrate"]), 2)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_file_name_that_is_no_text_comes_through(copy, tmp_path):
     log = copy / os.fsdecode(b"l\xe4uf$x_{.log")
     (copy / "log.carmen").rename(log)

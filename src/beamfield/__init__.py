@@ -76,6 +76,7 @@ _NAMES = {
     "localization.short_readings": ("ShortReadings",),
     "localization.scan_localizer": ("ScanLocalizer",),
     "localization.trajectory": ("fit_trajectory",),
+    "localization.fitted_poses": ("cross_fit_poses",),
     "localization.trajectory_options": ("TrajectoryOptions",),
     "features.lines": ("find_lines",),
     "features.corners": ("find_corners",),

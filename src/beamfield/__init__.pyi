@@ -90,6 +90,7 @@ from beamfield.localization.recovery import (
 from beamfield.localization.short_readings import ShortReadings as ShortReadings
 from beamfield.localization.scan_localizer import ScanLocalizer as ScanLocalizer
 from beamfield.localization.trajectory import fit_trajectory as fit_trajectory
+from beamfield.localization.fitted_poses import cross_fit_poses as cross_fit_poses
 from beamfield.localization.trajectory_options import TrajectoryOptions as TrajectoryOptions
 from beamfield.features.lines import find_lines as find_lines
 from beamfield.features.corners import find_corners as find_corners

@@ -144,11 +144,16 @@ def test_a_log_with_poses_is_not_touched(world: Path, tmp_path: Path, monkeypatc
 
 
 def doctor(world: Path, tmp_path: Path, log: str, *more: str) -> int:
-    file = tmp_path / "nav2.yaml"
+    file = nav2_file(tmp_path)
+    return main(["doctor", str(file), "--map", str(world / "map.yaml"), "--log", str(world / log), *more])
+
+
+def nav2_file(folder: Path) -> Path:
+    file = folder / "nav2.yaml"
     file.write_text("amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n    max_beams: 30\n"
                     "    z_hit: 0.95\n    z_rand: 0.05\n    sigma_hit: 0.1\n    laser_likelihood_max_dist: 2.0\n"
                     "    robot_model_type: nav2_amcl::DifferentialMotionModel\n")  # fmt: skip
-    return main(["doctor", str(file), "--map", str(world / "map.yaml"), "--log", str(world / log), *more])
+    return file
 
 
 @pytest.mark.usefixtures("fitted_once")
@@ -156,6 +161,15 @@ def test_doctor_fits_the_poses_first_and_says_so(world: Path, tmp_path: Path, ca
     doctor(world, tmp_path, "lone.carmen", *LONE)
     said = capsys.readouterr()
     assert "they were fitted to this map" in said.err
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_evaluate_compares_with_fitted_poses_and_says_so(world: Path, tmp_path: Path):
+    file = nav2_file(tmp_path)
+    words = (*LONE, "--params", str(file), "--seeds", "1", "--quiet")
+    assert on_map("evaluate", world, "lone.carmen", tmp_path / "out", *words) == 0
+    document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert any("they were fitted to this map" in note for note in document["notes"])
 
 
 def test_doctor_goes_on_without_poses_where_none_can_be_fitted(world: Path, tmp_path: Path, monkeypatch, capsys):

@@ -91,6 +91,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         evaluation = _evaluate(arguments, filters, logs, progress)
         document = {
             "provenance": provenance(arguments),
+            "notes": [*notes, *more],
             "stacks": {name: {"stack": one.stack, "model": one.model} for name, one in settings.items()},
             **evaluation_as_dict(evaluation),
         }

@@ -110,6 +110,8 @@ def test_the_outputs_say_where_the_poses_come_from_and_what_that_hides(fitted: P
     assert finding["do"]
     page = (fitted / "report.html").read_text()
     assert "odd beams" in page
+    assert "do not show" in page
+    assert "The poses were fitted to this map" in document["verdict"]
 
 
 def test_the_error_of_the_poses_is_what_the_fit_says(fitted: Path):

@@ -69,8 +69,9 @@ def judge_fitted(job: CalibrationJob, fitted: CrossFittedPoses, grid: OccupancyG
             job.progress("learning from the other beams", len(results) - 1, 2)
     error = job.arguments.reference_error
     measured = fitted_poses_sentence(fitted, results, error, given=job.error_is_given)
-    sentence = f"{fitted.sentence} {measured}"
+    findings = fitted.findings(measured)
+    sentence = findings[0].full_text
     return ReportPart(
         NAME, f"{sentence}\n\n{fitted_poses_table(results)}", fitted_poses_as_dict(fitted, results, error),
-        fitted_poses_section(sentence, results), {}, fitted.findings(measured),
+        fitted_poses_section(sentence, results), {}, findings,
     )  # fmt: skip

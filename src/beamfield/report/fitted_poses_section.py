@@ -77,7 +77,7 @@ def fitted_poses_section(sentence: str, results: Mapping[str, Calibration]) -> P
     Parameters
     ----------
     sentence
-        Where the poses come from, and `fitted_poses_sentence`.
+        Where the poses come from, `fitted_poses_sentence`, and what stays hidden.
     results
         As for `fitted_poses_sentence`.
     """

@@ -30,7 +30,7 @@ def verdict(calibration: Calibration) -> str:
     """Return whether to use the fit: why not, or by how much it beats the defaults and how noisy hits are."""
     doubt = doubts(calibration)
     sentences = [doubt] if doubt else [_against_defaults(calibration), _noise(calibration)]
-    sentences.append(_warnings(calibration))
+    sentences += [_poses(calibration), _warnings(calibration)]
     if not calibration.converged:
         sentences.append("The fit did not converge: do not use it as it is.")
     return " ".join(sentence for sentence in sentences if sentence)
@@ -73,6 +73,11 @@ def _noise(calibration: Calibration) -> str:
     interval = calibration.intervals.intervals.get("sigma_hit")
     vague = ", hardly determined by this log" if interval is not None and interval[1] > VAGUE * interval[0] else ""
     return f"{sigma.name} is {sigma.value} m {sigma.interval_text}{vague}."
+
+
+def _poses(calibration: Calibration) -> str:
+    fitted = any(finding.name in ("poses-fitted", "few-poses-trusted") for finding in calibration.findings)
+    return "The poses were fitted to this map, whose errors then do not show." if fitted else ""
 
 
 def _warnings(calibration: Calibration) -> str:

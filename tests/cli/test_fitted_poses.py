@@ -37,7 +37,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("world")
     code = main([
         "simulate", "--out", str(folder), "--seed", "4", "--duration", "40", "--scan-rate", "4", "--beams", "61",
-        "--width", "26", "--height", "20", "--quiet",
+        "--width", "26", "--height", "20", "--mount", "0", "0", "0", "--quiet",
     ])  # fmt: skip
     assert code == 0
     (folder / "lone.carmen").write_text(without_poses((folder / "log.carmen").read_text()))

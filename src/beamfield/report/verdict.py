@@ -76,7 +76,7 @@ def _noise(calibration: Calibration) -> str:
 
 
 def _poses(calibration: Calibration) -> str:
-    fitted = any(finding.name in ("poses-fitted", "few-poses-trusted") for finding in calibration.findings)
+    fitted = any(finding.name == "poses-fitted" for finding in calibration.findings)
     return "The poses were fitted to this map, whose errors then do not show." if fitted else ""
 
 

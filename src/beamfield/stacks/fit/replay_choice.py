@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
-from math import ceil
+from math import ceil, log
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
-from beamfield.stacks.fit.motion_candidates import BEFORE
+from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED
 from beamfield.stacks.fit.replay_segments import ReplaySegments
 from beamfield.stacks.registry import model_named
 
@@ -29,13 +29,17 @@ Key = tuple[str, str, float]
 FARTHEST = 1.0
 # No reference is better than this, metres.
 NEAREST = 0.001
+# Motion noise of 0 is compared as this.
+LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95 % ellipse lacks of
 # holding the reference in 90 %: 0.1 m with 70 % as 0.14 m. That much is missing by chance in a few dozen updates.
 COVERAGE_PRICE = 2.0
 COVERAGE = 0.9
-# Where the least motion noise is best, a setting with the next more is taken if it costs so little more, relatively:
-# noise four times too large costs little, but five times too small it loses robots.
+# Settings that cost so little more than the best, relatively, are as good on a few stretches. Of them the one is taken
+# whose motion noise is nearest to what the log shows, with a reserve: noise four times too large costs little, but five
+# times too small it loses robots.
 AS_GOOD = 0.1
+RESERVE = 2.0
 
 
 @dataclass(frozen=True)
@@ -103,8 +107,9 @@ class ReplaySetting:
 
     @property
     def noise(self) -> float:
-        """The sum of the motion model's noise parameters."""
-        return sum(float(value) for name, value in asdict(self.filter.motion).items() if "alpha" in name)
+        """The sum of the motion model's alphas, but for the fifth, which differential models do not have."""
+        values = asdict(self.filter.motion).items()
+        return sum(float(value) for name, value in values if "alpha" in name and not name.endswith("5"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,16 +272,21 @@ def _race(
             done += len(seeds)
         cost = {one.key: float(np.concatenate(runs[one.key]).mean()) for one in raced}
         left, ran = sorted(raced, key=lambda one: cost[one.key])[:keep], n_seeds
-    return _with_some_reserve(raced, cost, min(one.noise for one in settings))
+    learned = next((one.noise for one in settings if one.motion == LEARNED), 0.0)
+    return _of_equals(raced, cost, learned)
 
 
-def _with_some_reserve(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], least: float) -> ReplaySetting:
-    """Return the best setting; if its motion noise is the least that was tried, one about as good with more."""
+def _of_equals(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], learned: float) -> ReplaySetting:
+    """Return the best setting, or one about as good whose motion noise is nearer to the log's (0 for unknown)."""
     best = min(settings, key=lambda one: cost[one.key])
-    if best.noise > least:
+    if learned == 0.0:
         return best
-    noisier = [one for one in settings if one.noise > best.noise and cost[one.key] <= cost[best.key] + AS_GOOD]
-    return min(noisier, key=lambda one: (one.noise, cost[one.key]), default=best)
+    as_good = [one for one in settings if cost[one.key] <= cost[best.key] + AS_GOOD]
+
+    def apart(one: ReplaySetting) -> float:
+        return abs(log(max(one.noise, LEAST_NOISE) / (RESERVE * learned)))
+
+    return min(as_good, key=lambda one: (apart(one), cost[one.key]))
 
 
 def _with_origin_or_without(

@@ -73,7 +73,7 @@ def repaired(office, segments):
         nav2_filter(**ABSURD), {"before": SENSOR}, {"before": {}, "alpha 0.02": GOOD}, 0.5 * office.resolution,
         segments, office, FEW, progress=lambda *words: told.append(words),
     )  # fmt: skip
-    assert {stage for stage, _, _ in told} == {"replay: racing 3 settings", "replay: judging the choice"}
+    assert {"replay: racing 3 settings", "replay: judging the choice"} < {stage for stage, _, _ in told}
     assert all(0 <= done < total for _, done, total in told)
     return choice
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
-from math import ceil
+from math import ceil, log
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
-from beamfield.stacks.fit.motion_candidates import BEFORE
+from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED
 from beamfield.stacks.fit.replay_segments import ReplaySegments
 from beamfield.stacks.registry import model_named
 
@@ -29,13 +29,19 @@ Key = tuple[str, str, float]
 FARTHEST = 1.0
 # No reference is better than this, metres.
 NEAREST = 0.001
+# Seeds of the first round of the race, and how many settings come into the second.
+FIRST_SEEDS, KEPT = 2, 6
+# Motion noise of 0 is compared as this.
+LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95 % ellipse lacks of
 # holding the reference in 90 %: 0.1 m with 70 % as 0.14 m. That much is missing by chance in a few dozen updates.
 COVERAGE_PRICE = 2.0
 COVERAGE = 0.9
-# Where the least motion noise is best, a setting with the next more is taken if it costs so little more, relatively:
-# noise four times too large costs little, but five times too small it loses robots.
+# Settings that cost so little more than the best, relatively, are as good on a few stretches. Of them the one is taken
+# whose motion noise is nearest to what the log shows, with a reserve: noise four times too large costs little, but five
+# times too small it loses robots.
 AS_GOOD = 0.1
+RESERVE = 2.0
 
 
 @dataclass(frozen=True)
@@ -60,11 +66,6 @@ class ReplayOptions:
     def seeds(self, n_stretches: int) -> int:
         """Return how many seeds make so many runs on these stretches, and not too few to be sure of anything."""
         return max(FEWEST_SEEDS, ceil(self.runs / n_stretches))
-
-    def rounds(self, n_stretches: int) -> tuple[tuple[int, int], ...]:
-        """Return the race: seeds that each setting has had after a round, and how many settings stay."""
-        seeds = self.seeds(n_stretches)
-        return (2, 6), (max(3, seeds // 3), 4), (seeds, 1)
 
 
 # By the model's kind: a cast ray costs some twenty times a look-up in a field.
@@ -103,8 +104,9 @@ class ReplaySetting:
 
     @property
     def noise(self) -> float:
-        """The sum of the motion model's noise parameters."""
-        return sum(float(value) for name, value in asdict(self.filter.motion).items() if "alpha" in name)
+        """The sum of the motion model's alphas, but for the fifth, which differential models do not have."""
+        values = asdict(self.filter.motion).items()
+        return sum(float(value) for name, value in values if "alpha" in name and not name.endswith("5"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +169,10 @@ def choose_by_replay(
 ) -> ReplayChoice:
     """Choose sensor parameters, motion noise and the map's origin by replaying the stack's filter.
 
-    All combinations of sensor and motion race on every other stretch of the log: each round has more seeds, and fewer
-    settings stay. They race with the map's origin set right, where that is possible: that the program reads its map
-    half a cell off is known, and only a surely greater error there speaks against it. What is left is judged against
-    the user's on the other stretches, which had no part in the race.
+    All combinations of sensor and motion race on every other stretch of the log, with few seeds and then the best with
+    more; all motion noises are compared with the best sensor's values. They race with the map's origin set right, where
+    that is possible: that the program reads its map half a cell off is known, and only a surely greater error there
+    speaks against it. What is left is judged against the user's on the other stretches, which had no part in the race.
 
     Parameters
     ----------
@@ -253,30 +255,45 @@ def _race(
     settings: list[ReplaySetting], segments: ReplaySegments, grid: OccupancyGrid, options: ReplayOptions,
     progress: Progress | None,
 ) -> ReplaySetting:  # fmt: skip
-    """Return the best setting on the stretches for choosing."""
-    rounds = options.rounds(len(segments.choosing))
-    left, ran, done, total = settings, 0, 0, _n_raced(len(settings), rounds)
+    """Return the best setting on the stretches for choosing.
+
+    Two rounds find the sensor's values; with those, all motion noises are compared.
+    """
+    names, n = segments.names[0], options.seeds(len(segments.choosing))
+    first, second = FIRST_SEEDS, max(FIRST_SEEDS + 1, n // 3)
     runs: dict[Key, list[FloatArray]] = {one.key: [] for one in settings}
-    for n_seeds, keep in rounds:
-        raced = left
-        for setting in raced:
-            _tell(progress, f"replay: racing {len(settings)} settings", done, total)
-            seeds = range(options.seed + ran, options.seed + n_seeds)
-            trials = _runs(setting, segments.choosing, segments.names[0], grid, seeds)
-            runs[setting.key] += [costs(one).column("mean") for one in trials]
-            done += len(seeds)
-        cost = {one.key: float(np.concatenate(runs[one.key]).mean()) for one in raced}
-        left, ran = sorted(raced, key=lambda one: cost[one.key])[:keep], n_seeds
-    return _with_some_reserve(raced, cost, min(one.noise for one in settings))
+    ran = dict.fromkeys(runs, 0)
+
+    def cost(raced: Sequence[ReplaySetting], n_seeds: int, round_: str) -> dict[Key, float]:
+        for done, setting in enumerate(raced):
+            _tell(progress, f"replay: {round_}", done, len(raced))
+            seeds = range(options.seed + ran[setting.key], options.seed + n_seeds)
+            ran[setting.key] = max(n_seeds, ran[setting.key])
+            if seeds:
+                trials = _runs(setting, segments.choosing, names, grid, seeds)
+                runs[setting.key] += [costs(one).column("mean") for one in trials]
+        return {one.key: float(np.concatenate(runs[one.key]).mean()) for one in raced}
+
+    costs_of = cost(settings, first, f"racing {len(settings)} settings")
+    left = sorted(settings, key=lambda one: costs_of[one.key])[:KEPT]
+    costs_of = cost(left, second, f"racing the best {len(left)}")
+    best = min(left, key=lambda one: costs_of[one.key])
+    left = [one for one in settings if (one.sensor, one.shift) == (best.sensor, best.shift)]
+    learned = next((one.noise for one in settings if one.motion == LEARNED), 0.0)
+    return _of_equals(left, cost(left, n, "comparing motion noise"), learned)
 
 
-def _with_some_reserve(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], least: float) -> ReplaySetting:
-    """Return the best setting; if its motion noise is the least that was tried, one about as good with more."""
+def _of_equals(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], learned: float) -> ReplaySetting:
+    """Return the best setting, or one about as good whose motion noise is nearer to the log's (0 for unknown)."""
     best = min(settings, key=lambda one: cost[one.key])
-    if best.noise > least:
+    if learned == 0.0:
         return best
-    noisier = [one for one in settings if one.noise > best.noise and cost[one.key] <= cost[best.key] + AS_GOOD]
-    return min(noisier, key=lambda one: (one.noise, cost[one.key]), default=best)
+    as_good = [one for one in settings if cost[one.key] <= cost[best.key] + AS_GOOD]
+
+    def apart(one: ReplaySetting) -> float:
+        return abs(log(max(one.noise, LEAST_NOISE) / (RESERVE * learned)))
+
+    return min(as_good, key=lambda one: (apart(one), cost[one.key]))
 
 
 def _with_origin_or_without(
@@ -288,15 +305,6 @@ def _with_origin_or_without(
     seeds = range(options.seed, options.seed + options.seeds(len(segments.choosing)))
     with_it, without = (_runs(one, segments.choosing, segments.names[0], grid, seeds) for one in (shifted, plain))
     return plain if _compared(without, with_it, clipped).is_higher else shifted
-
-
-def _n_raced(n: int, rounds: Iterable[tuple[int, int]]) -> int:
-    """Return how many seeds run on the stretches in all rounds."""
-    total = ran = 0
-    for n_seeds, keep in rounds:
-        total += n * (n_seeds - ran)
-        n, ran = min(n, keep), n_seeds
-    return total
 
 
 def _without_each_part(settings: Mapping[Key, ReplaySetting], finalist: ReplaySetting) -> dict[str, ReplaySetting]:

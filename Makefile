@@ -22,7 +22,7 @@ demo: $(STAMP)  ## Simulate a robot, calibrate its sensor, print truth beside fi
 
 test: $(STAMP)  ## Run all tests (three lanes: normal, JIT off, doctests)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -q
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/kernels
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n 2 -q tests/kernels
 
 fuzz: $(STAMP)  ## Feed hostile files to every reader for MINUTES=1, two processes, a fresh seed
 	$(BIN)/python -m tests.fuzz --minutes $(MINUTES)

@@ -47,6 +47,7 @@ def typed(command: str, world: Path, out: Path) -> list[str]:
     return [command, *(word.format(world=world, out=out) for word in COMMANDS[command][0].split())]
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_json_is_all_of_stdout_and_has_the_documented_keys(command, world, tmp_path, capsys):
     _, keys, code = COMMANDS[command]

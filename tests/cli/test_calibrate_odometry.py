@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from beamfield.cli.main import main
-from beamfield.report import html
-from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
+
+pytestmark = pytest.mark.usefixtures("short_stack_fit", "without_figures")
 
 
 @pytest.fixture(scope="module")
@@ -21,17 +21,6 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ])  # fmt: skip
     assert code == 0
     return folder
-
-
-@pytest.fixture(autouse=True)
-def short_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which numbers of beams and settings are tried, and the report's own figures, are tested elsewhere."""
-    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=20)
-    monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
-    monkeypatch.setattr(replay_choice, "OF_RAYS", few)
-    monkeypatch.setattr(motion_candidates, "COMMON_ALPHAS", (0.05,))
-    monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))
-    monkeypatch.setattr(html, "report_figures", lambda *_, **__: [])
 
 
 def calibrate(world: Path, out: Path, *more: str) -> int:

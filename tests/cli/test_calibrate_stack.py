@@ -12,11 +12,9 @@ import pytest
 from beamfield.cli.calibrate_replay import Replayed
 from beamfield.cli.main import main
 from beamfield.io.read_map import read_map
-from beamfield.report import html
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 from beamfield.stacks.nav2.motion import Nav2Motion
 
 MINE = """\
@@ -32,6 +30,9 @@ amcl:
 """
 
 
+pytestmark = pytest.mark.usefixtures("short_stack_fit", "without_figures")
+
+
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("world")
@@ -41,17 +42,6 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ])  # fmt: skip
     assert code == 0
     return folder
-
-
-@pytest.fixture(autouse=True)
-def short_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which numbers of beams and settings are tried, and the report's own figures, are tested elsewhere."""
-    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=20)
-    monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
-    monkeypatch.setattr(replay_choice, "OF_RAYS", few)
-    monkeypatch.setattr(motion_candidates, "COMMON_ALPHAS", (0.05,))
-    monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9, 20))
-    monkeypatch.setattr(html, "report_figures", lambda *_, **__: [])
 
 
 def calibrate(world: Path, out: Path, *more: str, quiet: bool = True) -> int:

@@ -285,7 +285,10 @@ def test_what_cannot_be_run_is_refused():
         build_filter("f1tenth", Nav2Field(small_room(), NAV2))
     with pytest.raises(InvalidInputError, match="start: expected a PoseBelief"):
         nav2_filter().run(drive(2), [1.0, 1.0, 0.3], np.random.default_rng(1))
-    for values in ({"min_particles": 0}, {"pf_err": 0.0}, {"update_min_d": -1.0}, {"resample_interval": 0}):
+    for values in (
+        {"min_particles": 0}, {"max_particles": 10**9}, {"pf_err": 0.0}, {"update_min_d": -1.0},
+        {"resample_interval": 0},
+    ):  # fmt: skip
         with pytest.raises(InvalidInputError, match=next(iter(values))):
             AmclFilterParameters(**values)
 

@@ -17,11 +17,12 @@ from beamfield.models.motion import MotionModel
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.beluga.clusters import heaviest_cluster
 from beamfield.stacks.emulation.emulator import StackModel
-from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers, check_switches
+from beamfield.stacks.emulation.parameter_checks import check_numbers, check_switches
 from beamfield.stacks.emulation.stack_map import read_as_stack
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
 from beamfield.stacks.filters.loop import run_loop
 from beamfield.stacks.filters.particles import (
+    check_particle_counts,
     draw_by_weight,
     n_effective,
     normal_poses,
@@ -74,7 +75,7 @@ class BelugaFilterParameters:
     recovery_alpha_fast: float = 0.0
 
     def __post_init__(self) -> None:
-        check_counts(self, min_particles=1, max_particles=1, resample_interval=1)
+        check_particle_counts(self)
         check_numbers(
             self,
             positive=("pf_err", "spatial_resolution_x", "spatial_resolution_y", "spatial_resolution_theta"),

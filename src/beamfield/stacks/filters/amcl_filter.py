@@ -18,10 +18,11 @@ from beamfield.models.motion import MotionModel
 from beamfield.models.motion_steps import rotations_and_translation
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
-from beamfield.stacks.emulation.parameter_checks import check_counts, check_numbers
+from beamfield.stacks.emulation.parameter_checks import check_numbers
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
 from beamfield.stacks.filters.loop import run_loop
 from beamfield.stacks.filters.particles import (
+    check_particle_counts,
     draw_by_weight,
     n_effective,
     normal_poses,
@@ -84,7 +85,7 @@ def check_filter(parameters: Any, names: Mapping[str, str]) -> None:
     names
         What it calls a parameter of nav2's, where that differs.
     """
-    check_counts(parameters, min_particles=1, max_particles=1, resample_interval=1)
+    check_particle_counts(parameters)
     pf_err, pf_z = (names.get(name, name) for name in ("pf_err", "pf_z"))
     rest = pf_z, "update_min_d", "update_min_a", "recovery_alpha_slow", "recovery_alpha_fast"
     check_numbers(parameters, positive=(pf_err,), at_least_zero=rest)

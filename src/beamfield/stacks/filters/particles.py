@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import require
 from beamfield.geometry import FloatArray, transform_points, wrap_angle
 from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.stacks.emulation.parameter_checks import check_counts
+
+# As for our own filter.
+MOST_PARTICLES = 10_000_000
+
+
+def check_particle_counts(parameters: Any) -> None:
+    """Refuse numbers of particles and intervals that are no counts, or more particles than memory has room for."""
+    check_counts(parameters, min_particles=1, max_particles=1, resample_interval=1)
+    for name in ("min_particles", "max_particles"):
+        value = getattr(parameters, name)
+        require(value <= MOST_PARTICLES, name, f"at most {MOST_PARTICLES}", value)
 
 
 def normal_poses(belief: PoseBelief, n: int, rng: np.random.Generator) -> FloatArray:

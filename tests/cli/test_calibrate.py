@@ -125,7 +125,9 @@ class TestResult:
 
 @pytest.mark.usefixtures("without_figures")
 def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert calibrate(world, tmp_path / "out", quiet=False) == 0
+    recorded = tmp_path / "beams.mcap"
+    assert calibrate(world, tmp_path / "out", "--mcap", str(recorded), quiet=False) == 0
+    assert b"/causes" in recorded.read_bytes()
     text = capsys.readouterr().out
     assert json.loads((tmp_path / "out" / "calibration.json").read_text())["verdict"] in text
     for words in (

@@ -43,7 +43,10 @@ def result(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The kidnapped drive, judged by the good one."""
     out = tmp_path_factory.mktemp("result") / "out"
     good = ("--good", str(world / "good" / "log.carmen"))
-    assert check(world, out, *good, "--poses", str(world / "kidnapped.tum")) == 0
+    recorded = ("--mcap", str(out / "check.mcap"))
+    assert check(world, out, *good, "--poses", str(world / "kidnapped.tum"), *recorded) == 0
+    assert b"/probability_of_being_lost" in (out / "check.mcap").read_bytes()
+    (out / "check.mcap").unlink()
     return out
 
 

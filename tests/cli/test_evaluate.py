@@ -77,7 +77,10 @@ def test_it_counts_the_runs_that_recover_from_a_kidnapping(result):
 
 
 def test_it_prints_tables_and_the_result_last(world, tmp_path, capsys):
-    assert evaluate(world, tmp_path / "out", "--seeds", "2", "--global", params=("sighted.yaml",)) == 0
+    recorded = tmp_path / "way.mcap"
+    words = ("--seeds", "2", "--global", "--mcap", str(recorded))
+    assert evaluate(world, tmp_path / "out", *words, params=("sighted.yaml",)) == 0
+    assert b"/position_error_sighted_yaml_m" in recorded.read_bytes()
     out, err = capsys.readouterr()
     lines = out.splitlines()
     assert lines[0].split()[:3] == ["log", "filter", "position"]

@@ -56,7 +56,8 @@ def document(capsys) -> dict:
 
 
 def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path, drive):
-    assert run(folder, "--particles", "500", "--animation", "way.gif") == 0
+    recordings = ("--rerun", "way.rrd", "--mcap", "way.mcap")
+    assert run(folder, "--particles", "500", "--animation", "way.gif", *recordings) == 0
     text = capsys.readouterr().out
     assert "position error 0.0" in text
     assert "within 0.5 m of the reference from 0.0 s on" in text
@@ -70,6 +71,8 @@ def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path
     assert said["found_after_s"] == 0.0
     with Image.open("way.gif") as film:
         assert film.n_frames > 10
+    assert all(f"/{topic}".encode() in Path("way.mcap").read_bytes() for topic in ("scan", "estimate", "reference"))
+    assert b"/particles" in Path("way.rrd").read_bytes()
     with Image.open(out / "localization.png") as picture:
         assert len(np.unique(np.asarray(picture.convert("L")))) > 20
 

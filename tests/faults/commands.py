@@ -82,7 +82,7 @@ COMMANDS = (
     Command("figures", "figures --only 6.3 6.4 --out {out}/figures --quiet", 8),
     Command("check", f"check {_LOG} --out {{out}}/check", 5),
     Command("trajectory", "trajectory {world}/log.carmen --map {world}/map.yaml --out {out}/way.tum --quiet", 6),
-    Command("localize", f"localize {_LOG} --out {{out}}/l", 5),
+    Command("localize", f"localize {_LOG} --out {{out}}/l --rerun {{out}}/l.rrd --mcap {{out}}/l.mcap", 5),
     Command("evaluate", f"evaluate {_LOG} --params {{world}}/nav2.yaml --seeds 2 --out {{out}}/e", 4),
     Command("calibrate", f"calibrate {_LOG} --no-refine --out {{out}}/c", 4),
     Command("calibrate --stack --patch", f"calibrate {_LOG} --no-refine --out {{out}}/c --stack nav2 "

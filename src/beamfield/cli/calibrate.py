@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,13 @@ from beamfield.cli.calibrate_stack import add_stack_options, read_stack_request,
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.cli.provenance import provenance
+from beamfield.cli.recordings import (
+    add_recordings,
+    beam_recording,
+    check_recordings,
+    wants_recording,
+    write_recordings,
+)
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.printable import printable
 
@@ -73,6 +81,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--odometry-noise", action="store_true",
                         help="learn systematic errors and noise of the odometry too, for motion models")  # fmt: skip
     add_stack_options(parser)
+    add_recordings(parser)
     options.add_threads(parser)
 
 
@@ -85,6 +94,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     arguments, error_is_given = _with_reference_error(arguments)
     _check(arguments)
     check_folder_writable(arguments.out)
+    check_recordings(arguments)
     learning = _options(arguments)
     patched = read_stack_request(arguments)
     with options.progress(arguments) as progress:
@@ -112,7 +122,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
             for file_name, content in result.files.items():
                 (place / file_name).write_text(content, encoding="utf-8")
     first = next(iter(results.values()))
-    line = f"wrote {', '.join(first.files)} into {arguments.out}"
+    recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
+    line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
     if patched is not None and first.stack is not None:
         line += f"\n{write_patch(patched, first.stack)}"
     if arguments.quiet:
@@ -124,7 +135,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         "\n\n".join(heads[name] + result.table for name, result in results.items()),
         {"sensors": {name: result.document for name, result in results.items()}},
         notes,
-        [arguments.out],
+        [arguments.out, *recorded],
         3 if problems else 0,
         "; ".join(problems),
     )
@@ -140,6 +151,8 @@ def _with_reference_error(arguments: argparse.Namespace) -> tuple[argparse.Names
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.start is not None and (arguments.map is None or arguments.poses is not None):
         raise InvalidInputError("--start: is for poses that are fitted to a map: give --map, and no --poses")
+    if wants_recording(arguments) and (arguments.map is None or len(arguments.sensor or ()) > 1):
+        raise InvalidInputError("--rerun, --mcap: show one sensor in a map: give --map, and one --sensor")
     if arguments.odometry and (arguments.map is not None or arguments.poses is not None):
         raise InvalidInputError("--odometry: only without --map and --poses: odometry is not in the map's frame")
     if arguments.odometry and arguments.odometry_noise:

@@ -31,6 +31,7 @@ from beamfield.sensors import SensorLog
 if TYPE_CHECKING:
     from beamfield.calibration.context.exponent import ExponentLearning
     from beamfield.localization.fitted_poses import CrossFittedPoses
+    from beamfield.models.beam_parameters import BeamParameters
     from beamfield.stacks.files.parameter_file import StackFile
 
 
@@ -50,6 +51,8 @@ class SensorResult:
         The other program's part, if there is one.
     problems
         Why the exit code is 3; none if it is 0.
+    learned
+        The beam model's parameters, and the scans at the poses that they were learned at.
     """
 
     files: Mapping[str, str]
@@ -57,6 +60,7 @@ class SensorResult:
     document: Mapping[str, Any]
     stack: StackPart | None
     problems: tuple[str, ...]
+    learned: tuple[BeamParameters, SensorLog]
 
 
 @dataclass(frozen=True)
@@ -136,7 +140,7 @@ class CalibrationJob:
         problems = [] if result.converged else ["the fit did not converge"]
         problems += [part.problem for part in parts if part.problem]
         stack = next((part for part in parts if isinstance(part, StackPart)), None)
-        return SensorResult(files, _table(result, parts), document, stack, tuple(problems))
+        return SensorResult(files, _table(result, parts), document, stack, tuple(problems), (result.parameters, sensor))
 
     def _learn(
         self, sensor: SensorLog, fitted: CrossFittedPoses | None

@@ -28,6 +28,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
+from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, write_recordings
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--reference-error", type=positive, default=0.04, metavar="M",
                         help="how wrong the poses may be where the map is right, standard deviation per axis, and a "
                         "quarter of it in radians (default: 0.04)")  # fmt: skip
+    add_recordings(parser)
     options.add_log(parser)
     options.add_seed(parser)
     options.add_threads(parser)
@@ -96,6 +98,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     _check(arguments)
     check_folder_writable(arguments.out)
+    check_recordings(arguments)
     rates = LostRates(arguments.lose_rate, arguments.find_rate)
     with options.progress(arguments) as progress:
         given = _read(arguments, progress)
@@ -127,10 +130,13 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with atomic_folder(arguments.out) as folder:
         for name, content in files.items():
             (folder / name).write_text(content, encoding="utf-8")
+    numbers = {"p-value": fits.p_value, "probability of being lost": fits.lost}
+    recorded = write_recordings(arguments, lambda: beam_recording(parameters, given.log, given.grid, numbers))
     text = f"{_basis(reference, given)}\n{fit_table(fits, worst)}" + (
         "" if places is None else f"\n\n{places.summary()}"
     )
-    return Outcome(f"wrote {', '.join(files)} into {arguments.out}", text, document, given.notes, [arguments.out])
+    line = ", ".join([f"wrote {', '.join(files)} into {arguments.out}", *map(str, recorded)])
+    return Outcome(line, text, document, given.notes, [arguments.out, *recorded])
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -27,9 +27,11 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import file_name, provenance
+from beamfield.cli.recordings import add_recordings, check_recordings, wants_recording, write_recordings
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.io.recordings.recording import Recording
     from beamfield.localization.replay import PoseBelief, ReplayedFilter
     from beamfield.localization.replay_comparison import ReplayTrials
     from beamfield.maps.occupancy import OccupancyGrid
@@ -61,6 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     group.add_argument("--stack", metavar="NAME", help="nav2, ros1 or beluga (default: find out for each file)")
     group.add_argument("--section", metavar="LABEL", help="which section, if several have such parameters")
     options.add_out(parser, "beamfield_evaluation", metavar="DIR", what="output folder")
+    add_recordings(parser)
     options.add_log(parser)
     options.add_seed(parser)
     options.add_threads(parser)
@@ -75,6 +78,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     _check(arguments)
     check_folder_writable(arguments.out)
+    check_recordings(arguments)
     settings, notes = _read_settings(arguments)
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
@@ -99,8 +103,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
             (folder / "evaluation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
             (folder / "evaluation.csv").write_text(evaluation_csv(evaluation))
             save_figure(evaluation_figure(evaluation), folder / "evaluation.svg")
+        log = next(iter(logs.values()))
+        recorded = write_recordings(arguments, lambda: _recording(arguments, filters, log, grid))
     text = evaluation_tables(evaluation)
-    return Outcome(evaluation_line(evaluation), text, document, (*notes, *more), [arguments.out])
+    return Outcome(evaluation_line(evaluation), text, document, (*notes, *more), [arguments.out, *recorded])
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -110,6 +116,8 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if arguments.start is not None and len(arguments.logs) > 1:
         raise InvalidInputError(f"--start: expected one LOG, got {len(arguments.logs)}")
+    if wants_recording(arguments) and len(arguments.logs) > 1:
+        raise InvalidInputError(f"--rerun, --mcap: expected one LOG, got {len(arguments.logs)}")
 
 
 def _read_settings(arguments: argparse.Namespace) -> tuple[dict[str, FilterSettings], list[str]]:
@@ -175,12 +183,16 @@ def _track(
 ) -> ReplayTrials:
     from beamfield.localization.replay_trials import run_trials
 
-    distance, degrees = arguments.start_error
     seeds = range(arguments.seed, arguments.seed + arguments.seeds)
-    spread = (distance, options.radians(degrees) or 0.0)
     return run_trials(
-        replayed, log, seeds, name=log_name, spread=spread, progress=lambda done, total: progress(stage, done, total)
-    )
+        replayed, log, seeds, name=log_name, spread=_spread(arguments),
+        progress=lambda done, total: progress(stage, done, total),
+    )  # fmt: skip
+
+
+def _spread(arguments: argparse.Namespace) -> tuple[float, float]:
+    distance, degrees = arguments.start_error
+    return distance, options.radians(degrees) or 0.0
 
 
 def _find(
@@ -215,6 +227,27 @@ def _find(
             seconds.append(time_to_find(replay, its_log, since))
         found.append(FindTrials(task, log_name, tuple(seconds)))
     return found
+
+
+def _recording(
+    arguments: argparse.Namespace, filters: Mapping[str, ReplayedFilter], log: SensorLog, grid: OccupancyGrid
+) -> Recording:
+    """Return the way that each filter published in the run of the first seed, and how far it was off."""
+    import numpy as np
+
+    from beamfield.io.recordings.recording import Recording
+    from beamfield.localization.replay import reference_start
+
+    position, heading = _spread(arguments)
+    first, start = reference_start(log, sd_position=position, sd_heading=heading)
+    part = log[first:]
+    paths = {"reference": part.poses}
+    numbers = {}
+    for name, replayed in filters.items():
+        found = replayed.run(part, start, np.random.default_rng(arguments.seed))
+        paths[name] = found.poses
+        numbers[f"position error, {name} [m]"] = np.hypot(*(found.poses - part.poses)[:, :2].T)
+    return Recording(grid, part, paths, numbers=numbers)
 
 
 def _short_names(paths: list[Path]) -> dict[str, Path]:

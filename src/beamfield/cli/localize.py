@@ -25,9 +25,11 @@ from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.provenance import provenance
+from beamfield.cli.recordings import add_recordings, check_recordings, wants_recording, write_recordings
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.io.recordings.recording import Recording
     from beamfield.localization.particle_filter import Update
     from beamfield.localization.replay import PoseBelief, ReplayErrors
     from beamfield.localization.scan_localizer import Localization, ScanLocalizer
@@ -77,6 +79,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                        help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
     group.add_argument("--recovery", action="store_true", help="find a robot again that was carried elsewhere")
     group.add_argument("--leave-out-short", action="store_true", help="leave out readings that are likely of people")
+    add_recordings(parser)
     options.add_log(parser)
     options.add_seed(parser)
     options.add_threads(parser)
@@ -94,6 +97,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         if arguments.animation.suffix.lower() != ".gif":
             raise InvalidInputError(f"--animation: expected a name ending in .gif, got {arguments.animation.name!r}")
         check_writable(arguments.animation)
+    check_recordings(arguments)
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
         grid = options.read_walls(arguments)
@@ -101,12 +105,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
         sensor, notes = options.read_sensor(arguments)
         log, start = _start(sensor, grid, arguments)
         localizer = _localizer(log, grid, start, arguments)
-        film = _Film(len(log))
+        film = _Film(len(log), all_updates=wants_recording(arguments))
 
         def watch(i: int, update: Update) -> None:
             progress("localizing", i, len(log))
-            if arguments.animation is not None:
-                film.add(i, update)
+            film.add(i, update)
 
         progress("localizing", 0, len(log))
         try:
@@ -205,18 +208,27 @@ def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict
 
 
 class _Film:
-    """A choice of particles for each picture of an animation."""
+    """What is kept of updates to be looked at: a choice of particles, and how well the scans fitted."""
 
-    def __init__(self, n_scans: int) -> None:
-        self.frames: list[tuple[int, Any]] = []
-        self._step = max(1, n_scans // FRAMES)
+    def __init__(self, n_scans: int, *, all_updates: bool) -> None:
+        self.particles: list[tuple[int, Any]] = []
+        self.log_evidence = [math.nan] * n_scans
+        self.effective = [math.nan] * n_scans
+        self._step = 1 if all_updates else max(1, n_scans // FRAMES)
 
     def add(self, i: int, update: Update) -> None:
-        """Keep the particles after scan i, unless there is a picture of nearly the same time."""
-        if self.frames and i < self.frames[-1][0] + self._step:
+        """Keep the update of scan i; not its particles if there is a picture of nearly the same time."""
+        self.log_evidence[i] = update.log_evidence
+        self.effective[i] = update.effective
+        if self.particles and i < self.particles[-1][0] + self._step:
             return
         poses = update.belief.poses
-        self.frames.append((i, poses[:: max(1, len(poses) // DRAWN_PARTICLES)].copy()))
+        self.particles.append((i, poses[:: max(1, len(poses) // DRAWN_PARTICLES)].copy()))
+
+    @property
+    def frames(self) -> list[tuple[int, Any]]:
+        """The particles for an animation's pictures."""
+        return self.particles[:: max(1, len(self.particles) // FRAMES)]
 
 
 def _judged(found: Localization, log: SensorLog) -> ReplayErrors | None:
@@ -289,10 +301,29 @@ def _write(
         save_figure(localization_figure(found, log, grid), folder / "localization.png")
         text = json.dumps(document, indent=1, allow_nan=False)
         (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
-    if arguments.animation is None:
-        return [arguments.out]
-    write_file(arguments.animation, animation(film.frames, found, log, grid))
-    return [arguments.out, arguments.animation]
+    written = [arguments.out]
+    if arguments.animation is not None:
+        write_file(arguments.animation, animation(film.frames, found, log, grid))
+        written.append(arguments.animation)
+    return [*written, *write_recordings(arguments, lambda: _recording(found, log, grid, film))]
+
+
+def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: _Film) -> Recording:
+    import numpy as np
+
+    from beamfield.geometry import wrap_angle
+    from beamfield.io.recordings.recording import Recording
+
+    covariances = np.full((len(log), 3, 3), np.nan)
+    covariances[found.updates] = found.covariances
+    paths = {"estimate": found.poses}
+    numbers = {"log evidence [nats]": np.array(film.log_evidence), "effective particles": np.array(film.effective)}
+    if log.has_poses:
+        off = found.poses - log.poses
+        paths["reference"] = log.poses
+        numbers["position error [m]"] = np.hypot(off[:, 0], off[:, 1])
+        numbers["heading error [deg]"] = np.degrees(np.abs(wrap_angle(off[:, 2])))
+    return Recording(grid, log, paths, covariances, film.particles, numbers)
 
 
 def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:

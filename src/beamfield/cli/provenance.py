@@ -12,7 +12,7 @@ from beamfield import __version__
 from beamfield.printable import printable
 
 # They say where and how something is printed or computed, and change no result.
-_NO_OPTIONS = ("animation", "command", "json", "out", "quiet", "run", "seed", "threads", "verbose")
+_NO_OPTIONS = ("animation", "command", "json", "mcap", "out", "quiet", "rerun", "run", "seed", "threads", "verbose")
 
 
 def file_name(path: str | Path) -> str:

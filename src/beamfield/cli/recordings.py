@@ -1,0 +1,89 @@
+"""The options of commands that record for viewers what they did."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beamfield.errors import InvalidInputError, MissingDependencyError
+
+if TYPE_CHECKING:
+    from beamfield.geometry import FloatArray
+    from beamfield.io.recordings.recording import Recording
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.models.beam_parameters import BeamParameters
+    from beamfield.sensors import SensorLog
+
+    Numbers = Mapping[str, FloatArray]
+
+# Option, package that writes it, extra that brings the package.
+KINDS = (("rerun", ".rrd", "rerun", "rerun-sdk"), ("mcap", ".mcap", "rosbags", "rosbags"))
+EXTRAS = {"rerun": "rerun", "mcap": "ros"}
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """Add --rerun and --mcap."""
+    group = parser.add_argument_group("recordings, to look at over time")
+    group.add_argument("--rerun", type=Path, metavar="FILE", help="write an .rrd for the Rerun viewer")
+    group.add_argument("--mcap", type=Path, metavar="FILE", help="write an .mcap for Foxglove or RViz")
+
+
+def wants_recording(arguments: argparse.Namespace) -> bool:
+    """Return whether one is to be written."""
+    return arguments.rerun is not None or arguments.mcap is not None
+
+
+def check_recordings(arguments: argparse.Namespace) -> None:
+    """Refuse now what could not be written after the work."""
+    from beamfield.io.files.atomic import check_writable
+
+    for option, ending, module, package in KINDS:
+        path = getattr(arguments, option)
+        if path is None:
+            continue
+        if path.suffix.lower() != ending:
+            raise InvalidInputError(f"--{option}: expected a name ending in {ending}, got {path.name!r}")
+        if importlib.util.find_spec(module) is None:
+            raise MissingDependencyError(package, EXTRAS[option], f"--{option}")
+        check_writable(path)
+
+
+def write_recordings(arguments: argparse.Namespace, record: Callable[[], Recording]) -> list[Path]:
+    """Write what was asked for, and return the files."""
+    if not wants_recording(arguments):
+        return []
+    from beamfield.io.recordings.mcap_file import write_mcap
+    from beamfield.io.recordings.rerun_file import write_rerun
+
+    recording, written = record(), []
+    for path, write in ((arguments.rerun, write_rerun), (arguments.mcap, write_mcap)):
+        if path is not None:
+            write(path, recording)
+            written.append(path)
+    return written
+
+
+def beam_recording(
+    parameters: BeamParameters, log: SensorLog, grid: OccupancyGrid, numbers: Numbers | None = None
+) -> Recording:
+    """Return a recording of scans at their reference poses, each reading coloured by its most likely cause."""
+    import numpy as np
+
+    from beamfield.io.recordings.recording import Recording
+    from beamfield.models.beam import BeamModel
+    from beamfield.models.sonar import SonarModel
+
+    model = (SonarModel if log.finder.opening_angle > 0.0 else BeamModel)(grid, parameters)
+    causes = np.full(log.ranges.shape, -1, np.int8)
+    fits = np.full(len(log), np.nan)
+    for i in np.flatnonzero(np.isfinite(log.poses).all(axis=1)):
+        shares = model.responsibilities(log[int(i)], log.poses[i])
+        known = shares.sum(axis=-1) > 0.0
+        causes[i, known] = shares[known].argmax(axis=-1)
+        if known.any():
+            fits[i] = model.beam_log_likelihood(log[int(i)], log.poses[i])[known].mean()
+    numbers = {"mean log likelihood of a beam [nats]": fits, **(numbers or {})}
+    return Recording(grid, log, {"pose": log.poses}, numbers=numbers, causes=causes)

@@ -56,6 +56,7 @@ _NAMES = {
     "calibration.options": ("CalibrationOptions",),
     "calibration.intrinsic.em": ("learn_intrinsic_parameters",),
     "calibration.field.learning": ("learn_field_parameters",),
+    "explorer.widget": ("explore",),
     "calibration.context.exponent": ("learn_exponent",),
     "calibration.context.learning": ("learn_in_context",),
     "calibration.odometry.learning": ("calibrate_odometry",),

@@ -19,6 +19,7 @@ from beamfield import (
     simulation as simulation,
     stacks as stacks,
 )
+from beamfield.explorer.widget import explore as explore
 from beamfield.io.read_map import read_map as read_map
 from beamfield.io.read_log import read_log as read_log
 from beamfield.io.trajectory import read_trajectory as read_trajectory, attach_poses as attach_poses

@@ -1,0 +1,81 @@
+"""Explore a log in its map in the browser: move the robot, and see what each model says of the scan there.
+
+Serves one page on the loopback address, for this user only, until Ctrl-C: the map, the scan at its pose with the cause
+of each reading, expected ranges, the scores of every model while the robot is dragged, heat maps of p(z | x, m),
+sliders for the parameters with the density of any beam, and a timeline of how well scans fit. Nothing is written; the
+page offers changed parameter files for download.
+
+for example:
+
+  beamfield explore run.bag --map map.yaml
+  beamfield explore run.bag --map map.yaml --params nav2_params.yaml beamfield_calibration/nav2.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+
+from beamfield.cli import options
+from beamfield.cli.fitted_poses import as_notes, posed_log
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command, index
+from beamfield.cli.terminal import complain
+from beamfield.errors import InvalidInputError, MissingDependencyError
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
+    """Register the command."""
+    parser = add_command(subparsers, run, "explore", __doc__)
+    parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
+    options.add_map(parser, required=True)
+    options.add_poses(parser, fitted=True)
+    parser.add_argument("--params", type=Path, nargs="+", default=[], metavar="FILE",
+                        help="parameter files to compare: beam_model.yaml, likelihood_field.yaml, or of nav2, ROS 1 "
+                        "amcl, Beluga, MRPT, F1TENTH")  # fmt: skip
+    parser.add_argument("--no-fit", action="store_true",
+                        help="start at once: learn nothing from the log, and judge no scans")  # fmt: skip
+    parser.add_argument("--port", type=index, default=0, metavar="N", help="port to serve on (default: any free one)")
+    parser.add_argument("--no-browser", action="store_true", help="only print the address, open nothing")
+    options.add_log(parser)
+    options.add_threads(parser)
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read, learn, serve until Ctrl-C."""
+    try:
+        import uvicorn
+    except ImportError as error:
+        raise MissingDependencyError("uvicorn", "explore", "the explorer") from error
+    from beamfield.explorer.open_session import open_session
+    from beamfield.explorer.server import explorer_app, listening_socket, new_token, page_address
+
+    if arguments.port > 65535:
+        raise InvalidInputError(f"--port: expected at most 65535, got {arguments.port}")
+    with options.progress(arguments) as progress:
+        progress("reading the map", 0, 1)
+        grid = options.read_walls(arguments)
+        progress("reading the log", 0, 1)
+        sensor, notes = options.read_sensor(arguments)
+        log, fitted = posed_log(
+            sensor, grid, arguments, progress, path=arguments.log, start=options.start_of(arguments)
+        )
+        session, why = open_session(log, grid, arguments.params, fit=not arguments.no_fit, progress=progress)
+    notes = (*notes, *as_notes(fitted), *([f"nothing was learned from the log: {why}"] if why else []))
+    for note in notes:
+        complain(f"note: {note}")
+    token = new_token()
+    with listening_socket(arguments.port) as listening:
+        port = listening.getsockname()[1]
+        address = page_address(port, token)
+        # At once, not with the result: there is none before the end.
+        complain(f"serving {address} (Ctrl-C ends it)")
+        if not arguments.no_browser:
+            webbrowser.open(address)
+        app = explorer_app(session, token, port)
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", lifespan="off"))
+        with suppress(KeyboardInterrupt):
+            server.run(sockets=[listening])
+    return Outcome("the explorer has ended", "", {"address": address}, (), [])

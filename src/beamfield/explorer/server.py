@@ -1,0 +1,176 @@
+"""The explorer's page on the loopback address: whoever asks must have the token, and gets what a `Session` answers.
+
+What is refused, and why:
+
+- another Host than our own: a site's name that was made to point to 127.0.0.1 (DNS rebinding);
+- another Origin than our own, or no JSON: a page of another site that asks in the user's name;
+- no token, or a wrong one: another user or program of this machine;
+- a long or malformed message: what our page does not send.
+
+No file is read for a request: the page's files are read once, and the log and the map were before.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import socket
+import threading
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from beamfield.errors import BeamfieldError, MissingDependencyError
+from beamfield.explorer.requests import LARGEST_MESSAGE
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+    from beamfield.explorer.session import Session
+
+ADDRESS = "127.0.0.1"
+PAGE_FILES = {
+    "index.html": "text/html; charset=utf-8",
+    "page.js": "text/javascript; charset=utf-8",
+    "explorer.js": "text/javascript; charset=utf-8",
+    "explorer.css": "text/css; charset=utf-8",
+}
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+TOKEN_HEADER = "X-Beamfield-Token"
+
+
+def new_token() -> str:
+    """Return a token that nobody can guess."""
+    return secrets.token_urlsafe(24)
+
+
+def page_file(name: str) -> bytes:
+    """Return one of the page's files."""
+    return resources.files("beamfield.explorer").joinpath("page", name).read_bytes()
+
+
+def explorer_app(session: Session, token: str, port: int) -> Starlette:
+    """Return the application that serves a session.
+
+    Parameters
+    ----------
+    session
+        What it answers.
+    token
+        That whoever asks must have.
+    port
+        On which it is served, for the Host and the Origin that are ours.
+
+    Raises
+    ------
+    MissingDependencyError
+        If Starlette is not installed.
+    """
+    try:
+        from starlette.applications import Starlette
+        from starlette.concurrency import run_in_threadpool
+        from starlette.responses import PlainTextResponse, Response
+        from starlette.routing import Route
+    except ImportError as error:
+        raise MissingDependencyError("starlette", "explore", "the explorer") from error
+
+    files = {name: page_file(name) for name in PAGE_FILES}
+    hosts = {f"{ADDRESS}:{port}", f"localhost:{port}"}
+    one_at_a_time = threading.Lock()
+
+    def refused(request: Request) -> Response | None:
+        if request.headers.get("host") not in hosts:
+            return PlainTextResponse("another host was asked for\n", 403, HEADERS)
+        origin = request.headers.get("origin")
+        if origin is not None and origin not in {f"http://{host}" for host in hosts}:
+            return PlainTextResponse("a page of another site asked\n", 403, HEADERS)
+        return None
+
+    def is_token(word: str | None) -> bool:
+        return word is not None and secrets.compare_digest(word.encode(), token.encode())
+
+    async def page(request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        if (answer := refused(request)) is not None:
+            return answer
+        if name == "index.html" and not is_token(request.query_params.get("token")):
+            text = "The token is missing or wrong: open the address that beamfield explore printed.\n"
+            return PlainTextResponse(text, 403, HEADERS)
+        if name not in files:
+            return PlainTextResponse("there is no such page\n", 404, HEADERS)
+        return Response(files[name], headers={**HEADERS, "Content-Type": PAGE_FILES[name]})
+
+    async def ask(request: Request) -> Response:
+        if (answer := refused(request)) is not None:
+            return answer
+        if not is_token(request.headers.get(TOKEN_HEADER)):
+            return _error("the token is missing or wrong", 403)
+        if request.headers.get("content-type", "").split(";")[0].strip() != "application/json":
+            return _error("expected JSON", 415)
+        body = bytearray()
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > LARGEST_MESSAGE:
+                return _error(f"expected at most {LARGEST_MESSAGE} bytes", 413)
+        try:
+            message = json.loads(body)
+        except (ValueError, RecursionError):
+            return _error("expected JSON", 400)
+
+        def work() -> bytes:
+            with one_at_a_time:
+                return as_json(session.answer(message))
+
+        try:
+            content = await run_in_threadpool(work)
+        except BeamfieldError as error:
+            return _error(str(error), 400)
+        return Response(content, headers={**HEADERS, "Content-Type": "application/json"})
+
+    app = Starlette(routes=[Route("/", page), Route("/ask", ask, methods=["POST"]), Route("/{name}", page)])
+    app.router.redirect_slashes = False
+    return app
+
+
+def as_json(answer: dict[str, Any]) -> bytes:
+    """Return an answer as JSON; arrays as lists. A number that is not finite is an error, not ``NaN``."""
+    return json.dumps(answer, allow_nan=False, default=_plain, separators=(",", ":")).encode()
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"cannot be sent: {type(value).__name__}")
+
+
+def _error(text: str, status: int) -> Response:
+    from starlette.responses import JSONResponse
+
+    return JSONResponse({"error": text}, status, HEADERS)
+
+
+def listening_socket(port: int) -> socket.socket:
+    """Return a socket that listens on the loopback address alone; port 0 is any that is free."""
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((ADDRESS, port))
+        listening.listen()
+    except OSError:
+        listening.close()
+        raise
+    return listening
+
+
+def page_address(port: int, token: str) -> str:
+    """Return what to open in a browser."""
+    return f"http://{ADDRESS}:{port}/?token={token}"

@@ -1,0 +1,49 @@
+"""The command that serves the explorer."""
+
+import pytest
+
+from beamfield.cli.main import main
+
+uvicorn = pytest.importorskip("uvicorn")
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("world") / "world"
+    assert main(["simulate", "--out", str(folder), "--duration", "10", "--beams", "11", "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture
+def served(monkeypatch):
+    """Servers that were started; they end at once."""
+    started = []
+    monkeypatch.setattr(
+        uvicorn.Server, "run", lambda self, sockets: started.append((self.config.app, sockets[0].getsockname()))
+    )
+    return started
+
+
+def explore(world, *words):
+    return main(["explore", str(world / "log.carmen"), "--map", str(world / "map.yaml"), "--no-browser", *words])
+
+
+def test_it_prints_an_address_with_a_token_and_serves_it(world, served, capsys):
+    testclient = pytest.importorskip("starlette.testclient")
+    assert explore(world, "--no-fit") == 0
+    out, err = capsys.readouterr()
+    address = next(word for word in err.split() if word.startswith("http://127.0.0.1:"))
+    ((app, (host, port)),) = served
+    assert host == "127.0.0.1"
+    assert address.startswith(f"http://127.0.0.1:{port}/?token=")
+    assert "beamfield explorer" in testclient.TestClient(app, base_url=f"http://127.0.0.1:{port}").get(address).text
+    assert out == "the explorer has ended\n"
+
+
+def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, tmp_path):
+    assert explore(world, "--port", "70000") == 2
+    assert "65535" in capsys.readouterr().err
+    (tmp_path / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: high\n")
+    assert explore(world, "--no-fit", "--params", str(tmp_path / "nav2.yaml")) == 1
+    assert "nav2.yaml" in capsys.readouterr().err
+    assert served == []

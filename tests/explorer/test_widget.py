@@ -1,0 +1,43 @@
+"""The explorer in a notebook, and how a session is opened."""
+
+import pytest
+
+from beamfield.explorer.open_session import open_session
+from beamfield.explorer.widget import answered, explore
+
+
+def test_a_message_of_the_notebook_is_answered(session):
+    answer = answered(session, {"id": 7, "message": {"name": "scan", "i": 0, "pose": [0.0, 0.3, 0.0], "set": 0}})
+    assert answer["id"] == 7
+    assert len(answer["answer"]["scores"]) == 3
+    assert "object" in answered(session, {"id": 8})["error"]
+    assert "object" in answered(session, "nonsense")["error"]
+
+
+def test_the_widget_is_the_pages_component(log, grid, monkeypatch):
+    pytest.importorskip("anywidget")
+    widget = explore(log, grid, fit=False)
+    assert "export default { render }" in widget._esm
+    assert "import " not in widget._esm  # a notebook has one module
+    sent = []
+    monkeypatch.setattr(type(widget), "send", lambda _, content, *__: sent.append(content))
+    widget._handle_custom_msg({"id": 1, "message": {"name": "start"}}, [])
+    assert len(sent[0]["answer"]["poses"]) == 12
+
+
+def test_what_cannot_be_learned_is_said_and_the_rest_is_shown(log, grid):
+    session, why = open_session(log, grid)
+    assert why is not None
+    assert [one.kind for one in session.sets] == ["beam", "field", "stack"]
+
+
+def test_a_log_is_learned_from_and_its_scans_judged(drive, office):
+    stages = []
+    session, why = open_session(drive, office, progress=lambda stage, *_: stages.append(stage))
+    assert why is None
+    assert [one.label for one in session.sets[:2]] == ["beam model, fitted", "likelihood field, fitted"]
+    assert set(session.numbers) == {"log likelihood of a beam", "p-value", "probability of being lost"}
+    assert "judging scans" in stages
+    first = session.answer({"name": "judge", "set": 0, "i": 0, "pose": [0.0, 0.0, 0.0]})
+    typical = session.answer({"name": "judge", "set": 2, "i": 0, "pose": [0.0, 0.0, 0.0]})
+    assert first["now"] > typical["now"]

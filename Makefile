@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
 
-.PHONY: demo test fuzz lint rays kills bench docs wheel clean help
+.PHONY: demo test fuzz lint rays kills bench docs site wheel clean help
 
 help:  ## Show the commands
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -47,8 +47,12 @@ docs: $(STAMP)  ## Redraw the pictures and tables of the documentation
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_book_map.py
 
+site: $(STAMP)  ## Build the documentation site into site/; it works from file://
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[docs]'
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --builder html docs site
+
 wheel: $(STAMP)  ## Build the wheel into dist/
 	$(BIN)/python -m build --quiet --wheel
 
 clean:  ## Remove what the commands made
-	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) dist build site docs/api .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.own_stack import TOY, ToyParameters
 
 import beamfield
 from beamfield.cli.main import main
@@ -31,7 +32,6 @@ from beamfield.stacks.translation.translate import translate
 from beamfield.stacks.translation.translate_beam_model import translate_beam_model
 from tests.stacks.small_room import small_room, small_scan
 from tests.stacks.test_filters import drive
-from tests.stacks.toy_stack import TOY, ToyParameters
 
 FILE = "toy_localizer:\n  toy_peak: 0.8   # mine\n  toy_floor: 0.2\n  toy_width: 0.15\n"
 SOURCES = Path(beamfield.__file__).parent

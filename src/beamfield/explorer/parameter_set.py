@@ -25,7 +25,7 @@ from beamfield.stacks.files.new_file import new_file_text
 from beamfield.stacks.files.other_files import is_beam_model
 from beamfield.stacks.files.parameter_file import StackFile, read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.registry import build_model, model_named, parameter_class
+from beamfield.stacks.registry import STACKS, build_model, model_named
 
 Kind = Literal["beam", "field", "stack"]
 WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
@@ -127,13 +127,18 @@ class ParameterSet:
 
 
 def typical_sets(grid: OccupancyGrid, finder: RangeFinder) -> list[ParameterSet]:
-    """Return what there is without a file: a typical beam model, its field, and nav2's default."""
+    """Return what there is without a file: a typical beam model, its field, and the first program's default."""
     beam = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.15, "lambda_short": 0.4}
-    nav2 = parameter_class("nav2", "likelihood_field_prob")()
+    program, model = next(
+        (program, model)
+        for program in STACKS.values()
+        for model in program.models.values()
+        if model.weight.of_field and model.weight.is_product
+    )
     return [
         _beam_set("typical beam model", beam, 0.1, grid, finder),
         _field_set("typical likelihood field", {"z_hit": 0.8, "z_rand": 0.1, "sigma_hit": 0.15}, 0.1, grid, finder),
-        _stack_set("nav2's default", "nav2", "likelihood_field_prob", nav2, grid, None),
+        _stack_set(f"{program.title}'s default", program.name, model.name, model.parameters(), grid, None),
     ]
 
 

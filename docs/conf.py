@@ -1,0 +1,73 @@
+"""The documentation site: Sphinx over the same Markdown files that are read in the repository.
+
+`make site` builds it into site/; warnings are errors. The API reference is made from the front door's docstrings.
+"""
+
+import re
+import shutil
+from pathlib import Path
+
+import beamfield
+
+HERE = Path(__file__).parent
+API = HERE / "api"
+
+project = "beamfield"
+author = "The beamfield developers"
+copyright = "the beamfield developers, Apache-2.0"  # noqa: A001  # Sphinx's name
+version = release = beamfield.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+]
+exclude_patterns = ["make_*.py"]
+suppress_warnings = ["myst.header"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+autosummary_generate = True
+# Names in backticks that the reference has become links; others stay as they are.
+default_role = "py:obj"
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"beamfield {release}"
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {
+    "navbar_align": "left",
+    "header_links_before_dropdown": 6,
+    "show_toc_level": 2,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+
+GROUP = re.compile(r"\n    # (.+)\n")
+NAMES = re.compile(r'"([A-Za-z_]\w*)"')
+
+
+def write_reference(*_: object) -> None:
+    """Write a page with the names of each group of the front door, in the groups of its source."""
+    shutil.rmtree(API, ignore_errors=True)
+    API.mkdir()
+    source = Path(beamfield.__file__).read_text().split("_NAMES = {")[1].split("\n}")[0]
+    parts = GROUP.split(source)[1:]
+    text = "# API reference\n\nWhat `import beamfield as bf` offers; sub-packages hold the rest.\n"
+    for title, body in zip(parts[::2], parts[1::2], strict=True):
+        # Homes come before the colon, names after it.
+        names = [name for line in body.split("\n") for name in NAMES.findall(line.partition(":")[2])]
+        listed = "\n".join(f"   beamfield.{name}" for name in names)
+        text += f"\n## {title}\n\n```{{eval-rst}}\n.. autosummary::\n   :toctree:\n\n{listed}\n```\n"
+    (API / "index.md").write_text(text)
+
+
+def setup(app: object) -> None:
+    """Let Sphinx make the reference before it looks for pages."""
+    app.connect("config-inited", write_reference)  # type: ignore[attr-defined]

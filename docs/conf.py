@@ -32,6 +32,7 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
 autosummary_generate = True
 # Names in backticks that the reference has become links; others stay as they are.
 default_role = "py:obj"

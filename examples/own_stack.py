@@ -24,7 +24,7 @@ from beamfield.stacks.emulation.stack_map import read_as_stack
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.registry import STACKS, build_model
-from beamfield.stacks.stack import FIELD_PRODUCT, Model, Stack, models
+from beamfield.stacks.stack import FIELD_PRODUCT, Model, Stack
 from beamfield.stacks.translation.translate import translate
 
 
@@ -92,8 +92,7 @@ SIGNS = frozenset(("toy_peak", "toy_floor", "toy_width"))
 TOY = Stack(
     name="toy",
     title="the toy",
-    models=models(
-        Model(
+    models={"toy_field": Model(
             emulator=ToyField,
             parameters=ToyParameters,
             formula="Π p over beams",
@@ -103,8 +102,7 @@ TOY = Stack(
                 "z_hit": "toy_peak", "z_rand": "toy_floor", "sigma_hit": "toy_width", "laser_max_range": "toy_range",
                 "laser_likelihood_max_dist": "toy_far", "beam_step": "toy_step",
             },
-        )
-    ),
+        )},
     likeness=lambda section: 2.0 * section.count(SIGNS),
     signs=SIGNS,
     layout=("toy_localizer:",),

@@ -159,7 +159,7 @@ class AmclFilter:
         return run_loop(log, _Particles(self, start, rng), self._has_moved)
 
     def _has_moved(self, last: FloatArray, now: FloatArray) -> bool:
-        x, y, turn = (now - last).tolist()
+        x, y, turn = map(float, now - last)
         # `wrap_angle` takes ten times as long, for every scan.
         turned = abs(math.pi - (math.pi - turn) % math.tau) > self.parameters.update_min_a
         return turned or max(abs(x), abs(y)) > self.parameters.update_min_d
@@ -228,7 +228,7 @@ class _Particles:
         random_share = self._averages.random_share()
         points = self._rng.random(self._most)
         # Where few are enough, as mostly, the others need not be looked up.
-        few = self._most if random_share > 0.0 else min(self._most, MARGIN + int(self._limits[-1]))
+        few = self._most if random_share > 0.0 else min(self._most, MARGIN + int(self._limits.min()))
         histogram, poses = self._drawn(points[:few], random_share)
         if few < self._most and not histogram.is_enough:
             histogram, poses = self._drawn(points, random_share)

@@ -14,10 +14,10 @@ from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.registry import STACKS
 
 BEFORE, LEARNED = "before", "learned"
-# Alphas 1 and 2, of rotations, and 3 and 4, of translations, in nav2's formula. A scan tells the heading best, so that
-# noise there costs little and keeps particles apart that a wrong map or a drift of the odometry asks for; how far the
-# robot has come along a corridor no scan tells, so that noise there is error.
-ALPHAS = ((0.02, 0.02), (0.05, 0.05), (0.1, 0.1), (0.1, 0.02), (0.2, 0.05))
+# Alphas 1 and 2, of rotations, and 3 and 4, of translations, in nav2's formula. Scans tell the heading best: where
+# updates are close to each other noise there costs little, and particles stay as far apart as errors of the map and
+# drift of the odometry ask for. How far the robot has come along a corridor no scan tells, and noise there is error.
+ALPHAS = ((0.02, 0.02), (0.05, 0.05), (0.1, 0.1), (0.1, 0.02), (0.2, 0.02))
 
 
 def motion_candidates(

@@ -164,7 +164,7 @@ def test_motion_candidates_are_the_logs_and_common_alphas(drive):
     found = motion_candidates(nav2_filter(), drive, 0.01, 0.003)
     assert found["before"] == {}
     assert found["alpha 0.1"] == {f"alpha{i}": 0.1 for i in range(1, 5)}
-    assert list(found["alpha 0.2 of rotations, 0.02 of translations"].values()) == [0.2, 0.2, 0.02, 0.02]
+    assert list(found["alphas 0.2 and 0.02"].values()) == [0.2, 0.2, 0.02, 0.02]
     assert all(value >= 0.02 for value in found["learned"].values())
     assert len({tuple(values.values()) for values in found.values()}) == len(found)
 

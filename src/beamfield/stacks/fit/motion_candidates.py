@@ -48,7 +48,7 @@ def motion_candidates(
     candidates[LEARNED] = convert(learned)
     for rotation, translation in ALPHAS:
         same = rotation == translation
-        name = f"alpha {rotation:g}" if same else f"alpha {rotation:g} of rotations, {translation:g} of translations"
+        name = f"alpha {rotation:g}" if same else f"alphas {rotation:g} and {translation:g}"
         candidates[name] = convert(_with_alphas(learned, rotation, translation))
     return _without_repetition(candidates)
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from benchmarks.odometry_noise import fr079, with_signs_of_reference
 from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
@@ -22,6 +21,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.scan_weights import ScanWeights
+from odometry_noise import fr079, with_signs_of_reference
 
 GROUP = 5.0
 LOGS: dict[str, Callable[[Path], SensorLog]] = {

@@ -17,9 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.half_maps import LOGS, HalfMaps, HalfMapSettings, half_maps
-from benchmarks.stack_fit import REFERENCE_ERROR, SETS, _read
-from benchmarks.tables import print_table
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.pose_windows import WindowOptions
@@ -33,6 +30,9 @@ from beamfield.stacks.fit.motion_candidates import BEFORE, motion_candidates
 from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay, replay_options, shifted_map
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
+from half_maps import LOGS, HalfMaps, HalfMapSettings, half_maps
+from stack_fit import REFERENCE_ERROR, SETS, _read
+from tables import print_table
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,8 @@
 
 FOLDER holds the logs and maps (default: ../shared/data beside the checkout): other people's data, no part of this
 repository. Fitted to Wean Hall 1 alone and evaluated on 1, 3 and 5; simulated Pioneer and TurtleBot 4 are evaluated on
-the log they were fitted to. ``--stack``, ``--model``, ``--sets wean,tb4,stage`` and ``--seeds N`` do a part.
+the log they were fitted to; intel, fr079 and csail on the second half of the way, chosen by the first, with maps that
+no scan helped to draw (``half_maps``). ``--stack``, ``--model``, ``--sets wean,tb4,stage`` and ``--seeds N`` do a part.
 
 The filter is the stack's own, emulated, over whole logs from one start 0.5 m and 15 degrees wide.
 """
@@ -11,13 +12,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.stack_fit import REFERENCE_ERROR, SETS, _read
-from benchmarks.tables import print_table
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.pose_windows import WindowOptions
@@ -31,48 +30,83 @@ from beamfield.stacks.fit.motion_candidates import BEFORE, motion_candidates
 from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay, replay_options, shifted_map
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
+from half_maps import LOGS, HalfMaps, HalfMapSettings, half_maps
+from stack_fit import REFERENCE_ERROR, SETS, _read
+from tables import print_table
 
 
-def choose(stack: str, model: str, log: SensorLog, grid: OccupancyGrid, error: float) -> tuple[ReplayChoice, float]:
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A log to choose by, logs to judge by, and the map."""
+
+    name: str
+    log: SensorLog
+    """To replay; windows are cut from `scans`, which may be fewer."""
+    scans: SensorLog
+    grid: OccupancyGrid
+    others: dict[str, SensorLog]
+    error: float
+    maps: HalfMaps | None = None
+
+    def settings(self, settings: FilterSettings) -> FilterSettings:
+        """Return settings of a filter on the map, or on the two."""
+        return settings if self.maps is None else HalfMapSettings.of(settings, self.maps)
+
+
+def read_place(folder: Path, name: str) -> Place:
+    """Return one of `SETS` or of `LOGS`."""
+    if name in LOGS:
+        maps = half_maps(folder, name)
+        half = len(maps.log) // 2
+        others = {f"{name}, second half": maps.log[half:]}
+        return Place(name, maps.log[:half], *maps.to_fit, others, 0.04, maps)
+    logs = {title: _read(folder, *paths) for title, *paths in SETS[name]}
+    log, grid = next(iter(logs.values()))
+    others = {title: log for title, (log, _) in logs.items()}
+    return Place(name, log, log, grid, others, REFERENCE_ERROR.get(name, 0.04))
+
+
+def choose(stack: str, model: str, place: Place) -> tuple[ReplayChoice, float]:
     """Return what `beamfield calibrate --stack` chooses, from the stack's defaults, and the seconds of replay."""
     described = STACKS[stack]
     chapter = None
     if not described.model(model).weight.of_field:
-        learned = calibrate(log, grid, CalibrationOptions(refine=False))
+        learned = calibrate(place.scans, place.grid, CalibrationOptions(refine=False))
         chapter = next(form.result.parameters for form in learned.candidates if form.is_chapter)
-    options = WindowOptions(reference_error=error, reference_turn_error=error / 4.0)
-    fit = fit_stack(stack, model, log, grid, start=described.start(model), beam_parameters=chapter, options=options)
+    options = WindowOptions(reference_error=place.error, reference_turn_error=place.error / 4.0)
+    fit = fit_stack(
+        stack, model, place.scans, place.grid, start=described.start(model), beam_parameters=chapter, options=options
+    )
     print({name: value for name, value in asdict(fit.parameters).items() if value != getattr(fit.start, name)})
     began = time.process_time()
-    before = FilterSettings(
-        stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters()
+    before = place.settings(
+        FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())
     )
     amount = replay_options(stack, model, 0)
     particles = before.particles
     segments = cut_segments(
-        log, particles.update_min_d, particles.update_min_a, most=amount.most_stretches, longest=amount.longest
+        place.log, particles.update_min_d, particles.update_min_a, most=amount.most_stretches, longest=amount.longest
     )
     choice = choose_by_replay(
         before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},
-        motion_candidates(before, log, error, error / 4.0),
-        0.5 * grid.resolution if described.half_cell_low else 0.0, segments, grid, amount,
+        motion_candidates(before, place.log, place.error, place.error / 4.0),
+        0.5 * place.grid.resolution if described.half_cell_low else 0.0, segments, place.grid, amount,
     )  # fmt: skip
     return choice, time.process_time() - began
 
 
-def rows(folder: Path, name: str, stack: str, model: str, n_seeds: int) -> list[dict[str, Any]]:
+def rows(place: Place, stack: str, model: str, n_seeds: int) -> list[dict[str, Any]]:
     """Return a row per log and setting: before, and chosen."""
-    logs = [(title, *_read(folder, *paths)) for title, *paths in SETS[name]]
-    choice, seconds = choose(stack, model, *logs[0][1:], REFERENCE_ERROR.get(name, 0.04))
+    choice, seconds = choose(stack, model, place)
     print(f"{replay_tables(choice)}\n{seconds:.0f} s of processor time", flush=True)
     table = []
-    for title, log, grid in logs:
+    for title, log in place.others.items():
         for which, setting in (("before", choice.before), (describe(choice.chosen), choice.chosen)):
-            trials = run_trials(setting.filter.filter(shifted_map(grid, setting.shift)), log, range(n_seeds))
+            trials = run_trials(setting.filter.filter(shifted_map(place.grid, setting.shift)), log, range(n_seeds))
             table.append({
-                "stack": stack, "model": model, "log": title, "values": which, "seeds": n_seeds,
+                "stack": stack, "model": model, "log": title, "values": which,
                 "mean error [m]": f"{trials.mean('mean'):.3f}",
-                "median run": f"{np.median(trials.column('mean')):.3f}", "lost": trials.n_lost,
+                "median run": f"{np.median(trials.column('mean')):.3f}", "lost": f"{trials.n_lost} of {n_seeds}",
                 "inside": f"{trials.mean('inside'):.2f}", "inside, 3 cm": f"{trials.mean('inside_noisy'):.2f}",
             })  # fmt: skip
             print(table[-1], flush=True)
@@ -86,12 +120,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", default=here)
     parser.add_argument("--stack", default="nav2")
     parser.add_argument("--model", default="likelihood_field_prob")
-    parser.add_argument("--sets", default=",".join(SETS))
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--sets", default=",".join((*SETS, *LOGS)))
+    parser.add_argument("--seeds", type=int, default=50)
     given = parser.parse_args()
     print_table([
         row for name in given.sets.split(",")
-        for row in rows(given.folder, name, given.stack, given.model, given.seeds)
+        for row in rows(read_place(given.folder, name), given.stack, given.model, given.seeds)
     ])  # fmt: skip
 
 

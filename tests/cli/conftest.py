@@ -19,5 +19,5 @@ def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=20)
     monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
     monkeypatch.setattr(replay_choice, "OF_RAYS", few)
-    monkeypatch.setattr(motion_candidates, "COMMON_ALPHAS", (0.05,))
+    monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))

@@ -15,6 +15,7 @@ from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.stacks.beluga.models import BelugaField, BelugaFieldProb
+from beamfield.stacks.filters import amcl_filter
 from beamfield.stacks.filters.amcl_filter import BINS, AmclFilterParameters, as_wrapped_rotations
 from beamfield.stacks.filters.histogram import Histogram, kld_limits
 from beamfield.stacks.filters.particles import (
@@ -182,6 +183,15 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another():
     runs = [nav2_filter().run(drive(10), START, np.random.default_rng(seed)) for seed in (3, 3, 4)]
     assert (runs[0].poses == runs[1].poses).all()
     assert (runs[0].poses != runs[2].poses).any()
+
+
+def test_looking_up_few_particles_first_changes_nothing(monkeypatch):
+    start = PoseBelief.around(START.mean, sd_position=0.01, sd_heading=0.01)
+    run = nav2_filter(min_particles=20, max_particles=1000).run
+    first = run(drive(), start, np.random.default_rng(0))
+    assert first.particles[0] < 20 + amcl_filter.MARGIN < first.particles[3]
+    monkeypatch.setattr(amcl_filter, "MARGIN", 1000)
+    np.testing.assert_array_equal(first.means, run(drive(), start, np.random.default_rng(0)).means)
 
 
 def test_the_particles_number_one_more_than_kld_sampling_asks_for():

@@ -14,6 +14,7 @@ from beamfield.cli.calibrate_replay import replay_fit
 from beamfield.errors import TooLittleDataError
 from beamfield.localization.replay import ReplayErrors
 from beamfield.localization.replay_comparison import ReplayTrials
+from beamfield.localization.replay_trials import run_trials
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
 from beamfield.report.stack_section import small_z_hit
@@ -23,11 +24,13 @@ from beamfield.simulation.log import simulate_log
 from beamfield.stacks.beluga.motion import BelugaMotion
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
+from beamfield.stacks.fit import replay_choice
 from beamfield.stacks.fit.motion_candidates import motion_candidates
 from beamfield.stacks.fit.replay_choice import (
     ReplayOptions,
     ReplaySetting,
     _of_equals,
+    _Replays,
     choose_by_replay,
     clipped,
     costs,
@@ -104,6 +107,24 @@ def test_values_that_nothing_beats_are_kept(office, segments):
     assert "none of 4 settings did better" in replay_verdict(choice)
 
 
+def test_seeds_that_are_missing_are_run_and_no_others(office, segments, monkeypatch):
+    own = ReplaySetting("before", "before", 0.0, nav2_filter())
+    runs: list[int] = []
+
+    def counted(replayed, log, seeds, *, name):
+        runs.extend(seeds)
+        return run_trials(replayed, log, seeds, name=name)
+
+    monkeypatch.setattr(replay_choice, "run_trials", counted)
+    stepwise, at_once = (_Replays(segments.choosing, ["a"], office, replace(FEW, seed=7)) for _ in range(2))
+    first = stepwise.of([own], 1)[own.key]
+    (grown,), (whole,) = stepwise.of([own], 3)[own.key], at_once.of([own], 3)[own.key]
+    assert runs == [7, 8, 9, 7, 8, 9]
+    assert grown.seeds == whole.seeds
+    np.testing.assert_array_equal(grown.column("mean"), whole.column("mean"))
+    assert first[0].seeds == stepwise.of([own], 1)[own.key][0].seeds == (7,)
+
+
 def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
     text, document = replay_tables(repaired), replay_as_dict(repaired)
     assert "Use the new values: replayed in nav2's own filter, emulated, on 1 stretch of this log, 10 runs" in text
@@ -143,6 +164,7 @@ def test_motion_candidates_are_the_logs_and_common_alphas(drive):
     found = motion_candidates(nav2_filter(), drive, 0.01, 0.003)
     assert found["before"] == {}
     assert found["alpha 0.1"] == {f"alpha{i}": 0.1 for i in range(1, 5)}
+    assert list(found["alphas 0.2 and 0.02"].values()) == [0.2, 0.2, 0.02, 0.02]
     assert all(value >= 0.02 for value in found["learned"].values())
     assert len({tuple(values.values()) for values in found.values()}) == len(found)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,8 +23,8 @@ from beamfield.stacks.emulation.parameter_checks import check_numbers
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
 from beamfield.stacks.filters.loop import run_loop
 from beamfield.stacks.filters.particles import (
+    at_points,
     check_particle_counts,
-    draw_by_weight,
     n_effective,
     normal_poses,
     particle_mean,
@@ -36,6 +37,8 @@ from beamfield.stacks.filters.scan_weights import ScanWeights
 BINS = BinSizes(0.5, 0.5, np.radians(10.0))
 # A filter has converged when all particles are as close to their mean in x and in y, metres.
 CONVERGED_DISTANCE = 0.5
+# So many more particles than the least are looked up first.
+MARGIN = 100
 
 
 @dataclass(frozen=True)
@@ -156,9 +159,10 @@ class AmclFilter:
         return run_loop(log, _Particles(self, start, rng), self._has_moved)
 
     def _has_moved(self, last: FloatArray, now: FloatArray) -> bool:
-        turn = abs(float(wrap_angle(now[2] - last[2])))
-        most = float(np.abs(now[:2] - last[:2]).max())
-        return most > self.parameters.update_min_d or turn > self.parameters.update_min_a
+        x, y, turn = map(float, now - last)
+        # `wrap_angle` takes ten times as long, for every scan.
+        turned = abs(math.pi - (math.pi - turn) % math.tau) > self.parameters.update_min_a
+        return turned or max(abs(x), abs(y)) > self.parameters.update_min_d
 
 
 def as_wrapped_rotations(before: FloatArray, after: FloatArray, odometry: FloatArray) -> FloatArray:
@@ -211,27 +215,38 @@ class _Particles:
 
     def resample_when_due(self) -> FloatArray | None:
         if self._n_updates % self._amcl.parameters.resample_interval == 0:
-            if not self._amcl.selective_resampling or n_effective(self.weights) <= 0.5 * len(self.weights):
-                self._resample()
-            return self._heaviest_cluster(self.weights)
+            keeps = self._amcl.selective_resampling and n_effective(self.weights) > 0.5 * len(self.weights)
+            histogram = None if keeps else self._resample()
+            return self._heaviest_cluster(self.weights, histogram)
         if self._n_updates == 1:
             # Clusters are counted when particles are drawn: the first scan has not told on them yet.
             return self._heaviest_cluster(np.full(len(self.weights), 1.0 / len(self.weights)))
         return None
 
-    def _resample(self) -> None:
+    def _resample(self) -> Histogram:
+        """Draw particles by weight until there are enough, and return their bins."""
         random_share = self._averages.random_share()
-        poses = self.poses[draw_by_weight(self.weights, self._most, self._rng)]
-        if random_share > 0.0:
-            is_random = self._rng.random(self._most) < random_share
-            poses[is_random] = uniform_poses(self._amcl.seen, int(is_random.sum()), self._rng)
-            self._averages.reset()
-        n = Histogram(poses, BINS, self._limits).n_particles
+        points = self._rng.random(self._most)
+        # Where few are enough, as mostly, the others need not be looked up.
+        few = self._most if random_share > 0.0 else min(self._most, MARGIN + int(self._limits.min()))
+        histogram, poses = self._drawn(points[:few], random_share)
+        if few < self._most and not histogram.is_enough:
+            histogram, poses = self._drawn(points, random_share)
+        n = histogram.n_particles
         self.poses, self.weights = poses[:n], np.full(n, 1.0 / n)
         off = np.abs(self.poses[:, :2] - self.poses[:, :2].mean(axis=0))
         self._converged = bool(off.max() <= CONVERGED_DISTANCE)
+        return histogram
 
-    def _heaviest_cluster(self, weights: FloatArray) -> FloatArray:
-        labels = Histogram(self.poses, BINS).clusters()
+    def _drawn(self, points: FloatArray, random_share: float) -> tuple[Histogram, FloatArray]:
+        poses = self.poses[at_points(self.weights, points)]
+        if random_share > 0.0:
+            is_random = self._rng.random(len(points)) < random_share
+            poses[is_random] = uniform_poses(self._amcl.seen, int(is_random.sum()), self._rng)
+            self._averages.reset()
+        return Histogram(poses, BINS, self._limits), poses
+
+    def _heaviest_cluster(self, weights: FloatArray, histogram: Histogram | None = None) -> FloatArray:
+        labels = (histogram or Histogram(self.poses, BINS)).clusters()
         heaviest = labels == np.argmax(np.bincount(labels, weights))
         return particle_mean(self.poses[heaviest], weights[heaviest])

@@ -58,9 +58,14 @@ def n_effective(weights: FloatArray) -> float:
 
 def draw_by_weight(weights: FloatArray, n: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Return n indices of particles, each drawn for itself by their weights, which sum to 1."""
+    return at_points(weights, rng.random(n))
+
+
+def at_points(weights: FloatArray, points: FloatArray) -> NDArray[np.int64]:
+    """Return the particle at each of some numbers in [0, 1) on the summed weights (n,), which sum to 1."""
     sums = np.cumsum(weights)
     # Rounding may leave the last sum below 1; a draw beyond it would be of no particle.
-    return np.searchsorted(sums / sums[-1], rng.random(n), side="right")
+    return np.searchsorted(sums / sums[-1], points, side="right")
 
 
 def particle_mean(poses: FloatArray, weights: FloatArray) -> FloatArray:

@@ -14,8 +14,10 @@ from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.registry import STACKS
 
 BEFORE, LEARNED = "before", "learned"
-# One alpha for all, in nav2's formula.
-COMMON_ALPHAS = (0.02, 0.05, 0.1)
+# Alphas 1 and 2, of rotations, and 3 and 4, of translations, in nav2's formula. Scans tell the heading best: where
+# updates are close to each other noise there costs little, and particles stay as far apart as errors of the map and
+# drift of the odometry ask for. How far the robot has come along a corridor no scan tells, and noise there is error.
+ALPHAS = ((0.02, 0.02), (0.05, 0.05), (0.1, 0.1), (0.1, 0.02), (0.2, 0.02))
 
 
 def motion_candidates(
@@ -23,9 +25,10 @@ def motion_candidates(
 ) -> dict[str, Mapping[str, float]]:
     """Return values for the motion model's parameters by a name for people, the user's own (none to change) first.
 
-    Others are those learned from the log, at the filter's own update distance, and common alphas. Where the stack's
-    formula is not nav2's, values with the noise of such an alpha at the same steps stand for it. There are no others
-    if the log does not show the odometry's noise, or the motion model has none that could be set.
+    Others are those learned from the log, at the filter's own update distance, and `ALPHAS`. Where the stack's formula
+    is not nav2's, values with the noise of such alphas at the same steps stand for them: of the lower one in formulas
+    with a single level. There are no others if the log does not show the odometry's noise, or the motion model has none
+    that could be set.
     """
     described = STACKS[settings.stack]
     convert = described.motions.get(getattr(settings.motion, described.motion_key, ""))
@@ -43,17 +46,19 @@ def motion_candidates(
     except TooLittleDataError:
         return candidates
     candidates[LEARNED] = convert(learned)
-    for alpha in COMMON_ALPHAS:
-        candidates[f"alpha {alpha:g}"] = convert(_with_alpha(learned, alpha))
+    for rotation, translation in ALPHAS:
+        same = rotation == translation
+        name = f"alpha {rotation:g}" if same else f"alphas {rotation:g} and {translation:g}"
+        candidates[name] = convert(_with_alphas(learned, rotation, translation))
     return _without_repetition(candidates)
 
 
-def _with_alpha(learned: OdometryCalibration, alpha: float) -> OdometryCalibration:
-    """Return the calibration with one alpha for all; in formulas that are fitted anew, with no less noise than that."""
+def _with_alphas(learned: OdometryCalibration, rotation: float, translation: float) -> OdometryCalibration:
+    """Return the calibration with these alphas; in formulas that are fitted anew, with no less noise than the lower."""
     return replace(
         learned,
-        alphas=DifferentialMotion(alpha, alpha, alpha, alpha),
-        options=replace(learned.options, floor=alpha),
+        alphas=DifferentialMotion(rotation, rotation, translation, translation),
+        options=replace(learned.options, floor=min(rotation, translation)),
     )
 
 

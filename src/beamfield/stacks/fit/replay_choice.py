@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from math import ceil, log
@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.geometry import FloatArray
 from beamfield.localization.replay import ReplayErrors
 from beamfield.localization.replay_comparison import FEWEST_SEEDS, ReplayComparison, ReplayTrials, compare_trials
 from beamfield.localization.replay_trials import run_trials
@@ -29,8 +28,8 @@ Key = tuple[str, str, float]
 FARTHEST = 1.0
 # No reference is better than this, metres.
 NEAREST = 0.001
-# Seeds of the first round of the race, and how many settings come into the second.
-FIRST_SEEDS, KEPT = 2, 6
+# Seeds of the race's first round, how many settings come into the second, and how many motion noises into the last.
+FIRST_SEEDS, KEPT, LAST = 2, 6, 3
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95 % ellipse lacks of
@@ -203,25 +202,24 @@ def choose_by_replay(
     }  # fmt: skip
     own = settings[BEFORE, BEFORE, 0.0]
     raced = [one for one in settings.values() if one.shift == shift or one is own]
-    best = _race(raced, segments, grid, options, progress)
-    finalist = _with_origin_or_without(best, settings[best.sensor, best.motion, 0.0], segments, grid, options)
+    choosing = _Replays(segments.choosing, segments.names[0], grid, options)
+    best = _race(raced, choosing, progress)
+    finalist = _with_origin_or_without(best, settings[best.sensor, best.motion, 0.0], choosing)
     without = _without_each_part(settings, finalist)
-    judged: dict[Key, list[ReplayTrials]] = {one.key: [] for one in (own, finalist, *without.values())}
-    seeds = range(options.seed, options.seed + options.seeds(len(segments.judging)))
-    for done, key in enumerate(judged):
-        _tell(progress, "replay: judging the choice", done, len(judged))
-        judged[key] = _runs(settings[key], segments.judging, segments.names[1], grid, seeds)
-    trials, better = judged[own.key], judged[finalist.key]
-    error, cost = _compared(trials, better, clipped), _compared(trials, better, costs)
+    judging = _Replays(segments.judging, segments.names[1], grid, options)
+    judged = {one.key: one for one in (own, finalist, *without.values())}
+    trials = judging.of(judged.values(), judging.n_seeds, "judging the choice", progress)
+    before_, after = trials[own.key], trials[finalist.key]
+    error, cost = _compared(before_, after, clipped), _compared(before_, after, costs)
     return ReplayChoice(
         before=own,
         finalist=finalist,
-        is_better=cost.is_lower and not error.is_higher and not compare_trials(trials, better, "lost").is_higher,
-        trials_before=tuple(trials),
-        trials_finalist=tuple(better),
+        is_better=cost.is_lower and not error.is_higher and not compare_trials(before_, after, "lost").is_higher,
+        trials_before=tuple(before_),
+        trials_finalist=tuple(after),
         error=error,
         cost=cost,
-        parts={name: _compared(judged[rival.key], better, clipped) for name, rival in without.items()},
+        parts={name: _compared(trials[rival.key], after, clipped) for name, rival in without.items()},
         n_settings=len(raced) + (best.shift > 0.0),
         n_choosing=len(segments.choosing),
     )
@@ -251,36 +249,67 @@ def _counted(trials: ReplayTrials, count: Callable[[ReplayErrors], float]) -> Re
     return replace(trials, errors=tuple(replace(one, mean=count(one)) for one in trials.errors))
 
 
-def _race(
-    settings: list[ReplaySetting], segments: ReplaySegments, grid: OccupancyGrid, options: ReplayOptions,
-    progress: Progress | None,
-) -> ReplaySetting:  # fmt: skip
+class _Replays:
+    """Runs of settings on some stretches, none made twice."""
+
+    def __init__(
+        self, stretches: Sequence[SensorLog], names: Sequence[str], grid: OccupancyGrid, options: ReplayOptions
+    ) -> None:
+        self._stretches, self._names, self._grid, self._first = stretches, names, grid, options.seed
+        self.n_seeds = options.seeds(len(stretches))
+        self._runs: dict[Key, list[ReplayTrials]] = {}
+
+    def of(
+        self, settings: Iterable[ReplaySetting], n_seeds: int, stage: str = "", progress: Progress | None = None
+    ) -> dict[Key, list[ReplayTrials]]:
+        """Return the runs of settings with so many seeds on each stretch."""
+        chosen = list(settings)
+        for done, one in enumerate(chosen):
+            if progress is not None and stage:
+                progress(f"replay: {stage}", done, len(chosen))
+            self._run(one, n_seeds)
+        return {one.key: [_first_of(trials, n_seeds) for trials in self._runs[one.key]] for one in chosen}
+
+    def _run(self, setting: ReplaySetting, n_seeds: int) -> None:
+        """Run the seeds that are missing."""
+        known = self._runs.get(setting.key, [])
+        seeds = range(self._first + (len(known[0]) if known else 0), self._first + n_seeds)
+        if not seeds:
+            return
+        replayed = setting.filter.filter(shifted_map(self._grid, setting.shift))
+        new = [
+            run_trials(replayed, log, seeds, name=name) for log, name in zip(self._stretches, self._names, strict=True)
+        ]
+        self._runs[setting.key] = [_joined(*pair) for pair in zip(known, new, strict=True)] if known else new
+
+
+def _first_of(trials: ReplayTrials, n: int) -> ReplayTrials:
+    return replace(trials, seeds=trials.seeds[:n], errors=trials.errors[:n])
+
+
+def _joined(one: ReplayTrials, other: ReplayTrials) -> ReplayTrials:
+    return replace(one, seeds=one.seeds + other.seeds, errors=one.errors + other.errors)
+
+
+def _race(settings: list[ReplaySetting], replays: _Replays, progress: Progress | None) -> ReplaySetting:
     """Return the best setting on the stretches for choosing.
 
-    Two rounds find the sensor's values; with those, all motion noises are compared.
+    Two rounds find the sensor's values; with those, all motion noises are compared, the best of them with all seeds.
     """
-    names, n = segments.names[0], options.seeds(len(segments.choosing))
-    first, second = FIRST_SEEDS, max(FIRST_SEEDS + 1, n // 3)
-    runs: dict[Key, list[FloatArray]] = {one.key: [] for one in settings}
-    ran = dict.fromkeys(runs, 0)
+    some = max(FIRST_SEEDS + 1, replays.n_seeds // 3)
 
-    def cost(raced: Sequence[ReplaySetting], n_seeds: int, round_: str) -> dict[Key, float]:
-        for done, setting in enumerate(raced):
-            _tell(progress, f"replay: {round_}", done, len(raced))
-            seeds = range(options.seed + ran[setting.key], options.seed + n_seeds)
-            ran[setting.key] = max(n_seeds, ran[setting.key])
-            if seeds:
-                trials = _runs(setting, segments.choosing, names, grid, seeds)
-                runs[setting.key] += [costs(one).column("mean") for one in trials]
-        return {one.key: float(np.concatenate(runs[one.key]).mean()) for one in raced}
+    def best_first(raced: Sequence[ReplaySetting], n_seeds: int, stage: str) -> dict[Key, float]:
+        trials = replays.of(raced, n_seeds, stage, progress)
+        cost = {key: float(np.mean([costs(one).mean("mean") for one in runs])) for key, runs in trials.items()}
+        return dict(sorted(cost.items(), key=lambda item: item[1]))
 
-    costs_of = cost(settings, first, f"racing {len(settings)} settings")
-    left = sorted(settings, key=lambda one: costs_of[one.key])[:KEPT]
-    costs_of = cost(left, second, f"racing the best {len(left)}")
-    best = min(left, key=lambda one: costs_of[one.key])
-    left = [one for one in settings if (one.sensor, one.shift) == (best.sensor, best.shift)]
+    by_key = {one.key: one for one in settings}
+    left = [by_key[key] for key in best_first(settings, FIRST_SEEDS, f"racing {len(settings)} settings")][:KEPT]
+    sensor, _, shift = next(iter(best_first(left, some, f"racing the best {len(left)}")))
+    left = [one for one in settings if (one.sensor, one.shift) == (sensor, shift)]
+    left = [by_key[key] for key in best_first(left, some, "comparing motion noise")][:LAST]
     learned = next((one.noise for one in settings if one.motion == LEARNED), 0.0)
-    return _of_equals(left, cost(left, n, "comparing motion noise"), learned)
+    return _of_equals(left, best_first(left, replays.n_seeds, f"comparing the best {len(left)}"), learned)
 
 
 def _of_equals(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], learned: float) -> ReplaySetting:
@@ -296,15 +325,12 @@ def _of_equals(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], lea
     return min(as_good, key=lambda one: (apart(one), cost[one.key]))
 
 
-def _with_origin_or_without(
-    shifted: ReplaySetting, plain: ReplaySetting, segments: ReplaySegments, grid: OccupancyGrid, options: ReplayOptions
-) -> ReplaySetting:
+def _with_origin_or_without(shifted: ReplaySetting, plain: ReplaySetting, replays: _Replays) -> ReplaySetting:
     """Return the setting with the map's origin set right, unless its error is surely higher."""
     if shifted is plain:
         return plain
-    seeds = range(options.seed, options.seed + options.seeds(len(segments.choosing)))
-    with_it, without = (_runs(one, segments.choosing, segments.names[0], grid, seeds) for one in (shifted, plain))
-    return plain if _compared(without, with_it, clipped).is_higher else shifted
+    trials = replays.of((shifted, plain), replays.n_seeds)
+    return plain if _compared(trials[plain.key], trials[shifted.key], clipped).is_higher else shifted
 
 
 def _without_each_part(settings: Mapping[Key, ReplaySetting], finalist: ReplaySetting) -> dict[str, ReplaySetting]:
@@ -316,20 +342,7 @@ def _without_each_part(settings: Mapping[Key, ReplaySetting], finalist: ReplaySe
     return {name: settings[key] for name, key in without.items() if key != finalist.key}
 
 
-def _runs(
-    setting: ReplaySetting, segments: Sequence[SensorLog], names: Sequence[str], grid: OccupancyGrid,
-    seeds: Sequence[int],
-) -> list[ReplayTrials]:  # fmt: skip
-    replayed = setting.filter.filter(shifted_map(grid, setting.shift))
-    return [run_trials(replayed, segment, seeds, name=name) for segment, name in zip(segments, names, strict=True)]
-
-
 def _compared(
     before: Sequence[ReplayTrials], after: Sequence[ReplayTrials], counted: Callable[[ReplayTrials], ReplayTrials]
 ) -> ReplayComparison:
     return compare_trials([counted(one) for one in before], [counted(one) for one in after])
-
-
-def _tell(progress: Progress | None, stage: str, done: int, total: int) -> None:
-    if progress is not None:
-        progress(stage, done, total)

@@ -1,0 +1,87 @@
+"""Logs without a map of their own, replayed so that no scan meets a map that it helped to draw.
+
+Stretches of 5 m draw two maps in turn, and each scan is weighed by the other's map. Poses were corrected by SLAM.
+fr079's odometry loses its sign when the robot backs up; it has it from the corrected poses here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.geometry import FloatArray
+from beamfield.io.read_log import read_log
+from beamfield.maps.mapping import build_map
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import Scan, SensorLog
+from beamfield.stacks.files.filter_file import FilterSettings
+from beamfield.stacks.filters.scan_weights import ScanWeights
+from odometry_noise import fr079, with_signs_of_reference
+
+GROUP = 5.0
+LOGS: dict[str, Callable[[Path], SensorLog]] = {
+    "intel": lambda folder: read_log(folder / "intel_gfs/derived_intel_rawodom.log.gz").only_sensor(),
+    "fr079": lambda folder: with_signs_of_reference(
+        fr079(folder / "carmen_radish_corrected/freiburg-079-corrected.log.gz")
+    ),
+    "csail": lambda folder: read_log(folder / "csail_gfs/derived_csail_rawodom.log.gz").only_sensor(),
+}
+
+
+class HalfMaps(NamedTuple):
+    """A log and its two maps."""
+
+    log: SensorLog
+    half: NDArray[np.int64]
+    """(t,) which map each scan helped to draw."""
+    grids: tuple[OccupancyGrid, OccupancyGrid]
+
+    @property
+    def to_fit(self) -> tuple[SensorLog, OccupancyGrid]:
+        """The scans of the first half of the way that drew one map, and the other."""
+        first = np.arange(len(self.log)) < len(self.log) // 2
+        return self.log.select(first & (self.half == 0)), self.grids[1]
+
+
+def half_maps(folder: Path, name: str) -> HalfMaps:
+    """Draw the maps of a log, with cells of 5 cm."""
+    log = LOGS[name](folder)
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
+    half = (way // GROUP).astype(np.int64) % 2
+    first, second = (build_map(log, resolution=0.05, scans=half == i) for i in (0, 1))
+    return HalfMaps(log, half, (first, second))
+
+
+@dataclass(frozen=True, eq=False)
+class HalfMapSettings(FilterSettings):
+    """A filter that weighs each scan by the map that it has no part in."""
+
+    maps: HalfMaps
+
+    @classmethod
+    def of(cls, settings: FilterSettings, maps: HalfMaps) -> HalfMapSettings:
+        """Return settings of a filter for these maps."""
+        return cls(*(getattr(settings, item.name) for item in fields(FilterSettings)), maps)
+
+    def filter(self, grid: OccupancyGrid) -> Any:
+        """Return the filter with both maps moved as `grid` is, the second of them."""
+        shift = grid.origin - self.maps.grids[1].origin
+        grids = [replace(one, origin=one.origin + shift) for one in self.maps.grids]
+        made = super().filter(grids[1])
+        weights = _EachByItsMap(self.maps, [ScanWeights(self.emulator(one)) for one in grids])
+        object.__setattr__(made, "_weights_of", weights)
+        return made
+
+
+class _EachByItsMap:
+    def __init__(self, maps: HalfMaps, weights: list[ScanWeights]) -> None:
+        drawn = zip(maps.log.stamps.tolist(), maps.half.tolist(), strict=True)
+        self._by_stamp = {stamp: weights[1 - half] for stamp, half in drawn}
+
+    def __call__(self, scan: Scan, poses: FloatArray, *, converged: bool = False) -> FloatArray:
+        return self._by_stamp[scan.stamp](scan, poses, converged=converged)

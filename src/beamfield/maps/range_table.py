@@ -217,11 +217,11 @@ class RangeTable:
             return ranges
         rows, results = pose_rows(robots), ranges.reshape(-1, k)
         fan, same_mount = self._fan(finder)
-        frame, view = frame_of(self.grid), self._view()
+        frame, view, longest = frame_of(self.grid), self._view(), float(finder.max_range)
 
         def work(start: int, stop: int) -> None:
             part = results[start:stop]
-            if kernels.look_up_fan(rows[start:stop], frame, fan, same_mount, view, finder.max_range, part.reshape(-1)):
+            if kernels.look_up_fan(rows[start:stop], frame, fan, same_mount, view, longest, part.reshape(-1)):
                 rest = (part < 0.0).any(axis=1)
                 part[rest] = self.plan.caster.expected_ranges(rows[start:stop][rest], finder)
 

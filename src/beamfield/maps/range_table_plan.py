@@ -69,7 +69,13 @@ class RangeTablePlan:
         if self.max_range is not None:
             check_magnitude("max_range", self.max_range)
         check_magnitude("resolution", self.resolution)
-        as_count(self.headings, "headings", least=LEAST_HEADINGS, most=MOST_HEADINGS)
+        # Other kinds of numbers would be other types to the compiler.
+        keep(
+            self,
+            max_range=None if self.max_range is None else float(self.max_range),
+            resolution=float(self.resolution),
+            headings=as_count(self.headings, "headings", least=LEAST_HEADINGS, most=MOST_HEADINGS),
+        )
         places = np.empty(self._shape(), np.int32)
         starts = np.empty((places.size, 2), np.float32)
         n = kernels.find_places(self.grid.free, self.side, places, starts)

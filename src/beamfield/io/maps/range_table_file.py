@@ -7,7 +7,7 @@ import os
 import shutil
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
@@ -83,19 +83,10 @@ def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: 
     plan
         What the table holds.
     """
-    there = _current(Path(path), plan)
-    if there is not None:
-        return there
-    _require_room(Path(path), plan.n_bytes)
-    with atomic_file(path) as part:
-        with part.open("wb") as file:
-            file.write(bytes(PAGE))
-            for codes in plan.code_blocks(progress):
-                file.write(codes.astype("<u2", copy=False).data)
-        error = RangeTable(plan, _mapped(part, plan)).error
-        with part.open("r+b") as file:
-            file.write(_page(plan, error))
-    return RangeTable(plan, _mapped(Path(path), plan), error)
+    # Read at the end, too, as another program may have put its own there in the meantime.
+    while (table := _current(Path(path), plan)) is None:
+        _build(Path(path), plan, progress)
+    return table
 
 
 @checked
@@ -125,18 +116,20 @@ def read_range_table(path: str | os.PathLike[str], grid: OccupancyGrid) -> Range
     The codes are not looked at: any values are ranges from 0 to the longest one.
     """
     source = Path(path)
-    said = _read_page(source)
-    if said.get("map") != map_key(grid):
-        raise FormatError(source, "the table is of another map, or the map has changed since; build it again")
-    try:
-        plan = RangeTablePlan(grid, **{name: said[name] for name in OPTIONS})
-        error = RangeTableError(**said["error"])
-    except (InvalidInputError, KeyError, TypeError) as wrong:
-        raise FormatError(source, f"expected the options and the error of a range table: {wrong}") from wrong
-    expected, got = PAGE + plan.n_bytes, source.stat().st_size
-    if got != expected:
-        raise FormatError(source, f"the table is not whole: expected {expected} bytes, got {got}")
-    return RangeTable(plan, _mapped(source, plan), error)
+    # Opened once: the next moment, another file may have this name.
+    with source.open("rb") as file:
+        said = _read_page(source, file)
+        if said.get("map") != map_key(grid):
+            raise FormatError(source, "the table is of another map, or the map has changed since; build it again")
+        try:
+            plan = RangeTablePlan(grid, **{name: said[name] for name in OPTIONS})
+            error = RangeTableError(**said["error"])
+        except (InvalidInputError, KeyError, TypeError) as wrong:
+            raise FormatError(source, f"expected the options and the error of a range table: {wrong}") from wrong
+        expected, got = PAGE + plan.n_bytes, os.fstat(file.fileno()).st_size
+        if got != expected:
+            raise FormatError(source, f"the table is not whole: expected {expected} bytes, got {got}")
+        return RangeTable(plan, _mapped(file, plan), error)
 
 
 def _current(path: Path, plan: RangeTablePlan) -> RangeTable | None:
@@ -146,6 +139,18 @@ def _current(path: Path, plan: RangeTablePlan) -> RangeTable | None:
     except (FormatError, OSError):
         return None
     return table if all(getattr(table.plan, name) == getattr(plan, name) for name in OPTIONS) else None
+
+
+def _build(path: Path, plan: RangeTablePlan, progress: Progress | None) -> None:
+    _require_room(path, plan.n_bytes)
+    with atomic_file(path) as part, part.open("w+b") as file:
+        file.write(bytes(PAGE))
+        for codes in plan.code_blocks(progress):
+            file.write(codes.astype("<u2", copy=False).data)
+        file.flush()
+        error = RangeTable(plan, _mapped(file, plan)).error
+        file.seek(0)
+        file.write(_page(plan, error))
 
 
 def _require_room(path: Path, n_bytes: int) -> None:
@@ -163,9 +168,8 @@ def _page(plan: RangeTablePlan, error: RangeTableError) -> bytes:
     return (MAGIC + json.dumps(said, allow_nan=False).encode()).ljust(PAGE - 1) + b"\n"
 
 
-def _read_page(path: Path) -> dict[str, Any]:
-    with path.open("rb") as file:
-        page = file.read(PAGE)
+def _read_page(path: Path, file: BinaryIO) -> dict[str, Any]:
+    page = file.read(PAGE)
     if not page.startswith(MAGIC):
         raise FormatError(path, f"expected a range table of beamfield precompute, got {page[:20]!r}")
     try:
@@ -178,5 +182,5 @@ def _read_page(path: Path) -> dict[str, Any]:
     return said
 
 
-def _mapped(path: Path, plan: RangeTablePlan) -> Codes:
-    return np.memmap(path, np.dtype("<u2"), "r", PAGE, (plan.n_places, plan.headings))
+def _mapped(file: BinaryIO, plan: RangeTablePlan) -> Codes:
+    return np.memmap(file, np.dtype("<u2"), "r", PAGE, (plan.n_places, plan.headings))

@@ -145,6 +145,7 @@ class RangeTablePlan:
         InvalidInputError
             With the size, and what makes it smaller.
         """
+        check_magnitude("max_gigabytes", max_gigabytes)
         if self.n_bytes > max_gigabytes * 1e9:
             raise InvalidInputError(
                 f"max_gigabytes: the table takes {self.n_bytes / 1e9:.3g} GB, more than {max_gigabytes:g}; a coarser "

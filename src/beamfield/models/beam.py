@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from beamfield.arguments import require
+from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_density import (
@@ -119,7 +120,8 @@ class BeamModel(RangeMixtureModel):
         if self.caster is None:
             return RayCaster(self.grid, unknown=self.unknown)
         require(self.caster.unknown == self.unknown, "caster", f"unknown={self.unknown!r}", self.caster.unknown)
-        require(_are_same(self.caster.grid, self.grid), "caster", "one of the model's grid", "one of another map")
+        if not _are_same(self.caster.grid, self.grid):
+            raise InvalidInputError("caster: expected one of the model's grid, got one of another map")
         return self.caster
 
 

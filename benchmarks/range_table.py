@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from beamfield.geometry import FloatArray
 from beamfield.kernels.threads import set_threads
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.range_table import RangeTable
@@ -67,11 +68,9 @@ def run(repeats: int = 7) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     rows = []
     for pattern, poses in cases(occupied, rng).items():
         finder = ahead if pattern == "random" else fan
-        calls: dict[str, Callable[[], object]] = {
-            "plain": textbook(occupied, poses, finder),
-            "exact": lambda p=poses, f=finder: caster.expected_ranges(p, f),  # type: ignore[misc]
-            **{name: lambda t=t, p=poses, f=finder: t.expected_ranges(p, f) for name, t in tables.items()},  # type: ignore[misc]
-        }
+        calls: dict[str, Callable[[], object]] = {"plain": textbook(occupied, poses, finder)}
+        for name, source in {"exact": caster, **tables}.items():
+            calls[name] = casting(source, poses, finder)
         rows.append({"what": f"casting, {pattern}", **nanoseconds(calls, len(poses) * finder.n_beams, repeats)})
         if finder is fan:
             scan = Scan(caster.expected_ranges(poses[0], fan), fan)
@@ -80,6 +79,13 @@ def run(repeats: int = 7) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
             calls = {name: lambda m=m, z=scan, p=poses: m.log_likelihood(z, p) for name, m in models.items()}  # type: ignore[misc]
             rows.append({"what": f"beam model, {pattern}", **nanoseconds(calls, poses.shape[0] * N_BEAMS, repeats)})
     return rows, about
+
+
+def casting(source: RayCaster | RangeTable, poses: FloatArray, finder: RangeFinder) -> Callable[[], object]:
+    """Return the call that casts the beams of a finder at all poses, or single rays."""
+    if finder.n_beams == 1:
+        return lambda: source.cast(poses, finder.max_range)
+    return lambda: source.expected_ranges(poses, finder)
 
 
 def nanoseconds(calls: dict[str, Callable[[], object]], n: int, repeats: int) -> dict[str, float]:

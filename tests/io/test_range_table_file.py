@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,11 +128,12 @@ def test_two_processes_at_once_both_get_whole_tables(tmp_path, whole):
     path = tmp_path / "a.ranges"
     root = Path(__file__).parents[2]
     with subprocess.Popen([sys.executable, "-c", PROGRAM, str(path)], cwd=root, stderr=subprocess.PIPE) as other:
-        n = 0
-        while other.poll() is None or n < 5:
+        while not path.exists() and other.poll() is None:
+            time.sleep(0.01)
+        for _ in range(6):
             # The other one replaces it by one with other options time and again.
             table = precompute_ranges(path, GRID, **HOW)
             assert table.codes.tobytes() == whole[PAGE:]
-            n += 1
+        other.wait()
         assert other.returncode == 0, other.stderr.read().decode()
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.ranges"]

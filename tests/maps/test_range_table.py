@@ -162,3 +162,5 @@ def test_what_cannot_be_a_table_is_refused(rooms, table):
         short.cast([3.0, 1.0, 0.0], 3.5)
     with pytest.raises(InvalidInputError, match=r"codes: expected shape \("):
         RangeTable(table.plan, table.codes[:, :-1], table.error)
+    with pytest.raises(InvalidInputError, match="codes: expected uint16, got int32"):
+        RangeTable(table.plan, table.codes.astype(np.int32), table.error)

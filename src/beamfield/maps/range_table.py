@@ -61,12 +61,11 @@ class RangeTableError:
 class RangeTable:
     """Expected ranges from a table over x, y and theta: quicker than `RayCaster` where poses are near each other.
 
-    The map is divided into squares, the circle into headings; the range of each is cast once. A look-up takes the
-    square in which a beam starts. It first asks for the point that the beam would hit, then for the range in the
-    direction in which that point is seen from the middle of the square, interpolated between two headings if they meet
-    one wall, and adds by how far the beam starts behind or ahead of there. Along a wall that leaves little of the
-    error of the grid; near edges, where a step to the side shows what is behind, ranges can be off by metres. `error`
-    says how often.
+    The map is divided into squares, the circle into headings; the range of each is cast once, from the middle of the
+    square. A look-up first reads how far away the point is that a beam meets, then the range in the direction in which
+    that point is seen from the middle, interpolated between two headings if they meet one wall, and corrects it by how
+    far ahead or behind the beam starts. Along a wall that leaves little of the grid's error; near edges, where a step
+    aside shows what is behind, ranges can be off by metres. `error` says how often.
 
     What the table has no place for is cast exactly: beams that start off the map, or in squares without any free cell.
     Beams that start in an occupied cell have range 0, as everywhere.
@@ -80,14 +79,14 @@ class RangeTable:
     plan
         What it holds.
     codes
-        (places, headings) ranges in quanta of the plan.
+        (places, headings) uint16, ranges in quanta of the plan.
     error
         Measured when it was built; None: it is measured now.
 
     Raises
     ------
     InvalidInputError
-        If the codes do not have the plan's shape.
+        If the codes do not have the plan's shape or are no uint16.
 
     Notes
     -----
@@ -115,8 +114,9 @@ class RangeTable:
         check_fields(self)
         shape = (self.plan.n_places, self.plan.headings)
         require(self.codes.shape == shape, "codes", f"shape {shape}", self.codes.shape)
-        # A memory map is an array to the compiler once it is seen as one.
-        keep(self, codes=np.asarray(self.codes))
+        require(self.codes.dtype == np.uint16, "codes", "uint16", self.codes.dtype)
+        # A memory map is an array to the compiler once it is seen as one; a view leaves the caller's array writeable.
+        keep(self, codes=np.ascontiguousarray(self.codes).view())
         if self.error is None:
             keep(self, error=_measured_error(self))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -60,9 +61,9 @@ def precompute_ranges(
     Raises
     ------
     InvalidInputError
-        As for `RangeTablePlan`, or if the table is too large, for `max_gigabytes` or for the disk.
+        As for `RangeTablePlan`, or if the table is larger than `max_gigabytes`.
     OSError
-        As the file system says.
+        As the file system says; before anything is cast if the disk has too little room.
 
     References
     ----------
@@ -157,9 +158,8 @@ def _require_room(path: Path, n_bytes: int) -> None:
     nearest = next(folder for folder in Path(os.path.realpath(path)).parents if folder.is_dir())
     free = shutil.disk_usage(nearest).free
     if n_bytes + PAGE > free:
-        raise InvalidInputError(
-            f"{path}: the table takes {n_bytes / 1e9:.3g} GB, the disk has {free / 1e9:.3g} GB left"
-        )
+        sizes = f"the table takes {n_bytes / 1e9:.3g} GB, the disk has {free / 1e9:.3g} GB left"
+        raise OSError(errno.ENOSPC, f"No space left on device: {sizes}", str(path))
 
 
 def _page(plan: RangeTablePlan, error: RangeTableError) -> bytes:

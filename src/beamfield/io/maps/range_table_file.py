@@ -137,7 +137,7 @@ def _current(path: Path, plan: RangeTablePlan) -> RangeTable | None:
     """Return what is in the file, if it is what the plan would make."""
     try:
         table = read_range_table(path, plan.grid)
-    except (FormatError, OSError):
+    except (FormatError, FileNotFoundError):
         return None
     return table if all(getattr(table.plan, name) == getattr(plan, name) for name in OPTIONS) else None
 

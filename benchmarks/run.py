@@ -12,6 +12,7 @@ import numpy
 
 BENCHMARKS = (
     "raycast",
+    "range_table",
     "beam_model",
     "distance",
     "likelihood_field",

@@ -28,7 +28,7 @@ SECTIONS = {
     "6.3.1": "The four causes of a range",
     "6.3.2": "Learning the intrinsic parameters",
     "6.3.3": "Why Table 6.2 maximises the likelihood",
-    "6.3.4": "Fewer beams, weaker beams, learning in the context of localization",
+    "6.3.4": "Fewer beams, weaker beams, learning in the context of localization, pre-cached ranges",
     "6.3.5": "(discussion) Why the beam model is not smooth",
     "6.4": "Likelihood fields",
     "6.4.1": "The basic algorithm",

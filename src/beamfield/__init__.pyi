@@ -25,6 +25,7 @@ from beamfield.io.read_log import read_log as read_log
 from beamfield.io.trajectory import read_trajectory as read_trajectory, attach_poses as attach_poses
 from beamfield.io.read_sightings_log import read_sightings_log as read_sightings_log
 from beamfield.io.maps.ros_map import write_map as write_map
+from beamfield.io.maps.range_table_file import precompute_ranges as precompute_ranges
 from beamfield.io.landmarks.landmark_files import read_landmarks as read_landmarks
 from beamfield.io.landmarks.line_files import read_line_map as read_line_map
 from beamfield.io.parameters.beam_model_file import read_beam_model as read_beam_model
@@ -39,6 +40,7 @@ from beamfield.maps.landmarks import LandmarkMap as LandmarkMap
 from beamfield.maps.lines import LineMap as LineMap
 from beamfield.maps.markers import MarkerMap as MarkerMap
 from beamfield.maps.raycast import RayCaster as RayCaster
+from beamfield.maps.range_table import RangeTable as RangeTable
 from beamfield.maps.cone import ConeCaster as ConeCaster
 from beamfield.maps.scan_field import ScanField as ScanField
 from beamfield.maps.mapping import build_map as build_map, local_map as local_map

@@ -33,6 +33,7 @@ def offered(line: str, folder: Path) -> list[str]:
         ("beamfield cal", ["calibrate", "calibrate-landmarks"]),
         ("beamfield fi", ["figures"]),
         ("beamfield map run.log --lon", ["--lone-poses", "--longest-hit"]),
+        ("beamfield precompute map.yaml --max", ["--max-range", "--max-size"]),
         ("beamfield map run.log --mode ", ["trinary", "raw"]),
     ],
 )

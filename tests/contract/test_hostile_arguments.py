@@ -39,6 +39,7 @@ from beamfield.maps.mapping import build_map, local_map, scan_map
 from beamfield.maps.markers import MarkerMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.occupancy_mapper import OccupancyMapper
+from beamfield.maps.range_table import RangeTable
 from beamfield.maps.raycast import RayCaster
 from beamfield.maps.scan_field import ScanField
 from beamfield.maps.smoothing import smooth_map
@@ -121,6 +122,8 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(3)
 
 
+TABLE = RangeTable.build(GRID, resolution=0.5, headings=8)
+
 # What is called, and arguments that are right.
 CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (geometry.as_poses, {"poses": POSES}),
@@ -164,6 +167,9 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (RayCaster(GRID).expected_hits, {"poses": POSES, "finder": FINDER}),
     (RayCaster(GRID).cast, {"origins": POSES, "max_range": 5.0}),
     (RayCaster(GRID).cast_hits, {"origins": POSES, "max_range": 5.0}),
+    (RangeTable.build, {"grid": GRID, "max_range": 5.0, "resolution": 0.5, "headings": 8}),
+    (TABLE.expected_ranges, {"poses": POSES, "finder": FINDER}),
+    (TABLE.cast, {"origins": POSES, "max_range": 5.0}),
     (ConeCaster, {"grid": GRID, "unknown": "free"}),
     (ConeCaster(GRID).expected_ranges, {"poses": POSES, "finder": RangeFinder(POSES, 5.0, opening_angle=0.3)}),
     (BeamParameters, {name: getattr(BEAM, name) for name in BeamParameters.__dataclass_fields__}),

@@ -75,6 +75,7 @@ COMMANDS = (
             {"nav2.yaml": NAV2}),
     Command("inspect --out", "inspect {world}/log.carmen --out {out}/log.png --quiet", 20),
     Command("map", "map {world}/log.carmen --out {out}/drawn.yaml --quiet", 30),
+    Command("precompute", "precompute {world}/map.yaml --out {out}/map.ranges --quiet", 20),
     Command("simulate", "simulate --out {out}/world --seed 4 --duration 60 --beams 31 --format both --quiet", 26),
     Command("likelihood", f"likelihood {_LOG} --scan 3 --resolution 1 --out {{out}}/l.png --npz {{out}}/l.npz", 12),
     Command("calibrate-landmarks", "calibrate-landmarks {world}/seen.csv --landmarks {world}/tags.csv --replicates 20 "

@@ -13,6 +13,7 @@ from beamfield.io.trajectory import IndexedTrack
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.range_table import RangeTable
 from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
 from beamfield.models.camera_intrinsics import CameraIntrinsics
 from beamfield.models.field_parameters import SavedLikelihoodField
@@ -31,6 +32,14 @@ def grid(result: Any) -> None:
     assert np.isfinite(result.origin).all()
     assert 0.0 < result.resolution < np.inf
     assert (result.occupied.astype(int) + result.free + result.unknown == 1).all()
+
+
+def range_table(result: Any) -> None:
+    assert isinstance(result, RangeTable)
+    longest = result.plan.max_range or 3.0
+    poses = [[x, y, theta] for x in (-0.1, 0.1, 0.5) for y in (0.1, 0.3) for theta in (0.0, 3.1, -2.0)]
+    ranges = result.cast(poses, longest)
+    assert ((ranges >= 0.0) & (ranges <= longest)).all()
 
 
 def log(result: Any) -> None:

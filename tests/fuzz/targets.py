@@ -13,6 +13,7 @@ from beamfield.io.bags.reader import read_bag_map
 from beamfield.io.landmarks.landmark_files import read_landmarks
 from beamfield.io.landmarks.line_files import read_line_map
 from beamfield.io.landmarks.sightings import read_sightings
+from beamfield.io.maps.range_table_file import read_range_table
 from beamfield.io.maps.ros_map import between_share, ros_map_notes
 from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.landmark_model_file import read_landmark_model
@@ -83,6 +84,10 @@ def _map_and_notes(path: Path) -> Any:
     return grid
 
 
+def _range_table(path: Path) -> Any:
+    return read_range_table(path, maps.TABULATED)
+
+
 def _sightings(path: Path) -> Any:
     return read_landmarks(path.parent / "l.csv"), read_sightings(path)
 
@@ -131,6 +136,7 @@ TARGETS: tuple[Target, ...] = (
     Target("png", lambda: maps.pictures(".png"), read_map, sane.grid, weight=2.0),
     Target("bmp", lambda: maps.pictures(".bmp"), read_map, sane.grid),
     Target("wean_map", maps.wean_maps, read_map, sane.grid),
+    Target("range_table", maps.range_tables, _range_table, sane.range_table),
     Target("carmen", logs.carmen_logs, _with_options(read_log, LOG_OPTIONS), sane.log, weight=2.0),
     Target("wean_log", logs.wean_logs, _with_options(read_log, LOG_OPTIONS), sane.log),
     Target("gfs", logs.gfs_logs, _with_options(read_log, LOG_OPTIONS), sane.log),

@@ -13,6 +13,8 @@ from scipy import stats
 
 from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.range_table import RangeTable
+from beamfield.maps.raycast import RayCaster
 from beamfield.models import range_mixture
 from beamfield.models.beam import BeamModel, beam_log_density
 from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
@@ -265,3 +267,33 @@ def test_rejects_less_than_one_beam(grid):
 def test_rejects_another_rule_for_unknown_cells(grid):
     with pytest.raises(InvalidInputError, match="unknown: expected 'free' or 'occupied', got 'maybe'"):
         BeamModel(grid, PARAMETERS, unknown="maybe")
+
+
+def test_expected_ranges_come_from_the_caster_that_is_given(rng):
+    """A table's are a little off, which shows in the likelihood; a caster of another map is refused."""
+    cells = np.where(rng.random((20, 20)) < 0.1, 100, 0)
+    grid = OccupancyGrid.from_ros(cells, 0.25)
+    sensor = finder(*range(-170, 180, 31))
+    scan = Scan(np.linspace(0.3, 3.0, sensor.n_beams), sensor)
+    poses = np.column_stack([rng.uniform(0.0, 5.0, (50, 2)), rng.uniform(-3.0, 3.0, 50)])
+    table, usual = RangeTable.build(grid, headings=45), BeamModel(grid, PARAMETERS)
+    model = BeamModel(OccupancyGrid.from_ros(cells, 0.25), PARAMETERS, caster=table)
+    z_star = table.expected_ranges(poses, sensor)
+    assert (z_star != usual.expected(poses, sensor)).mean() > 0.3
+    expected = beam_log_density(scan.ranges, z_star, MAX_RANGE, PARAMETERS).sum(axis=-1)
+    np.testing.assert_allclose(model.log_likelihood(scan, poses), expected, rtol=1e-6)
+    again = pickle.loads(pickle.dumps(model)).with_parameters(PARAMETERS)
+    np.testing.assert_array_equal(again.log_likelihood(scan, poses), model.log_likelihood(scan, poses))
+    shared = BeamModel(grid, PARAMETERS, caster=RayCaster(grid))
+    np.testing.assert_array_equal(shared.log_likelihood(scan, poses), usual.log_likelihood(scan, poses))
+    for other in (
+        OccupancyGrid.from_ros(cells.T, 0.25),
+        OccupancyGrid.from_ros(cells, 0.25, (0.1, 0.0, 0.0)),
+        OccupancyGrid.from_ros(np.where(cells == 100, 100, -1), 0.25),
+    ):
+        with pytest.raises(InvalidInputError, match="caster: expected one of the model's grid, got one of another map"):
+            BeamModel(other, PARAMETERS, caster=table)
+    with pytest.raises(InvalidInputError, match="caster: expected unknown='occupied', got 'free'"):
+        BeamModel(grid, PARAMETERS, unknown="occupied", caster=table)
+    with pytest.raises(InvalidInputError, match="caster"):
+        BeamModel(grid, PARAMETERS, caster=grid)

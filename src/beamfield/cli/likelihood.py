@@ -55,6 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_poses(parser)
     options.add_params(parser, "a beam_model.yaml, or with --model likelihood_field a likelihood_field.yaml, from "
                       "beamfield calibrate (default: typical values)")  # fmt: skip
+    options.add_range_table(parser)
     options.add_out(parser, "beamfield_likelihood.png", metavar="FILE", what=f"picture ({', '.join(options.PICTURES)})")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="write the arrays into this NumPy .npz file")
     lattice = parser.add_argument_group("poses that are compared")
@@ -141,6 +142,7 @@ def _measurement_and_model(
     from beamfield.models.map_matching import MapMatchingModel
     from beamfield.models.sonar import SonarModel
 
+    table = options.read_range_table(arguments, grid, scan.finder)
     if arguments.model == "map_matching":
         return _local_map(sensor, grid, arguments), MapMatchingModel(grid), []
     lattice = {"resolution": arguments.resolution, "headings": arguments.headings}
@@ -149,7 +151,9 @@ def _measurement_and_model(
         more = _counting(parameters, arguments, scan)
         if not arguments.no_widening:
             parameters = widened_for_lattice(parameters, **lattice)
-        return scan, (SonarModel if scan.finder.opening_angle > 0.0 else BeamModel)(grid, parameters, **more), []
+        if scan.finder.opening_angle > 0.0:
+            return scan, SonarModel(grid, parameters, **more), []
+        return scan, BeamModel(grid, parameters, caster=table, **more), []
     of_field, notes = _field(arguments, scan)
     more = _counting(of_field, arguments, scan)
     if not arguments.no_widening:

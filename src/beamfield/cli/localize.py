@@ -59,6 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
                         help="measurement model (default: likelihood_field)")  # fmt: skip
     options.add_params(parser, "a likelihood_field.yaml or beam_model.yaml from beamfield calibrate (default: typical "
                        "values)")  # fmt: skip
+    options.add_range_table(parser)
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
@@ -188,9 +189,10 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
         read: Any = read_likelihood_field if is_field and is_likelihood_field(arguments.params) else read_beam_model
         saved = read(arguments.params)
     how = _counting(saved, log.finder.n_beams, arguments)
+    table = options.read_range_table(arguments, grid, log.finder)
     parameters: Any = BeamParameters(**DEFAULTS) if saved is None else saved.parameters
     if not is_field:
-        return BeamModel(grid, parameters, **how)
+        return BeamModel(grid, parameters, caster=table, **how)
     if not isinstance(saved, SavedLikelihoodField):
         parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=NOT_OF_A_FIELD)
     return LikelihoodFieldModel(grid, parameters, **how)

@@ -13,7 +13,8 @@ from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
-    from beamfield.sensors import ScanLog, SensorLog
+    from beamfield.maps.range_table import RangeTable
+    from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
 # Not `SUPPORTED` of `beamfield.io.read_log`: that loads the numerical libraries, and --help is to answer at once.
 LOG_FORMATS = (
@@ -67,6 +68,13 @@ def start_of(arguments: argparse.Namespace) -> tuple[float, float, float] | None
 def add_params(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --params."""
     parser.add_argument("--params", type=Path, metavar="FILE", help=what)
+
+
+def add_range_table(parser: argparse._ActionsContainer) -> None:
+    """Add --range-table."""
+    parser.add_argument("--range-table", type=Path, metavar="FILE",
+                        help="look expected ranges up in this table of beamfield precompute, with --model beam "
+                        "(default: cast rays, which is exact)")  # fmt: skip
 
 
 def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:
@@ -158,6 +166,19 @@ def read_walls(arguments: argparse.Namespace) -> OccupancyGrid:
     if not grid.occupied.any():
         raise FormatError(arguments.map, "the map has no occupied cell: no ray has an expected range")
     return grid
+
+
+def read_range_table(arguments: argparse.Namespace, grid: OccupancyGrid, finder: RangeFinder) -> RangeTable | None:
+    """Read --range-table; None without."""
+    from beamfield.io.maps.range_table_file import read_range_table
+
+    if arguments.range_table is None:
+        return None
+    if arguments.model != "beam" or finder.opening_angle > 0.0:
+        raise InvalidInputError("--range-table: only rays are looked up in it, with --model beam and no sonar")
+    table = read_range_table(arguments.range_table, grid)
+    table.check_reach(finder.max_range)
+    return table
 
 
 def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: Path | None = None) -> ScanLog:

@@ -10,6 +10,7 @@ _OPTIONS = {
     "block_s": "--block",
     "lone_poses": "--lone-poses",
     "map_frame": "--map-frame",
+    "max_gigabytes": "--max-size",
     "max_unpacked": "--max-unpacked",
     "n_replicates": "--replicates",
     "no_return": "--no-return",

@@ -91,6 +91,12 @@ class RayCaster:
         """Memory of the tables: eight bytes per cell, and a frame of one cell around the map."""
         return self._rectangles.nbytes
 
+    @property
+    def stops(self) -> NDArray[np.uint16]:
+        """(rows + 2, cols + 2) 0 in cells that stop rays and in a frame around the map, anything else elsewhere."""
+        stops: NDArray[np.uint16] = self._rectangles[0]
+        return stops
+
     @checked
     def expected_ranges(self, poses: ArrayLike, finder: RangeFinder) -> FloatArray:
         """Return the expected range z* of every beam of a sensor at every pose.

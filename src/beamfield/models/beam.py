@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
+from beamfield.arguments import require
+from beamfield.errors import InvalidInputError
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_density import (
@@ -17,7 +21,7 @@ from beamfield.models.beam_density import (
 )
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
-from beamfield.models.range_mixture import RangeMixtureModel, RangeSource
+from beamfield.models.range_mixture import GridCaster, RangeMixtureModel, RangeSource
 from beamfield.sensors import RangeFinder
 from beamfield.short_repr import short_repr
 
@@ -63,11 +67,14 @@ class BeamModel(RangeMixtureModel):
         Whether rays pass unknown cells ("free") or stop there ("occupied").
     finder
         The sensor, for `sample` and `expected`; scans bring their own.
+    caster
+        Where the expected ranges come from: a `RayCaster` that is there already, or a `RangeTable`, which is quicker
+        for very many poses and less exact (6.3.4); None: a new `RayCaster`.
 
     Raises
     ------
     InvalidInputError
-        If the exponent is not positive and finite or n_beams < 1.
+        If the exponent is not positive and finite, n_beams < 1, or the caster is of another map or stops elsewhere.
 
     Notes
     -----
@@ -80,7 +87,8 @@ class BeamModel(RangeMixtureModel):
 
     References
     ----------
-    Probabilistic Robotics, section 6.1, (6.2); 6.3.1, (6.4) to (6.12), Table 6.1; 6.3.4 for exponent and n_beams.
+    Probabilistic Robotics, section 6.1, (6.2); 6.3.1, (6.4) to (6.12), Table 6.1; 6.3.4 for exponent, n_beams and
+    caster.
 
     Examples
     --------
@@ -103,9 +111,25 @@ class BeamModel(RangeMixtureModel):
     n_beams: int | None = field(default=None, kw_only=True)
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     finder: RangeFinder | None = field(default=None, kw_only=True)
+    caster: GridCaster | None = field(default=None, kw_only=True)
     _source: RangeSource = field(init=False, repr=False)
 
     __repr__ = short_repr
 
     def _make_source(self) -> RangeSource:
-        return RayCaster(self.grid, unknown=self.unknown)
+        if self.caster is None:
+            return RayCaster(self.grid, unknown=self.unknown)
+        require(self.caster.unknown == self.unknown, "caster", f"unknown={self.unknown!r}", self.caster.unknown)
+        if not _are_same(self.caster.grid, self.grid):
+            raise InvalidInputError("caster: expected one of the model's grid, got one of another map")
+        return self.caster
+
+
+def _are_same(one: OccupancyGrid, other: OccupancyGrid) -> bool:
+    """Whether rays cannot tell two grids apart."""
+    if one is other:
+        return True
+    fields = [(grid.shape, grid.resolution, grid.origin.tolist()) for grid in (one, other)]
+    return fields[0] == fields[1] and bool(
+        np.array_equal(one.occupied, other.occupied) and np.array_equal(one.free, other.free)
+    )

@@ -13,6 +13,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.beam import fill_scan_log_likelihood
 from beamfield.kernels.threads import run_in_blocks
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities, read_only
 from beamfield.models.beam_dependence import settle_dependence
 from beamfield.models.beam_parameters import BeamParameters
@@ -41,6 +42,20 @@ class RangeSource(Protocol):
         -------
         (..., k) metres in [0, finder.max_range].
         """
+        ...
+
+
+class GridCaster(RangeSource, Protocol):
+    """Where the expected ranges of rays in a grid come from: cast one by one, or looked up."""
+
+    @property
+    def grid(self) -> OccupancyGrid:
+        """The map."""
+        ...
+
+    @property
+    def unknown(self) -> str:
+        """Whether rays pass unknown cells ("free") or stop there ("occupied")."""
         ...
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import gzip
 import io
+import tempfile
 import zlib
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from beamfield.io.maps.range_table_file import precompute_ranges
+from beamfield.maps.occupancy import OccupancyGrid
 from tests.fuzz.case import Case, one_file
 from tests.fuzz.mutate.png import png_bytes
 
@@ -22,6 +26,7 @@ occupied_thresh: 0.65
 free_thresh: 0.196
 """
 GREY = np.array([[0, 254, 205, 100], [254, 254, 0, 255], [205, 50, 150, 254]], dtype=np.uint8)
+TABULATED = OccupancyGrid.from_ros([[0, 0, 100, 0, 0], [0, -1, 0, 0, 100], [0, 0, 0, 0, 0]], 0.2)
 WEAN = """\
 robot_specifications->global_mapsize_x   20
 robot_specifications->resolution         10
@@ -59,6 +64,17 @@ def pictures(*suffixes: str) -> list[Case]:
 
 def wean_maps() -> list[Case]:
     return [one_file("w.dat", WEAN), one_file("w.dat.gz", gzip.compress(WEAN.encode(), mtime=0))]
+
+
+def range_tables() -> list[Case]:
+    """Tables of pre-cached ranges of `TABULATED`."""
+    cases = []
+    for max_range in (None, 2.0):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "m.ranges"
+            precompute_ranges(path, TABULATED, headings=9, max_range=max_range)
+            cases.append(one_file("m.ranges", path.read_bytes()))
+    return cases
 
 
 def _pgms() -> list[bytes]:

@@ -48,10 +48,7 @@ def choose(stack: str, model: str, log: SensorLog, grid: OccupancyGrid, error: f
         stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters()
     )
     amount = replay_options(stack, model, 0)
-    particles = before.particles
-    segments = cut_segments(
-        log, particles.update_min_d, particles.update_min_a, most=amount.most_stretches, longest=amount.longest
-    )
+    segments = cut_segments(log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
     choice = choose_by_replay(
         before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},
         motion_candidates(before, log, error, error / 4.0),

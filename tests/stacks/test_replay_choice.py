@@ -36,6 +36,7 @@ from beamfield.stacks.fit.replay_choice import (
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
+from beamfield.stacks.registry import STACKS
 from beamfield.stacks.ros1.motion import Ros1Motion
 
 FEW = ReplayOptions(runs=10, most_stretches=2, longest=16)
@@ -183,11 +184,12 @@ def test_rays_are_replayed_less():
     assert replay_options("nav2", "beam", 3).seed == 3
 
 
-def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, office):
+def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, office, monkeypatch):
     job = SimpleNamespace(patched=None)
     blind = replace(drive, odometry=np.full_like(drive.poses, np.nan))
     fit = SimpleNamespace(model=SimpleNamespace(stack="mrpt"))
     assert replay_fit(job, blind, office, fit, {}).why_not == "the log has no odometry"
+    monkeypatch.setitem(STACKS, "mrpt", replace(STACKS["mrpt"], filter=None))
     assert replay_fit(job, drive, office, fit, {}).why_not == "the particle filter of mrpt is not emulated"
 
 

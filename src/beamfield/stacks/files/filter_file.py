@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from beamfield.errors import FormatError
@@ -32,6 +32,11 @@ class FilterSettings:
     motion: Any
     particles: Any
 
+    @property
+    def update_distances(self) -> tuple[float, float]:
+        """How far, metres, or by how much, radians, the robot moves between two updates; 0 for both: every scan."""
+        return getattr(self.particles, "update_min_d", 0.0), getattr(self.particles, "update_min_a", 0.0)
+
     def emulator(self, grid: OccupancyGrid) -> StackModel[Any, Any]:
         """Return the measurement model on a map, with the program's own distances where it has such."""
         kind: Any = STACKS[self.stack].model(self.model).emulator
@@ -57,14 +62,15 @@ def read_filter_settings(file: StackFile) -> FilterSettings:
         If a value cannot be used (names the line), or the program's filter is not emulated.
     """
     described = file.program.filter
-    if described is None or file.is_of_other_node:
-        which = f"{file.program.title}'s node for ROS 1" if file.is_of_other_node else file.program.title
+    if described is None:
         known = ", ".join(stack.title for stack in STACKS.values() if stack.filter is not None)
-        raise FormatError(file.section.path, f"the particle filter of {which} is not emulated, only those of {known}")
+        message = f"the particle filter of {file.program.title} is not emulated, only those of {known}"
+        raise FormatError(file.section.path, message)
+    whole = file if described.section is None else replace(file, section=described.section(file.section))
     return FilterSettings(
         file.stack,
         file.model,
         checked_values(file),
-        checked_fields(file, described.motion),
-        checked_fields(file, described.parameters),
+        checked_fields(whole, described.motion),
+        checked_fields(whole, described.parameters),
     )

@@ -25,16 +25,17 @@ def motion_candidates(
 
     Others are those learned from the log, at the filter's own update distance, and common alphas. Where the stack's
     formula is not nav2's, values with the noise of such an alpha at the same steps stand for it. There are no others
-    if the log does not show the odometry's noise, or the motion model has none that could be set.
+    if the log does not show the odometry's noise, or no file could have it.
     """
     described = STACKS[settings.stack]
-    convert = described.motions.get(getattr(settings.motion, described.motion_key, ""))
+    convert = described.motion_from(getattr(settings.motion, described.motion_key, None))
     candidates: dict[str, Mapping[str, float]] = {BEFORE: {}}
     if convert is None:
         return candidates
+    min_distance, min_turn = settings.update_distances
     options = OdometryOptions(
-        update_min_d=settings.particles.update_min_d,
-        update_min_a=settings.particles.update_min_a,
+        update_min_d=min_distance,
+        update_min_a=min_turn,
         reference_error=reference_error,
         reference_turn_error=reference_turn_error,
     )

@@ -1,0 +1,234 @@
+"""MRPT's particle filter CMonteCarloLocalization2D, as mrpt_pf_localization and pf-localization run it."""
+
+# ruff: noqa: N815  (the names are MRPT's)
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray, compose, wrap_angle
+from beamfield.localization.replay import PoseBelief
+from beamfield.sensors import Scan, SensorLog
+from beamfield.stacks.emulation.parameter_checks import check_choice, check_counts, check_numbers, check_switches
+from beamfield.stacks.filters.emulated_filter import EmulatedFilter
+from beamfield.stacks.filters.histogram import BinSizes, Histogram, chi_square_quantiles
+from beamfield.stacks.filters.loop import scans_with_odometry
+from beamfield.stacks.filters.particles import (
+    check_number_of_particles,
+    draw_by_weight,
+    n_effective,
+    normalised,
+    particle_mean,
+)
+from beamfield.stacks.mrpt.motion import THRUN, MrptMotion
+from beamfield.stacks.mrpt.resampling import METHODS, resampled
+from beamfield.stacks.mrpt.scan import mrpt_grid
+from beamfield.stacks.mrpt.start import initial_poses
+
+ALGORITHM = "pfStandardProposal"
+STANDSTILL = np.zeros((2, 3))
+
+
+@dataclass(frozen=True)
+class MrptFilterParameters:
+    """What MRPT's files say about the particles, with the defaults of its classes.
+
+    In an ini file this stands in [KLD_options], [PF_options] and [LocalizationExperiment], in a file of
+    mrpt_pf_localization under kld_options, pf_options and beside them.
+
+    Parameters
+    ----------
+    adaptiveSampleSize
+        Whether every update draws as many particles as KLD sampling asks for; otherwise there are as many as at the
+        start, and they are drawn anew where their effective number falls below BETA of them. True here, as in every
+        configuration that comes with MRPT.
+    BETA
+        See adaptiveSampleSize.
+    resamplingMethod
+        How particles are drawn: "prMultinomial", "prResidual", "prStratified" or "prSystematic". With
+        adaptiveSampleSize the first alone.
+    PF_algorithm
+        "pfStandardProposal"; others are not emulated.
+    powFactor
+        The power to which a scan's likelihood is taken.
+    KLD_binSize_XY, KLD_binSize_PHI
+        Sides of the bins, metres and radians.
+    KLD_delta
+        Probability that the bound is not kept.
+    KLD_epsilon
+        Bound of the divergence, nats.
+    KLD_minSampleSize, KLD_maxSampleSize
+        Bounds of the number of particles.
+    particles_count
+        How many to start with; 0 for initial_particles_per_m2.
+    initial_particles_per_m2
+        How many to start with, for each square metre in which the robot can be, of which there are 10 at least.
+    relocalize_num_sigmas
+        How many standard deviations to either side the particles start in.
+    rate_hz
+        How often the filter updates, with the newest scan; 0 for every scan.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number or name cannot be computed with, or the algorithm is not emulated.
+    """
+
+    adaptiveSampleSize: bool = True
+    BETA: float = 0.5
+    resamplingMethod: str = METHODS[0]
+    PF_algorithm: str = ALGORITHM
+    powFactor: float = 1.0
+    KLD_binSize_XY: float = field(default=0.2, metadata={"unit": "m"})
+    KLD_binSize_PHI: float = field(default=math.radians(5.0), metadata={"unit": "rad"})
+    KLD_delta: float = 0.01
+    KLD_epsilon: float = 0.02
+    KLD_minSampleSize: int = 250
+    KLD_maxSampleSize: int = 100_000
+    particles_count: int = 0
+    initial_particles_per_m2: int = 10
+    relocalize_num_sigmas: float = 3.0
+    rate_hz: float = field(default=0.0, metadata={"unit": "Hz"})
+
+    def __post_init__(self) -> None:
+        check_switches(self, "adaptiveSampleSize")
+        check_choice(self, "resamplingMethod", METHODS)
+        check_choice(self, "PF_algorithm", (ALGORITHM,))
+        check_numbers(
+            self,
+            positive=("powFactor", "KLD_binSize_XY", "KLD_binSize_PHI", "KLD_delta", "KLD_epsilon",
+                      "relocalize_num_sigmas"),
+            at_least_zero=("BETA", "rate_hz"),
+        )  # fmt: skip
+        check_counts(self, particles_count=0, initial_particles_per_m2=1)
+        check_number_of_particles(self, "KLD_minSampleSize")
+        check_number_of_particles(self, "KLD_maxSampleSize")
+        if self.KLD_delta >= 1.0:
+            raise InvalidInputError(f"KLD_delta: expected a probability below 1, got {self.KLD_delta}")
+        if self.adaptiveSampleSize and self.resamplingMethod != METHODS[0]:
+            raise InvalidInputError(
+                f"resamplingMethod: expected {METHODS[0]!r}, without which MRPT stops with adaptiveSampleSize, got "
+                f"{self.resamplingMethod!r}"
+            )
+
+
+def mrpt_filter(model: Any, motion: MrptMotion, parameters: MrptFilterParameters) -> MrptFilter:
+    """Return the filter that runs one of MRPT's models on its map."""
+    return MrptFilter(model, mrpt_grid(model.grid, model.map_mode), motion, parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class MrptFilter(EmulatedFilter):
+    """MRPT's particle filter on a map, as it is.
+
+    It starts uniformly over free cells around the start; see `initial_poses`. An update moves the particles and
+    multiplies their weights by the scan's likelihood. With adaptiveSampleSize they are first drawn anew by weight, and
+    moved one by one until there are as many as KLD sampling asks for: round(q / (2 KLD_epsilon)), where q is the
+    1 - KLD_delta quantile of chi-square with one degree of freedom less than there are bins (one bin: as few as there
+    may be). The answer is their weighted mean. It knows no recovery.
+
+    Notes
+    -----
+    Re-derived from MRPT's PF_implementations.h (PF_SLAM_implementation_pfStandardProposal), CParticleFilter.cpp,
+    CParticleFilterCapable.cpp, CMonteCarloLocalization2D.cpp and CPosePDFParticles.cpp, and from mrpt_pf_localization's
+    mrpt_pf_localization_core.cpp. With mmThrun all particles of a step move by the same draw: the program draws 300
+    steps, but takes the first for each particle. Where all weights are 0 the program stops with an error; here all
+    particles become equal. Random numbers are NumPy's, so that runs agree with the program's in distribution only.
+
+    Not emulated: relocalisation by scan matching, which mrpt_pf_localization has if it was built with
+    mola_relocalization; odometry that is newer than the scan.
+    """
+
+    motion: MrptMotion
+    parameters: MrptFilterParameters = MrptFilterParameters()
+
+    def update_scans(self, log: SensorLog) -> list[int]:
+        """Return the scans with odometry, or the newest at every tick of the clock; see `EmulatedFilter`."""
+        scans = scans_with_odometry(log)
+        if self.parameters.rate_hz == 0.0:
+            return scans
+        stamps = log.stamps[scans]
+        # The first scan is there at the first tick.
+        ticks = np.ceil((stamps - stamps[0]) * self.parameters.rate_hz - 1e-9)
+        newest = np.append(ticks[1:] != ticks[:-1], True)
+        return [scan for scan, is_newest in zip(scans, newest.tolist(), strict=True) if is_newest]
+
+    def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> _Particles:
+        return _Particles(self, start, rng)
+
+
+class _Particles:
+    """A `Cloud`."""
+
+    def __init__(self, mrpt: MrptFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
+        values = mrpt.parameters
+        self._mrpt, self._rng = mrpt, rng
+        self._sizes = BinSizes(values.KLD_binSize_XY, values.KLD_binSize_XY, values.KLD_binSize_PHI)
+        self._limits = np.empty(0)
+        self.poses = initial_poses(
+            mrpt.seen, start, values.relocalize_num_sigmas, values.particles_count, values.initial_particles_per_m2, rng
+        )
+        self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
+        self.move(STANDSTILL)  # the first update has the noise of a step, too
+
+    def move(self, odometry: FloatArray) -> None:
+        moved = self._mover(odometry)
+        if self._mrpt.parameters.adaptiveSampleSize:
+            self._draw_enough(moved)
+        else:
+            self.poses = moved(self.poses)
+
+    def weigh(self, scan: Scan) -> None:
+        gained = self._mrpt._weights_of(scan, self.poses) * self._mrpt.parameters.powFactor
+        with np.errstate(divide="ignore"):
+            self.weights = normalised(np.log(self.weights) + gained)
+
+    def resample_when_due(self) -> FloatArray:
+        values, n = self._mrpt.parameters, len(self.weights)
+        if not values.adaptiveSampleSize and n_effective(self.weights) < values.BETA * n:
+            self.poses = self.poses[resampled(values.resamplingMethod, self.weights, self._rng)]
+            self.weights = np.full(n, 1.0 / n)
+        return particle_mean(self.poses, self.weights)
+
+    def _mover(self, odometry: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """Return what moves poses (n, 3) by a step."""
+        motion, rng = self._mrpt.motion, self._rng
+        if motion.modelSelection == THRUN:
+            step = motion.sample(np.zeros((1, 3)), odometry, rng)[0]
+            return lambda poses: compose(poses, step)
+
+        def moved(poses: FloatArray) -> FloatArray:
+            drawn = motion.sample(poses, odometry, rng)
+            drawn[:, 2] = wrap_angle(drawn[:, 2])
+            return drawn
+
+        return moved
+
+    def _draw_enough(self, moved: Callable[[FloatArray], FloatArray]) -> None:
+        most, tried = self._mrpt.parameters.KLD_maxSampleSize, 2 * len(self.poses)
+        poses = np.empty((0, 3))
+        enough: int | None = None
+        while enough is None and len(poses) < most:
+            n = min(tried, most) - len(poses)
+            drawn = moved(self.poses[draw_by_weight(self.weights, n, self._rng)])
+            poses = np.concatenate([poses, drawn])
+            enough, tried = self._enough(poses), 2 * tried
+        self.poses = poses[:enough]
+        self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
+
+    def _enough(self, poses: FloatArray) -> int | None:
+        """Return how many of these poses are enough; None if all are too few."""
+        values = self._mrpt.parameters
+        if len(self._limits) < len(poses):
+            quantile = NormalDist().inv_cdf(1.0 - values.KLD_delta)
+            needed = np.rint(chi_square_quantiles(len(poses), quantile) / (2.0 * values.KLD_epsilon))
+            # The histogram wants the number that must be exceeded.
+            self._limits = np.maximum(needed, values.KLD_minSampleSize) - 1.0
+        found = Histogram(poses + 0.5 * np.array(self._sizes), self._sizes, self._limits)
+        return found.n_particles if found.is_enough else None

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -17,17 +16,17 @@ from beamfield.localization.replay import PoseBelief
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.emulation.parameter_checks import check_choice, check_counts, check_numbers, check_switches
 from beamfield.stacks.filters.emulated_filter import EmulatedFilter
-from beamfield.stacks.filters.histogram import BinSizes, Histogram, chi_square_quantiles
+from beamfield.stacks.filters.histogram import BinSizes
 from beamfield.stacks.filters.loop import scans_with_odometry
 from beamfield.stacks.filters.particles import (
     check_number_of_particles,
-    draw_by_weight,
     n_effective,
     normalised,
     particle_mean,
 )
 from beamfield.stacks.mrpt.motion import THRUN, MrptMotion
-from beamfield.stacks.mrpt.resampling import METHODS, resampled
+from beamfield.stacks.mrpt.resampling import METHODS, fast_draws, resampled
+from beamfield.stacks.mrpt.sample_size import enough_particles
 from beamfield.stacks.mrpt.scan import mrpt_grid
 from beamfield.stacks.mrpt.start import initial_poses
 
@@ -128,18 +127,20 @@ class MrptFilter(EmulatedFilter):
     """MRPT's particle filter on a map, as it is.
 
     It starts uniformly over free cells around the start; see `initial_poses`. An update moves the particles and
-    multiplies their weights by the scan's likelihood. With adaptiveSampleSize they are first drawn anew by weight, and
-    moved one by one until there are as many as KLD sampling asks for: round(q / (2 KLD_epsilon)), where q is the
-    1 - KLD_delta quantile of chi-square with one degree of freedom less than there are bins (one bin: as few as there
-    may be). The answer is their weighted mean. It knows no recovery.
+    multiplies their weights by the scan's likelihood. With adaptiveSampleSize they are first drawn anew by weight
+    (`fast_draws`) and moved, one by one, until there are as many as KLD sampling asks for (`enough_particles`).
+    Without it they are drawn anew (`resampled`) where the effective number is below BETA of all. The answer is their
+    weighted mean. There is no recovery.
 
     Notes
     -----
     Re-derived from MRPT's PF_implementations.h (PF_SLAM_implementation_pfStandardProposal), CParticleFilter.cpp,
     CParticleFilterCapable.cpp, CMonteCarloLocalization2D.cpp and CPosePDFParticles.cpp, and from mrpt_pf_localization's
     mrpt_pf_localization_core.cpp. With mmThrun all particles of a step move by the same draw: the program draws 300
-    steps, but takes the first for each particle. Where all weights are 0 the program stops with an error; here all
-    particles become equal. Random numbers are NumPy's, so that runs agree with the program's in distribution only.
+    steps, but takes the first for each particle. Without adaptiveSampleSize, particles keep their weights when they
+    are drawn, so that the next update counts them twice; MRPT 2.5.8 does. Where all weights are 0 the program stops
+    with an error; here all particles become equal. Random numbers are NumPy's, so that runs agree with the program's in
+    distribution only.
 
     Not emulated: relocalisation by scan matching, which mrpt_pf_localization has if it was built with
     mola_relocalization; odometry that is newer than the scan.
@@ -169,8 +170,6 @@ class _Particles:
     def __init__(self, mrpt: MrptFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
         values = mrpt.parameters
         self._mrpt, self._rng = mrpt, rng
-        self._sizes = BinSizes(values.KLD_binSize_XY, values.KLD_binSize_XY, values.KLD_binSize_PHI)
-        self._limits = np.empty(0)
         self.poses = initial_poses(
             mrpt.seen, start, values.relocalize_num_sigmas, values.particles_count, values.initial_particles_per_m2, rng
         )
@@ -192,8 +191,9 @@ class _Particles:
     def resample_when_due(self) -> FloatArray:
         values, n = self._mrpt.parameters, len(self.weights)
         if not values.adaptiveSampleSize and n_effective(self.weights) < values.BETA * n:
-            self.poses = self.poses[resampled(values.resamplingMethod, self.weights, self._rng)]
-            self.weights = np.full(n, 1.0 / n)
+            drawn = resampled(values.resamplingMethod, self.weights, self._rng)
+            # The program resets as many weights as its caller asked particles for: none.
+            self.poses, self.weights = self.poses[drawn], self.weights[drawn] / self.weights[drawn].sum()
         return particle_mean(self.poses, self.weights)
 
     def _mover(self, odometry: FloatArray) -> Callable[[FloatArray], FloatArray]:
@@ -211,24 +211,15 @@ class _Particles:
         return moved
 
     def _draw_enough(self, moved: Callable[[FloatArray], FloatArray]) -> None:
-        most, tried = self._mrpt.parameters.KLD_maxSampleSize, 2 * len(self.poses)
+        values, tried = self._mrpt.parameters, 2 * len(self.poses)
+        most = values.KLD_maxSampleSize
+        sizes = BinSizes(values.KLD_binSize_XY, values.KLD_binSize_XY, values.KLD_binSize_PHI)
         poses = np.empty((0, 3))
         enough: int | None = None
         while enough is None and len(poses) < most:
             n = min(tried, most) - len(poses)
-            drawn = moved(self.poses[draw_by_weight(self.weights, n, self._rng)])
-            poses = np.concatenate([poses, drawn])
-            enough, tried = self._enough(poses), 2 * tried
+            poses = np.concatenate([poses, moved(self.poses[fast_draws(self.weights, n, self._rng)])])
+            enough = enough_particles(poses, sizes, values.KLD_minSampleSize, values.KLD_epsilon, values.KLD_delta)
+            tried *= 2
         self.poses = poses[:enough]
         self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
-
-    def _enough(self, poses: FloatArray) -> int | None:
-        """Return how many of these poses are enough; None if all are too few."""
-        values = self._mrpt.parameters
-        if len(self._limits) < len(poses):
-            quantile = NormalDist().inv_cdf(1.0 - values.KLD_delta)
-            needed = np.rint(chi_square_quantiles(len(poses), quantile) / (2.0 * values.KLD_epsilon))
-            # The histogram wants the number that must be exceeded.
-            self._limits = np.maximum(needed, values.KLD_minSampleSize) - 1.0
-        found = Histogram(poses + 0.5 * np.array(self._sizes), self._sizes, self._limits)
-        return found.n_particles if found.is_enough else None

@@ -17,7 +17,7 @@ from beamfield.stacks.syntax.yaml_sections import yaml_sections
 NAMES = frozenset(item.name for kind in (MrptFilterParameters, MrptMotion) for item in fields(kind))
 INI_SECTIONS = ("KLD_options", "PF_options", "LocalizationExperiment")
 # Beside the section of the measurement model; what comes later holds.
-YAML_SECTIONS = ("", ".kld_options", ".pf_options", ".motion_model_2d", ".motion_model_no_odom_2d")
+YAML_SECTIONS = ("", "kld_options", "pf_options", "motion_model_2d", "motion_model_no_odom_2d")
 ALGORITHMS = (ALGORITHM, "pfAuxiliaryPFStandard", "pfOptimalProposal", "pfAuxiliaryPFOptimal")
 # Times per second that mrpt_pf_localization updates if its file does not say.
 USUAL_RATE = 2.0
@@ -47,7 +47,9 @@ def filter_section(sensor: ParameterSection) -> ParameterSection:
     root = sensor.label.rpartition(".")[0]
     sections = yaml_sections(read_yaml(sensor.path, number_keys=True), Signs(NAMES, (), ()))
     found = {
-        section.label.removeprefix(root): section.entries for section in sections if section.label.startswith(root)
+        section.label.removeprefix(root).removeprefix("."): section.entries
+        for section in sections
+        if section.label.startswith(root)
     }
     entries = _converted(found, YAML_SECTIONS, {})
     rate = Entry("rate_hz", USUAL_RATE, sensor.line, 0, 0)

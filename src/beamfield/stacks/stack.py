@@ -285,8 +285,8 @@ class Stack:
         The parameter that chooses the motion model; "" if there is only one.
     motions
         By the values of `motion_key`, the default first: the motion model's parameters from calibrated odometry.
-    writes_motion
-        Whether they are written: not where its files have no place for them beside the measurement model.
+    motion_elsewhere
+        Where they belong, for people, if not beside the measurement model's: they are then said, not written.
     checks
         Findings of its own: called with what `beamfield.stacks.doctor` looks at.
     """
@@ -322,7 +322,7 @@ class Stack:
     filter: StackFilter | None = None
     motion_key: str = ""
     motions: Mapping[str, Callable[[OdometryCalibration], dict[str, float]]] = field(default_factory=dict)
-    writes_motion: bool = True
+    motion_elsewhere: str = ""
     checks: tuple[Callable[[Any], Iterator[Finding]], ...] = ()
 
     @property
@@ -350,20 +350,11 @@ class Stack:
         return self.model(model).parameters(**self.choice(model))
 
     def motion_from(self, chosen: str | None) -> Callable[[OdometryCalibration], dict[str, float]] | None:
-        """Return what turns calibrated odometry into parameters that its file can have.
+        """Return what turns calibrated odometry into parameters of the motion model; None if it has no noise to set.
 
-        Parameters
-        ----------
-        chosen
-            The value of `motion_key`; None for the default.
-
-        Returns
-        -------
-        None if there is nothing to write, or the motion model has no noise that could be set.
+        `chosen` is the value of `motion_key`; None for the default.
         """
-        if not self.motions or not self.writes_motion:
-            return None
-        return self.motions.get(next(iter(self.motions)) if chosen is None or not self.motion_key else chosen)
+        return self.motions.get(next(iter(self.motions), "") if chosen is None or not self.motion_key else chosen)
 
     def has_same_formulas(self, other: Stack) -> bool:
         """Whether values keep their meaning in the other program, under its names."""

@@ -8,9 +8,11 @@ from typing import Any
 from beamfield.errors import FormatError
 from beamfield.localization.replay import ReplayedFilter
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_fields, checked_values
+from beamfield.stacks.filters.loop import scans_at_ticks
 from beamfield.stacks.registry import STACKS, build_filter, build_model
 
 
@@ -36,6 +38,11 @@ class FilterSettings:
     def update_distances(self) -> tuple[float, float]:
         """How far, metres, or by how much, radians, the robot moves between two updates; 0 for both: every scan."""
         return getattr(self.particles, "update_min_d", 0.0), getattr(self.particles, "update_min_a", 0.0)
+
+    def at_ticks(self, log: SensorLog) -> SensorLog:
+        """Return the scans that a filter takes which updates by the clock; all for others."""
+        rate = getattr(self.particles, "rate_hz", 0.0)
+        return log.select(scans_at_ticks(log, rate)) if rate > 0.0 else log
 
     def emulator(self, grid: OccupancyGrid) -> StackModel[Any, Any]:
         """Return the measurement model on a map, with the program's own distances where it has such."""

@@ -94,3 +94,26 @@ def scans_after_motion(log: SensorLog, has_moved: Callable[[FloatArray, FloatArr
         if has_moved(log.odometry[chosen[-1]], log.odometry[i]):
             chosen.append(i)
     return chosen
+
+
+def scans_at_ticks(log: SensorLog, rate: float) -> list[int]:
+    """Return the newest scan with odometry at every tick of a clock that starts with the first.
+
+    Parameters
+    ----------
+    log
+        With odometry.
+    rate
+        Ticks per second.
+
+    Raises
+    ------
+    TooLittleDataError
+        If no scan has odometry.
+    """
+    scans = scans_with_odometry(log)
+    stamps = log.stamps[scans]
+    # Rounding must not put a scan behind the tick that it comes with.
+    ticks = np.ceil((stamps - stamps[0]) * rate - 1e-9)
+    newest = np.append(ticks[1:] != ticks[:-1], True)
+    return [scan for scan, is_newest in zip(scans, newest.tolist(), strict=True) if is_newest]

@@ -25,7 +25,7 @@ def motion_candidates(
 
     Others are those learned from the log, at the filter's own update distance, and common alphas. Where the stack's
     formula is not nav2's, values with the noise of such an alpha at the same steps stand for it. There are no others
-    if the log does not show the odometry's noise, or no file could have it.
+    if the log does not show the odometry's noise, or the motion model has none that could be set.
     """
     described = STACKS[settings.stack]
     convert = described.motion_from(getattr(settings.motion, described.motion_key, None))
@@ -40,7 +40,7 @@ def motion_candidates(
         reference_turn_error=reference_turn_error,
     )
     try:
-        learned = calibrate_odometry(log, options)
+        learned = calibrate_odometry(settings.at_ticks(log), options)
     except TooLittleDataError:
         return candidates
     candidates[LEARNED] = convert(learned)

@@ -17,7 +17,7 @@ from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.emulation.parameter_checks import check_choice, check_counts, check_numbers, check_switches
 from beamfield.stacks.filters.emulated_filter import EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes
-from beamfield.stacks.filters.loop import scans_with_odometry
+from beamfield.stacks.filters.loop import scans_at_ticks, scans_with_odometry
 from beamfield.stacks.filters.particles import (
     check_number_of_particles,
     n_effective,
@@ -151,14 +151,8 @@ class MrptFilter(EmulatedFilter):
 
     def update_scans(self, log: SensorLog) -> list[int]:
         """Return the scans with odometry, or the newest at every tick of the clock; see `EmulatedFilter`."""
-        scans = scans_with_odometry(log)
-        if self.parameters.rate_hz == 0.0:
-            return scans
-        stamps = log.stamps[scans]
-        # The first scan is there at the first tick.
-        ticks = np.ceil((stamps - stamps[0]) * self.parameters.rate_hz - 1e-9)
-        newest = np.append(ticks[1:] != ticks[:-1], True)
-        return [scan for scan, is_newest in zip(scans, newest.tolist(), strict=True) if is_newest]
+        rate = self.parameters.rate_hz
+        return scans_at_ticks(log, rate) if rate > 0.0 else scans_with_odometry(log)
 
     def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> _Particles:
         return _Particles(self, start, rng)

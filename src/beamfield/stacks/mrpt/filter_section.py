@@ -46,11 +46,8 @@ def filter_section(sensor: ParameterSection) -> ParameterSection:
         return replace(sensor, entries=_converted(found, INI_SECTIONS, _FROM_INI))
     root = sensor.label.rpartition(".")[0]
     sections = yaml_sections(read_yaml(sensor.path, number_keys=True), Signs(NAMES, (), ()))
-    found = {
-        section.label.removeprefix(root).removeprefix("."): section.entries
-        for section in sections
-        if section.label.startswith(root)
-    }
+    beside = [section for section in sections if section.label.startswith(root)]
+    found = {section.label.removeprefix(root).removeprefix("."): section.entries for section in beside}
     entries = _converted(found, YAML_SECTIONS, {})
     rate = Entry("rate_hz", USUAL_RATE, sensor.line, 0, 0)
     return replace(sensor, entries={"rate_hz": rate, **entries})

@@ -8,7 +8,7 @@ from beamfield.stacks.mrpt.field import MrptField
 from beamfield.stacks.mrpt.filter import MrptFilterParameters, mrpt_filter
 from beamfield.stacks.mrpt.filter_section import filter_section
 from beamfield.stacks.mrpt.learned_motion import gaussian_values, thrun_values
-from beamfield.stacks.mrpt.motion import MrptMotion
+from beamfield.stacks.mrpt.motion import GAUSSIAN, THRUN, MrptMotion
 from beamfield.stacks.mrpt.parameters import LF_THRUN, RAY_TRACING, MrptFieldParameters, MrptRayParameters
 from beamfield.stacks.mrpt.rays import MrptRays
 from beamfield.stacks.stack import FIELD_PRODUCT, RAY_LOGS, SURE, Model, Stack, StackFilter, models
@@ -102,6 +102,7 @@ MRPT = Stack(
     filter=StackFilter(
         motion=MrptMotion, parameters=MrptFilterParameters, build=mrpt_filter, section=filter_section
     ),
-    motions={"gaussianModel": gaussian_values, "thrunModel": thrun_values},
-    writes_motion=False,
+    motion_key="modelSelection",
+    motions={GAUSSIAN: gaussian_values, THRUN: thrun_values},
+    motion_elsewhere="motion_model_2d of mrpt_pf_localization, beside modelSelection",
 )  # fmt: skip

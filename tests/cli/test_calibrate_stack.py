@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from beamfield.cli.calibrate_replay import Replayed
+from beamfield.cli.calibrate_stack import _said
 from beamfield.cli.main import main
 from beamfield.io.read_map import read_map
 from beamfield.stacks.files.filter_file import read_filter_settings
@@ -187,27 +187,7 @@ def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tm
     assert "no values for nav2" in (tmp_path / "out" / "report.html").read_text()
 
 
-@pytest.mark.parametrize("stack", ["mrpt", "f1tenth"])
-def test_filters_that_take_every_scan_decide_by_replay_too(world, tmp_path, capsys, stack):
-    texts = {
-        "mrpt": "[KLD_options]\nKLD_minSampleSize = 100\nKLD_epsilon = 0.1\n"
-        "[MetricMap_occupancyGrid_00_likelihoodOpts]\nlikelihoodMethod = 4\nLF_stdHit = 1.5\n",
-        "f1tenth": "particle_filter:\n  ros__parameters:\n    max_particles: 200\n    angle_step: 2\n"
-        "    squash_factor: 30.0\n    motion_dispersion_theta: 0.25\n",
-    }
-    mine = tmp_path / ("mine.ini" if stack == "mrpt" else "mine.yaml")
-    mine.write_text(texts[stack])
-    assert calibrate(world, tmp_path / "out", "--stack", stack, "--patch", str(mine), quiet=False) == 0
-    printed = capsys.readouterr().out
-    document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
-    assert document["verdict"].startswith(f"Use the new values: replayed in {stack}'s own filter")
-    assert document["replay"]["error"]["after"] < document["replay"]["error"]["before"]
-    settings = read_filter_settings(read_stack_file(mine, stack=stack))
-    if stack == "mrpt":
-        assert settings.sensor.LF_stdHit < 1.0
-        # An ini file has no place for the motion noise.
-        assert "a1" not in mine.read_text()
-        assert ("not written: it belongs under motion_model_2d" in printed) == bool(document["motion"])
-    else:
-        assert document["motion"]["motion_dispersion_theta"] < 0.25
-        assert asdict(settings.motion) == asdict(settings.motion) | document["motion"]
+def test_motion_noise_that_a_file_has_no_place_for_is_said():
+    said = "motion noise to go with it, not written: it belongs under motion_model_2d of mrpt_pf_localization, beside "
+    assert _said("mrpt", {"a1": 0.02, "a4": 0.1}) == [f"{said}modelSelection: a1 = 0.02, a4 = 0.1"]
+    assert _said("mrpt", {}) == _said("beluga", {"alpha1": 0.02}) == []

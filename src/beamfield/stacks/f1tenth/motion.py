@@ -104,7 +104,9 @@ DISPERSION = NoiseFamily(
 
 
 def dispersions(result: OdometryCalibration) -> dict[str, float]:
-    """Return the noise of one step between the scans that odometry was calibrated with: x and y alike."""
+    """Return the noise of a step from scan to scan, x and y alike; nothing from odometry calibrated at longer steps."""
+    if result.options.update_min_d > 0.0 or result.options.update_min_a > 0.0:
+        return {}
     model = result.fit(DISPERSION)
     assert isinstance(model, GaussianMotion)
     position, heading = (float(f"{value:.3g}") for value in (model.position_floor, model.heading_floor))

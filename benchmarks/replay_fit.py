@@ -83,10 +83,7 @@ def choose(stack: str, model: str, place: Place) -> tuple[ReplayChoice, float]:
         FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())
     )
     amount = replay_options(stack, model, 0)
-    particles = before.particles
-    segments = cut_segments(
-        place.log, particles.update_min_d, particles.update_min_a, most=amount.most_stretches, longest=amount.longest
-    )
+    segments = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
     choice = choose_by_replay(
         before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},
         motion_candidates(before, place.log, place.error, place.error / 4.0),

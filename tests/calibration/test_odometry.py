@@ -235,7 +235,7 @@ def test_every_program_gets_noise_as_wide_in_its_own_parameters(common):
     # "diff" takes the variance for the deviation: alpha' s^2 = sqrt(alpha) s at a step of s = 0.27 m.
     assert values["ros1"]["diff"]["odom_alpha2"] == pytest.approx(np.sqrt(alpha) / 0.27, rel=0.3)
     assert len(values["ros1"]["omni"]) == len(values["nav2"]["nav2_amcl::OmniMotionModel"]) == 5
-    factors = {values["mrpt"]["gaussianModel"][name] / default for name, default in (("a1", 0.01), ("a4", 0.05))}
+    factors = {values["mrpt"]["mmGaussian"][name] / default for name, default in (("a1", 0.01), ("a4", 0.05))}
     assert max(factors) == pytest.approx(min(factors), rel=0.01)
     assert min(factors) > 1.0
 

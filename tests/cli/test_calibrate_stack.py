@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from beamfield.cli.calibrate_replay import Replayed
+from beamfield.cli.calibrate_stack import _said
 from beamfield.cli.main import main
 from beamfield.io.read_map import read_map
 from beamfield.stacks.files.filter_file import read_filter_settings
@@ -184,3 +185,9 @@ def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tm
     assert mine.read_text() == MINE
     assert "need 5 of each" in json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["missing"]
     assert "no values for nav2" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_motion_noise_that_a_file_has_no_place_for_is_said():
+    said = "motion noise to go with it, not written: it belongs under motion_model_2d of mrpt_pf_localization, beside "
+    assert _said("mrpt", {"a1": 0.02, "a4": 0.1}) == [f"{said}modelSelection: a1 = 0.02, a4 = 0.1"]
+    assert _said("mrpt", {}) == _said("beluga", {"alpha1": 0.02}) == []

@@ -111,7 +111,10 @@ def test_files_of_one_name_are_told_apart(world, tmp_path):
         (BLIND.replace("alpha2: 0.5", "alpha2: -0.5"), "alpha2: expected a number >= 0, got -0.5"),
         (BLIND.replace("300", "many"), "max_particles: expected a number, got 'many'"),
         (BLIND + "    robot_model_type: hovercraft\n", "robot_model_type: expected one of"),
-        ("[MetricMap_occupancyGrid_00_likelihoodOpts]\nLF_stdHit = 0.1\n", "the particle filter of MRPT is not"),
+        (
+            "[KLD_options]\nKLD_delta = 2\n[MetricMap_occupancyGrid_00_likelihoodOpts]\nLF_stdHit = 0.1\n",
+            "bad.ini:2: KLD_delta: expected a probability below 1, got 2.0",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_run_is_refused_on_one_line(world, tmp_path, capsys, text, message):
@@ -122,6 +125,23 @@ def test_a_file_that_cannot_be_run_is_refused_on_one_line(world, tmp_path, capsy
     assert message in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_every_program_s_filter_runs(world, tmp_path):
+    files = {
+        "pf.ini": "[MetricMap_occupancyGrid_00_likelihoodOpts]\nlikelihoodMethod = 4\nLF_stdHit = 0.2\n",
+        "f1tenth.yaml": "particle_filter:\n  ros__parameters:\n    squash_factor: 4.0\n    max_particles: 500\n"
+        "    angle_step: 6\n    motion_dispersion_theta: 0.05\n",
+        "beluga_1.yaml": "laser_z_hit: 0.9\nselective_resampling: true\nodom_alpha3: 0.05\nkld_err: 0.05\n",
+    }
+    for name, text in files.items():
+        (world / name).write_text(text)
+    assert evaluate(world, tmp_path / "out", "--seeds", "1", "--quiet", params=tuple(files)) == 0
+    document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert {one["stack"] for one in document["stacks"].values()} == {"mrpt", "f1tenth", "beluga"}
+    for name in files:
+        (tracking,) = document["filters"][name]["tracking"]
+        assert tracking["runs"][0]["mean"] < 0.6
 
 
 def test_poses_must_go_with_the_logs(world, tmp_path, capsys):

@@ -14,6 +14,7 @@ from beamfield.cli.calibrate_sensor import CalibrationJob, SensorResult
 from beamfield.cli.main import main
 from beamfield.cli.report_part import StackPart
 from beamfield.errors import BeamfieldError
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.page_section import PageSection
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.calibration_record import record_text
@@ -49,6 +50,9 @@ class Patch:
     stack: str
 
 
+PARAMETERS = BeamParameters(0.7, 0.1, 0.1, 0.1, 0.1, 0.5)
+
+
 def run_command(*words: str) -> tuple[int, str, str]:
     """Run a command and return its exit code and what it printed."""
     out, err = io.StringIO(), io.StringIO()
@@ -79,14 +83,14 @@ def calibrate_and_patch(folder: Path) -> Patch:
     before = _contents(folder)
     values: dict[str, Any] = {}
 
-    def learned(job: CalibrationJob, _sensor: SensorLog) -> SensorResult:
+    def learned(job: CalibrationJob, sensor: SensorLog) -> SensorResult:
         file = job.patched
         assert file is not None
         changed, parameters = _learned(file)
         values.update(file.by_names_in_file(changed))
         record = record_text(file.stack, file.model, parameters, "0.0", "all of 3 windows covered")
         part = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values=changed, record=record)
-        return SensorResult({"beam_model.yaml": "a: 1\n"}, "", {"verdict": ""}, part, ())
+        return SensorResult({"beam_model.yaml": "a: 1\n"}, "", {"verdict": ""}, part, (), (PARAMETERS, sensor))
 
     log, grid, out = (str(folder / name) for name in ("run.log", "map.dat", "out"))
     words = ["calibrate", log, "--map", grid, "--out", out, "--quiet"]

@@ -21,6 +21,7 @@ from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import read_trajectory
+from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
 from tests.fuzz import sane
@@ -94,6 +95,7 @@ def _sightings(path: Path) -> Any:
 
 def _parameters(path: Path) -> Any:
     file = read_stack_file(path)
+    read_filter_settings(file)
     return file, checked_values(file)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -12,12 +14,19 @@ from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.models.gaussian_motion import GaussianMotion, StationaryMotion
 from beamfield.models.omni_motion import OmniMotion
 from beamfield.models.velocity_motion import VelocityMotion
-from beamfield.stacks.mrpt.motion import MrptGaussianMotion, MrptThrunMotion
+from beamfield.stacks.f1tenth.motion import F1tenthMotion
+from beamfield.stacks.mrpt.motion import NAMES, MrptMotion
 from tests.reference import motion_slow as slow
 
 AHEAD = [[2.0, 1.0, 0.3], [2.5, 1.2, 0.5]]
 BACK = [[2.0, 1.0, 0.3], [1.5, 0.8, 0.5]]
 IN_PLACE = [[0.0, 0.0, 3.0], [0.005, 0.0, -2.5]]
+
+
+def mrpt_thrun(*values: float) -> MrptMotion:
+    return MrptMotion("mmThrun", **dict(zip(NAMES["mmThrun"], values, strict=True)))
+
+
 STILL = [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
 MODELS = {
     "differential": DifferentialMotion(0.2, 0.1, 0.05, 0.05),
@@ -26,8 +35,9 @@ MODELS = {
     "gaussian": GaussianMotion(0.1, 0.08, 0.05, 0.3, 0.2, 0.01, 0.05),
     "stationary": StationaryMotion(0.1, 0.2),
     "velocity": VelocityMotion(0.1, 0.1, 0.2, 0.3, 0.1, 0.1, duration=0.7),
-    "MRPT Gaussian": MrptGaussianMotion(0.2, 0.1, 0.3, 0.2, 0.02, 0.05),
-    "MRPT Thrun": MrptThrunMotion(0.2, 0.3, 0.2, 0.1, 0.15, 0.1),
+    "MRPT Gaussian": MrptMotion("mmGaussian", 0.2, 0.1, math.degrees(0.3), 0.2, 0.02, math.degrees(0.05)),
+    "MRPT Thrun": mrpt_thrun(0.2, 0.3, 0.2, 0.1, 0.15, math.degrees(0.1)),
+    "F1TENTH": F1tenthMotion(0.2, 0.2, 0.4),
 }
 START = np.array([-1.0, 2.0, 2.5])
 
@@ -41,7 +51,7 @@ def test_the_density_integrates_to_one_and_is_that_of_the_draws(model, odometry)
     if high[2] - low[2] > 2 * np.pi:
         drawn[:, 2] = wrap_angle(drawn[:, 2])
         low[2], high[2] = -np.pi, np.pi
-    bins, fine = 8, 5 if not isinstance(model, MrptThrunMotion) else 4
+    bins, fine = 8, 5 if getattr(model, "modelSelection", "") != "mmThrun" else 4
     edges = [np.linspace(a, b, bins + 1) for a, b in zip(low, high, strict=True)]
     centres = [np.linspace(e[0], e[-1], bins * fine, endpoint=False) + (e[1] - e[0]) / fine / 2 for e in edges]
     grid = np.stack(np.meshgrid(*centres, indexing="ij"), axis=-1)
@@ -78,8 +88,8 @@ def test_a_wide_density_integrates_to_one_in_polar_coordinates_too(odometry):
         OmniMotion(0.01, 0.01, 0.02, 0.01, 0.03),
         GaussianMotion(),
         VelocityMotion(0.01, 0.01, 0.01, 0.01, 0.01, 0.01, duration=0.7),
-        MrptGaussianMotion(),
-        MrptThrunMotion(0.05, 0.05, 0.05, 0.05, 0.05, 0.05),
+        MrptMotion(),
+        mrpt_thrun(0.05, 0.05, 0.05, 0.05, 0.05, math.degrees(0.05)),
     ],
 )
 def test_the_covariance_of_a_step_is_that_of_its_draws(model):

@@ -122,3 +122,16 @@ def velocity(pose, v, w, alphas, duration, normals):
     x = x - radius * sin(theta) + radius * sin(theta + w_hat * duration)
     y = y + radius * cos(theta) - radius * cos(theta + w_hat * duration)
     return x, y, theta + w_hat * duration + gamma_hat * duration
+
+
+def f1tenth(pose, odometry, dispersions, normals) -> list[float]:
+    """The step of odometry in the car's axes, turned into the map's; then noise of the map's axes."""
+    (x0, y0, t0), (x1, y1, t1) = odometry
+    ahead = cos(-t0) * (x1 - x0) - sin(-t0) * (y1 - y0)
+    left = sin(-t0) * (x1 - x0) + cos(-t0) * (y1 - y0)
+    moved = [
+        pose[0] + cos(pose[2]) * ahead - sin(pose[2]) * left,
+        pose[1] + sin(pose[2]) * ahead + cos(pose[2]) * left,
+        pose[2] + t1 - t0,
+    ]
+    return [value + width * normal for value, width, normal in zip(moved, dispersions, normals, strict=True)]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 Pose = tuple[float, float, float]
@@ -273,8 +273,15 @@ def beluga_beam_value(given: Input, pose: Pose, point: tuple[float, float]) -> f
 # MRPT
 
 
+def at_whole_cells(given: Input) -> Input:
+    """Return the input with the map's origin a whole number of cells from the map frame's."""
+    x, y, turn = given.origin
+    return replace(given, origin=(round(x / given.cell) * given.cell, round(y / given.cell) * given.cell, turn))
+
+
 def mrpt_field_weights(given: Input, poses: list[Pose]) -> list[float]:
     """Return log-weights by MRPT's LF_Thrun."""
+    given = at_whole_cells(given)
     v = given.values
     points: list[tuple[float, float]] = []
     before = True
@@ -317,6 +324,7 @@ def mrpt_field_value(given: Input, pose: Pose, point: tuple[float, float]) -> fl
 
 def mrpt_ray_weights(given: Input, poses: list[Pose]) -> list[float]:
     """Return log-weights by MRPT's rayTracing."""
+    given = at_whole_cells(given)
     v = given.values
     weights = []
     for pose in poses:

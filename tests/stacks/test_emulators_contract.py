@@ -172,7 +172,8 @@ def test_moving_map_and_poses_together_changes_nothing(model, poses):
     moved = OccupancyGrid(grid.probability, grid.resolution, compose(move, grid.origin))
     again = dataclasses.replace(model, grid=moved)
     got = again.log_likelihood(scan, compose(move, poses))
-    assert got == pytest.approx(model.log_likelihood(scan, poses), rel=1e-9)
+    # MRPT moves maps by whole cells, whose side is in single precision.
+    assert got == pytest.approx(model.log_likelihood(scan, poses), rel=1e-6 if model.stack == "mrpt" else 1e-9)
 
 
 def test_poses_that_are_none_are_refused(model):

@@ -291,8 +291,6 @@ def test_what_cannot_be_run_is_refused():
     walls = OccupancyGrid.from_ros(np.full((3, 3), 100), resolution=1.0)
     with pytest.raises(InvalidInputError, match="no free cell"):
         build_filter("nav2", Nav2Field(walls, NAV2))
-    with pytest.raises(InvalidInputError, match="the filter of f1tenth is not emulated"):
-        build_filter("f1tenth", Nav2Field(small_room(), NAV2))
     with pytest.raises(InvalidInputError, match="start: expected a PoseBelief"):
         nav2_filter().run(drive(2), [1.0, 1.0, 0.3], np.random.default_rng(1))
     for values in (

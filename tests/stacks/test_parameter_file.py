@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import math
 
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
+from beamfield.stacks.beluga.filter import BelugaFilterParameters
+from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file, write_values
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.registry import STACKS
@@ -381,6 +384,28 @@ def test_belugas_names_for_ros_1_are_read_and_written_as_they_are(write):
     assert (values.z_rand, values.z_short, values.sigma_hit, values.laser_max_range) == (0.05, 0.1, 0.2, 100.0)
     write_values(file.section, file.by_names_in_file({"z_hit": 0.6, "sigma_hit": 0.1}))
     assert path.read_text() == BELUGA_1.replace("0.77", "0.6") + "laser_sigma_hit: 0.1\n"
+
+
+def test_belugas_filter_for_ros_1_has_names_and_defaults_of_its_own(write):
+    file = read_stack_file(
+        write(BELUGA_1 + "odom_model_type: omnidirectional_drive\nodom_alpha3: 0.07\nkld_err: 0.03\n")
+    )
+    settings = read_filter_settings(file)
+    assert settings.sensor.z_hit == 0.77
+    assert (settings.motion.robot_model_type, settings.motion.alpha3, settings.motion.alpha1) == (
+        "omnidirectional_drive", 0.07, 0.2,
+    )  # fmt: skip
+    assert settings.particles == BelugaFilterParameters(
+        min_particles=100,
+        max_particles=5000,
+        pf_err=0.03,
+        resample_interval=2,
+        update_min_d=0.2,
+        update_min_a=math.pi / 6,
+    )
+    assert file.by_names_in_file({"alpha3": 0.05, "z_hit": 0.6}) == {"odom_alpha3": 0.05, "laser_z_hit": 0.6}
+    with pytest.raises(FormatError, match=r"params\.yaml:4: odom_alpha3: expected a number >= 0, got -1"):
+        read_filter_settings(read_stack_file(write(BELUGA_1 + "odom_alpha3: -1\n")))
 
 
 def test_a_ros_1_file_is_belugas_if_one_says_so(write):

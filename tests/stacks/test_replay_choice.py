@@ -22,6 +22,8 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from beamfield.stacks.beluga.motion import BelugaMotion
+from beamfield.stacks.f1tenth.filter import F1tenthFilterParameters
+from beamfield.stacks.f1tenth.motion import F1tenthMotion
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.fit import replay_choice
@@ -37,8 +39,11 @@ from beamfield.stacks.fit.replay_choice import (
     replay_options,
 )
 from beamfield.stacks.fit.replay_segments import cut_segments
+from beamfield.stacks.mrpt.filter import MrptFilterParameters
+from beamfield.stacks.mrpt.motion import MrptMotion
 from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
+from beamfield.stacks.registry import STACKS
 from beamfield.stacks.ros1.motion import Ros1Motion
 
 FEW = ReplayOptions(runs=10, most_stretches=2, longest=16)
@@ -177,6 +182,21 @@ def test_where_alphas_mean_something_else_they_stand_for_the_same_noise(drive):
     assert literal["alpha 0.1"] > literal["alpha 0.05"] > 0.2
 
 
+def test_programs_without_alphas_get_as_much_noise_in_their_own_names(drive):
+    found = {}
+    for stack, motion, particles in (
+        ("mrpt", MrptMotion(), MrptFilterParameters(rate_hz=1.0)),
+        ("f1tenth", F1tenthMotion(), F1tenthFilterParameters()),
+    ):
+        settings = FilterSettings(stack, "", None, motion, particles)
+        assert settings.update_distances == (0.0, 0.0)
+        assert len(settings.at_ticks(drive)) < len(drive) or stack == "f1tenth"
+        found[stack] = motion_candidates(settings, drive, 0.01, 0.003)
+        assert found[stack].keys() >= {"before", "learned", "alpha 0.1"}
+    assert found["mrpt"]["alpha 0.1"]["a1"] > found["mrpt"]["alpha 0.05"]["a1"] > 0.0
+    assert found["f1tenth"]["learned"]["motion_dispersion_theta"] < 0.25
+
+
 def test_a_motion_model_without_alphas_stays(drive):
     settings = FilterSettings("beluga", KIND, None, BelugaMotion("stationary"), AmclFilterParameters())
     assert motion_candidates(settings, drive, 0.01, 0.003) == {"before": {}}
@@ -205,11 +225,12 @@ def test_rays_are_replayed_less():
     assert replay_options("nav2", "beam", 3).seed == 3
 
 
-def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, office):
+def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, office, monkeypatch):
     job = SimpleNamespace(patched=None)
     blind = replace(drive, odometry=np.full_like(drive.poses, np.nan))
     fit = SimpleNamespace(model=SimpleNamespace(stack="mrpt"))
     assert replay_fit(job, blind, office, fit, {}).why_not == "the log has no odometry"
+    monkeypatch.setitem(STACKS, "mrpt", replace(STACKS["mrpt"], filter=None))
     assert replay_fit(job, drive, office, fit, {}).why_not == "the particle filter of mrpt is not emulated"
 
 

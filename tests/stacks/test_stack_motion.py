@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import wrap_angle
 from beamfield.stacks.beluga.motion import BelugaMotion
-from beamfield.stacks.mrpt.motion import MrptGaussianMotion, MrptThrunMotion
+from beamfield.stacks.f1tenth.motion import F1tenthMotion
+from beamfield.stacks.mrpt.motion import NAMES, MrptMotion
 from beamfield.stacks.nav2.motion import OMNI, Nav2Motion
 from beamfield.stacks.ros1.motion import Ros1Motion
 from tests.reference import motion_slow as slow
@@ -66,16 +69,17 @@ MODELS = {
         lambda pose, _, n: slow.se2(pose, [0.02 * value for value in n]),
     ),
     "MRPT Thrun": (
-        MrptThrunMotion(*ALPHAS[:4], additional_std_XY=0.01, additional_std_phi=0.02),
+        MrptMotion("mmThrun", **dict(zip(NAMES["mmThrun"], (*ALPHAS[:4], 0.01, math.degrees(0.02)), strict=True))),
         lambda pose, u, n: slow.mrpt_thrun(pose, u, ALPHAS[:4], 0.01, 0.02, n),
     ),
+    "F1TENTH": (F1tenthMotion(0.05, 0.02, 0.1), lambda pose, u, n: slow.f1tenth(pose, u, (0.05, 0.02, 0.1), n)),
 }
 
 
 @pytest.mark.parametrize("odometry", STEPS.values(), ids=STEPS.keys())
 @pytest.mark.parametrize(("model", "literal"), MODELS.values(), ids=MODELS.keys())
 def test_draws_are_those_of_a_literal_transcription(model, literal, odometry):
-    n_normals = 6 if isinstance(model, MrptThrunMotion) else 3
+    n_normals = 6 if isinstance(model, MrptMotion) else 3
     normals = np.random.default_rng(5).standard_normal((len(POSES), n_normals))
     drawn = model.sample(POSES, odometry, np.random.default_rng(5))
     if n_normals == 6:  # ours adds the noise of x and y in the map's axes, which has the same distribution
@@ -91,7 +95,7 @@ def test_draws_are_those_of_a_literal_transcription(model, literal, odometry):
 
 @pytest.mark.parametrize("odometry", STEPS.values(), ids=STEPS.keys())
 def test_mrpt_gaussian_has_the_mean_and_covariance_of_its_source(odometry):
-    model = MrptGaussianMotion(a1=0.1, a2=0.05, a3=0.07, a4=0.2)
+    model = MrptMotion(a1=0.1, a2=0.05, a3=math.degrees(0.07), a4=0.2)
     before, after = np.array(odometry)
     cos, sin = np.cos(before[2]), np.sin(before[2])
     x, y = np.array([[cos, sin], [-sin, cos]]) @ (after - before)[:2]
@@ -115,8 +119,10 @@ def test_mrpt_gaussian_has_the_mean_and_covariance_of_its_source(odometry):
         lambda: Nav2Motion(alpha1=-0.1),
         lambda: Ros1Motion(odom_alpha5=float("nan")),
         lambda: BelugaMotion("ackermann"),
-        lambda: MrptGaussianMotion(minStdXY=-1.0),
-        lambda: MrptThrunMotion(alfa1_rot_rot=float("inf")),
+        lambda: MrptMotion(minStdXY=-1.0),
+        lambda: MrptMotion(alfa1_rot_rot=float("inf")),
+        lambda: MrptMotion("mmOther"),
+        lambda: F1tenthMotion(motion_dispersion_x=-0.1),
     ],
 )
 def test_parameters_that_no_program_can_use_are_refused(make):

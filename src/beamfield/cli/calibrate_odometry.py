@@ -53,20 +53,23 @@ def _by_program(result: OdometryCalibration) -> dict[str, dict[str, dict[str, fl
         # Without a model's other names.
         first = {values: model for model, values in reversed(list(stack.motions.items()))}
         if first:
-            found[name] = {model: values(result) for model, values in stack.motions.items() if first[values] == model}
+            noise = {model: values(result) for model, values in stack.motions.items() if first[values] == model}
+            found |= {name: noise} if all(noise.values()) else {}
     return found
 
 
 def _for_stack(name: str | None, patched: StackFile | None, result: OdometryCalibration) -> dict[str, Any]:
-    """Return the parameters of the motion model that the user's file chooses, or of the stack's default.
+    """Return what to write: parameters of the motion model that the user's file chooses, or of the stack's default.
 
-    None where the file does not hold them: MRPT's, and that of Beluga's node for ROS 1, whose names are others.
+    None for filters that take every scan: theirs belong to other steps, and replay learns them itself.
     """
     from beamfield.stacks.registry import STACKS
 
-    if name is None or not STACKS[name].motion_key or (patched is not None and patched.is_of_other_node):
+    if name is None:
         return {}
     stack = STACKS[name]
-    entry = None if patched is None else patched.section.entries.get(stack.motion_key)
-    model = next(iter(stack.motions)) if entry is None or entry.value is None else str(entry.value)
-    return dict(stack.motions[model](result)) if model in stack.motions else {}
+    if stack.filter is None or not hasattr(stack.filter.parameters, "update_min_d"):
+        return {}
+    entry = None if patched is None else patched.section.entries.get(patched.name_in_file(stack.motion_key))
+    convert = stack.motion_from(None if entry is None or entry.value is None else str(entry.value))
+    return {} if convert is None else dict(convert(result))

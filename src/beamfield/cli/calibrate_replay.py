@@ -57,8 +57,7 @@ def replay_fit(
             return Replayed(None, f"the particle filter of {fit.model.stack} is not emulated")
         options = replay_options(fit.model.stack, fit.model.model, job.arguments.seed)
         segments = cut_segments(
-            sensor, before.particles.update_min_d, before.particles.update_min_a,
-            most=options.most_stretches, longest=options.longest,
+            sensor, *before.update_distances, most=options.most_stretches, longest=options.longest,
         )  # fmt: skip
     except (FormatError, TooLittleDataError) as problem:  # a value that only the filter reads, or a short drive
         return Replayed(None, str(problem))
@@ -108,7 +107,7 @@ def _settings(job: CalibrationJob, fit: StackFit) -> FilterSettings | None:
     from beamfield.stacks.registry import STACKS
 
     described = STACKS[fit.model.stack].filter
-    if described is None or (job.patched is not None and job.patched.is_of_other_node):
+    if described is None:
         return None
     if job.patched is not None:
         # With the sensor's values that the program can run with.

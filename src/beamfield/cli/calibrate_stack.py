@@ -103,15 +103,26 @@ def fit_for_stack(
     record = _record(found) if found.covers else ""
     start_values = asdict(best.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
-    changed |= motion if replayed.choice is None else found.motion
-    text = _file_text(job.arguments, found, {**asdict(found.parameters), **changed}, record)
+    noise = dict(motion) if replayed.choice is None else found.motion
+    said = _said(stack, noise)
+    changed |= {} if said else noise
+    text = _file_text(job.arguments, found, {**asdict(found.parameters), **changed}, record, said)
     files = {f"{stack}.{STACKS[stack].syntax}": text}
     if replayed.choice is not None:
         files |= shifted_map_file(job, replayed.choice)
     return StackPart(
-        "stack", stack_tables(found), stack_as_dict(found), stack_section(found, text), files,
+        "stack", "\n\n".join([stack_tables(found), *said]), stack_as_dict(found), stack_section(found, text), files,
         values=changed, record=record,
     )  # fmt: skip
+
+
+def _said(stack: str, noise: Mapping[str, Any]) -> list[str]:
+    """Return a line about values of the motion model that the stack's file has no place for."""
+    from beamfield.stacks.registry import STACKS
+
+    where = STACKS[stack].motion_elsewhere
+    values = ", ".join(f"{name} = {value:g}" for name, value in noise.items())
+    return [f"motion noise to go with it, not written: it belongs under {where}: {values}"] if where and noise else []
 
 
 def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> list[StackFit]:
@@ -164,7 +175,9 @@ def _record(found: StackResult) -> str:
     return record_text(model.stack, model.model, found.parameters, __version__, judged)
 
 
-def _file_text(arguments: argparse.Namespace, found: StackResult, values: dict[str, Any], record: str) -> str:
+def _file_text(
+    arguments: argparse.Namespace, found: StackResult, values: dict[str, Any], record: str, said: list[str]
+) -> str:
     from beamfield.report.stack_section import small_z_hit, stack_verdict
     from beamfield.stacks.files.new_file import new_file_text
 
@@ -174,6 +187,7 @@ def _file_text(arguments: argparse.Namespace, found: StackResult, values: dict[s
         or f"{model.stack} {model.model}: fitted by beamfield {__version__}, but too many held-out windows missed",
         f"log {json.dumps(arguments.log.name)}, map {json.dumps(arguments.map.name)}",
         stack_verdict(found),
+        *said,
         *(item.text for item in small_z_hit(model.stack, model.model, found.parameters)),
     ]
     if found.replay is not None and found.replay.chosen.shift:

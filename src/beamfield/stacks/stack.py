@@ -210,11 +210,15 @@ class StackFilter:
         `MotionModel`.
     build
         Returns the filter, from a measurement model, a motion model and parameters of these classes.
+    section
+        From the section of the measurement model to one with the parameters of these classes, under their names and in
+        their units, where a file has them elsewhere; None where they stand in the same section.
     """
 
     motion: type[Any]
     parameters: type[Any]
     build: Callable[[StackModel[Any, Any], Any, Any], ReplayedFilter]
+    section: Callable[[ParameterSection], ParameterSection] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,9 +282,11 @@ class Stack:
     filter
         Its particle filter; None if that is not emulated.
     motion_key
-        The parameter that chooses the motion model; "" if its file does not hold that model's parameters.
+        The parameter that chooses the motion model; "" if there is only one.
     motions
         By the values of `motion_key`, the default first: the motion model's parameters from calibrated odometry.
+    motion_elsewhere
+        Where they belong, for people, if not beside the measurement model's: they are then said, not written.
     checks
         Findings of its own: called with what `beamfield.stacks.doctor` looks at.
     """
@@ -316,6 +322,7 @@ class Stack:
     filter: StackFilter | None = None
     motion_key: str = ""
     motions: Mapping[str, Callable[[OdometryCalibration], dict[str, float]]] = field(default_factory=dict)
+    motion_elsewhere: str = ""
     checks: tuple[Callable[[Any], Iterator[Finding]], ...] = ()
 
     @property
@@ -341,6 +348,13 @@ class Stack:
     def start(self, model: str) -> Any:
         """Return the program's default parameters for a model."""
         return self.model(model).parameters(**self.choice(model))
+
+    def motion_from(self, chosen: str | None) -> Callable[[OdometryCalibration], dict[str, float]] | None:
+        """Return what turns calibrated odometry into parameters of the motion model; None if it has no noise to set.
+
+        `chosen` is the value of `motion_key`; None for the default.
+        """
+        return self.motions.get(next(iter(self.motions), "") if chosen is None or not self.motion_key else chosen)
 
     def has_same_formulas(self, other: Stack) -> bool:
         """Whether values keep their meaning in the other program, under its names."""

@@ -8,29 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, between, wrap_angle
-from beamfield.localization.replay import PoseBelief, Replay
-from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.localization.replay import PoseBelief
 from beamfield.models.motion import MotionModel
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.beluga.clusters import heaviest_cluster
-from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.emulation.parameter_checks import check_numbers, check_switches
 from beamfield.stacks.emulation.stack_map import read_as_stack
+from beamfield.stacks.filters.emulated_filter import AmclParticles, EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
-from beamfield.stacks.filters.loop import run_loop
+from beamfield.stacks.filters.loop import scans_after_motion
 from beamfield.stacks.filters.particles import (
     check_particle_counts,
     draw_by_weight,
     n_effective,
-    normal_poses,
     reweighed,
     uniform_poses,
 )
 from beamfield.stacks.filters.recovery import WeightAverages
-from beamfield.stacks.filters.scan_weights import ScanWeights
 
 
 @dataclass(frozen=True)
@@ -90,29 +85,13 @@ def beluga_filter(model: Any, motion: MotionModel, parameters: BelugaFilterParam
 
 
 @dataclass(frozen=True, eq=False)
-class BelugaFilter:
+class BelugaFilter(EmulatedFilter):
     """Beluga's AMCL on a map, as it is.
 
     The loop is AMCL's with these differences: motion counts by its length; particles are drawn until they are more
     than KLD sampling asks for, and the one too many is left out; one and two bins ask for as many as there may be;
     headings are wrapped before they are counted in bins; every update has a new answer, the mean of the heaviest of
     `heaviest_cluster`'s clusters.
-
-    Parameters
-    ----------
-    model
-        The measurement model on the map.
-    seen
-        The map as the program reads it, whose free cells random poses are drawn from.
-    motion
-        Moves the particles.
-    parameters
-        The rest.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map has no free cell.
 
     Notes
     -----
@@ -122,27 +101,11 @@ class BelugaFilter:
     weights are 0 the program computes NaN; here all particles become equal.
     """
 
-    model: StackModel[Any, Any]
-    seen: OccupancyGrid
-    motion: MotionModel
     parameters: BelugaFilterParameters = BelugaFilterParameters()
-    _weights_of: ScanWeights = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_weights_of", ScanWeights(self.model))
-        if not self.seen.free.any():
-            raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
-
-    @checked
-    def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
-        """Filter a log; see `ReplayedFilter.run`.
-
-        Raises
-        ------
-        TooLittleDataError
-            If no scan has odometry.
-        """
-        return run_loop(log, _Particles(self, start, rng), self._has_moved)
+    def update_scans(self, log: SensorLog) -> list[int]:
+        """Return the first scan and those after enough motion; see `EmulatedFilter.update_scans`."""
+        return scans_after_motion(log, self._has_moved)
 
     def _has_moved(self, last: FloatArray, now: FloatArray) -> bool:
         step = between(last, now)
@@ -150,24 +113,23 @@ class BelugaFilter:
             np.hypot(step[0], step[1]) > self.parameters.update_min_d or abs(step[2]) > self.parameters.update_min_a
         )
 
+    def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> _Particles:
+        return _Particles(self, start, rng)
 
-class _Particles:
+
+class _Particles(AmclParticles):
     """A `Cloud`."""
 
     def __init__(self, beluga: BelugaFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
-        values = beluga.parameters
-        self._beluga, self._rng = beluga, rng
-        self._weights_of = beluga._weights_of
-        n = values.max_particles
+        values, n = beluga.parameters, beluga.parameters.max_particles
+        super().__init__(beluga, start, n, rng)
+        self._beluga = beluga
         self._sizes = BinSizes(
             values.spatial_resolution_x, values.spatial_resolution_y, values.spatial_resolution_theta
         )
         self._limits = np.maximum(kld_limits(n, values.pf_err, values.pf_z), values.min_particles)
         self._limits[:2] = np.inf
         self._averages = WeightAverages(values.recovery_alpha_slow, values.recovery_alpha_fast)
-        self._n_updates = 0
-        self.poses = uniform_poses(beluga.seen, n, rng) if start is None else normal_poses(start, n, rng)
-        self.weights = np.full(n, 1.0 / n)
 
     def move(self, odometry: FloatArray) -> None:
         self.poses = self._beluga.motion.sample(self.poses, odometry, self._rng)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from beamfield.models.beam_parameters import BeamParameters
@@ -30,6 +31,17 @@ PACKAGE = "beluga_amcl"
 SIGNS = frozenset(
     ("model_unknown_space", "only_obstacle_boundaries", "execution_policy", "spatial_resolution_x",
      "spatial_resolution_y", "spatial_resolution_theta", "selective_resampling", "point_cloud_topic")
+)  # fmt: skip
+# Its node for ROS 1: the laser's names and defaults are amcl's, those of motion and particles its own mixture.
+OTHER_NODE = OtherNode(
+    names={
+        **ROS_1_NAMES, "pf_err": "kld_err", "pf_z": "kld_z", "robot_model_type": "odom_model_type",
+        **{f"alpha{i}": f"odom_alpha{i}" for i in range(1, 6)},
+    },
+    defaults={
+        **ROS_1_DEFAULTS, "min_particles": 100, "max_particles": 5000, "pf_err": 0.01, "resample_interval": 2,
+        "update_min_d": 0.2, "update_min_a": math.pi / 6.0,
+    },
 )  # fmt: skip
 _FIELD = "p = z_hit N(d; 0, sigma_hit²) + z_rand / laser_max_range, d from a beam's end to the nearest obstacle"
 
@@ -97,7 +109,7 @@ BELUGA = Stack(
     unknown_model="Beluga stops with an error: the robot does not localise",
     is_typed=True,
     too_few_beams="without beams no pose can be weighed",
-    other_node=OtherNode(names=ROS_1_NAMES, defaults=ROS_1_DEFAULTS),
+    other_node=OTHER_NODE,
     wants_extremes=True,
     beams_taken="max_beams evenly",
     off_map="1 / laser_max_range",

@@ -8,9 +8,11 @@ from typing import Any
 from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.coordinates import FitInputs, FitSpace, log_of, share
+from beamfield.stacks.f1tenth.filter import F1tenthFilterParameters, f1tenth_filter
+from beamfield.stacks.f1tenth.motion import F1tenthMotion, dispersions
 from beamfield.stacks.f1tenth.parameters import F1tenthParameters
 from beamfield.stacks.f1tenth.table import F1tenthTable
-from beamfield.stacks.stack import SURE, WEIGHTS, Model, Stack, Weight, models
+from beamfield.stacks.stack import SURE, WEIGHTS, Model, Stack, StackFilter, Weight, models
 from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 NODE = "particle_filter"
@@ -94,5 +96,7 @@ F1TENTH = Stack(
     nodes=(NODE,),
     packages=(NODE,),
     flatter="a larger squash_factor",
+    filter=StackFilter(motion=F1tenthMotion, parameters=F1tenthFilterParameters, build=f1tenth_filter),
+    motions={"dispersion of every scan's step": dispersions},
     checks=(unused_directions,),
 )  # fmt: skip

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from beamfield.errors import FormatError
 from beamfield.localization.replay import ReplayedFilter
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_fields, checked_values
+from beamfield.stacks.filters.loop import scans_at_ticks
 from beamfield.stacks.registry import STACKS, build_filter, build_model
 
 
@@ -31,6 +33,16 @@ class FilterSettings:
     sensor: Any
     motion: Any
     particles: Any
+
+    @property
+    def update_distances(self) -> tuple[float, float]:
+        """How far, metres, or by how much, radians, the robot moves between two updates; 0 for both: every scan."""
+        return getattr(self.particles, "update_min_d", 0.0), getattr(self.particles, "update_min_a", 0.0)
+
+    def at_ticks(self, log: SensorLog) -> SensorLog:
+        """Return the scans that a filter takes which updates by the clock; all for others."""
+        rate = getattr(self.particles, "rate_hz", 0.0)
+        return log.select(scans_at_ticks(log, rate)) if rate > 0.0 else log
 
     def emulator(self, grid: OccupancyGrid) -> StackModel[Any, Any]:
         """Return the measurement model on a map, with the program's own distances where it has such."""
@@ -57,14 +69,15 @@ def read_filter_settings(file: StackFile) -> FilterSettings:
         If a value cannot be used (names the line), or the program's filter is not emulated.
     """
     described = file.program.filter
-    if described is None or file.is_of_other_node:
-        which = f"{file.program.title}'s node for ROS 1" if file.is_of_other_node else file.program.title
+    if described is None:
         known = ", ".join(stack.title for stack in STACKS.values() if stack.filter is not None)
-        raise FormatError(file.section.path, f"the particle filter of {which} is not emulated, only those of {known}")
+        message = f"the particle filter of {file.program.title} is not emulated, only those of {known}"
+        raise FormatError(file.section.path, message)
+    whole = file if described.section is None else replace(file, section=described.section(file.section))
     return FilterSettings(
         file.stack,
         file.model,
         checked_values(file),
-        checked_fields(file, described.motion),
-        checked_fields(file, described.parameters),
+        checked_fields(whole, described.motion),
+        checked_fields(whole, described.parameters),
     )

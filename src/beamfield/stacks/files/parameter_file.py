@@ -6,9 +6,9 @@ import math
 import shutil
 import stat
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from beamfield.errors import FormatError
 from beamfield.io.files.atomic import atomic_files
@@ -72,6 +72,12 @@ class StackFile:
         """Return what this file calls a parameter of the stack's dataclass."""
         other = self.program.other_node if self.is_of_other_node else None
         return name if other is None else other.names.get(name, name)
+
+    def defaults_of(self, kind: type[Any]) -> dict[str, Value]:
+        """Return the defaults for a dataclass of the stack's that this file's node has, where they are others."""
+        other = self.program.other_node if self.is_of_other_node else None
+        known = {} if other is None else other.defaults
+        return {item.name: known[item.name] for item in fields(kind) if item.name in known}
 
     def by_names_in_file(self, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return values of the stack's parameters under the names that this file has for them."""

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.files.parameter_file import StackFile
-from beamfield.stacks.syntax.parameter_text import Entry, Value
+from beamfield.stacks.syntax.parameter_text import Entry
 
 # Truth values of YAML 1.1, which ROS reads.
 _TRUE, _FALSE = ("yes", "on", "y", "true"), ("no", "off", "n", "false")
@@ -50,8 +50,8 @@ class TypedValues(NamedTuple):
 def typed_values(file: StackFile) -> TypedValues:
     """Return the stack's parameters that a file asks for, and the values that cannot be used."""
     model, key = file.described_model, file.program.model_key
-    kind, other = model.parameters, file.program.other_node
-    usable: dict[str, Value] = dict(other.defaults) if file.is_of_other_node and other is not None else {}
+    kind = model.parameters
+    usable = file.defaults_of(kind)
     unusable: list[Unusable] = []
     for item in fields(kind):
         name = file.name_in_file(item.name)
@@ -101,15 +101,16 @@ def checked_fields(file: StackFile, kind: type[Any]) -> Any:
     FormatError
         If a value cannot be used; names the line.
     """
-    usable: dict[str, Value] = {}
+    usable = file.defaults_of(kind)
     for item in fields(kind):
-        entry = file.section.entries.get(item.name)
+        name = file.name_in_file(item.name)
+        entry = file.section.entries.get(name)
         if entry is None:
             continue
         value, wrong = _read(file, entry, item)
         wrong = wrong or _refusal(kind, usable, item.name, value, is_model=False)
         if wrong is not None:
-            raise file.section.error(item.name, wrong[1])
+            raise file.section.error(name, wrong[1])
         usable[item.name] = value
     return kind(**usable)
 

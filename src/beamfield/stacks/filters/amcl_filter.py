@@ -9,30 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
-from beamfield.localization.replay import PoseBelief, Replay
-from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.localization.replay import PoseBelief
 from beamfield.models.differential_motion import SHORTEST_TRANSLATION
-from beamfield.models.motion import MotionModel
 from beamfield.models.motion_steps import rotations_and_translation
 from beamfield.sensors import Scan, SensorLog
-from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.emulation.parameter_checks import check_numbers
+from beamfield.stacks.filters.emulated_filter import AmclParticles, EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
-from beamfield.stacks.filters.loop import run_loop
+from beamfield.stacks.filters.loop import scans_after_motion
 from beamfield.stacks.filters.particles import (
     at_points,
     check_particle_counts,
     n_effective,
-    normal_poses,
     particle_mean,
     reweighed,
     uniform_poses,
 )
 from beamfield.stacks.filters.recovery import WeightAverages
-from beamfield.stacks.filters.scan_weights import ScanWeights
 
 BINS = BinSizes(0.5, 0.5, np.radians(10.0))
 # A filter has converged when all particles are as close to their mean in x and in y, metres.
@@ -95,7 +89,7 @@ def check_filter(parameters: Any, names: Mapping[str, str]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class AmclFilter:
+class AmclFilter(EmulatedFilter):
     """AMCL on a map: the filter of nav2 and ROS 1 as it is.
 
     It starts with max_particles from the start's normal distribution (or uniform over the centres of free cells). The
@@ -107,14 +101,8 @@ class AmclFilter:
 
     Parameters
     ----------
-    model
-        The measurement model on the map.
-    seen
-        The map as the program reads it, whose free cells random poses are drawn from.
-    motion
-        Moves the particles.
-    parameters
-        The rest.
+    model, seen, motion, parameters
+        As for `EmulatedFilter`.
     selective_resampling
         Whether particles are kept while the effective number of them is above half their number (ROS 1).
     wraps_rotations
@@ -134,35 +122,22 @@ class AmclFilter:
     in different bins. Scans without odometry are left out.
     """
 
-    model: StackModel[Any, Any]
-    seen: OccupancyGrid
-    motion: MotionModel
     parameters: AmclFilterParameters = AmclFilterParameters()
     selective_resampling: bool = False
     wraps_rotations: bool = True
-    _weights_of: ScanWeights = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_weights_of", ScanWeights(self.model))
-        if not self.seen.free.any():
-            raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
-
-    @checked
-    def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
-        """Filter a log; see `ReplayedFilter.run`.
-
-        Raises
-        ------
-        TooLittleDataError
-            If no scan has odometry.
-        """
-        return run_loop(log, _Particles(self, start, rng), self._has_moved)
+    def update_scans(self, log: SensorLog) -> list[int]:
+        """Return the first scan and those after enough motion; see `EmulatedFilter.update_scans`."""
+        return scans_after_motion(log, self._has_moved)
 
     def _has_moved(self, last: FloatArray, now: FloatArray) -> bool:
         x, y, turn = map(float, now - last)
         # `wrap_angle` takes ten times as long, for every scan.
         turned = abs(math.pi - (math.pi - turn) % math.tau) > self.parameters.update_min_a
         return turned or max(abs(x), abs(y)) > self.parameters.update_min_d
+
+    def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> _Particles:
+        return _Particles(self, start, rng)
 
 
 def as_wrapped_rotations(before: FloatArray, after: FloatArray, odometry: FloatArray) -> FloatArray:
@@ -187,20 +162,17 @@ def as_wrapped_rotations(before: FloatArray, after: FloatArray, odometry: FloatA
     return np.column_stack([after[:, :2], before[:, 2] + first + second])
 
 
-class _Particles:
+class _Particles(AmclParticles):
     """A `Cloud`."""
 
     def __init__(self, amcl: AmclFilter, start: PoseBelief | None, rng: np.random.Generator) -> None:
         values = amcl.parameters
-        self._amcl, self._rng = amcl, rng
-        self._weights_of = amcl._weights_of
-        self._most = n = max(values.min_particles, values.max_particles)
-        self._limits = np.clip(kld_limits(n, values.pf_err, values.pf_z), values.min_particles, n)
+        self._amcl, self._most = amcl, max(values.min_particles, values.max_particles)
+        super().__init__(amcl, start, self._most, rng)
+        limits = kld_limits(self._most, values.pf_err, values.pf_z)
+        self._limits = np.clip(limits, values.min_particles, self._most)
         self._averages = WeightAverages(values.recovery_alpha_slow, values.recovery_alpha_fast)
-        self._n_updates = 0
         self._converged = False
-        self.poses = uniform_poses(amcl.seen, n, rng) if start is None else normal_poses(start, n, rng)
-        self.weights = np.full(n, 1.0 / n)
 
     def move(self, odometry: FloatArray) -> None:
         moved = self._amcl.motion.sample(self.poses, odometry, self._rng)

@@ -88,8 +88,18 @@ def kld_limits(n_bins: int, error: float, quantile: float) -> FloatArray:
     ----------
     Fox, "KLD-sampling: adaptive particle filters", NIPS 2001.
     """
-    limits = np.full(n_bins, np.inf)
+    limits = np.ceil(chi_square_quantiles(n_bins, quantile) / (2.0 * error))
+    limits[0] = np.inf
+    return limits
+
+
+def chi_square_quantiles(n_bins: int, quantile: float) -> FloatArray:
+    """Return quantiles of chi-square with 0, 1, ... n_bins - 1 degrees of freedom, (n_bins,); 0 with none.
+
+    `quantile` is the standard normal one of the same probability (Wilson and Hilferty's approximation).
+    """
+    quantiles = np.zeros(n_bins)
     more = np.arange(1, n_bins, dtype=np.float64)
     share = 2.0 / (9.0 * more)
-    limits[1:] = np.ceil(more / (2.0 * error) * (1.0 - share + np.sqrt(share) * quantile) ** 3)
-    return limits
+    quantiles[1:] = more * (1.0 - share + np.sqrt(share) * quantile) ** 3
+    return quantiles

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 import numpy as np
 
+from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.localization.replay import Replay
 from beamfield.sensors import Scan, SensorLog
@@ -31,31 +32,22 @@ class Cloud(Protocol):
         """Resample if the program does now; return its answer, if it has a new one."""
 
 
-def run_loop(log: SensorLog, cloud: Cloud, has_moved: Callable[[FloatArray, FloatArray], bool]) -> Replay:
+def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int]) -> Replay:
     """Run a log through a filter.
-
-    The first scan updates the particles, and then every scan at which odometry has moved enough since the last update.
 
     Parameters
     ----------
     log
-        Scans without odometry are left out.
+        What the robot recorded.
     cloud
         The particles.
-    has_moved
-        Whether two odometry poses (3,), at the last update and now, are far enough apart.
-
-    Raises
-    ------
-    TooLittleDataError
-        If no scan has odometry.
+    scans
+        Those that update the particles; all have odometry.
     """
     recording = Recording(log)
     last: FloatArray | None = None
-    for i in recording.scans:
+    for i in scans:
         odometry = log.odometry[i]
-        if last is not None and not has_moved(last, odometry):
-            continue
         recording.start_update()
         if last is not None:
             cloud.move(np.stack([last, odometry]))
@@ -66,3 +58,62 @@ def run_loop(log: SensorLog, cloud: Cloud, has_moved: Callable[[FloatArray, Floa
             recording.published(i, answer)
         last = odometry
     return recording.replay()
+
+
+def scans_with_odometry(log: SensorLog) -> list[int]:
+    """Return the scans by which a filter can move its particles.
+
+    Raises
+    ------
+    TooLittleDataError
+        If there are none.
+    """
+    if not log.has_odometry:
+        raise TooLittleDataError("log: no scan has an odometry pose, by which the filter moves its particles")
+    return np.flatnonzero(np.isfinite(log.odometry).all(axis=1)).tolist()
+
+
+def scans_after_motion(log: SensorLog, has_moved: Callable[[FloatArray, FloatArray], bool]) -> list[int]:
+    """Return the first scan, and then each at which odometry has moved enough since the last one returned.
+
+    Parameters
+    ----------
+    log
+        Scans without odometry are left out.
+    has_moved
+        Whether two odometry poses (3,), then and now, are far enough apart.
+
+    Raises
+    ------
+    TooLittleDataError
+        If no scan has odometry.
+    """
+    first, *others = scans_with_odometry(log)
+    chosen = [first]
+    for i in others:
+        if has_moved(log.odometry[chosen[-1]], log.odometry[i]):
+            chosen.append(i)
+    return chosen
+
+
+def scans_at_ticks(log: SensorLog, rate: float) -> list[int]:
+    """Return the newest scan with odometry at every tick of a clock that starts with the first.
+
+    Parameters
+    ----------
+    log
+        With odometry.
+    rate
+        Ticks per second.
+
+    Raises
+    ------
+    TooLittleDataError
+        If no scan has odometry.
+    """
+    scans = scans_with_odometry(log)
+    stamps = log.stamps[scans]
+    # Rounding must not put a scan behind the tick that it comes with.
+    ticks = np.ceil((stamps - stamps[0]) * rate - 1e-9)
+    newest = np.append(ticks[1:] != ticks[:-1], True)
+    return [scan for scan, is_newest in zip(scans, newest.tolist(), strict=True) if is_newest]

@@ -19,10 +19,16 @@ MOST_PARTICLES = 10_000_000
 
 def check_particle_counts(parameters: Any) -> None:
     """Refuse numbers of particles and intervals that are no counts, or more particles than memory has room for."""
-    check_counts(parameters, min_particles=1, max_particles=1, resample_interval=1)
+    check_counts(parameters, resample_interval=1)
     for name in ("min_particles", "max_particles"):
-        value = getattr(parameters, name)
-        require(value <= MOST_PARTICLES, name, f"at most {MOST_PARTICLES}", value)
+        check_number_of_particles(parameters, name)
+
+
+def check_number_of_particles(parameters: Any, name: str) -> None:
+    """Refuse a number of particles that is no count, or more than memory has room for."""
+    check_counts(parameters, **{name: 1})
+    value = getattr(parameters, name)
+    require(value <= MOST_PARTICLES, name, f"at most {MOST_PARTICLES}", value)
 
 
 def normal_poses(belief: PoseBelief, n: int, rng: np.random.Generator) -> FloatArray:
@@ -49,6 +55,16 @@ def reweighed(weights: FloatArray, log_weights: FloatArray) -> tuple[FloatArray,
         product = weights * np.exp(log_weights)
     total = float(product.sum())
     return (product / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))), total
+
+
+def normalised(log_weights: FloatArray) -> FloatArray:
+    """Return weights (n,) that sum to 1 from their logarithms, however small; where all are 0, equal ones."""
+    most = log_weights.max()
+    if most == -np.inf:
+        return np.full(len(log_weights), 1.0 / len(log_weights))
+    with np.errstate(under="ignore"):
+        weights = np.exp(log_weights - most)
+    return np.asarray(weights / weights.sum())
 
 
 def n_effective(weights: FloatArray) -> float:

@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 
-from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray, compose, invert
 from beamfield.localization.replay import Replay
 from beamfield.sensors import SensorLog
@@ -20,25 +19,13 @@ class Recording:
     ----------
     log
         The log that runs.
-
-    Raises
-    ------
-    TooLittleDataError
-        If no scan has odometry.
     """
 
     def __init__(self, log: SensorLog) -> None:
-        if not log.has_odometry:
-            raise TooLittleDataError("log: no scan has an odometry pose, by which the filter moves its particles")
         self._odometry = log.odometry
         self._rows: list[tuple[int, FloatArray, FloatArray, int, float]] = []
         self._answers: list[tuple[int, FloatArray]] = []
         self._started = 0.0
-
-    @property
-    def scans(self) -> list[int]:
-        """The scans that have odometry."""
-        return np.flatnonzero(np.isfinite(self._odometry).all(axis=1)).tolist()
 
     def start_update(self) -> None:
         """Take the time from here on."""

@@ -31,18 +31,19 @@ def motion_candidates(
     that could be set.
     """
     described = STACKS[settings.stack]
-    convert = described.motions.get(getattr(settings.motion, described.motion_key, ""))
+    convert = described.motion_from(getattr(settings.motion, described.motion_key, None))
     candidates: dict[str, Mapping[str, float]] = {BEFORE: {}}
     if convert is None:
         return candidates
+    min_distance, min_turn = settings.update_distances
     options = OdometryOptions(
-        update_min_d=settings.particles.update_min_d,
-        update_min_a=settings.particles.update_min_a,
+        update_min_d=min_distance,
+        update_min_a=min_turn,
         reference_error=reference_error,
         reference_turn_error=reference_turn_error,
     )
     try:
-        learned = calibrate_odometry(log, options)
+        learned = calibrate_odometry(settings.at_ticks(log), options)
     except TooLittleDataError:
         return candidates
     candidates[LEARNED] = convert(learned)

@@ -103,9 +103,9 @@ class ReplaySetting:
 
     @property
     def noise(self) -> float:
-        """The sum of the motion model's alphas, but for the fifth, which differential models do not have."""
+        """The sum of the motion model's numbers, but for the fifth alpha, which differential models do not have."""
         values = asdict(self.filter.motion).items()
-        return sum(float(value) for name, value in values if "alpha" in name and not name.endswith("5"))
+        return sum(value for name, value in values if isinstance(value, float) and not name.endswith("5"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,8 @@ from beamfield.sensors import SensorLog
 
 # Updates of a stretch: the least that says anything, and as many as it has before there are more stretches.
 FEWEST_UPDATES, USUAL_UPDATES = 12, 25
+# Motion between two updates of amcl, metres and radians.
+USUAL_DISTANCES = 0.25, 0.2
 
 
 class ReplaySegments(NamedTuple):
@@ -45,7 +47,8 @@ def cut_segments(
     log
         With odometry and reference poses.
     update_min_d, update_min_a
-        Motion between two updates, metres and radians.
+        Motion between two updates, metres and radians. Where the filter takes every scan (0 for both), stretches are
+        as long as those of amcl.
     most
         Stretches at most, even.
     longest
@@ -57,6 +60,8 @@ def cut_segments(
         If there are not enough updates for three stretches.
     """
     with_reference = np.where(np.isfinite(log.poses).all(axis=1, keepdims=True), log.odometry, np.nan)
+    if update_min_d == update_min_a == 0.0:
+        update_min_d, update_min_a = USUAL_DISTANCES
     updates = update_scans(with_reference, update_min_d, update_min_a)
     if len(updates) < 3 * FEWEST_UPDATES:
         raise TooLittleDataError(

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import TypeVar
+from dataclasses import replace
 
 import numpy as np
 
 from beamfield.calibration.odometry.noise_family import NoiseFamily
 from beamfield.calibration.odometry.result import OdometryCalibration
 from beamfield.geometry import FloatArray
-from beamfield.stacks.mrpt.motion import MrptGaussianMotion, MrptThrunMotion
-
-M = TypeVar("M", MrptGaussianMotion, MrptThrunMotion)
+from beamfield.stacks.mrpt.motion import GAUSSIAN, NAMES, THRUN, MrptMotion
 
 
 def gaussian_values(result: OdometryCalibration) -> dict[str, float]:
-    """Return the parameters of gaussianModel: its defaults, all times one factor."""
-    return _scaled_values(result, MrptGaussianMotion())
+    """Return the parameters of mmGaussian: its defaults, all times one factor."""
+    return _scaled_values(result, MrptMotion(GAUSSIAN))
 
 
 def thrun_values(result: OdometryCalibration) -> dict[str, float]:
-    """Return the parameters of thrunModel: its defaults, all times one factor."""
-    return _scaled_values(result, MrptThrunMotion())
+    """Return the parameters of mmThrun: its defaults, all times one factor."""
+    return _scaled_values(result, MrptMotion(THRUN))
 
 
-def _scaled_values(result: OdometryCalibration, default: M) -> dict[str, float]:
-    names = [item.name for item in fields(default)]
+def _scaled_values(result: OdometryCalibration, default: MrptMotion) -> dict[str, float]:
+    names = NAMES[default.modelSelection]
 
-    def scaled(variance: FloatArray) -> M:
+    def scaled(variance: FloatArray) -> MrptMotion:
         factor = float(np.sqrt(variance[0]))
         return replace(default, **{name: factor * getattr(default, name) for name in names})
 

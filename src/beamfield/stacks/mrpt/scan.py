@@ -36,8 +36,14 @@ def scan_points(scan: Scan, least_spacing: float) -> Indices:
 
 
 def mrpt_grid(grid: OccupancyGrid, map_mode: MapMode) -> OccupancyGrid:
-    """Return the map as MRPT sees it: axes along the map's, cells occupied or free on either side of one half."""
-    seen = read_as_stack(grid, map_mode, ignore_yaw=True)
+    """Return the map as MRPT sees it.
+
+    Its axes are along the map frame's, its origin is the nearest whole number of cells from the frame's
+    (COccupancyGridMap2D::setSize), and its cells are occupied or free on either side of one half.
+    """
+    read = read_as_stack(grid, map_mode, ignore_yaw=True)
+    origin = np.array([*(np.round(read.origin[:2] / read.resolution) * read.resolution), 0.0])
+    seen = OccupancyGrid(read.probability, read.resolution, origin)
     if map_mode == "trinary":
         return seen
     value = grid.probability.astype(np.float64)

@@ -5,10 +5,13 @@ from __future__ import annotations
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.coordinates import SIGMAS, Coordinate, FitInputs, FitSpace, log_of, share
 from beamfield.stacks.mrpt.field import MrptField
+from beamfield.stacks.mrpt.filter import MrptFilterParameters, mrpt_filter
+from beamfield.stacks.mrpt.filter_section import filter_section
 from beamfield.stacks.mrpt.learned_motion import gaussian_values, thrun_values
+from beamfield.stacks.mrpt.motion import GAUSSIAN, THRUN, MrptMotion
 from beamfield.stacks.mrpt.parameters import LF_THRUN, RAY_TRACING, MrptFieldParameters, MrptRayParameters
 from beamfield.stacks.mrpt.rays import MrptRays
-from beamfield.stacks.stack import FIELD_PRODUCT, RAY_LOGS, SURE, Model, Stack, models
+from beamfield.stacks.stack import FIELD_PRODUCT, RAY_LOGS, SURE, Model, Stack, StackFilter, models
 from beamfield.stacks.syntax.parameter_text import ParameterSection
 
 SIGNS = frozenset(
@@ -96,5 +99,10 @@ MRPT = Stack(
     turned_map="MRPT's bridge from ROS takes no map with a turned origin",
     drops_beyond=False,
     flatter="a larger decimation or a wider stdHit",
-    motions={"gaussianModel": gaussian_values, "thrunModel": thrun_values},
+    filter=StackFilter(
+        motion=MrptMotion, parameters=MrptFilterParameters, build=mrpt_filter, section=filter_section
+    ),
+    motion_key="modelSelection",
+    motions={GAUSSIAN: gaussian_values, THRUN: thrun_values},
+    motion_elsewhere="motion_model_2d of mrpt_pf_localization, beside modelSelection",
 )  # fmt: skip

@@ -40,9 +40,9 @@ from beamfield.stacks.files.parameter_file import read_stack_file
 HERE = Path(__file__).parent
 IN_BURSTS = [word for word in demo.SIMULATED if word != "--odometry-only"]
 BEFORE_AND_AFTER = {"before": HELD_OUT, "after": FIT}
-TITLES = {"before": "with nav2's defaults", "after": "with what beamfield writes"}
+TITLES = {"before": "amcl, nav2's defaults", "after": "amcl, calibrated"}
 # Half the side of the part that is shown close, metres, and scans over which its place is sought.
-ZOOM, SMOOTHED = 1.6, 25
+ZOOM, SMOOTHED = 0.75, 25
 CHI2_95 = 5.991
 
 
@@ -108,7 +108,9 @@ def readme_picture(folder: Path) -> Figure:
     """Draw what the demo finds: nav2's filter on the second drive before and after, and its error over time."""
     log, grid, replays = demo_replays(folder)
     figure = new_figure(11, 5.2)
-    axes = figure.subplot_mosaic([["map", "before", "after"], ["error"] * 3], height_ratios=(1.5, 1))
+    axes = figure.subplot_mosaic(
+        [["map", "before", "after"], ["error"] * 3], height_ratios=(1.4, 1), width_ratios=(1.7, 1, 1)
+    )
     # Where the first run with nav2's defaults is off for longest.
     off = error_of(log, replays["before"][0])
     middle = log.poses[int(np.argmax(np.convolve(off, np.ones(SMOOTHED) / SMOOTHED, "same")))]
@@ -117,8 +119,8 @@ def readme_picture(folder: Path) -> Figure:
     draw_map(axes["map"], grid, (x0, x1, y0, y1))
     axes["map"].plot(*log.poses[:, :2].T, color=MODEL, lw=1.0)
     axes["map"].add_patch(Rectangle((window[0], window[2]), 2 * ZOOM, 2 * ZOOM, fill=False, color=FIT, lw=1.5))
-    frame(axes["map"], (x0, x1, y0, y1))
-    axes["map"].set_title("A drive that calibration has not seen", fontsize=10, loc="left", fontweight="bold")
+    frame(axes["map"], (x0, x1, y0, y1), with_legend=False)
+    axes["map"].set_title("Drive after calibration", fontsize=10, loc="left", fontweight="bold")
     for name, color in BEFORE_AND_AFTER.items():
         draw_way(axes[name], name, color, log, grid, replays[name][0], window)
         draw_errors(axes["error"], name, color, log, replays[name])
@@ -158,16 +160,15 @@ def draw_way(
         axes.add_patch(Ellipse(mean[:2], along, across, angle=angle, fc=color, ec="none", alpha=0.10))
     axes.plot(*replay.poses[:, :2].T, ".-", color=color, lw=1.0, ms=3)
     axes.plot(*log.poses[:, :2].T, color=MODEL, lw=1.2)
-    frame(axes, window)
-    title = f"amcl {TITLES[name]}"
-    axes.set_title(title, fontsize=10, loc="left", fontweight="bold", color=color)
+    frame(axes, window, with_legend=False)
+    axes.set_title(TITLES[name], fontsize=10, loc="left", fontweight="bold", color=color)
 
 
 def draw_errors(axes: Axes, name: str, color: str, log: SensorLog, replays: list[Replay]) -> None:
     seconds, off = log.stamps - log.stamps[0], np.array([error_of(log, one) for one in replays])
     low, high = np.quantile(off, [0.1, 0.9], axis=0)
     axes.fill_between(seconds, low, high, color=color, alpha=0.2, linewidth=0)
-    label = f"{TITLES[name]}: {off.mean():.3f} m in the mean of {len(off)} runs (band: 80 % of them)"
+    label = f"{TITLES[name]}: {off.mean():.3f} m on average over {len(off)} runs"
     axes.plot(seconds, off.mean(axis=0), color=color, lw=1.3, label=label)
 
 

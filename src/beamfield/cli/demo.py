@@ -49,12 +49,14 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser = add_command(subparsers, run, "demo", __doc__)
     options.add_out(parser, "beamfield_demo", metavar="DIR", what="output folder")
     options.add_seed(parser, 1)
-    parser.add_argument("--duration", type=positive, default=200.0, metavar="S",
-                        help="of the drive to calibrate from; the other is half as long (default: 200)")  # fmt: skip
+    parser.add_argument("--duration", type=positive, default=150.0, metavar="S",
+                        help="of the drive to calibrate from; the other is half as long (default: 150)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Simulate, calibrate, drive again, compare."""
+    from beamfield.io.files.atomic import write_file
+
     out: Path = arguments.out
     drive, result, other = out / "drive", out / "calibration", out / "second_drive"
     _say(arguments, "1. A simulated robot drives through an office. Its log has laser scans and odometry, no poses.")
@@ -76,7 +78,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     ])  # fmt: skip
     _say(arguments, f"4. nav2's filter runs on it, emulated, {SEEDS} times as nav2 ships it and {SEEDS} times with the "
          "new values. Its errors are those against the simulator's exact poses.")  # fmt: skip
-    (out / BEFORE).write_text(DEFAULTS, encoding="utf-8")
+    write_file(out / BEFORE, DEFAULTS.encode())
     is_moved = (found["stack"].get("replay") or {}).get("chosen", {}).get("origin_shift", 0.0) > 0.0
     compared = _run(arguments, evaluate, [
         "evaluate", other / simulate.CARMEN, "--lone-poses", "odometry", "--poses", other / simulate.POSES,
@@ -162,7 +164,7 @@ def parameter_comparison(truth: Mapping[str, float], fitted: Mapping[str, Mappin
         numbers = f"{truth[name]:.4f}", f"{entry['value']:.4f}", f"[{low:.4f}, {high:.4f}]"
         rows.append((name, *numbers, "yes" if holds else "NO"))
     table = aligned(("parameter", "truth", "fit", "95 % interval", "holds the truth"), rows, right=(1, 2))
-    return f"{table}\n{held} of {len(rows)} intervals hold the truth"
+    return f"{table}\n{held} of {len(rows)} intervals hold the truth; the error of the fitted poses is not in them"
 
 
 def error_comparison(evaluation: Mapping[str, Any]) -> str:

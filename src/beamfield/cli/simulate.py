@@ -7,9 +7,8 @@ ring of sonars (--sonar) has cones instead of beams, and walls that mirror sound
 
 for example:
 
-  beamfield simulate --out world --duration 60
+  beamfield simulate --out world --duration 60 --odometry-only
   beamfield simulate --out world --sonar --ring 16
-  beamfield simulate --out world --odometry-only
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-demo: $(STAMP)  ## Simulate a robot, calibrate its sensor, print truth beside fit
+demo: $(STAMP)  ## Simulate a robot, calibrate it, show its filter's error before and after
 	$(BIN)/beamfield demo
 
 test: $(STAMP)  ## Run all tests (three lanes: normal, JIT off, doctests)

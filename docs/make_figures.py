@@ -8,47 +8,56 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Wedge
+from matplotlib.patches import Ellipse, Rectangle, Wedge
 
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
+from beamfield.cli import demo
 from beamfield.cli.main import main as beamfield
 from beamfield.figures.gallery import chosen_figures, gallery_page, save_figure
 from beamfield.figures.world import simulated_world
 from beamfield.geometry import compose, transform_points
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
+from beamfield.io.trajectory import attach_poses, read_trajectory
+from beamfield.localization.replay import Replay, reference_start
 from beamfield.maps.cone import ConeCaster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.models.beam import CAUSES, BeamModel, beam_log_density
-from beamfield.report.colours import CAUSE_COLOURS, DATA, FIT, HELD_OUT, MODEL, QUIET
+from beamfield.models.beam import BeamModel
+from beamfield.report.colours import FIT, HELD_OUT, MODEL, QUIET
 from beamfield.report.drawing import legend_above, log_scale, new_figure, style
-from beamfield.report.map_figures import beam_ends, draw_map, frame
+from beamfield.report.map_figures import draw_map, frame
 from beamfield.report.scan_fit_figures import draw_sides
 from beamfield.scan_fit.reference import calibrate_scan_fit
 from beamfield.scan_fit.scan_fit import judge_log
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.log import simulate_log
+from beamfield.stacks.files.filter_file import read_filter_settings
+from beamfield.stacks.files.parameter_file import read_stack_file
 
 HERE = Path(__file__).parent
-EXPECTED = 3.0
+IN_BURSTS = [word for word in demo.SIMULATED if word != "--odometry-only"]
+BEFORE_AND_AFTER = {"before": HELD_OUT, "after": FIT}
+TITLES = {"before": "amcl, nav2's defaults", "after": "amcl, calibrated"}
+# Half the side of the part that is shown close, metres, and scans over which its place is sought.
+ZOOM, SMOOTHED = 0.75, 25
+CHI2_95 = 5.991
 
 
 def main() -> None:
     """Draw every picture."""
     matplotlib.rcParams["svg.hashsalt"] = "beamfield"
+    (HERE / "images").mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         beamfield(["demo", "--out", folder, "--quiet"])
-        world = Path(folder) / "world"
+        save(readme_picture(Path(folder)), "demo")
+        beamfield(["simulate", "--out", f"{folder}/with_poses", "--duration", "300", "--quiet", *IN_BURSTS])
+        world = Path(folder) / "with_poses"
         log, grid = read_log(world / "log.carmen").only_sensor(), read_map(world / "map.yaml")
-    result = calibrate(log, grid, CalibrationOptions(refine=False))
-    (HERE / "images").mkdir(exist_ok=True)
-    save(readme_picture(result, grid, log), "demo")
     save(cones_picture(simulated_world().grid), "cones")
-    draw_scan_fit(result, grid, log)
+    draw_scan_fit(calibrate(log, grid, CalibrationOptions(refine=False)), grid, log)
     draw_gallery()
 
 
@@ -95,57 +104,72 @@ def draw_gallery() -> None:
     (HERE / "gallery.md").write_text(gallery_page(figures, world.name, folder="images"), encoding="utf-8")
 
 
-def readme_picture(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> Figure:
-    """Draw what the demo finds: one scan in the map by cause, and readings with the fitted density."""
-    figure = new_figure(11, 4.6)
-    left, right = figure.subplots(1, 2, width_ratios=(1.6, 1))
-    draw_scan_in_map(left, result, grid, log)
-    draw_readings(right, result)
+def readme_picture(folder: Path) -> Figure:
+    """Draw what the demo finds: nav2's filter on the second drive before and after, and its error over time."""
+    log, grid, replays = demo_replays(folder)
+    figure = new_figure(11, 5.2)
+    axes = figure.subplot_mosaic(
+        [["map", "before", "after"], ["error"] * 3], height_ratios=(1.4, 1), width_ratios=(1.7, 1, 1)
+    )
+    # Where the first run with nav2's defaults is off for longest.
+    off = error_of(log, replays["before"][0])
+    middle = log.poses[int(np.argmax(np.convolve(off, np.ones(SMOOTHED) / SMOOTHED, "same")))]
+    window = (middle[0] - ZOOM, middle[0] + ZOOM, middle[1] - ZOOM, middle[1] + ZOOM)
+    (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
+    draw_map(axes["map"], grid, (x0, x1, y0, y1))
+    axes["map"].plot(*log.poses[:, :2].T, color=MODEL, lw=1.0)
+    axes["map"].add_patch(Rectangle((window[0], window[2]), 2 * ZOOM, 2 * ZOOM, fill=False, color=FIT, lw=1.5))
+    frame(axes["map"], (x0, x1, y0, y1), with_legend=False)
+    axes["map"].set_title("Drive after calibration", fontsize=10, loc="left", fontweight="bold")
+    for name, color in BEFORE_AND_AFTER.items():
+        draw_way(axes[name], name, color, log, grid, replays[name][0], window)
+        draw_errors(axes["error"], name, color, log, replays[name])
+    axes["error"].set_xlim(0.0, log.stamps[-1] - log.stamps[0])
+    axes["error"].set_ylim(0.0, None)
+    style(axes["error"], x="time [s]", y="position error [m]")
+    legend_above(axes["error"], ncols=2)
     return figure
 
 
-def draw_scan_in_map(axes: Axes, result: Calibration, grid: OccupancyGrid, log: SensorLog) -> None:
-    # The scan that sees most of the building.
-    scan = int(np.argmax(np.bincount(result.table.scan, weights=result.table.expected_ranges)))
-    rows = np.flatnonzero((result.table.scan == scan) & ~result.table.hits_nothing)
-    ends, causes = beam_ends(result, log, rows), result.causes[rows]
-    start = log.poses[scan, :2]
-    (x0, y0), (x1, y1) = grid.to_map([[0, 0], grid.shape[::-1]])
-    limits = (x0 + 0.5, x1 - 0.5, y0 + 0.5, y1 - 0.5)
-    draw_map(axes, grid, limits)
-    for cause, name in enumerate(CAUSES):
-        mine, color = ends[causes == cause], CAUSE_COLOURS[cause]
-        lines = [(start, end) for end in mine]
-        axes.add_collection(LineCollection(lines, colors=color, linewidths=1.0, alpha=0.6))
-        axes.scatter(*mine.T, s=14, linewidths=0, color=color, zorder=3, label=f"{name} {len(mine)}")
-    axes.plot(*start, "^", color=MODEL, ms=7, zorder=4)
-    frame(axes, limits)
-    axes.set_title("One scan in the map: each beam's most likely cause", fontsize=10, loc="left", fontweight="bold",
-                   pad=20)  # fmt: skip
+def demo_replays(folder: Path) -> tuple[SensorLog, OccupancyGrid, dict[str, list[Replay]]]:
+    """Return the second drive with its true poses, the map, and the demo's runs of the filter before and after."""
+    log = read_log(folder / "second_drive" / "log.carmen", lone_poses="odometry")
+    log = attach_poses(log, read_trajectory(folder / "second_drive" / "truth.tum")).only_sensor()
+    first, start = reference_start(log)
+    log, maps = log[first:], (folder / "drive" / "map.yaml", folder / "calibration" / "amcl_map.yaml")
+    files = folder / demo.BEFORE, folder / "calibration" / demo.AFTER
+    replays = {}
+    for name, path, seen in zip(BEFORE_AND_AFTER, files, maps, strict=True):
+        one = read_filter_settings(read_stack_file(path, stack="nav2")).filter(read_map(seen))
+        replays[name] = [one.run(log, start, np.random.default_rng(seed)) for seed in range(demo.SEEDS)]
+    return log, read_map(maps[0]), replays
 
 
-def draw_readings(axes: Axes, result: Calibration) -> None:
-    table, limit = result.table, result.table.max_range
-    near = np.abs(table.expected_ranges - EXPECTED) < 0.1
-    z, expected = table.ranges[near], table.expected_ranges[near]
-    edges = np.concatenate([np.arange(0.0, 2.6, 0.2), np.arange(2.6, 3.4, 0.02), np.arange(3.4, limit + 0.1, 0.2)])
-    counts, _ = np.histogram(z[z < limit], edges)
-    axes.stairs(counts / len(z) / np.diff(edges), edges, fill=True, color=DATA, label=f"{len(z)} readings")
-    grid_z = np.concatenate([np.linspace(0.01, 2.5, 120), np.linspace(2.5, 3.5, 250), np.linspace(3.5, limit, 90)[:-1]])
-    sample = expected[:: max(1, len(expected) // 400)]
-    log_density = beam_log_density(
-        grid_z[None, :], sample[:, None], limit, result.parameters, min_range=table.min_range
-    )
-    density = np.where(grid_z < table.min_range, np.nan, np.exp(log_density).mean(axis=0))
-    axes.plot(grid_z, density, color=MODEL, lw=1.5, label="fitted density")
-    share = (z >= limit).mean()
-    text = f"no return: {share:.1%} (fit {result.parameters.z_max:.1%})"
-    axes.plot([limit], [share], "D", color=CAUSE_COLOURS[2], ms=6, label=text)
-    log_scale(axes)
-    axes.set_ylim(2e-3, 30)
-    style(axes, x="measured range z [m]", y="density [1/m]")
-    legend_above(axes, ncols=2)
-    axes.set_title(f"Readings where z* is {EXPECTED:g} m", fontsize=10, loc="left", fontweight="bold", pad=34)
+def error_of(log: SensorLog, replay: Replay) -> np.ndarray:
+    return np.hypot(*(replay.poses - log.poses)[:, :2].T)
+
+
+def draw_way(
+    axes: Axes, name: str, color: str, log: SensorLog, grid: OccupancyGrid, replay: Replay, window: tuple[float, ...]
+) -> None:
+    draw_map(axes, grid, window)
+    for mean, covariance in zip(replay.means, replay.covariances, strict=True):
+        values, vectors = np.linalg.eigh(covariance[:2, :2])
+        angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
+        across, along = 2.0 * np.sqrt(np.maximum(values, 0.0) * CHI2_95)
+        axes.add_patch(Ellipse(mean[:2], along, across, angle=angle, fc=color, ec="none", alpha=0.10))
+    axes.plot(*replay.poses[:, :2].T, ".-", color=color, lw=1.0, ms=3)
+    axes.plot(*log.poses[:, :2].T, color=MODEL, lw=1.2)
+    frame(axes, window, with_legend=False)
+    axes.set_title(TITLES[name], fontsize=10, loc="left", fontweight="bold", color=color)
+
+
+def draw_errors(axes: Axes, name: str, color: str, log: SensorLog, replays: list[Replay]) -> None:
+    seconds, off = log.stamps - log.stamps[0], np.array([error_of(log, one) for one in replays])
+    low, high = np.quantile(off, [0.1, 0.9], axis=0)
+    axes.fill_between(seconds, low, high, color=color, alpha=0.2, linewidth=0)
+    label = f"{TITLES[name]}: {off.mean():.3f} m on average over {len(off)} runs"
+    axes.plot(seconds, off.mean(axis=0), color=color, lw=1.3, label=label)
 
 
 def cones_picture(grid: OccupancyGrid) -> Figure:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.io.maps.ros_map import moved_map_text
 
 SEEDS = 10
 # Weights that say nothing, and odometry that is trusted too little: the particles drift apart.
@@ -95,6 +96,22 @@ def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
     assert "blind.yaml is taken for a file of nav2; it may be one of beluga, see --stack" in capsys.readouterr().err
     assert evaluate(world, tmp_path / "out", "--seeds", "1", "--stack", "nav2", params=("blind.yaml",)) == 0
     assert "see --stack" not in capsys.readouterr().err
+
+
+def test_a_filter_may_read_a_map_of_its_own(world, tmp_path):
+    moved = world / "drive" / "moved.yaml"
+    moved.write_text(moved_map_text(world / "drive" / "map.yaml", (0.4, 0.0), "map.pgm"))
+    maps = ("--filter-maps", str(world / "drive" / "map.yaml"), str(moved))
+    (world / "again").mkdir()
+    (world / "again" / "sighted.yaml").write_text(SIGHTED)
+    params = ("sighted.yaml", "again/sighted.yaml")
+    assert evaluate(world, tmp_path / "out", "--seeds", "2", *maps, params=params) == 0
+    document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    right, wrong = (one["tracking"][0]["means"]["mean"] for one in document["filters"].values())
+    # The whole map lies 0.4 m to one side, and so does the answer.
+    assert abs(wrong - 0.4) < right + 0.05
+    assert document["provenance"]["inputs"]["filter maps 2"]["name"] == "moved.yaml"
+    assert evaluate(world, tmp_path / "out", *maps[:2], params=params) == 2
 
 
 def test_files_of_one_name_are_told_apart(world, tmp_path):

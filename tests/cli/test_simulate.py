@@ -71,6 +71,7 @@ def test_truth_holds_parameters_options_and_the_hashes_of_the_files(both: Path) 
     assert truth["program"].startswith("beamfield ")
     assert truth["parameters"]["range_offset"] == 0.03
     assert truth["parameters"]["z_hit"] == 0.82
+    assert truth["odometry_noise"]["distance_scale"] == 0.005
     assert truth["options"]["duration"] == 20.0
     assert truth["scans"] == 80
     assert sorted(truth["files"]) == ["bag", "log.carmen", "map.pgm", "map.yaml", "truth.tum"]
@@ -110,6 +111,19 @@ def test_the_trajectory_file_holds_the_true_poses(both: Path) -> None:
     log = read_log(both / "log.carmen").only_sensor()
     np.testing.assert_allclose(track.stamps, log.stamps, atol=1e-5)
     np.testing.assert_allclose(track.poses, log.poses, atol=1e-5)
+
+
+def test_a_log_with_odometry_only_is_the_same_without_poses(both: Path, tmp_path: Path) -> None:
+    words = ("--format", "both", "--seed", "7", "--range-offset", "0.03", "--odometry-only")
+    assert run(tmp_path / "out", *words) == 0
+    full = read_log(both / "log.carmen").only_sensor()
+    text = read_log(tmp_path / "out" / "log.carmen", lone_poses="odometry").only_sensor()
+    for log in (text, read_log(tmp_path / "out" / "bag").only_sensor()):
+        assert not log.has_poses
+        np.testing.assert_allclose(log.odometry, full.odometry, atol=1e-5)
+        np.testing.assert_allclose(log.finder.mounts, full.finder.mounts, atol=1e-5)
+    np.testing.assert_array_equal(text.ranges, full.ranges)
+    assert (tmp_path / "out" / "truth.tum").read_bytes() == (both / "truth.tum").read_bytes()
 
 
 def test_the_same_seed_writes_the_same_files(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ COMMANDS = (
     Command("calibrate", f"calibrate {_LOG} --no-refine --out {{out}}/c", 4),
     Command("calibrate --stack --patch", f"calibrate {_LOG} --no-refine --out {{out}}/c --stack nav2 "
             "--patch {out}/nav2.yaml", 3, {"nav2.yaml": NAV2}),
-    Command("demo", "demo --out {out}/demo --duration 60 --quiet", 2, in_steps=True),
+    Command("demo", "demo --out {out}/demo --duration 90 --quiet", 2, in_steps=True),
 )  # fmt: skip
 QUICK = COMMANDS[:2]
 

@@ -300,11 +300,20 @@ def test_a_log_without_odometry_is_written_as_slam_programs_do(tmp_path, simulat
     assert not got.has_odometry
 
 
+def test_a_log_without_reference_poses_is_written_as_robots_do(tmp_path, simulated):
+    sensor = simulated.only_sensor().with_poses(np.full((40, 3), np.nan))
+    write_carmen(tmp_path / "out.log", replace(simulated, sensors={"scan": sensor}))
+    got = read_carmen(tmp_path / "out.log", TextOptions(lone_poses="odometry")).only_sensor()
+    np.testing.assert_allclose(got.odometry, sensor.odometry, atol=3e-9)
+    np.testing.assert_allclose(got.finder.mounts, sensor.finder.mounts, atol=1e-6)
+    assert not got.has_poses
+
+
 def test_what_a_flaser_line_cannot_say_is_refused_and_nothing_is_written(tmp_path, simulated):
     sensor = simulated.only_sensor()
     clockwise = replace(sensor, finder=RangeFinder.from_bearings(np.linspace(1.0, -1.0, 31), 5.0))
     aside = replace(sensor, finder=RangeFinder.from_bearings(np.linspace(-1.0, 1.0, 31), 5.0, mount=(0.0, 0.1, 0.0)))
-    no_poses = sensor.with_poses(np.full((40, 3), np.nan))
+    no_poses = replace(sensor, poses=np.full((40, 3), np.nan), odometry=np.full((40, 3), np.nan))
     some_odometry = replace(sensor, odometry=np.where(np.arange(40)[:, None] < 3, np.nan, sensor.odometry))
     for bad, message in (
         (clockwise, "equal steps counter-clockwise"),

@@ -47,6 +47,9 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_map(parser, required=True)
     parser.add_argument("--params", type=Path, nargs="+", required=True, metavar="FILE",
                         help="parameter files of nav2, ROS 1 amcl or Beluga")  # fmt: skip
+    parser.add_argument("--filter-maps", type=Path, nargs="+", metavar="MAP",
+                        help="the map that the filter of each parameter file reads, as amcl_map.yaml of calibrate "
+                        "(default: --map)")  # fmt: skip
     parser.add_argument("--poses", type=Path, nargs="+", metavar="FILE",
                         help="reference poses of each LOG, TUM or CSV (default: those in the logs, or else fitted to "
                         "the map)")  # fmt: skip
@@ -83,13 +86,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
         grid = options.read_grid(arguments)
-        filters = {}
-        for name, one in settings.items():
-            progress(f"preparing {name}", 0, 1)
-            try:
-                filters[name] = one.filter(grid)
-            except InvalidInputError as error:
-                raise FormatError(arguments.map, str(error)) from error
+        filters = _filters(arguments, settings, grid, progress)
         progress("reading the logs", 0, 1)
         logs, more = _read_logs(arguments, grid, progress)
         evaluation = _evaluate(arguments, filters, logs, progress)
@@ -114,6 +111,11 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError(
             f"--poses: expected one file for each LOG, got {len(arguments.poses)} for {len(arguments.logs)}"
         )
+    if arguments.filter_maps is not None and len(arguments.filter_maps) != len(arguments.params):
+        raise InvalidInputError(
+            f"--filter-maps: expected one map for each file of --params, got {len(arguments.filter_maps)} for "
+            f"{len(arguments.params)}"
+        )
     if arguments.start is not None and len(arguments.logs) > 1:
         raise InvalidInputError(f"--start: expected one LOG, got {len(arguments.logs)}")
     if wants_recording(arguments) and len(arguments.logs) > 1:
@@ -134,6 +136,24 @@ def _read_settings(arguments: argparse.Namespace) -> tuple[dict[str, FilterSetti
             others = " or ".join(other for other in file.possible if other != file.stack)
             notes.append(f"{name} is taken for a file of {file.stack}; it may be one of {others}, see --stack")
     return settings, notes
+
+
+def _filters(
+    arguments: argparse.Namespace, settings: Mapping[str, FilterSettings], grid: OccupancyGrid, progress: StageProgress
+) -> dict[str, ReplayedFilter]:
+    """Return the filter of each parameter file, on the map that it reads."""
+    from beamfield.io.read_map import read_map
+
+    filters: dict[str, ReplayedFilter] = {}
+    paths = arguments.filter_maps or [arguments.map] * len(settings)
+    for (name, one), path in zip(settings.items(), paths, strict=True):
+        progress(f"preparing {name}", 0, 1)
+        read = grid if path == arguments.map else read_map(path, topic=arguments.map_topic)
+        try:
+            filters[name] = one.filter(read)
+        except InvalidInputError as error:
+            raise FormatError(path, str(error)) from error
+    return filters
 
 
 def _read_logs(

@@ -2,11 +2,12 @@
 
 Drive a simulated robot through an office (or a map of your own) and write what its range finder measures: map.yaml and
 map.pgm, the log, the true poses (truth.tum) and what is true (truth.json); all of them or none. Readings are drawn
-from the beam model. A ring of sonars (--sonar) has cones instead of beams, and walls that mirror sound lose its pulses.
+from the beam model. The log holds the true poses as well, unless --odometry-only makes it one as a robot records it. A
+ring of sonars (--sonar) has cones instead of beams, and walls that mirror sound lose its pulses.
 
 for example:
 
-  beamfield simulate --out world --duration 60
+  beamfield simulate --out world --duration 60 --odometry-only
   beamfield simulate --out world --sonar --ring 16
 """
 
@@ -76,6 +77,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_out(parser, "beamfield_simulation", metavar="DIR", what="output folder")
     parser.add_argument("--format", choices=tuple(FORMATS), default="carmen",
                         help="CARMEN text, a ROS 2 bag, or both (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--odometry-only", action="store_true",
+                        help="no true poses in the log (read CARMEN with --lone-poses odometry)")  # fmt: skip
     options.add_seed(parser, 1)
     options.add_threads(parser)
     options.add_map(parser, what="drive through this map instead of an office")
@@ -125,7 +128,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("writing", 0, 1)
         sensor = log.only_sensor()
         with atomic_folder(arguments.out) as folder:
-            names = _write_data(folder, grid, log, FORMATS[arguments.format])
+            names = _write_data(folder, grid, log, arguments)
             truth = {
                 **provenance(arguments),
                 **known,
@@ -150,10 +153,14 @@ def _simulate(
     from beamfield.models.beam_parameters import BeamParameters
     from beamfield.simulation.dependence import Dependence
     from beamfield.simulation.log import simulate_log
+    from beamfield.simulation.odometry import OdometryNoise
 
     parameters = BeamParameters(**values_of(arguments, TRUE_PARAMETERS))
     dependence = Dependence(angle=math.radians(arguments.dependence_angle), time=arguments.dependence_time)
-    known: dict[str, Any] = {"parameters": asdict(parameters), "dependence": asdict(dependence)}
+    noise = how["odometry_noise"] = OdometryNoise()
+    known: dict[str, Any] = {
+        "parameters": asdict(parameters), "dependence": asdict(dependence), "odometry_noise": asdict(noise)
+    }  # fmt: skip
     if arguments.sonar:
         known["roughness"] = how["roughness"] = arguments.roughness
     finder = ring_of(arguments) if arguments.sonar else _finder(arguments)
@@ -195,8 +202,12 @@ def _world(arguments: argparse.Namespace) -> OccupancyGrid:
     )
 
 
-def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, logs: tuple[str, ...]) -> list[str]:
+def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, arguments: argparse.Namespace) -> list[str]:
     """Write map, log and poses; return the names written."""
+    from dataclasses import replace
+
+    import numpy as np
+
     from beamfield.io.bags.writer import write_bag
     from beamfield.io.logs.carmen import write_carmen
     from beamfield.io.maps.ros_map import write_map
@@ -205,10 +216,13 @@ def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, logs: tuple[str
 
     # Rays ask only for the category of a cell, so a map of one's own loses nothing that matters here.
     write_map(grid, folder / MAP, mode="trinary")
+    sensor, logs = log.only_sensor(), FORMATS[arguments.format]
+    if arguments.odometry_only:
+        hidden = {name: replace(one, poses=np.full_like(one.poses, np.nan)) for name, one in log.sensors.items()}
+        log = replace(log, sensors=hidden)
     if CARMEN in logs:
         write_carmen(folder / CARMEN, log)
     if BAG in logs:
         write_bag(folder / BAG, log)
-    sensor = log.only_sensor()
     write_tum(folder / POSES, Track(sensor.stamps, sensor.poses))
     return [MAP, Path(MAP).with_suffix(".pgm").name, *logs, POSES]

@@ -35,16 +35,18 @@ def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -
     path
         The file to write, whole or not at all; compressed if its name ends with ``.gz``.
     log
-        The log. Each scan has a reference pose. Without odometry the reference pose is written twice, as SLAM programs
-        do.
+        The log. Each scan has a reference pose, or odometry. Without odometry the reference pose is written twice, as
+        SLAM programs do. Without reference poses the odometry is, as robots do: read such a log with
+        ``lone_poses="odometry"``.
     sensor
         Which sensor; the only one if None.
 
     Raises
     ------
     InvalidInputError
-        If a scan has no reference pose, only some have odometry, or the beams do not start at one point (x, 0) of the
-        robot, or on a ring around it, in equal steps counter-clockwise: a FLASER line cannot say that.
+        If only some scans have a reference pose, or odometry, or none has either, or the beams do not start at one
+        point (x, 0) of the robot, or on a ring around it, in equal steps counter-clockwise: a FLASER line cannot say
+        that.
     """
     scans = log.only_sensor(sensor)
     offset, start, step, radius = _geometry(scans)
@@ -94,12 +96,13 @@ def _ring(mounts: FloatArray) -> tuple[float, float]:
 
 
 def _poses(scans: SensorLog) -> tuple[FloatArray, FloatArray | None]:
-    known = np.isfinite(scans.poses).all(axis=1)
-    if not known.all():
-        raise InvalidInputError(f"a CARMEN log needs a reference pose per scan; {np.count_nonzero(~known)} have none")
-    driven = np.isfinite(scans.odometry).all(axis=1)
+    known, driven = (np.isfinite(poses).all(axis=1) for poses in (scans.poses, scans.odometry))
     if driven.any() and not driven.all():
         raise InvalidInputError(f"odometry: {np.count_nonzero(~driven)} of {len(scans)} scans have none")
+    if driven.any() and not known.any():
+        return scans.odometry, scans.odometry
+    if not known.all():
+        raise InvalidInputError(f"a CARMEN log needs a reference pose per scan; {np.count_nonzero(~known)} have none")
     return scans.poses, scans.odometry if driven.any() else None
 
 

@@ -111,7 +111,7 @@ def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_]
         moved = np.abs(solved.state.poses - state.poses).max()
         state, converged = solved.state, bool(moved < SETTLED)
         if done == 0:
-            on_faces = stand_on_faces(_signed(drive, walls, state)[0], walls)
+            on_faces = stand_on_faces(_signed(drive, walls, state, False)[0], walls)
         previous, noise = noise, _estimated(drive, walls, solved, cut, noise, on_faces)
         if done + 1 == FIRST_ROUNDS:
             noise = replace(noise, freedom=FREEDOM)
@@ -289,7 +289,7 @@ def _estimated(drive: Drive, walls: Walls, solved: _Solved, cut: NDArray[np.bool
 
 
 def _estimated_hits(drive: Drive, walls: Walls, state: _State, on_faces: bool) -> tuple[HitNoise, float]:
-    signed, ends = _signed(drive, walls, state)
+    signed, ends = _signed(drive, walls, state, on_faces)
     known = np.isfinite(signed)
     hits = fit_hits(signed, walls, on_faces)
     residual = off_band(signed[known], hits)
@@ -303,10 +303,10 @@ def _estimated_hits(drive: Drive, walls: Walls, state: _State, on_faces: bool) -
     return hits, 1.0 / max(1.0, inflation)
 
 
-def _signed(drive: Drive, walls: Walls, state: _State) -> tuple[FloatArray, FloatArray]:
+def _signed(drive: Drive, walls: Walls, state: _State, on_faces: bool) -> tuple[FloatArray, FloatArray]:
     """Return signed distances to the walls (m,), NaN off the map, and where end points are (m, 2)."""
     signed, ends = np.empty(len(drive.points)), np.empty((len(drive.points), 2))
-    kernels.fill_residuals(drive.points, drive.first, state.poses[drive.scans], walls, signed, ends)
+    kernels.fill_residuals(drive.points, drive.first, state.poses[drive.scans], walls, on_faces, signed, ends)
     return signed, ends
 
 

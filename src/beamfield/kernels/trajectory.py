@@ -111,8 +111,8 @@ def hit_distance(x: float, y: float, beam_x: float, beam_y: float, walls: Walls,
 
 @kernel
 def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradient: Floats, information: Floats
-             ) -> tuple[float, float]:  # fmt: skip
-    """Fill in gradient (6,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost and the weights' sum.
+             ) -> float:  # fmt: skip
+    """Fill in gradient (6,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost.
 
     End points are (k, 2) in the robot's frame. The last three numbers of the gradient are by how much its first three
     fall if all hits lie one metre further in front of the walls.
@@ -120,7 +120,7 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
     c, s = math.cos(pose[2]), math.sin(pose[2])
     precision = 1.0 / (noise.sigma * noise.sigma)
     miss = -math.log(noise.clutter / (1.0 + noise.clutter))
-    cost, weights = 0.0, 0.0
+    cost = 0.0
     gradient[:] = 0.0
     information[:] = 0.0
     for j in range(points.shape[0]):
@@ -138,7 +138,6 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
         hit = math.exp(-exponent)
         weight = hit / (hit + noise.clutter)
         cost -= math.log((hit + noise.clutter) / (1.0 + noise.clutter))
-        weights += weight
         gt = gy * rx - gx * ry
         pull = weight * residual * precision
         weight *= precision if residual != 0.0 else 0.0
@@ -155,30 +154,28 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
         information[1, 2] += weight * gy * gt
         information[2, 2] += weight * gt * gt
     information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
-    return cost, weights
+    return cost
 
 
 @kernel
 def sum_scans(points: Floats, first: Integers, poses: Floats, walls: Walls, noise: HitNoise, gradients: Floats,
-              infos: Floats, costs: Floats, weights: Floats) -> None:  # fmt: skip
+              infos: Floats, costs: Floats) -> None:  # fmt: skip
     """Do `sum_scan` for many: the end points of scan i are points[first[i]:first[i + 1]]."""
     for i in range(poses.shape[0]):
-        costs[i], weights[i] = sum_scan(points[first[i] : first[i + 1]], poses[i], walls, noise, gradients[i], infos[i])
+        costs[i] = sum_scan(points[first[i] : first[i + 1]], poses[i], walls, noise, gradients[i], infos[i])
 
 
 @kernel
-def fill_residuals(points: Floats, first: Integers, poses: Floats, walls: Walls, on_faces: bool, out: Floats,
-                   ends: Floats) -> None:  # fmt: skip
-    """Fill out (m,) with the signed distance at each end point, NaN off the table, and ends (m, 2) with where it is."""
+def fill_residuals(points: Floats, first: Integers, poses: Floats, walls: Walls, on_faces: bool, out: Floats
+                   ) -> None:  # fmt: skip
+    """Fill out (m,) with the signed distance at each end point, NaN off the table."""
     for i in range(poses.shape[0]):
         c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
         for j in range(first[i], first[i + 1]):
             rx = c * points[j, 0] - s * points[j, 1]
             ry = s * points[j, 0] + c * points[j, 1]
             length = math.sqrt(rx * rx + ry * ry)
-            x, y = poses[i, 0] + rx, poses[i, 1] + ry
-            ends[j, 0], ends[j, 1] = x, y
-            out[j] = hit_distance(x, y, rx / length, ry / length, walls, on_faces)[0]
+            out[j] = hit_distance(poses[i, 0] + rx, poses[i, 1] + ry, rx / length, ry / length, walls, on_faces)[0]
 
 
 @kernel
@@ -238,7 +235,7 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
             pose -= move
             if abs(move[0]) + abs(move[1]) + abs(move[2]) < 1e-4:
                 break
-        costs[i] = share * sum_scan(ends, pose, walls, noise, gradient, information)[0]
+        costs[i] = share * sum_scan(ends, pose, walls, noise, gradient, information)
         information *= share
         difference = np.array([pose[0] - predicted[0], pose[1] - predicted[1], pose[2] - predicted[2]])
         costs[i] += 0.5 * np.dot(difference, prior @ difference)

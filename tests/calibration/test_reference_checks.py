@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.opposite_beams import map_findings, opposite_beams
+from beamfield.calibration.opposite_beams import OppositeBeams, map_findings, opposite_beams
 from beamfield.calibration.reference_checks import pose_findings
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
@@ -58,6 +60,12 @@ def test_a_map_at_the_wrong_scale_is_found_and_not_taken_for_thick_walls(rng):
     assert finding.name == "map-scale"
     assert finding.values["scale"] == pytest.approx(1.03, abs=0.004)
     assert "0.051" in finding.do
+
+
+def test_a_scale_must_surely_be_wrong_by_more_than_a_percent():
+    measured = OppositeBeams(35_000, 0.09, 1.0135, 0.0027, 0.03, 0.01)
+    assert [one.name for one in map_findings(measured, 0.03)] == ["walls-too-thick"]
+    assert [one.name for one in map_findings(replace(measured, scale_se=0.001), 0.03)] == ["map-scale"]
 
 
 def test_people_beside_the_robot_do_not_move_the_estimate(rng):

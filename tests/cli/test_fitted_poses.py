@@ -22,6 +22,7 @@ from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.localization import fitted_poses
 from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory
+from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.sensors import RangeFinder, SensorLog
@@ -172,6 +173,23 @@ def test_evaluate_compares_with_fitted_poses_and_says_so(world: Path, tmp_path: 
     assert on_map("evaluate", world, "lone.carmen", tmp_path / "out", *words) == 0
     document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert any("they were fitted to this map" in note for note in document["notes"])
+
+
+@pytest.mark.usefixtures("fitted_once")
+def test_a_map_is_built_at_poses_fitted_to_another(world: Path, tmp_path: Path, capsys):
+    out = tmp_path / "new.yaml"
+    assert on_map("map", world, "lone.carmen", out, *LONE, "--resolution", "0.1", "--json", "--quiet") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert "were fitted to this map" in document["fitted_poses"]["findings"][0]["text"]
+    assert document["fitted_poses"]["n_trusted"] > 100
+    assert document["share_of_hits_in_obstacles"] > 0.7
+    # The new map lies in the frame of the old one: its walls are the old ones.
+    old, new = read_map(world / "map.yaml"), read_map(out)
+    rows, cols = np.nonzero(new.occupied)
+    near = distance_to_obstacles(old)
+    col, row = np.floor(old.to_cells(new.to_map(np.column_stack([cols, rows]) + 0.5))).astype(int).T
+    on_map_too = (row >= 0) & (row < old.shape[0]) & (col >= 0) & (col < old.shape[1])
+    assert np.mean(near[row[on_map_too], col[on_map_too]] < 0.15) > 0.85
 
 
 def test_doctor_goes_on_without_poses_where_none_can_be_fitted(world: Path, tmp_path: Path, monkeypatch, capsys):

@@ -58,5 +58,5 @@ def test_a_log_of_another_building_is_refused_and_nothing_written(folder: Path, 
     write_map(OccupancyGrid.from_ros(cells, 0.1), folder / "other.yaml")
     out = folder / "wrong.tum"
     assert main(["trajectory", str(folder / "run.log"), "--map", str(folder / "other.yaml"), "-o", str(out)]) == 3
-    assert "another building?); best starts: (" in capsys.readouterr().err
+    assert "another building, or wrong odometry?); best starts: (" in capsys.readouterr().err
     assert not out.exists()

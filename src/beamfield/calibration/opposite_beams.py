@@ -21,6 +21,8 @@ SAME_ORIGIN = 0.05
 NEAR_WALL = 0.6
 NEAR_WALL_SHARE = 0.08
 FEWEST_PAIRS = 200
+# A scale wrong by less moves a wall 5 m away by less than a cell.
+MOST_SCALE_ERROR = 0.01
 # More pairs are thinned: they see the same walls again.
 MOST_PAIRS = 20_000
 
@@ -180,7 +182,8 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
         "widening_se": pairs.widening_se,
     }
     found = []
-    if abs(pairs.scale - 1.0) > max(0.01, 4.0 * pairs.scale_se):
+    # At a scale surely wrong by more than 1 %; by less, the walls' thickness is the larger error.
+    if abs(pairs.scale - 1.0) > max(MOST_SCALE_ERROR + 2.0 * pairs.scale_se, 4.0 * pairs.scale_se):
         found.append(
             Finding(
                 "map-scale",

@@ -338,7 +338,7 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
         f"ended at: {_pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",
     ]
     if errors is None:
-        return "\n".join([*lines, "no reference poses to judge by"])
+        return "\n".join([*lines, "no reference poses to judge by (beamfield trajectory fits some: --poses)"])
     found = document["found_after_s"]
     within = f"{FOUND_WITHIN:g} m of the reference"
     lines.append(f"within {within} from {found:.1f} s on" if found is not None else f"not within {within} at the end")

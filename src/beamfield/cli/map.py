@@ -2,12 +2,14 @@
 
 Build an occupancy map from the scans of a log and their reference poses, and write it as a map_server map: a YAML file
 and a PGM picture of the same name, both or none. Poses are taken as they are: a log of a SLAM system, or with --poses a
-trajectory; wheel odometry alone (--odometry) bends a map.
+trajectory; wheel odometry alone (--odometry) bends a map. With --map, the poses of a log that has none are fitted to
+that map first, and the new one is drawn in its frame: what has changed, or finer cells.
 
 for example:
 
   beamfield map run.log --out map.yaml
   beamfield map run.bag --poses slam.tum --resolution 0.1
+  beamfield map run.bag --map old.yaml --out new.yaml
 """
 
 from __future__ import annotations
@@ -22,7 +24,10 @@ from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.cli.progress import StageProgress
+    from beamfield.localization.fitted_poses import FittedPoses
     from beamfield.maps.mapping import InverseSensorModel
+    from beamfield.sensors import SensorLog
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -30,7 +35,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser = add_command(subparsers, run, "map", __doc__)
     parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
     options.add_out(parser, "beamfield_map.yaml", metavar="MAP.yaml", what="map to write, beside its .pgm")
-    options.add_poses(parser)
+    options.add_map(parser, what="a map to which the poses of a log without any are fitted")
+    options.add_poses(parser, fitted=True)
     parser.add_argument("--odometry", action="store_true", help="use the log's odometry as poses")
     parser.add_argument("--resolution", type=positive, default=0.05, metavar="M", help="side of a cell (default: 0.05)")
     parser.add_argument("--mode", choices=("trinary", "raw"), default="trinary",
@@ -50,6 +56,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Parse, read, build, write."""
     # The numerical libraries load here, so that --help answers at once.
+    from beamfield.cli.fitted_poses import NAME, as_document, as_notes
     from beamfield.cli.inspect_summary import map_facts, map_text
     from beamfield.io.maps.ros_map import write_map
     from beamfield.maps.mapping import build_map, share_of_hits_in_obstacles
@@ -60,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
-        sensor = options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True)
+        sensor, fitted = _posed(sensor, arguments, progress)
         try:
             grid = build_map(
                 sensor,
@@ -78,7 +85,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     share = share_of_hits_in_obstacles(grid, sensor)
     text = f"{map_text(facts)}\nsharpness: {100.0 * share:.1f} % of the hits end within one cell of an occupied one"
     picture = out.with_suffix(".pgm")
-    document = {**facts, "scans": len(sensor), "share_of_hits_in_obstacles": share}
+    document = {**facts, "scans": len(sensor), "share_of_hits_in_obstacles": share, NAME: as_document(fitted)}
+    notes = (*notes, *as_notes(fitted))
     return Outcome(f"wrote {out} and {picture.name}", text, document, notes, [out, picture])
 
 
@@ -90,6 +98,22 @@ def _check(arguments: argparse.Namespace) -> None:
     check_writable(arguments.out)
     if arguments.odometry and arguments.poses is not None:
         raise InvalidInputError("--odometry: poses come from --poses already; give one of the two")
+    if arguments.odometry and arguments.map is not None:
+        raise InvalidInputError("--odometry: poses are fitted to --map already; give one of the two")
+    if arguments.start is not None and arguments.map is None:
+        raise InvalidInputError("--start: is for poses that are fitted to a map; give --map")
+
+
+def _posed(
+    sensor: SensorLog, arguments: argparse.Namespace, progress: StageProgress
+) -> tuple[SensorLog, FittedPoses | None]:
+    """Return the log with poses: its own, its odometry, or those fitted to a map."""
+    from beamfield.cli.fitted_poses import posed_log
+
+    if arguments.map is None:
+        return options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True), None
+    grid, start = options.read_walls(arguments), options.start_of(arguments)
+    return posed_log(sensor, grid, arguments, progress, path=arguments.log, start=start)
 
 
 def _inverse_model(arguments: argparse.Namespace) -> InverseSensorModel:

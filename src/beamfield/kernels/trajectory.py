@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.kernels.chain import invert_3x3
-from beamfield.kernels.jit import integer, kernel
+from beamfield.kernels.jit import inlined_kernel, integer, kernel
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -24,6 +24,8 @@ Integers = NDArray[np.int64]
 
 # Steps of the correction of one pose while tracking, and sigmas further that it may go.
 TRACK_STEPS = integer(4)
+# The face that a beam met is looked for so far before its end, metres.
+BEHIND = 0.3
 
 
 class Walls(NamedTuple):
@@ -61,50 +63,81 @@ class StepNoise(NamedTuple):
     floor: float
 
 
+@inlined_kernel
+def distance_at(x: float, y: float, walls: Walls) -> tuple[float, float, float]:
+    """Return the signed distance at a point and its gradient, NaN and 0 off the table."""
+    rows, cols = walls.distance.shape
+    wc, ws = math.cos(walls.yaw), math.sin(walls.yaw)
+    per_cell = 1.0 / walls.resolution
+    dx, dy = x - walls.x, y - walls.y
+    u = (dx * wc + dy * ws) * per_cell - 0.5
+    v = (dy * wc - dx * ws) * per_cell - 0.5
+    if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
+        return math.nan, 0.0, 0.0
+    col, row = int(u), int(v)
+    a, b = u - col, v - row
+    d00, d01 = np.float64(walls.distance[row, col]), np.float64(walls.distance[row, col + 1])
+    d10, d11 = np.float64(walls.distance[row + 1, col]), np.float64(walls.distance[row + 1, col + 1])
+    low, high = d00 + a * (d01 - d00), d10 + a * (d11 - d10)
+    along = ((d01 - d00) + b * ((d11 - d10) - (d01 - d00))) * per_cell
+    across = (high - low) * per_cell
+    return low + b * (high - low), along * wc - across * ws, along * ws + across * wc
+
+
+@kernel
+def hit_distance(x: float, y: float, beam_x: float, beam_y: float, walls: Walls, on_faces: bool
+                 ) -> tuple[float, float, float]:  # fmt: skip
+    """Return the signed distance of an end point and its gradient; if hits lie on faces, of the face that the beam met.
+
+    A reading that is too long ends in a thin wall, or behind it, where the nearest face is the wrong one.
+    """
+    signed, gx, gy = distance_at(x, y, walls)
+    face = 0.5 * walls.resolution
+    if not on_faces or not (signed < BEHIND) or (signed > face and gx * beam_x + gy * beam_y <= 0.0):
+        return signed, gx, gy
+    step, inside = face, signed <= face
+    back = step
+    while back < BEHIND + face:
+        before, nx, ny = distance_at(x - back * beam_x, y - back * beam_y, walls)
+        if before <= face:
+            inside = True
+        elif inside:
+            facing = nx * beam_x + ny * beam_y
+            if facing < 0.0:
+                return before + back * facing, nx, ny
+        back += step
+    return signed, gx, gy
+
+
 @kernel
 def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradient: Floats, information: Floats
-             ) -> tuple[float, float]:  # fmt: skip
-    """Fill in gradient (6,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost and the weights' sum.
+             ) -> float:  # fmt: skip
+    """Fill in gradient (6,) and Gauss-Newton information (3, 3) of a scan's cost; return the cost.
 
     End points are (k, 2) in the robot's frame. The last three numbers of the gradient are by how much its first three
     fall if all hits lie one metre further in front of the walls.
     """
-    rows, cols = walls.distance.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    wc, ws = math.cos(walls.yaw), math.sin(walls.yaw)
-    per_cell = 1.0 / walls.resolution
     precision = 1.0 / (noise.sigma * noise.sigma)
     miss = -math.log(noise.clutter / (1.0 + noise.clutter))
-    cost, weights = 0.0, 0.0
+    cost = 0.0
     gradient[:] = 0.0
     information[:] = 0.0
     for j in range(points.shape[0]):
         rx = c * points[j, 0] - s * points[j, 1]
         ry = s * points[j, 0] + c * points[j, 1]
-        dx, dy = pose[0] + rx - walls.x, pose[1] + ry - walls.y
-        u = (dx * wc + dy * ws) * per_cell - 0.5
-        v = (dy * wc - dx * ws) * per_cell - 0.5
-        if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
-            cost += miss
-            continue
-        col, row = int(u), int(v)
-        a, b = u - col, v - row
-        d00, d01 = np.float64(walls.distance[row, col]), np.float64(walls.distance[row, col + 1])
-        d10, d11 = np.float64(walls.distance[row + 1, col]), np.float64(walls.distance[row + 1, col + 1])
-        low, high = d00 + a * (d01 - d00), d10 + a * (d11 - d10)
-        signed = low + b * (high - low)
+        length = math.sqrt(rx * rx + ry * ry)
+        signed, gx, gy = hit_distance(
+            pose[0] + rx, pose[1] + ry, rx / length, ry / length, walls, noise.low == noise.high
+        )
         residual = max(signed - noise.high, 0.0) + min(signed - noise.low, 0.0)
         exponent = 0.5 * residual * residual * precision
-        if exponent > 30.0:
+        if not exponent <= 30.0:
             cost += miss
             continue
         hit = math.exp(-exponent)
         weight = hit / (hit + noise.clutter)
         cost -= math.log((hit + noise.clutter) / (1.0 + noise.clutter))
-        weights += weight
-        along = ((d01 - d00) + b * ((d11 - d10) - (d01 - d00))) * per_cell
-        across = (high - low) * per_cell
-        gx, gy = along * wc - across * ws, along * ws + across * wc
         gt = gy * rx - gx * ry
         pull = weight * residual * precision
         weight *= precision if residual != 0.0 else 0.0
@@ -121,39 +154,28 @@ def sum_scan(points: Floats, pose: Floats, walls: Walls, noise: HitNoise, gradie
         information[1, 2] += weight * gy * gt
         information[2, 2] += weight * gt * gt
     information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
-    return cost, weights
+    return cost
 
 
 @kernel
 def sum_scans(points: Floats, first: Integers, poses: Floats, walls: Walls, noise: HitNoise, gradients: Floats,
-              infos: Floats, costs: Floats, weights: Floats) -> None:  # fmt: skip
+              infos: Floats, costs: Floats) -> None:  # fmt: skip
     """Do `sum_scan` for many: the end points of scan i are points[first[i]:first[i + 1]]."""
     for i in range(poses.shape[0]):
-        costs[i], weights[i] = sum_scan(points[first[i] : first[i + 1]], poses[i], walls, noise, gradients[i], infos[i])
+        costs[i] = sum_scan(points[first[i] : first[i + 1]], poses[i], walls, noise, gradients[i], infos[i])
 
 
 @kernel
-def fill_residuals(points: Floats, first: Integers, poses: Floats, walls: Walls, out: Floats, ends: Floats) -> None:
-    """Fill out (m,) with the signed distance at each end point, NaN off the table, and ends (m, 2) with where it is."""
-    rows, cols = walls.distance.shape
-    wc, ws = math.cos(walls.yaw), math.sin(walls.yaw)
+def fill_residuals(points: Floats, first: Integers, poses: Floats, walls: Walls, on_faces: bool, out: Floats
+                   ) -> None:  # fmt: skip
+    """Fill out (m,) with the signed distance at each end point, NaN off the table."""
     for i in range(poses.shape[0]):
         c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
         for j in range(first[i], first[i + 1]):
-            x = poses[i, 0] + c * points[j, 0] - s * points[j, 1]
-            y = poses[i, 1] + s * points[j, 0] + c * points[j, 1]
-            ends[j, 0], ends[j, 1] = x, y
-            dx, dy = x - walls.x, y - walls.y
-            u = (dx * wc + dy * ws) / walls.resolution - 0.5
-            v = (dy * wc - dx * ws) / walls.resolution - 0.5
-            if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
-                out[j] = math.nan
-                continue
-            col, row = int(u), int(v)
-            a, b = u - col, v - row
-            low = (1.0 - a) * walls.distance[row, col] + a * walls.distance[row, col + 1]
-            high = (1.0 - a) * walls.distance[row + 1, col] + a * walls.distance[row + 1, col + 1]
-            out[j] = (1.0 - b) * low + b * high
+            rx = c * points[j, 0] - s * points[j, 1]
+            ry = s * points[j, 0] + c * points[j, 1]
+            length = math.sqrt(rx * rx + ry * ry)
+            out[j] = hit_distance(poses[i, 0] + rx, poses[i, 1] + ry, rx / length, ry / length, walls, on_faces)[0]
 
 
 @kernel
@@ -213,7 +235,7 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
             pose -= move
             if abs(move[0]) + abs(move[1]) + abs(move[2]) < 1e-4:
                 break
-        costs[i] = share * sum_scan(ends, pose, walls, noise, gradient, information)[0]
+        costs[i] = share * sum_scan(ends, pose, walls, noise, gradient, information)
         information *= share
         difference = np.array([pose[0] - predicted[0], pose[1] - predicted[1], pose[2] - predicted[2]])
         costs[i] += 0.5 * np.dot(difference, prior @ difference)

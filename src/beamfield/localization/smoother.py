@@ -13,7 +13,8 @@ from beamfield.kernels import chain
 from beamfield.kernels import trajectory as kernels
 from beamfield.kernels.trajectory import HitNoise, StepNoise, Walls
 from beamfield.localization.drive import Drive
-from beamfield.localization.hit_noise import fit_hits, hit_weights, off_band, painted_walls, stand_on_faces
+from beamfield.localization.hit_noise import fit_hits, painted_walls, stand_on_faces
+from beamfield.localization.information_share import information_share
 
 # Odometry's errors have the tails of Student's distribution with so many degrees of freedom: slips are no catastrophe.
 # The first rounds have next to no such tails, or a first guess that is off for a while would be taken for two slips.
@@ -24,20 +25,16 @@ SYSTEMATIC_DEVIATIONS = np.array([0.05, 0.05, 0.02])
 # First guesses: variances per metre and radian, and of a step; hits at worst about the walls.
 FIRST_STEP_NOISE = StepNoise(0.03**2, 0.02**2, 0.02**2, 0.05**2, 0.01**2, 1e-7)
 # Covariances reckon with at least this noise: along corridors, nothing shows how bad odometry is.
-LEAST_STEP_NOISE = StepNoise(0.03**2, 0.01**2, 0.01**2, 0.03**2, 0.005**2, 1e-7)
+LEAST_STEP_NOISE = StepNoise(0.04**2, 0.01**2, 0.01**2, 0.03**2, 0.005**2, 1e-7)
 FIRST_SIGMA, CLUTTER = 0.15, 0.1
 # Poses across a broken step know nothing of each other.
 UNKNOWN_STEP = 1e-8
 # Rounds of estimating the noise, steps of each, and when both end (metres or radians); a fit whose last round moved
 # less than SETTLED has converged.
 ROUNDS, STEPS, TOLERANCE, SETTLED = 10, 8, 1e-3, 0.05
-# Covariances are this much larger than residuals tell, for errors that the poses take up; chosen on simulations. Hits
-# lie on average off where they are expected, by this standard deviation in cells: people, and walls along no axis.
-INFLATION, OFFSET_DEVIATION = 2.0, 0.35
-# End points on one patch of wall (metres a side), seen along so much of the way (metres), share its errors.
-PATCH, STRETCH = 0.5, 1.0
-# Numbers patch and stretch as one: no map has so many patches a side.
-PRIME = 1_000_003
+# Where walls stand somewhere in their painted cells, hits lie on average off the middle, by this standard deviation in
+# cells.
+OFFSET_DEVIATION = 0.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,7 @@ class Noise:
     hits, steps
         Of the end points and of the odometry.
     share
-        Share of the end points' information that counts, because they depend on each other.
+        Share of the end points' information that counts, because their errors depend on each other.
     freedom
         Degrees of freedom of the odometry's errors.
     """
@@ -111,7 +108,7 @@ def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_]
         moved = np.abs(solved.state.poses - state.poses).max()
         state, converged = solved.state, bool(moved < SETTLED)
         if done == 0:
-            on_faces = stand_on_faces(_signed(drive, walls, state)[0], walls)
+            on_faces = stand_on_faces(_signed(drive, walls, state, False), walls)
         previous, noise = noise, _estimated(drive, walls, solved, cut, noise, on_faces)
         if done + 1 == FIRST_ROUNDS:
             noise = replace(noise, freedom=FREEDOM)
@@ -124,7 +121,7 @@ def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_]
     cautious = replace(noise, steps=wheels)
     solved = _Solved(state, *_linearised(drive, walls, state, cut, cautious).solve(0.0)[2:])
     progress(ROUNDS, ROUNDS)
-    return Smoothed(poses, solved.honest_covariances(walls), state.systematic, solved.systematic, noise,
+    return Smoothed(poses, solved.honest_covariances(walls, on_faces), state.systematic, solved.systematic, noise,
                     _step_errors(drive, state), _variances(drive, noise, cut), converged)  # fmt: skip
 
 
@@ -142,10 +139,10 @@ class _Solved:
     systematic: FloatArray
     shifts: FloatArray
 
-    def honest_covariances(self, walls: Walls) -> FloatArray:
+    def honest_covariances(self, walls: Walls, on_faces: bool) -> FloatArray:
         """Return the poses' covariances with what the linearised fit does not know of."""
-        offset = OFFSET_DEVIATION * walls.resolution
-        return np.asarray(INFLATION * self.covariances + offset**2 * self.shifts[:, :, None] * self.shifts[:, None, :])
+        offset = 0.0 if on_faces else OFFSET_DEVIATION * walls.resolution
+        return np.asarray(self.covariances + offset**2 * self.shifts[:, :, None] * self.shifts[:, None, :])
 
 
 def _climb(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> _Solved:
@@ -219,7 +216,7 @@ def _linearised(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_
     weighted = by_systematic * weight[..., None]
     corner = np.einsum("nkp,nkq->pq", weighted, by_systematic) + np.diag(SYSTEMATIC_DEVIATIONS**-2)
     corner_right = -np.einsum("nkp,nk->p", weighted, error) - state.systematic / SYSTEMATIC_DEVIATIONS**2
-    gradients, infos, _, _ = _scan_sums(drive, walls, state, noise)
+    gradients, infos, _ = _scan_sums(drive, walls, state, noise)
     diagonal[drive.scans] += noise.share * infos
     right[drive.scans] -= noise.share * gradients[:, :3]
     shift = np.zeros((t, 3))
@@ -236,12 +233,11 @@ def _cost(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noi
 
 
 def _scan_sums(drive: Drive, walls: Walls, state: _State, noise: Noise
-               ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+               ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     n = len(drive.scans)
-    gradients, infos, costs, weights = np.empty((n, 6)), np.empty((n, 3, 3)), np.empty(n), np.empty(n)
-    kernels.sum_scans(drive.points, drive.first, state.poses[drive.scans], walls, noise.hits, gradients, infos,
-                      costs, weights)  # fmt: skip
-    return gradients, infos, costs, weights
+    gradients, infos, costs = np.empty((n, 6)), np.empty((n, 3, 3)), np.empty(n)
+    kernels.sum_scans(drive.points, drive.first, state.poses[drive.scans], walls, noise.hits, gradients, infos, costs)
+    return gradients, infos, costs
 
 
 def _corrected_steps(drive: Drive, systematic: FloatArray) -> FloatArray:
@@ -284,30 +280,16 @@ def _variances(drive: Drive, noise: Noise, cut: NDArray[np.bool_]) -> FloatArray
 def _estimated(drive: Drive, walls: Walls, solved: _Solved, cut: NDArray[np.bool_], noise: Noise, on_faces: bool
                ) -> Noise:  # fmt: skip
     """Estimate the noise from what the fitted trajectory leaves."""
-    hits, share = _estimated_hits(drive, walls, solved.state, on_faces)
+    hits = fit_hits(_signed(drive, walls, solved.state, on_faces), walls, on_faces)
+    share = information_share(drive, walls, solved.state.poses, hits)
     return Noise(hits, _estimated_steps(drive, solved, cut, noise), share, noise.freedom)
 
 
-def _estimated_hits(drive: Drive, walls: Walls, state: _State, on_faces: bool) -> tuple[HitNoise, float]:
-    signed, ends = _signed(drive, walls, state)
-    known = np.isfinite(signed)
-    hits = fit_hits(signed, walls, on_faces)
-    residual = off_band(signed[known], hits)
-    pulls = hit_weights(residual, hits) * residual
-    scan = np.repeat(np.arange(len(drive.scans)), np.diff(drive.first))[known]
-    stretch = np.floor(drive.way[drive.scans] / STRETCH)[scan]
-    col, row = np.floor(ends[known] / PATCH).astype(np.int64).T
-    _, patch = np.unique((col * PRIME + row) * PRIME + stretch.astype(np.int64), return_inverse=True)
-    together = np.bincount(patch, weights=pulls)
-    inflation = float(np.sum(together**2) / max(np.sum(pulls**2), 1e-300))
-    return hits, 1.0 / max(1.0, inflation)
-
-
-def _signed(drive: Drive, walls: Walls, state: _State) -> tuple[FloatArray, FloatArray]:
-    """Return signed distances to the walls (m,), NaN off the map, and where end points are (m, 2)."""
-    signed, ends = np.empty(len(drive.points)), np.empty((len(drive.points), 2))
-    kernels.fill_residuals(drive.points, drive.first, state.poses[drive.scans], walls, signed, ends)
-    return signed, ends
+def _signed(drive: Drive, walls: Walls, state: _State, on_faces: bool) -> FloatArray:
+    """Return signed distances to the walls (m,), NaN off the map."""
+    signed = np.empty(len(drive.points))
+    kernels.fill_residuals(drive.points, drive.first, state.poses[drive.scans], walls, on_faces, signed)
+    return signed
 
 
 def _estimated_steps(drive: Drive, solved: _Solved, cut: NDArray[np.bool_], noise: Noise) -> StepNoise:

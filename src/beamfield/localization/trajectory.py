@@ -271,7 +271,7 @@ def _found(log: SensorLog, grid: OccupancyGrid, drive: Drive, walls: Walls, star
         tried.append(hypotheses)
     else:
         raise TrajectoryNotFoundError(
-            f"no trajectory through this map fits the log (another building?); {_named(tried[0])}"
+            f"no trajectory through this map fits the log (another building, or wrong odometry?); {_named(tried[0])}"
         )
     if kind:
         findings.append(_wrong_sign(kind))

@@ -67,10 +67,10 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Fi
 
 def _agreement(drive: Drive, walls: Walls, fitted: Smoothed) -> FloatArray:
     """Return (t,) the share of readings that agree with the map around each scan."""
-    signed, ends = np.empty(len(drive.points)), np.empty((len(drive.points), 2))
-    kernels.fill_residuals(drive.points, drive.first, fitted.poses[drive.scans], walls, signed, ends)
-    limit = max(AGREES_SIGMAS * fitted.noise.hits.sigma, AGREES)
-    good = np.nan_to_num(np.abs(off_band(signed, fitted.noise.hits)), nan=np.inf) <= limit
+    noise, signed = fitted.noise.hits, np.empty(len(drive.points))
+    kernels.fill_residuals(drive.points, drive.first, fitted.poses[drive.scans], walls, noise.low == noise.high, signed)
+    limit = max(AGREES_SIGMAS * noise.sigma, AGREES)
+    good = np.nan_to_num(np.abs(off_band(signed, noise)), nan=np.inf) <= limit
     n, sums = len(drive.scans), np.concatenate([[0], np.cumsum(good)])
     hits = np.concatenate([[0], sums[drive.first[1:]]])
     way = drive.way[drive.scans]

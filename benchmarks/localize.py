@@ -159,7 +159,7 @@ def people(folder: Path, seeds: int) -> list[dict[str, Any]]:
     for crowd in CROWDED:
         drive = simulate_log(office, LASER, crowd, duration=120.0, scan_rate=5.0, seed=2, dependence=BURSTS)
         logs[f"simulated, {crowd.z_short:.0%} short"] = drive.only_sensor(), office
-    logs["Wean Hall 1"] = read_log_and_map(folder, *LOGS["Wean Hall 1"])
+    logs |= {name: read_log_and_map(folder, *paths) for name, paths in LOGS.items()}
     rows = []
     for name, (log, grid) in logs.items():
         for kind in KINDS:

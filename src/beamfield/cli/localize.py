@@ -42,8 +42,9 @@ DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
 # Measured in docs/localization.md.
 INDEPENDENT_BEAMS = 1.8
-# Standard deviations of the odometry, for --odometry-error 1: after one metre and after one radian.
-ODOMETRY_NOISE = {"forward": 0.06, "sideways": 0.02, "shift": 0.02, "drift": 0.04, "turn": 0.08}
+# Standard deviations of the odometry, for --odometry-error 1: after one metre and after one radian. Sideways as much as
+# forward, though wheels hardly slip sideways: where a map is wrong, the right pose in it moves so as the robot drives on.
+ODOMETRY_NOISE = {"forward": 0.06, "sideways": 0.06, "shift": 0.02, "drift": 0.04, "turn": 0.08}
 PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
 # Particles kept for an animation, and pictures of it, at most.
 DRAWN_PARTICLES, FRAMES = 500, 150

@@ -1,11 +1,12 @@
-"""Localize real and simulated logs with the particle filter as the command does it, and print three tables.
+"""Localize real and simulated logs with the particle filter as the command does it, and print five tables.
 
 Run: python benchmarks/localize.py [FOLDER [SEEDS [TABLE ...]]]
 
 FOLDER holds the logs and maps (default: ../shared/data beside the checkout). They are other people's data and not part
 of this repository. The first table follows robots from a start known to 0.5 m and 15 degrees, and finds them from
-anywhere; the second has other exponents; the third leaves out readings of people; the fourth finds robots again that
-were carried elsewhere. TABLE is accuracy, exponents, people or recovery.
+anywhere; the second does so with what Wean Hall 1 teaches; the third has other exponents; the fourth leaves out
+readings of people; the fifth finds robots again that were carried elsewhere. TABLE is accuracy, calibrated, exponents,
+people or recovery.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from beamfield.calibration.calibrate import calibrate
+from beamfield.calibration.context.exponent import learn_exponent
+from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, ODOMETRY_NOISE, PARTICLES_ANYWHERE
 from beamfield.geometry import between, compose
 from beamfield.kernels.threads import set_threads
@@ -123,6 +127,28 @@ def accuracy(folder: Path, seeds: int) -> list[dict[str, Any]]:
     return rows
 
 
+def calibrated(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return one row per log of Wean Hall and model, with parameters and exponent learned from the first log."""
+    learned_from, grid = read_log_and_map(folder, *LOGS["Wean Hall 1"])
+    field = learn_field_parameters(learned_from, grid).parameters
+    models: dict[str, Any] = {
+        "likelihood field": LikelihoodFieldModel(grid, field, n_beams=60),
+        "beam model": BeamModel(grid, calibrate(learned_from, grid).parameters, n_beams=30),
+    }
+    rows = []
+    for kind, model in models.items():
+        exponent = learn_exponent(model, learned_from, grid).drive.value
+        model = type(model)(grid, model.parameters, n_beams=model.n_beams, exponent=exponent)
+        localizer = ScanLocalizer(grid, model, GaussianMotion(**ODOMETRY_NOISE))
+        for name in ("Wean Hall 1", "Wean Hall 3", "Wean Hall 5"):
+            log = read_log_and_map(folder, *LOGS[name])[0]
+            found = f"{found_from_anywhere(localizer, log, seeds)} of {seeds}" if kind == "likelihood field" else ""
+            rows.append(
+                {"log": name, "model": kind, **numbers(followed(localizer, log, seeds)), "found from anywhere": found}
+            )
+    return rows
+
+
 def offices() -> dict[str, tuple[SensorLog, OccupancyGrid]]:
     """Return simulated logs on which nothing was tuned: one minute of driving with odometry that drifts."""
     logs = {}
@@ -224,7 +250,13 @@ def kidnapped(log: SensorLog) -> SensorLog:
     return replace(rest, odometry=odometry, stamps=stamps)
 
 
-TABLES = {"accuracy": accuracy, "exponents": exponents, "people": people, "recovery": recovery}
+TABLES = {
+    "accuracy": accuracy,
+    "calibrated": calibrated,
+    "exponents": exponents,
+    "people": people,
+    "recovery": recovery,
+}
 
 
 def main(folder: Path, seeds: int, tables: Sequence[str]) -> None:

@@ -36,6 +36,10 @@ def folder(tmp_path_factory, office, drive, truth) -> Path:
         LikelihoodFieldParameters(0.8, 0.1, 0.08), log.finder, exponent=0.2, n_beams=20, provenance=provenance
     )
     (place / "likelihood_field.yaml").write_text(field)
+    (place / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n")
+    (place / "f1tenth.yaml").write_text(
+        "particle_filter:\n  ros__parameters:\n    squash_factor: 2.2\n    z_hit: 0.75\n"
+    )
     return place
 
 
@@ -47,7 +51,7 @@ def own_folder(tmp_path, monkeypatch):
 
 def run(folder: Path, *words: str, poses: bool = True, map_name: str = "map.yaml") -> int:
     log = ("drive.log", "--poses", str(folder / "truth.tum")) if poses else ("bare.log", "--lone-poses", "odometry")
-    given = [str(folder / word) if word.endswith(("l.yaml", "d.yaml")) else word for word in words]
+    given = [str(folder / word) if word.endswith(".yaml") else word for word in words]
     return main(["localize", str(folder / log[0]), "--map", str(folder / map_name), *log[1:], *given])
 
 
@@ -117,9 +121,19 @@ def test_models_and_options_are_taken(folder, capsys, words):
     assert document(capsys)["errors"]["mean"] < 0.15
 
 
+def test_a_file_of_a_stack_runs_that_stacks_filter(folder, capsys):
+    assert run(folder, "--params", "nav2.yaml", "--json", "-q", "--seed", "3") == 0
+    found = document(capsys)
+    assert found["filter"].startswith("that of nav2, emulated, with its model likelihood_field_prob")
+    assert found["errors"]["mean"] < 0.2
+
+
 @pytest.mark.parametrize(
     ("words", "what"),
     [
+        (("--params", "nav2.yaml", "--animation", "way.gif"), "--animation: for our own filter"),
+        (("--params", "nav2.yaml", "--recovery"), "--recovery: for our own filter"),
+        (("--params", "f1tenth.yaml"), "is not emulated, only those of"),
         (("--start", "1", "1", "0", "--global"), "not allowed with"),
         (("--animation", "film.mp4"), ".gif"),
         (("--model", "ray"), "likelihood_field, beam"),

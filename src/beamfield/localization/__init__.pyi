@@ -1,5 +1,7 @@
 """The names of `beamfield.localization` for type checkers and editors."""
 
+# ruff: noqa: I001 - several names a line, as in the front door's
+
 from beamfield.localization.fitted_poses import cross_fit_poses as cross_fit_poses
 from beamfield.localization.global_search import SearchWindow as SearchWindow
 from beamfield.localization.particles import belief_poses as belief_poses, free_poses as free_poses

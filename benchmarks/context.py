@@ -32,10 +32,10 @@ from beamfield.calibration.context.learning import learn_in_context
 from beamfield.calibration.cross_fit import build_cross_fit_maps
 from beamfield.calibration.evaluation import block_standard_error
 from beamfield.calibration.field.learning import learn_field_parameters
+from beamfield.calibration.odometry.learning import calibrate_odometry
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 from beamfield.calibration.selection import select_scans
 from beamfield.calibration.time_split import time_blocks
-from beamfield.cli.localize import ODOMETRY_NOISE
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.io.read_log import read_log
 from beamfield.localization.pose_posterior import PoseLattice, pose_posterior
@@ -43,7 +43,6 @@ from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.models.gaussian_motion import GaussianMotion
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
@@ -58,7 +57,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WEAN_MAP = "wean_hall/derived_wean.yaml"
 NEAR = Dependence(float(np.radians(4.0)), 1.0)
 WORLDS = {"independent": Dependence(), "dependent": NEAR, "dependent, wrong map": NEAR}
-ODOMETRY = ("Wean Hall 1", "TurtleBot", "Pioneer", "simulated, dependent")
+ODOMETRY = ("Wean Hall 1", "TurtleBot", "Pioneer")
 CORRECTED = ("belgioioso", "intel", "freiburg-079")
 BEAM_COUNTS = (4, 8, 15, 30, 60, 120, 180)
 N_BEAMS = {"beam": 30, "field": 60}
@@ -262,6 +261,7 @@ def filtered(chosen: Sequence[str]) -> list[dict[str, Any]]:
     rows = []
     for place in drives(chosen):
         error = place.reference_error
+        motion = calibrate_odometry(place.log).filter_motion
         for name, model in models_of(place).items():
             learned = learn_exponent(model, place.log, place.grid, reference_error=error)
             context = learn_in_context(model, place.log, place.grid, options=options_of(place, 90))
@@ -274,7 +274,7 @@ def filtered(chosen: Sequence[str]) -> list[dict[str, Any]]:
             for where, log in place.others.items():
                 for way, (parameters, power) in ways.items():
                     tempered = type(model)(place.grid, parameters, n_beams=model.n_beams, exponent=power)
-                    localizer = ScanLocalizer(place.grid, tempered, GaussianMotion(**ODOMETRY_NOISE))
+                    localizer = ScanLocalizer(place.grid, tempered, motion)
                     errors = numbers(followed(localizer, log, N_SEEDS))
                     rows.append({"log": where, "model": name, "learned": way, "exponent": power, **errors})
     return rows

@@ -22,7 +22,7 @@ import numpy as np
 from beamfield.calibration.calibrate import calibrate
 from beamfield.calibration.context.exponent import learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
-from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, ODOMETRY_NOISE, PARTICLES_ANYWHERE
+from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, PARTICLES_ANYWHERE
 from beamfield.geometry import between, compose
 from beamfield.kernels.threads import set_threads
 from beamfield.localization.particle_filter import FilterOptions
@@ -35,7 +35,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
-from beamfield.models.gaussian_motion import GaussianMotion
+from beamfield.models.gaussian_motion import USUAL_MOTION
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
@@ -73,7 +73,7 @@ def model_of(kind: str, grid: OccupancyGrid, exponent: float) -> Any:
 
 def localizer_of(kind: str, grid: OccupancyGrid, exponent: float = INDEPENDENT_BEAMS / DEFAULT_BEAMS) -> ScanLocalizer:
     """Return the filter as the command makes it."""
-    return ScanLocalizer(grid, model_of(kind, grid, exponent), GaussianMotion(**ODOMETRY_NOISE))
+    return ScanLocalizer(grid, model_of(kind, grid, exponent), USUAL_MOTION)
 
 
 def followed(localizer: ScanLocalizer, log: SensorLog, seeds: int) -> list[ReplayErrors]:
@@ -139,7 +139,7 @@ def calibrated(folder: Path, seeds: int) -> list[dict[str, Any]]:
     for kind, model in models.items():
         exponent = learn_exponent(model, learned_from, grid).drive.value
         model = type(model)(grid, model.parameters, n_beams=model.n_beams, exponent=exponent)
-        localizer = ScanLocalizer(grid, model, GaussianMotion(**ODOMETRY_NOISE))
+        localizer = ScanLocalizer(grid, model, USUAL_MOTION)
         for name in ("Wean Hall 1", "Wean Hall 3", "Wean Hall 5"):
             log = read_log_and_map(folder, *LOGS[name])[0]
             found = f"{found_from_anywhere(localizer, log, seeds)} of {seeds}" if kind == "likelihood field" else ""

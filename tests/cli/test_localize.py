@@ -86,8 +86,8 @@ def test_json_has_what_the_docs_list(folder, capsys):
     assert "free cell" in capsys.readouterr().err
     assert run(folder, "--json", "-q") == 0
     found = document(capsys)
-    assert {"start", "n_scans", "n_updates", "mean_particles", "updates_per_second", "last_pose", "last_spread_m",
-            "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
+    assert {"filter", "start", "n_scans", "n_updates", "mean_particles", "updates_per_second", "last_pose",
+            "last_spread_m", "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
     assert found["n_scans"] == 120
     assert 0 < found["n_updates"] < 120
 

@@ -46,9 +46,6 @@ DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
 # Measured in docs/localization.md.
 INDEPENDENT_BEAMS = 1.8
-# Standard deviations of the odometry, for --odometry-error 1: after one metre and after one radian. Wheels hardly slip
-# sideways, but where a map is wrong, the pose that fits it shifts sideways as well as forward while the robot drives.
-ODOMETRY_NOISE = {"forward": 0.06, "sideways": 0.06, "shift": 0.02, "drift": 0.04, "turn": 0.08}
 PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
 # Particles kept for an animation, and pictures of it, at most.
 DRAWN_PARTICLES, FRAMES = 500, 150
@@ -172,7 +169,7 @@ def _localizer(
     from beamfield.localization.resampling import KldSampling
     from beamfield.localization.scan_localizer import ScanLocalizer
     from beamfield.localization.short_readings import ShortReadings
-    from beamfield.models.gaussian_motion import GaussianMotion
+    from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 
     model = _model(log, grid, arguments)
     least = arguments.particles or PARTICLES
@@ -183,7 +180,7 @@ def _localizer(
         recovery=Recovery(readings=model.exponent * model.n_beams) if arguments.recovery else None,
     )
     times = arguments.odometry_error or 1.0
-    motion = GaussianMotion(**{name: times * value for name, value in ODOMETRY_NOISE.items()})
+    motion = GaussianMotion(**{name: times * value for name, value in asdict(USUAL_MOTION).items()})
     return ScanLocalizer(
         grid,
         model,

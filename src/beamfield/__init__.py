@@ -71,7 +71,7 @@ _NAMES = {
     "localization.likelihood_map": ("likelihood_map",),
     "localization.alignment": ("align",),
     "localization.global_search": ("GlobalSearch",),
-    "localization.particle_filter": ("FilterOptions", "ParticleFilter"),
+    "localization.particle_filter": ("ParticleFilter",),
     "localization.scan_localizer": ("ScanLocalizer",),
     "localization.trajectory": ("fit_trajectory",),
     "features.lines": ("find_lines",),

@@ -80,7 +80,7 @@ from beamfield.scan_fit.scan_fit import judge_scan as judge_scan, judge_log as j
 from beamfield.localization.likelihood_map import likelihood_map as likelihood_map
 from beamfield.localization.alignment import align as align
 from beamfield.localization.global_search import GlobalSearch as GlobalSearch
-from beamfield.localization.particle_filter import FilterOptions as FilterOptions, ParticleFilter as ParticleFilter
+from beamfield.localization.particle_filter import ParticleFilter as ParticleFilter
 from beamfield.localization.scan_localizer import ScanLocalizer as ScanLocalizer
 from beamfield.localization.trajectory import fit_trajectory as fit_trajectory
 from beamfield.features.lines import find_lines as find_lines

@@ -9,6 +9,7 @@ from importlib import import_module
 _NAMES = {
     "fitted_poses": ("cross_fit_poses",),
     "global_search": ("SearchWindow",),
+    "particle_filter": ("FilterOptions",),
     "particles": ("belief_poses", "free_poses"),
     "recovery": ("FreePoses", "PosesFromLandmarks", "PosesFromScan", "Recovery"),
     "replay": ("PoseBelief", "judge_replay"),

@@ -37,9 +37,6 @@ def folder(tmp_path_factory, office, drive, truth) -> Path:
     )
     (place / "likelihood_field.yaml").write_text(field)
     (place / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n")
-    (place / "f1tenth.yaml").write_text(
-        "particle_filter:\n  ros__parameters:\n    squash_factor: 2.2\n    z_hit: 0.75\n"
-    )
     return place
 
 
@@ -133,7 +130,6 @@ def test_a_file_of_a_stack_runs_that_stacks_filter(folder, capsys):
     [
         (("--params", "nav2.yaml", "--animation", "way.gif"), "--animation: for our own filter"),
         (("--params", "nav2.yaml", "--recovery"), "--recovery: for our own filter"),
-        (("--params", "f1tenth.yaml"), "is not emulated, only those of"),
         (("--start", "1", "1", "0", "--global"), "not allowed with"),
         (("--animation", "film.mp4"), ".gif"),
         (("--model", "ray"), "likelihood_field, beam"),

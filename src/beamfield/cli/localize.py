@@ -5,8 +5,7 @@ picture of its way and of how sure the filter was (localization.png), and the nu
 at all. Reference poses only judge the errors, but for the first, where the filter starts unless --start or --global say
 otherwise.
 
-With --params of nav2, ROS 1 amcl or Beluga, the robot's own filter runs instead of ours, emulated; evaluate compares
-several.
+With --params of nav2 or another stack, the robot's own filter runs instead of ours, emulated; evaluate compares several.
 
 for example:
 
@@ -60,7 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--model", choices=("likelihood_field", "beam"),
                         help="measurement model (default: likelihood_field)")  # fmt: skip
     options.add_params(parser, "a likelihood_field.yaml or beam_model.yaml from beamfield calibrate (default: typical "
-                       "values), or a file of nav2, ROS 1 amcl or Beluga, whose filter then runs")  # fmt: skip
+                       "values), or a file of nav2 or another stack, whose filter then runs")  # fmt: skip
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")

@@ -5,7 +5,8 @@ picture of its way and of how sure the filter was (localization.png), and the nu
 at all. Reference poses only judge the errors, but for the first, where the filter starts unless --start or --global say
 otherwise.
 
-With --params of nav2 or another stack, the robot's own filter runs instead of ours, emulated; evaluate compares several.
+With --params of nav2 or another stack, the robot's own filter runs instead of ours, emulated; evaluate compares
+several.
 
 for example:
 

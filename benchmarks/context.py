@@ -4,7 +4,7 @@
     python benchmarks/context.py lattice    the same for single scans, by posteriors on a lattice of poses
     python benchmarks/context.py learning   the start (EM), an exponent alone, and parameters by gradient
     python benchmarks/context.py beams      4 to all beams of a scan
-    python benchmarks/context.py filter     what the exponents of one log do in the particle filter on others
+    python benchmarks/context.py filter     what was learned from one log or half, in the particle filter on another
 
 Real logs and maps are in ../shared/data beside the checkout. More words choose logs by name: `beams Wean TurtleBot`.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,10 +32,10 @@ from beamfield.calibration.context.learning import learn_in_context
 from beamfield.calibration.cross_fit import build_cross_fit_maps
 from beamfield.calibration.evaluation import block_standard_error
 from beamfield.calibration.field.learning import learn_field_parameters
+from beamfield.calibration.odometry.learning import calibrate_odometry
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 from beamfield.calibration.selection import select_scans
 from beamfield.calibration.time_split import time_blocks
-from beamfield.cli.localize import ODOMETRY_NOISE
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.io.read_log import read_log
 from beamfield.localization.pose_posterior import PoseLattice, pose_posterior
@@ -43,7 +43,6 @@ from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.models.gaussian_motion import GaussianMotion
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
@@ -58,12 +57,15 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WEAN_MAP = "wean_hall/derived_wean.yaml"
 NEAR = Dependence(float(np.radians(4.0)), 1.0)
 WORLDS = {"independent": Dependence(), "dependent": NEAR, "dependent, wrong map": NEAR}
+ODOMETRY = ("Wean Hall 1", "TurtleBot", "Pioneer")
 CORRECTED = ("belgioioso", "intel", "freiburg-079")
 BEAM_COUNTS = (4, 8, 15, 30, 60, 120, 180)
 N_BEAMS = {"beam": 30, "field": 60}
 # Many drives of few scans: coverage of 100 posteriors is known to 3 %.
 MANY = 150
 N_SEEDS = 6
+# A drive shorter than this, seconds, has too few windows in its half.
+SHORTEST_HALVED = 60.0
 TRUTH = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
 
 
@@ -255,19 +257,46 @@ def learning(chosen: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def filtered(chosen: Sequence[str]) -> list[dict[str, Any]]:
-    """Return one row per model, log and exponent learned from Wean Hall 1: errors of the particle filter."""
-    del chosen
-    place, rows = wean(), []
-    for name, model in models_of(place).items():
-        learned = learn_exponent(model, place.log, place.grid)
-        powers = {"independent": 1.0, "one scan's": learned.single.value, "a filter's": learned.drive.value}
-        for where, log in place.others.items():
-            for way, power in powers.items():
-                tempered = type(model)(place.grid, model.parameters, n_beams=model.n_beams, exponent=power)
-                localizer = ScanLocalizer(place.grid, tempered, GaussianMotion(**ODOMETRY_NOISE))
-                errors = numbers(followed(localizer, log, N_SEEDS))
-                rows.append({"model": name, "log": where, "exponent": way, "value": power, **errors})
+    """Return one row per log, model and way of learning: errors of the particle filter on what was not learned from."""
+    rows = []
+    for place in drives(chosen):
+        error = place.reference_error
+        motion = calibrate_odometry(place.log).filter_motion
+        for name, model in models_of(place).items():
+            learned = learn_exponent(model, place.log, place.grid, reference_error=error)
+            context = learn_in_context(model, place.log, place.grid, options=options_of(place, 90))
+            ways = {
+                "EM, exponent 1": (model.parameters, 1.0),
+                "EM, one scan's": (model.parameters, learned.single.value),
+                "EM, a filter's": (model.parameters, learned.drive.value),
+                f"in context, {context.steps} steps": (context.parameters, context.exponent),
+            }
+            for where, log in place.others.items():
+                for way, (parameters, power) in ways.items():
+                    tempered = type(model)(place.grid, parameters, n_beams=model.n_beams, exponent=power)
+                    localizer = ScanLocalizer(place.grid, tempered, motion)
+                    errors = numbers(followed(localizer, log, N_SEEDS))
+                    rows.append({"log": where, "model": name, "learned": way, "exponent": power, **errors})
     return rows
+
+
+def drives(chosen: Sequence[str]) -> Iterator[Place]:
+    """Yield logs with odometry; without another log of the place, to learn from the first half and judge the second."""
+    names = [name for name in ODOMETRY if not chosen or any(word.lower() in name.lower() for word in chosen)]
+    for place in places(names) if names else ():
+        yield place if place.others else halved(place)
+    if not chosen or any(word.lower() in "intel" for word in chosen):
+        log = read_log(DATA / "intel_gfs/derived_intel_rawodom.log.gz").only_sensor()
+        maps = build_cross_fit_maps(log)
+        yield halved(Place("Intel, map from the other half", log.select(maps.half == 0), maps.halves[1], {}))
+
+
+def halved(place: Place) -> Place:
+    """Return the place with the second half of its log to judge by; all of a log too short for that."""
+    log, middle = place.log, len(place.log) // 2
+    if log.stamps[-1] - log.stamps[0] < SHORTEST_HALVED:
+        return replace(place, others={f"{place.name}, learned from itself": log})
+    return replace(place, log=log[:middle], others={f"{place.name}, second half": log[middle:]})
 
 
 def beams(chosen: Sequence[str]) -> list[dict[str, Any]]:

@@ -1,11 +1,12 @@
-"""Localize real and simulated logs with the particle filter as the command does it, and print three tables.
+"""Localize real and simulated logs with the particle filter as the command does it, and print five tables.
 
 Run: python benchmarks/localize.py [FOLDER [SEEDS [TABLE ...]]]
 
 FOLDER holds the logs and maps (default: ../shared/data beside the checkout). They are other people's data and not part
 of this repository. The first table follows robots from a start known to 0.5 m and 15 degrees, and finds them from
-anywhere; the second has other exponents; the third leaves out readings of people; the fourth finds robots again that
-were carried elsewhere. TABLE is accuracy, exponents, people or recovery.
+anywhere; the second does so with what Wean Hall 1 teaches; the third has other exponents; the fourth leaves out
+readings of people; the fifth finds robots again that were carried elsewhere. TABLE is accuracy, calibrated, exponents,
+people or recovery.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, ODOMETRY_NOISE, PARTICLES_ANYWHERE
+from beamfield.calibration.calibrate import calibrate
+from beamfield.calibration.context.exponent import learn_exponent
+from beamfield.calibration.field.learning import learn_field_parameters
+from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, PARTICLES_ANYWHERE
 from beamfield.geometry import between, compose
 from beamfield.kernels.threads import set_threads
 from beamfield.localization.particle_filter import FilterOptions
@@ -31,7 +35,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
-from beamfield.models.gaussian_motion import GaussianMotion
+from beamfield.models.gaussian_motion import USUAL_MOTION
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
@@ -69,7 +73,7 @@ def model_of(kind: str, grid: OccupancyGrid, exponent: float) -> Any:
 
 def localizer_of(kind: str, grid: OccupancyGrid, exponent: float = INDEPENDENT_BEAMS / DEFAULT_BEAMS) -> ScanLocalizer:
     """Return the filter as the command makes it."""
-    return ScanLocalizer(grid, model_of(kind, grid, exponent), GaussianMotion(**ODOMETRY_NOISE))
+    return ScanLocalizer(grid, model_of(kind, grid, exponent), USUAL_MOTION)
 
 
 def followed(localizer: ScanLocalizer, log: SensorLog, seeds: int) -> list[ReplayErrors]:
@@ -123,6 +127,28 @@ def accuracy(folder: Path, seeds: int) -> list[dict[str, Any]]:
     return rows
 
 
+def calibrated(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return one row per log of Wean Hall and model, with parameters and exponent learned from the first log."""
+    learned_from, grid = read_log_and_map(folder, *LOGS["Wean Hall 1"])
+    field = learn_field_parameters(learned_from, grid).parameters
+    models: dict[str, Any] = {
+        "likelihood field": LikelihoodFieldModel(grid, field, n_beams=60),
+        "beam model": BeamModel(grid, calibrate(learned_from, grid).parameters, n_beams=30),
+    }
+    rows = []
+    for kind, model in models.items():
+        exponent = learn_exponent(model, learned_from, grid).drive.value
+        model = type(model)(grid, model.parameters, n_beams=model.n_beams, exponent=exponent)
+        localizer = ScanLocalizer(grid, model, USUAL_MOTION)
+        for name in ("Wean Hall 1", "Wean Hall 3", "Wean Hall 5"):
+            log = read_log_and_map(folder, *LOGS[name])[0]
+            found = f"{found_from_anywhere(localizer, log, seeds)} of {seeds}" if kind == "likelihood field" else ""
+            rows.append(
+                {"log": name, "model": kind, **numbers(followed(localizer, log, seeds)), "found from anywhere": found}
+            )
+    return rows
+
+
 def offices() -> dict[str, tuple[SensorLog, OccupancyGrid]]:
     """Return simulated logs on which nothing was tuned: one minute of driving with odometry that drifts."""
     logs = {}
@@ -159,7 +185,7 @@ def people(folder: Path, seeds: int) -> list[dict[str, Any]]:
     for crowd in CROWDED:
         drive = simulate_log(office, LASER, crowd, duration=120.0, scan_rate=5.0, seed=2, dependence=BURSTS)
         logs[f"simulated, {crowd.z_short:.0%} short"] = drive.only_sensor(), office
-    logs["Wean Hall 1"] = read_log_and_map(folder, *LOGS["Wean Hall 1"])
+    logs |= {name: read_log_and_map(folder, *paths) for name, paths in LOGS.items()}
     rows = []
     for name, (log, grid) in logs.items():
         for kind in KINDS:
@@ -224,7 +250,13 @@ def kidnapped(log: SensorLog) -> SensorLog:
     return replace(rest, odometry=odometry, stamps=stamps)
 
 
-TABLES = {"accuracy": accuracy, "exponents": exponents, "people": people, "recovery": recovery}
+TABLES = {
+    "accuracy": accuracy,
+    "calibrated": calibrated,
+    "exponents": exponents,
+    "people": people,
+    "recovery": recovery,
+}
 
 
 def main(folder: Path, seeds: int, tables: Sequence[str]) -> None:

@@ -36,7 +36,9 @@ def main() -> None:
     rng = np.random.default_rng(0)
     truth = np.column_stack([np.linspace(0.0, 8.0, 41), np.zeros(41), np.zeros(41)])
     beacon = BeaconModel(4.0, 3.0, sigma=0.1)
-    particle_filter = bf.ParticleFilter(beacon, bf.GaussianMotion(), bf.FilterOptions(n_particles=2000), rng=0)
+    particle_filter = bf.ParticleFilter(
+        beacon, bf.GaussianMotion(), bf.localization.FilterOptions(n_particles=2000), rng=0
+    )
     particle_filter.start(truth[0] + rng.normal(0.0, [0.5, 0.5, 0.1], (2000, 3)))
     for pose in truth:
         z = np.hypot(pose[0] - beacon.x, pose[1] - beacon.y) + rng.normal(0.0, beacon.sigma)

@@ -12,29 +12,35 @@ import pytest
 
 import beamfield as bf
 
-STUB = Path(bf.__file__).with_suffix(".pyi")
+both = pytest.mark.parametrize("package", [bf, bf.localization], ids=lambda package: package.__name__)
 
 
-def test_type_checkers_and_programs_see_the_same_names_from_the_same_places():
+@both
+def test_type_checkers_and_programs_see_the_same_names_from_the_same_places(package):
     declared = {
         alias.asname: (node.module, alias.name)
-        for node in ast.walk(ast.parse(STUB.read_text(encoding="utf-8")))
+        for node in ast.walk(ast.parse(Path(package.__file__).with_suffix(".pyi").read_text(encoding="utf-8")))
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert sorted(declared) == sorted(set(bf.__all__) - {"__version__"})
-    assert len(bf.__all__) == len(set(bf.__all__))
+    assert sorted(declared) == sorted(set(package.__all__) - {"__version__"})
+    assert len(package.__all__) == len(set(package.__all__))
     for name, (module, original) in declared.items():
         assert name == original
         home = importlib.import_module(module)
         expected = importlib.import_module(f"beamfield.{name}") if home is bf else getattr(home, name)
-        assert getattr(bf, name) is expected
+        assert getattr(package, name) is expected
 
 
-def test_names_are_listed_and_others_are_missed_as_of_any_module():
-    assert dir(bf) == sorted(bf.__all__)
-    with pytest.raises(AttributeError, match="module 'beamfield' has no attribute 'BeamModle'"):
-        _ = bf.BeamModle
+@both
+def test_names_are_listed_and_others_are_missed_as_of_any_module(package):
+    assert dir(package) == sorted(package.__all__)
+    with pytest.raises(AttributeError, match=f"module {package.__name__!r} has no attribute 'BeamModle'"):
+        _ = package.BeamModle
+
+
+def test_no_name_is_offered_at_both_doors():
+    assert not set(bf.__all__) & set(bf.localization.__all__)
 
 
 def test_the_import_loads_nothing_and_a_name_what_it_needs():

@@ -79,22 +79,10 @@ from beamfield.scan_fit.reference import calibrate_scan_fit as calibrate_scan_fi
 from beamfield.scan_fit.scan_fit import judge_scan as judge_scan, judge_log as judge_log
 from beamfield.localization.likelihood_map import likelihood_map as likelihood_map
 from beamfield.localization.alignment import align as align
-from beamfield.localization.global_search import GlobalSearch as GlobalSearch, SearchWindow as SearchWindow
-from beamfield.localization.replay import PoseBelief as PoseBelief, judge_replay as judge_replay
-from beamfield.localization.particles import belief_poses as belief_poses, free_poses as free_poses
-from beamfield.localization.particle_filter import FilterOptions as FilterOptions, ParticleFilter as ParticleFilter
-from beamfield.localization.resampling import KldSampling as KldSampling
-from beamfield.localization.recovery import (
-    FreePoses as FreePoses,
-    PosesFromLandmarks as PosesFromLandmarks,
-    PosesFromScan as PosesFromScan,
-    Recovery as Recovery,
-)
-from beamfield.localization.short_readings import ShortReadings as ShortReadings
+from beamfield.localization.global_search import GlobalSearch as GlobalSearch
+from beamfield.localization.particle_filter import ParticleFilter as ParticleFilter
 from beamfield.localization.scan_localizer import ScanLocalizer as ScanLocalizer
 from beamfield.localization.trajectory import fit_trajectory as fit_trajectory
-from beamfield.localization.fitted_poses import cross_fit_poses as cross_fit_poses
-from beamfield.localization.trajectory_options import TrajectoryOptions as TrajectoryOptions
 from beamfield.features.lines import find_lines as find_lines
 from beamfield.features.corners import find_corners as find_corners
 from beamfield.features.poles import find_poles as find_poles

@@ -18,6 +18,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.kernels.window_noise import negative_log_likelihood
 from beamfield.models.differential_motion import DifferentialMotion
+from beamfield.models.gaussian_motion import USUAL_MOTION
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from beamfield.stacks.registry import STACKS
@@ -151,6 +152,9 @@ def test_a_drift_that_adds_up_is_not_white():
     true[:, 2] += 0.05
     result = calibrate_odometry(log_of(chained(true), chained(steps), rng), EVERY_SCAN)
     assert "odometry-not-white" in {finding.name for finding in result.findings}
+    # A filter that knows of no drift needs noise as large: 0.05 rad over 0.27 m.
+    assert result.filter_motion.drift > 2.0 * USUAL_MOTION.drift
+    assert result.filter_motion.turn == USUAL_MOTION.turn
 
 
 def test_covariances_of_poses_take_the_place_of_one_error_for_all():
@@ -281,6 +285,7 @@ def test_exact_poses_and_exact_odometry_give_numbers():
     poses = chained(drive(np.random.default_rng(12), 60))
     result = calibrate_odometry(log_of(poses, poses), EVERY_SCAN, covariances=np.zeros((61, 3, 3)))
     assert result.alphas == DifferentialMotion(0.02, 0.02, 0.02, 0.02)
+    assert result.filter_motion == USUAL_MOTION
     assert np.isfinite([error.value for error in result.systematic.values()]).all()
 
 

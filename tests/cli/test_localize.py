@@ -36,6 +36,7 @@ def folder(tmp_path_factory, office, drive, truth) -> Path:
         LikelihoodFieldParameters(0.8, 0.1, 0.08), log.finder, exponent=0.2, n_beams=20, provenance=provenance
     )
     (place / "likelihood_field.yaml").write_text(field)
+    (place / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n")
     return place
 
 
@@ -47,7 +48,7 @@ def own_folder(tmp_path, monkeypatch):
 
 def run(folder: Path, *words: str, poses: bool = True, map_name: str = "map.yaml") -> int:
     log = ("drive.log", "--poses", str(folder / "truth.tum")) if poses else ("bare.log", "--lone-poses", "odometry")
-    given = [str(folder / word) if word.endswith(("l.yaml", "d.yaml")) else word for word in words]
+    given = [str(folder / word) if word.endswith(".yaml") else word for word in words]
     return main(["localize", str(folder / log[0]), "--map", str(folder / map_name), *log[1:], *given])
 
 
@@ -82,8 +83,8 @@ def test_json_has_what_the_docs_list(folder, capsys):
     assert "free cell" in capsys.readouterr().err
     assert run(folder, "--json", "-q") == 0
     found = document(capsys)
-    assert {"start", "n_scans", "n_updates", "mean_particles", "updates_per_second", "last_pose", "last_spread_m",
-            "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
+    assert {"filter", "start", "n_scans", "n_updates", "mean_particles", "updates_per_second", "last_pose",
+            "last_spread_m", "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
     assert found["n_scans"] == 120
     assert 0 < found["n_updates"] < 120
 
@@ -117,9 +118,18 @@ def test_models_and_options_are_taken(folder, capsys, words):
     assert document(capsys)["errors"]["mean"] < 0.15
 
 
+def test_a_file_of_a_stack_runs_that_stacks_filter(folder, capsys):
+    assert run(folder, "--params", "nav2.yaml", "--json", "-q", "--seed", "3") == 0
+    found = document(capsys)
+    assert found["filter"].startswith("that of nav2, emulated, with its model likelihood_field_prob")
+    assert found["errors"]["mean"] < 0.2
+
+
 @pytest.mark.parametrize(
     ("words", "what"),
     [
+        (("--params", "nav2.yaml", "--animation", "way.gif"), "--animation: for our own filter"),
+        (("--params", "nav2.yaml", "--recovery"), "--recovery: for our own filter"),
         (("--start", "1", "1", "0", "--global"), "not allowed with"),
         (("--animation", "film.mp4"), ".gif"),
         (("--model", "ray"), "likelihood_field, beam"),

@@ -5,10 +5,14 @@ picture of its way and of how sure the filter was (localization.png), and the nu
 at all. Reference poses only judge the errors, but for the first, where the filter starts unless --start or --global say
 otherwise.
 
+With --params of nav2 or another stack, the robot's own filter runs instead of ours, emulated; evaluate compares
+several.
+
 for example:
 
   beamfield localize run.bag --map map.yaml --start 2.0 1.5 90
   beamfield localize run.bag --map map.yaml --global --params beamfield_calibration/likelihood_field.yaml
+  beamfield localize run.bag --map map.yaml --params nav2_params.yaml
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +36,7 @@ if TYPE_CHECKING:
     from beamfield.io.recordings.recording import Recording
     from beamfield.localization.particle_filter import Update
     from beamfield.localization.replay import PoseBelief, ReplayErrors
-    from beamfield.localization.scan_localizer import Localization, ScanLocalizer
+    from beamfield.localization.scan_localizer import Localization, ScanLocalizer, Watch
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
 
@@ -42,8 +46,6 @@ DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
 # Measured in docs/localization.md.
 INDEPENDENT_BEAMS = 1.8
-# Standard deviations of the odometry, for --odometry-error 1: after one metre and after one radian.
-ODOMETRY_NOISE = {"forward": 0.06, "sideways": 0.02, "shift": 0.02, "drift": 0.04, "turn": 0.08}
 PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
 # Particles kept for an animation, and pictures of it, at most.
 DRAWN_PARTICLES, FRAMES = 500, 150
@@ -55,10 +57,10 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help=options.LOG_FORMATS)
     options.add_map(parser, required=True)
     options.add_poses(parser)
-    parser.add_argument("--model", choices=("likelihood_field", "beam"), default="likelihood_field",
+    parser.add_argument("--model", choices=("likelihood_field", "beam"),
                         help="measurement model (default: likelihood_field)")  # fmt: skip
     options.add_params(parser, "a likelihood_field.yaml or beam_model.yaml from beamfield calibrate (default: typical "
-                       "values)")  # fmt: skip
+                       "values), or a file of nav2 or another stack, whose filter then runs")  # fmt: skip
     options.add_range_table(parser)
     options.add_out(parser, "beamfield_localization", metavar="DIR", what="output folder")
     parser.add_argument("--animation", type=Path, metavar="FILE", help="write the particles over time as a .gif")
@@ -76,7 +78,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     group.add_argument("--exponent", type=positive, metavar="E",
                        help=f"power of each beam's likelihood (default: {INDEPENDENT_BEAMS} / beams, or as "
                        "the file says)")  # fmt: skip
-    group.add_argument("--odometry-error", type=positive, default=1.0, metavar="K",
+    group.add_argument("--odometry-error", type=positive, metavar="K",
                        help="the odometry errs K times as much as usual (default: 1)")  # fmt: skip
     group.add_argument("--recovery", action="store_true", help="find a robot again that was carried elsewhere")
     group.add_argument("--leave-out-short", action="store_true", help="leave out readings that are likely of people")
@@ -88,9 +90,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, filter, judge, write."""
-    # The numerical libraries load here, so that --help answers at once.
-    import numpy as np
-
+    # What imports numerical libraries is imported where it is used, so that --help answers at once.
     from beamfield.io.files.atomic import check_folder_writable, check_writable
 
     check_folder_writable(arguments.out)
@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
         log, start = _start(sensor, grid, arguments)
-        localizer = _localizer(log, grid, start, arguments)
+        localizer, which = _filter(log, grid, start, arguments)
         film = _Film(len(log), all_updates=wants_recording(arguments))
 
         def watch(i: int, update: Update) -> None:
@@ -114,12 +114,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
         progress("localizing", 0, len(log))
         try:
-            found = localizer.run(log, start, np.random.default_rng(arguments.seed), watch=watch)
+            found = localizer(watch)
         except TooLittleDataError as error:
             raise FormatError(arguments.log, str(error)) from error
         errors = _judged(found, log)
         progress("drawing", 0, 1)
-        document = {"provenance": provenance(arguments), **_document(found, errors, log, start)}
+        document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
         wrote = _write(found, log, grid, film, document, arguments)
     notes = (*notes, *(finding.full_text for finding in found.findings))
     return Outcome(f"wrote {' and '.join(map(str, wrote))}", _summary(document, errors), document, notes, wrote)
@@ -146,6 +146,21 @@ def _start(
     return sensor[first:], belief
 
 
+def _filter(
+    log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
+) -> tuple[Callable[[Watch], Localization], str]:
+    """Return what runs the filter over the log, and which filter that is, in words."""
+    import numpy as np
+
+    from beamfield.cli.localize_stack import is_stack_file, stack_filter
+
+    if is_stack_file(arguments.params):
+        run_stack, which = stack_filter(grid, arguments)
+        return lambda _: run_stack(log, start), which
+    localizer, rng = _localizer(log, grid, start, arguments), np.random.default_rng(arguments.seed)
+    return lambda watch: localizer.run(log, start, rng, watch=watch), "beamfield's own"
+
+
 def _localizer(
     log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
 ) -> ScanLocalizer:
@@ -154,7 +169,7 @@ def _localizer(
     from beamfield.localization.resampling import KldSampling
     from beamfield.localization.scan_localizer import ScanLocalizer
     from beamfield.localization.short_readings import ShortReadings
-    from beamfield.models.gaussian_motion import GaussianMotion
+    from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 
     model = _model(log, grid, arguments)
     least = arguments.particles or PARTICLES
@@ -164,7 +179,8 @@ def _localizer(
         kld=KldSampling(least=least) if wide else None,
         recovery=Recovery(readings=model.exponent * model.n_beams) if arguments.recovery else None,
     )
-    motion = GaussianMotion(**{name: arguments.odometry_error * value for name, value in ODOMETRY_NOISE.items()})
+    times = arguments.odometry_error or 1.0
+    motion = GaussianMotion(**{name: times * value for name, value in asdict(USUAL_MOTION).items()})
     return ScanLocalizer(
         grid,
         model,
@@ -183,7 +199,7 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
     from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters, SavedLikelihoodField
     from beamfield.models.likelihood_field import LikelihoodFieldModel
 
-    is_field = arguments.model == "likelihood_field"
+    is_field = arguments.model != "beam"
     saved: Any = None
     if arguments.params is not None:
         read: Any = read_likelihood_field if is_field and is_likelihood_field(arguments.params) else read_beam_model
@@ -333,6 +349,7 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
     speed = "" if rate is None else f", {rate:.0f} updates/s"
     where = "anywhere on the map" if document["start"] is None else f"{_pose_text(document['start'])}"
     lines = [
+        f"filter: {document['filter']}",
         f"started from: {where}",
         f"used {document['n_updates']} of {document['n_scans']} scans{speed}",
         f"ended at: {_pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.models.differential_motion import DifferentialMotion
+from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 from beamfield.models.motion import OdometryMotion
 from beamfield.short_repr import short_repr
 
@@ -169,6 +170,17 @@ class OdometryCalibration:
         from beamfield.report.odometry_section import odometry_tables
 
         return odometry_tables(self)
+
+    @property
+    def filter_motion(self) -> GaussianMotion:
+        """Motion for our own `ParticleFilter`: the learned `GaussianMotion`, with no less noise than usual.
+
+        Errors that last, as a wrong scale or a drift of the heading, are in the learned noise. The usual one is a
+        reserve, for what the log did not show and for errors of the map.
+        """
+        learned = next(each.model for each in self.candidates if isinstance(each.model, GaussianMotion))
+        usual = asdict(USUAL_MOTION)
+        return GaussianMotion(**{name: max(float(getattr(learned, name)), least) for name, least in usual.items()})
 
     def fit(self, family: NoiseFamily) -> OdometryMotion:
         """Return the likeliest model of another family, with no less noise than the floor has.

@@ -1,0 +1,65 @@
+"""``beamfield localize --params nav2.yaml``: a log through the robot's own filter, emulated."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beamfield.errors import FormatError, InvalidInputError
+
+if TYPE_CHECKING:
+    from beamfield.localization.replay import PoseBelief
+    from beamfield.localization.scan_localizer import Localization
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
+
+# What a stack's parameter file says itself, or its filter does not have.
+_OF_OUR_FILTER = (
+    "model", "particles", "beams", "exponent", "odometry_error", "recovery", "leave_out_short", "animation",
+    "range_table",
+)  # fmt: skip
+
+
+def is_stack_file(path: Path | None) -> bool:
+    """Return whether --params is not one of our own files."""
+    from beamfield.io.files.yaml_file import read_yaml
+
+    if path is None:
+        return False
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        return True
+    return not {"likelihood_field", "beam_model"} & set(read_yaml(path).values)
+
+
+def stack_filter(
+    grid: OccupancyGrid, arguments: argparse.Namespace
+) -> tuple[Callable[[SensorLog, PoseBelief | None], Localization], str]:
+    """Return what runs the filter that --params sets up, and which filter that is, in words."""
+    import numpy as np
+
+    from beamfield.localization.scan_localizer import Localization
+    from beamfield.stacks.files.filter_file import read_filter_settings
+    from beamfield.stacks.files.parameter_file import read_stack_file
+
+    for name in _OF_OUR_FILTER:
+        if getattr(arguments, name) not in (None, False):
+            option = f"--{name.replace('_', '-')}"
+            raise InvalidInputError(f"{option}: for our own filter; {arguments.params} sets up a robot's own")
+    file = read_stack_file(arguments.params)
+    settings = read_filter_settings(file)
+    try:
+        replayed = settings.filter(grid)
+    except InvalidInputError as error:
+        raise FormatError(arguments.map, str(error)) from error
+    which = f"that of {file.program.title}, emulated, with its model {settings.model}"
+    if not file.stack_is_certain:
+        which += f" (the file may be one of {' or '.join(name for name in file.possible if name != file.stack)})"
+
+    def run(log: SensorLog, start: PoseBelief | None) -> Localization:
+        found = replayed.run(log, start, np.random.default_rng(arguments.seed))
+        return Localization(**{item.name: getattr(found, item.name) for item in fields(found)})
+
+    return run, which

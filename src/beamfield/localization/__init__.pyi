@@ -1,0 +1,18 @@
+"""The names of `beamfield.localization` for type checkers and editors."""
+
+# ruff: noqa: I001 - several names a line, as in the front door's
+
+from beamfield.localization.fitted_poses import cross_fit_poses as cross_fit_poses
+from beamfield.localization.global_search import SearchWindow as SearchWindow
+from beamfield.localization.particle_filter import FilterOptions as FilterOptions
+from beamfield.localization.particles import belief_poses as belief_poses, free_poses as free_poses
+from beamfield.localization.recovery import (
+    FreePoses as FreePoses,
+    PosesFromLandmarks as PosesFromLandmarks,
+    PosesFromScan as PosesFromScan,
+    Recovery as Recovery,
+)
+from beamfield.localization.replay import PoseBelief as PoseBelief, judge_replay as judge_replay
+from beamfield.localization.resampling import KldSampling as KldSampling
+from beamfield.localization.short_readings import ShortReadings as ShortReadings
+from beamfield.localization.trajectory_options import TrajectoryOptions as TrajectoryOptions

@@ -37,13 +37,17 @@ FLAT = np.float32(1e-30)
 PARALLEL_32 = np.float32(0.999 * PARALLEL)
 # From so many columns or rows on float32 cannot number them all.
 WIDE = 2**24
-# Bound of the float32 error of the coordinate at which a ray crosses an edge: DOUBT_PER_CELL (reach + slope), derived in
-# docs/raycasting.md under "The bound of doubt".
+# Bound of the float32 error of the coordinate at which a ray crosses an edge: DOUBT_PER_CELL (reach + slope); see "The
+# bound of doubt" in docs/raycasting.md.
 DOUBT_PER_CELL = np.float32(12.0 * 2.0**-24)
 
 NOTHING, SINGLE = integer(0), integer(1)
 # Rays that walk in lockstep. Measured: 128 are 5 % slower, 512 no faster. A power of 2.
 BLOCK = integer(256)
+# Loops over multiples of so many rays are vectorised to their end.
+LANES = integer(32)
+# Fewer beams of a pose are quicker aimed one by one.
+FEW = integer(4)
 # Length of a float64 row: BLOCK rays, and room for a vector that is stored beyond them.
 STRIDE = BLOCK + 8
 # Jumps before a block hands its unfinished rays (10 %) to the pool, and jumps of the pool between two clearances.
@@ -333,6 +337,14 @@ def _aim(
     ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
 ) -> None:
     """Fill starts and directions of `count` beams of one pose, from beam `first` on, into the block from `to` on."""
+    if count < FEW:
+        for b in range(count):
+            ray[COS + to + b] = c * fan[2, first + b] - s * fan[3, first + b]
+            ray[SIN + to + b] = s * fan[2, first + b] + c * fan[3, first + b]
+            beam_x, beam_y = fan[0, first + b], fan[1, first + b]
+            ray[CELL_X + to + b], ray[OFFSET_X + to + b] = split(x + (c * beam_x - s * beam_y))
+            ray[CELL_Y + to + b], ray[OFFSET_Y + to + b] = split(y + (s * beam_x + c * beam_y))
+        return
     # Whole vectors of 8 beams: what they write too much is never read, or overwritten by the next pose.
     n = (count + 7) // 8 * 8
     fan_c, fan_s = fan[2, first : first + n], fan[3, first : first + n]
@@ -395,7 +407,7 @@ def _allocate() -> Scratch:
     # Filled here: np.full and np.arange take longer to compile than these lines.
     owner, free = np.zeros(BLOCK, np.int64), np.zeros(BLOCK, np.int64)
     for i in range(BLOCK):
-        owner[i], free[i] = -1, i
+        owner[i], free[i] = -1, BLOCK - 1 - i
     return Scratch(
         Lanes(np.zeros(RAY_ROWS * STRIDE), np.zeros(STATE_ROWS * BLOCK, np.float32), np.zeros(BLOCK, np.int32)),
         Lanes(np.zeros(RAY_ROWS * STRIDE), np.zeros(STATE_ROWS * BLOCK, np.float32), np.zeros(BLOCK, np.int32)),
@@ -418,8 +430,9 @@ def _cast_block(
     """
     block, pool, owner, free, chosen, index, size, alive = scratch
     ray, state, base = block
-    _start(block, terrain)
-    _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, FIRST_STEPS)
+    n = _whole_vectors(count)
+    _start(block, terrain, n)
+    _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, FIRST_STEPS, n)
     doubtful = 0
     for j in range(count):
         result = _result(ray, state, j, terrain)
@@ -451,6 +464,12 @@ def _cast_block(
 
 
 @kernel
+def _whole_vectors(n: int) -> int:
+    """Return how many rays the vectors have that n rays need."""
+    return (n + LANES - 1) // LANES * LANES
+
+
+@kernel
 def _finish_pool(scratch: Scratch, n_free: int, terrain: Terrain, ranges: Floats) -> int:
     """Finish the rays in the pool; return how many are doubtful."""
     doubts = 0
@@ -465,12 +484,17 @@ def _advance_pool(scratch: Scratch, terrain: Terrain, ranges: Floats) -> tuple[i
     """Let the rays of the pool jump until there is a free place; return the number of these and of doubtful rays."""
     _, pool, owner, free, _, index, size, alive = scratch
     ray, state, base = pool
+    # No further than the last ray in the pool, for calls of few rays.
+    used = BLOCK
+    while owner[used - 1] < 0:
+        used -= 1
+    n = _whole_vectors(used)
     n_free = 0
     while n_free == 0:
-        _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, MORE_STEPS)
+        _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, MORE_STEPS, n)
         for m in range(BLOCK):
             free[n_free % BLOCK] = m
-            n_free += 0 if alive[m] else 1
+            n_free += 0 if (m < n) & (alive[m] > 0) else 1
     doubts = 0
     for i in range(n_free):
         m = free[i] & (BLOCK - 1)
@@ -499,11 +523,11 @@ def _result(ray: Floats, state: NDArray[np.float32], j: int, terrain: Terrain) -
 
 
 @kernel
-def _start(lanes: Lanes, terrain: Terrain) -> None:
-    """Set up the state of all rays of a block, in float32; see DOUBT_PER_CELL."""
+def _start(lanes: Lanes, terrain: Terrain, n: int) -> None:
+    """Set up the state of the first n rays of a block, in float32; see DOUBT_PER_CELL."""
     ray, state, base = lanes
     # A loop of its own: with float64 in it, the next would have half as many lanes in a vector.
-    for j in range(BLOCK):
+    for j in range(n):
         state[SLOPE + j], state[INVERSE_SLOPE + j] = np.float32(ray[COS + j]), np.float32(ray[SIN + j])
         state[FX + j], state[FY + j] = np.float32(ray[OFFSET_X + j]), np.float32(ray[OFFSET_Y + j])
         state[COL + j], state[ROW + j] = np.float32(ray[CELL_X + j]), np.float32(ray[CELL_Y + j])
@@ -513,15 +537,15 @@ def _start(lanes: Lanes, terrain: Terrain) -> None:
     width = np.int32(terrain.cols + 2)
     plane = np.int32(width * (terrain.rows + 2))
     reach = np.float32(min(terrain.max_cells, np.float64(terrain.rows + terrain.cols)) + 2.0)
-    for j in range(BLOCK):
+    for j in range(n):
         c, s = state[SLOPE + j], state[INVERSE_SLOPE + j]
         west, south = c < ZERO, s < ZERO
         c, s = abs(c), abs(s)
         x, y, col, row = state[FX + j], state[FY + j], state[COL + j], state[ROW + j]
         x, y = (ONE - x if west else x), (ONE - y if south else y)
         col, row = (cols - ONE - col if west else col), (rows - ONE - row if south else row)
-        # Also false for what is not a number, which must never become an index.
-        inside = (col >= ZERO) & (col < cols) & (row >= ZERO) & (row < rows)
+        # Also false for what is not a number, in cell or direction, which must never become an index.
+        inside = (col >= ZERO) & (col < cols) & (row >= ZERO) & (row < rows) & (c + s > ZERO)
         # The frame's first cell for all others. Chosen in float32: LLVM would choose among integers of 64 bits.
         first_col, first_row = (col + ONE if inside else ZERO), (row + ONE if inside else ZERO)
         quadrant = (ONE if west & inside else ZERO) + (TWO if south & inside else ZERO)
@@ -545,14 +569,15 @@ def _start(lanes: Lanes, terrain: Terrain) -> None:
 
 @kernel
 def _walk(state: NDArray[np.float32], base: NDArray[np.int32], index: NDArray[np.uint32], size: NDArray[np.uint16],
-          alive: NDArray[np.uint8], table: NDArray[np.uint16], width: int, steps: int) -> None:  # fmt: skip
-    """Jump `steps` times; say which rays are still under way."""
-    for j in range(BLOCK):
+          alive: NDArray[np.uint8], table: NDArray[np.uint16], width: int, steps: int,
+          n: int) -> None:  # fmt: skip
+    """Let the first n rays jump `steps` times; say which are still under way."""
+    for j in range(n):
         index[j] = base[j] + np.int32(state[ROW + j]) * np.int32(width) + np.int32(state[COL + j])
-    for j in range(BLOCK):
+    for j in range(n):
         size[j] = table[index[j]]
     for _ in range(steps):
-        for j in range(BLOCK):
+        for j in range(n):
             col, row = state[COL + j], state[ROW + j]
             edge_x, edge_y = col + np.float32(size[j] & 255), row + np.float32(size[j] >> 8)
             at_x = (edge_x - state[FX + j]) * state[SLOPE + j] + state[FY + j]
@@ -569,10 +594,10 @@ def _walk(state: NDArray[np.float32], base: NDArray[np.int32], index: NDArray[np
             state[ROW + j] = row + ZERO
             state[DOUBT + j] = max(state[DOUBT + j], abs(other - cell - HALF)) + ZERO
             index[j] = base[j] + np.int32(row) * np.int32(width) + np.int32(col)
-        for j in range(BLOCK):
+        for j in range(n):
             size[j] = table[index[j]]
     # A ray in doubt is finished: what it does next could be wrong, and need not end.
-    for j in range(BLOCK):
+    for j in range(n):
         alive[j] = (
             (size[j] > 0)
             & (state[COL + j] <= state[LAST_COL + j])

@@ -3,8 +3,9 @@
 The map is a building of our own making, 1200 x 1200 cells at 5 cm; rays are 10 m at most. The baseline is the
 incremental traversal as the textbooks give it (Amanatides and Woo, 1987), cell by cell, compiled by Numba with the same
 flags. A second one is tuned by hand: linear cell index, a frame of occupied cells instead of bounds checks, the fan's
-directions rotated instead of one cosine per beam, in float32 and in float64, the faster of which counts. All figures
-are medians of runs in which the methods take turns, so that a busy machine slows all of them alike.
+directions rotated instead of one cosine per beam, in float32 and in float64, the faster of which counts. The limit of
+the processor is limit.cpp: fans over the same tables by hand, without their guarantees. All figures are medians of the
+thread's processor time in runs in which the methods take turns, so that a busy machine slows all of them alike.
 """
 
 from __future__ import annotations
@@ -26,8 +27,10 @@ from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
 
 if __package__:
+    from benchmarks import limit
     from benchmarks.tables import print_table
 else:
+    import limit
     from tables import print_table
 
 RESOLUTION = 0.05
@@ -64,10 +67,13 @@ def run(repeats: int = 7) -> list[dict[str, Any]]:
         calls["plain"] = textbook(occupied, poses, sensor)
         calls["plain32"] = plain(occupied, poses, sensor, np.float32)
         calls["plain64"] = plain(occupied, poses, sensor, np.float64)
+        by_hand = limit.cast(caster, poses, finder) if sensor is finder else None
+        if by_hand is not None:
+            calls["limit"] = by_hand
         seconds = medians(calls, repeats)
         ns = {key: value / (len(poses) * sensor.n_beams) * 1e9 for key, value in seconds.items()}
         tuned = min(ns["plain32"], ns["plain64"])
-        error = np.abs(np.asarray(calls["one"]()).ravel() - np.asarray(calls["plain64"]()).ravel() * RESOLUTION)
+        error = np.abs(np.asarray(calls["ours"]()).ravel() - np.asarray(calls["plain64"]()).ravel() * RESOLUTION)
         rows.append(
             {
                 "case": name,
@@ -76,6 +82,7 @@ def run(repeats: int = 7) -> list[dict[str, Any]]:
                 "RayCaster [ns/ray]": ns["ours"],
                 "times plain": ns["plain"] / ns["ours"],
                 "times tuned": tuned / ns["ours"],
+                "of the limit": limit.ratio(ns["ours"], ns.get("limit")) if sensor is finder else "",
                 "share off by > 1e-9 m": float(np.mean(error > 1e-9)),
             }
         )
@@ -169,15 +176,15 @@ def cases(occupied: NDArray[np.bool_], rng: np.random.Generator) -> dict[str, ND
 
 
 def medians(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Return the median seconds of each call; the calls take turns, after one run each that compiles."""
+    """Return the median processor seconds of each call; they take turns, after one run each that compiles."""
     for call in calls.values():
         call()
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():
-            start = time.perf_counter()
+            start = time.thread_time()
             call()
-            seconds[name].append(time.perf_counter() - start)
+            seconds[name].append(time.thread_time() - start)
     return {name: statistics.median(values) for name, values in seconds.items()}
 
 

@@ -17,17 +17,15 @@ from beamfield.kernels import elementary, jit
 
 def test_vectorised_exponential_is_exact_to_rounding():
     x = -np.concatenate([[0.0], np.geomspace(1e-10, 708.0, 3000)])
-    np.testing.assert_allclose([elementary.exp(v) for v in x], np.exp(x), rtol=5e-16)
-    assert elementary.exp(-1e9) == elementary.exp(-math.inf) == elementary.exp(-708.0)
-    assert elementary.exp(math.nan) == elementary.exp(-708.0)
-    assert elementary.exp(1e9) == pytest.approx(math.exp(709.0), rel=1e-13)
+    np.testing.assert_allclose([elementary.fast_exp(v) for v in x], np.exp(x), rtol=5e-16)
+    assert elementary.fast_exp(-1e9) == elementary.fast_exp(-math.inf) == elementary.fast_exp(-708.0)
+    assert elementary.fast_exp(math.nan) == elementary.fast_exp(-708.0)
+    assert elementary.fast_exp(1e9) == pytest.approx(math.exp(709.0), rel=1e-13)
 
 
 def test_exp_and_log_are_the_c_librarys():
     x = np.concatenate([np.linspace(-700.0, 700.0, 999), np.linspace(-1.0, 1.0, 999), [0.0]])
-    got, want = np.array([elementary.fast_exp(v) for v in x]), np.exp(x)
-    assert np.all(np.abs(got / want - 1.0) <= 1e-15 + 4e-17 * np.abs(x))
-    assert elementary.fast_exp(-1e9) < 1e-300
+    np.testing.assert_allclose([elementary.fast_exp(v) for v in x], np.exp(x), rtol=5e-16)
     y = np.exp(x[(x > -690.0) & (x < 690.0)])
     assert np.array([elementary.fast_log(v) for v in y]) == pytest.approx(np.log(y), rel=2e-15, abs=2e-15)
 

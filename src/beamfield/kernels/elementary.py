@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from beamfield.kernels.jit import shared
+from beamfield.kernels.jit import FUSED, shared
 
 # exp is 0 or inf in double precision a little beyond these.
 SMALLEST_EXPONENT, LARGEST_EXPONENT = -708.0, 709.0
@@ -48,7 +48,8 @@ def _exp(x: float) -> float:
     """
     x = x if x > SMALLEST_EXPONENT else SMALLEST_EXPONENT
     x = x if x < LARGEST_EXPONENT else LARGEST_EXPONENT
-    n = math.floor(x * LOG2_E + 0.5)
+    rounded = x * LOG2_E + ROUNDING
+    n = rounded - ROUNDING
     r = (x - n * LOG_2_HIGH) - n * LOG_2_LOW
     p = 1.0 / 6227020800.0
     p = p * r + 1.0 / 479001600.0
@@ -64,7 +65,8 @@ def _exp(x: float) -> float:
     p = p * r + 0.5
     p = p * r + 1.0
     p = p * r + 1.0
-    power: float = np.int64((np.int64(n) + 1023) << 52).view(np.float64)
+    # From the bits of the sum: processors without AVX-512 turn doubles into integers of 64 bits one by one.
+    power: float = np.int64((np.float64(rounded).view(np.int64) + 1023) << 52).view(np.float64)
     return p * power
 
 
@@ -88,14 +90,13 @@ def _log(x: float) -> float:
     return e * LOG_2 + 2.0 * s * (1.0 + p * y)
 
 
-exp = shared(_exp)
-# May join the two parts of log 2, and so on: less exact by some 3e-17 |x|, quicker.
-fast_exp = shared(_exp, fast=True, inline=False)
+# Not with all of `fastmath`, which would cancel ROUNDING.
+fast_exp = shared(_exp, fast=FUSED, inline=False)
+# May reorder sums: less exact by some 3e-17, quicker.
 fast_log = shared(_log, fast=True, inline=False)
 
 
-@shared
-def exp_2(x: float) -> float:
+def _exp_2(x: float) -> float:
     """Return 2^x for -1020 <= x <= 0, 2^-1020 for anything below and NaN; within 2e-14, relatively.
 
     The nearest whole number becomes the exponent's bits, a Taylor polynomial of degree 11 does the rest. It is quicker
@@ -110,6 +111,10 @@ def exp_2(x: float) -> float:
     p = p + r4 * r4 * ((c[8] + c[9] * r) + r2 * (c[10] + c[11] * r))
     power: float = np.int64((np.float64(rounded).view(np.int64) + 1023) << 52).view(np.float64)
     return p * power
+
+
+exp_2 = shared(_exp_2)
+fused_exp_2 = shared(_exp_2, fast=FUSED)
 
 
 @shared

@@ -16,6 +16,10 @@ _SHARED = Path(__file__).with_name("elementary.py").stat()
 SHARED_STAMP = _SHARED.st_mtime, _SHARED.st_size
 
 
+# The flag by which products and sums become one instruction.
+FUSED = {"contract"}
+
+
 def integer(value: int) -> int:
     """Return a constant that kernels may pass on: Numba compiles a callee anew for every plain int that it is given."""
     return cast(int, np.intp(value))
@@ -39,7 +43,20 @@ def fast_kernel(function: F) -> F:
     return _compiled(function, fastmath=True)
 
 
-def shared(function: F, *, fast: bool = False, inline: bool = True) -> F:
+def fused_kernel(function: F) -> F:
+    """Compile a kernel that may round a product and a sum with it once instead of twice; NaN and infinity stay.
+
+    A loop's last rounds, which are not vectorised, could come out otherwise: give it whole vectors.
+    """
+    return _compiled(function, fastmath=FUSED)
+
+
+def inlined_fused_kernel(function: F) -> F:
+    """Compile a scalar function into its callers, with fused products and sums."""
+    return _compiled(function, fastmath=FUSED, forceinline=True)
+
+
+def shared(function: F, *, fast: bool | set[str] = False, inline: bool = True) -> F:
     """Compile an elementary function for kernels of any file.
 
     Its flags are its own: without a word about `fastmath`, Numba would take them from the caller that comes first. It

@@ -31,16 +31,23 @@ PARALLEL = 1e-12
 FAR = 1e12
 # Stands for 1 / 0; its product with 0 is 0.
 HUGE = 1e300
-# Stands for the slope 1 / 0 in float32; its product with any distance in a grid is finite.
-STEEP = 1e30
-# Bound of the float32 error of the coordinate at which a ray crosses an edge: DOUBT_PER_CELL (reach + slope), with the
-# length of the ray in cells and the larger of |tan| and |1 / tan|. With u = 2^-24, rounding offset, slope, difference,
-# product and sum is at most u (1 + 3 reach + slope), and choosing the wrong edge at most u (2 + 6 reach + 6 slope).
-DOUBT_PER_CELL = 2.0**-21
+# Stands for 0 below a fraction in float32: the product of 1 / FLAT with any distance in a grid is finite.
+FLAT = np.float32(1e-30)
+# PARALLEL in float32, less what rounding could add: rays between the two are too steep for float32, thus in doubt.
+PARALLEL_32 = np.float32(0.999 * PARALLEL)
+# From so many columns or rows on float32 cannot number them all.
+WIDE = 2**24
+# Bound of the float32 error of the coordinate at which a ray crosses an edge: DOUBT_PER_CELL (reach + slope); see "The
+# bound of doubt" in docs/raycasting.md.
+DOUBT_PER_CELL = np.float32(12.0 * 2.0**-24)
 
 NOTHING, SINGLE = integer(0), integer(1)
 # Rays that walk in lockstep. Measured: 128 are 5 % slower, 512 no faster. A power of 2.
 BLOCK = integer(256)
+# Loops over multiples of so many rays are vectorised to their end.
+LANES = integer(32)
+# Fewer beams of a pose are quicker aimed one by one.
+FEW = integer(4)
 # Length of a float64 row: BLOCK rays, and room for a vector that is stored beyond them.
 STRIDE = BLOCK + 8
 # Jumps before a block hands its unfinished rays (10 %) to the pool, and jumps of the pool between two clearances.
@@ -49,11 +56,11 @@ MORE_STEPS = integer(3)
 # State of each ray in float32: rows of ONE buffer, because LLVM vectorises only loops whose arrays it can prove apart.
 FX, FY, SLOPE, INVERSE_SLOPE, COL, ROW, DOUBT, LAST_COL, LAST_ROW, LIMIT = (np.intp(i * BLOCK) for i in range(10))
 STATE_ROWS = 10
-# The same rays in float64: start cell and offset in it, direction; then offset and 1 / direction after the reflection.
-CELL_X, CELL_Y, OFFSET_X, OFFSET_Y, COS, SIN, OX, OY, IX, IY = (np.intp(i * STRIDE) for i in range(10))
-RAY_ROWS = 10
+# The same rays in float64: start cell and offset in it, direction.
+CELL_X, CELL_Y, OFFSET_X, OFFSET_Y, COS, SIN = (np.intp(i * STRIDE) for i in range(6))
+RAY_ROWS = 6
 
-ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
@@ -227,7 +234,7 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
     for done in range(0, n, BLOCK):
         count = min(BLOCK, n - done)
         _place(origins, frame, terrain.resolution, done, count, placed)
-        # Lanes beyond count keep rays of the block before: every lane walks, so each must hold a real ray (or zeros).
+        # Lanes beyond count keep rays of the block before, or zeros: every lane walks, so each must hold real numbers.
         for b in range(count):
             ray[CELL_X + b], ray[OFFSET_X + b] = split(placed[b])
             ray[CELL_Y + b], ray[OFFSET_Y + b] = split(placed[STRIDE + b])
@@ -330,6 +337,14 @@ def _aim(
     ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
 ) -> None:
     """Fill starts and directions of `count` beams of one pose, from beam `first` on, into the block from `to` on."""
+    if count < FEW:
+        for b in range(count):
+            ray[COS + to + b] = c * fan[2, first + b] - s * fan[3, first + b]
+            ray[SIN + to + b] = s * fan[2, first + b] + c * fan[3, first + b]
+            beam_x, beam_y = fan[0, first + b], fan[1, first + b]
+            ray[CELL_X + to + b], ray[OFFSET_X + to + b] = split(x + (c * beam_x - s * beam_y))
+            ray[CELL_Y + to + b], ray[OFFSET_Y + to + b] = split(y + (s * beam_x + c * beam_y))
+        return
     # Whole vectors of 8 beams: what they write too much is never read, or overwritten by the next pose.
     n = (count + 7) // 8 * 8
     fan_c, fan_s = fan[2, first : first + n], fan[3, first : first + n]
@@ -392,7 +407,7 @@ def _allocate() -> Scratch:
     # Filled here: np.full and np.arange take longer to compile than these lines.
     owner, free = np.zeros(BLOCK, np.int64), np.zeros(BLOCK, np.int64)
     for i in range(BLOCK):
-        owner[i], free[i] = -1, i
+        owner[i], free[i] = -1, BLOCK - 1 - i
     return Scratch(
         Lanes(np.zeros(RAY_ROWS * STRIDE), np.zeros(STATE_ROWS * BLOCK, np.float32), np.zeros(BLOCK, np.int32)),
         Lanes(np.zeros(RAY_ROWS * STRIDE), np.zeros(STATE_ROWS * BLOCK, np.float32), np.zeros(BLOCK, np.int32)),
@@ -415,8 +430,9 @@ def _cast_block(
     """
     block, pool, owner, free, chosen, index, size, alive = scratch
     ray, state, base = block
-    _start(block, terrain)
-    _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, FIRST_STEPS)
+    n = _whole_vectors(count)
+    _start(block, terrain, n)
+    _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, FIRST_STEPS, n)
     doubtful = 0
     for j in range(count):
         result = _result(ray, state, j, terrain)
@@ -442,9 +458,15 @@ def _cast_block(
         to_state[COL + m], to_state[ROW + m] = state[COL + j], state[ROW + j]
         to_state[DOUBT + m], to_state[LIMIT + m] = state[DOUBT + j], state[LIMIT + j]
         to_state[LAST_COL + m], to_state[LAST_ROW + m] = state[LAST_COL + j], state[LAST_ROW + j]
-        to_ray[OX + m], to_ray[OY + m] = ray[OX + j], ray[OY + j]
-        to_ray[IX + m], to_ray[IY + m] = ray[IX + j], ray[IY + j]
+        to_ray[OFFSET_X + m], to_ray[OFFSET_Y + m] = ray[OFFSET_X + j], ray[OFFSET_Y + j]
+        to_ray[COS + m], to_ray[SIN + m] = ray[COS + j], ray[SIN + j]
     return n_free, doubts
+
+
+@kernel
+def _whole_vectors(n: int) -> int:
+    """Return how many rays the vectors have that n rays need."""
+    return (n + LANES - 1) // LANES * LANES
 
 
 @kernel
@@ -462,12 +484,17 @@ def _advance_pool(scratch: Scratch, terrain: Terrain, ranges: Floats) -> tuple[i
     """Let the rays of the pool jump until there is a free place; return the number of these and of doubtful rays."""
     _, pool, owner, free, _, index, size, alive = scratch
     ray, state, base = pool
+    # No further than the last ray in the pool, for calls of few rays.
+    used = BLOCK
+    while owner[used - 1] < 0:
+        used -= 1
+    n = _whole_vectors(used)
     n_free = 0
     while n_free == 0:
-        _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, MORE_STEPS)
+        _walk(state, base, index, size, alive, terrain.table, terrain.cols + 2, MORE_STEPS, n)
         for m in range(BLOCK):
             free[n_free % BLOCK] = m
-            n_free += 0 if alive[m] else 1
+            n_free += 0 if (m < n) & (alive[m] > 0) else 1
     doubts = 0
     for i in range(n_free):
         m = free[i] & (BLOCK - 1)
@@ -484,39 +511,57 @@ def _advance_pool(scratch: Scratch, terrain: Terrain, ranges: Floats) -> tuple[i
 def _result(ray: Floats, state: NDArray[np.float32], j: int, terrain: Terrain) -> float:
     """Return the range of a finished ray in metres, -1 if it is doubtful."""
     col, row = state[COL + j], state[ROW + j]
+    # As `_reflect` has them, but for a parallel axis: its edges lie at no positive length, whatever its numbers.
+    c, s, ox, oy = ray[COS + j], ray[SIN + j], ray[OFFSET_X + j], ray[OFFSET_Y + j]
+    inv_c, inv_s = 1.0 / max(abs(c), PARALLEL), 1.0 / max(abs(s), PARALLEL)
+    ox, oy = (1.0 - ox if c < 0.0 else ox), (1.0 - oy if s < 0.0 else oy)
     # The ray entered its last cell where it crossed the later of the cell's two edges.
-    t = max((col - ray[OX + j]) * ray[IX + j], (row - ray[OY + j]) * ray[IY + j])
+    t = max((col - ox) * inv_c, (row - oy) * inv_s)
     past = (col > state[LAST_COL + j]) | (row > state[LAST_ROW + j])
     metres = min(max(t, 0.0) * terrain.resolution, terrain.max_range)
     return -1.0 if state[DOUBT + j] > state[LIMIT + j] else (terrain.max_range if past else metres)
 
 
 @kernel
-def _start(lanes: Lanes, terrain: Terrain) -> None:
-    """Set up the state of all rays of a block."""
+def _start(lanes: Lanes, terrain: Terrain, n: int) -> None:
+    """Set up the state of the first n rays of a block, in float32; see DOUBT_PER_CELL."""
     ray, state, base = lanes
-    rows, cols = terrain.rows, terrain.cols
-    reach = np.float32(min(terrain.max_cells, np.float64(rows + cols)) + 2.0)
-    for j in range(BLOCK):
-        c, s = ray[COS + j], ray[SIN + j]
-        ox, col, inv_c, c_abs = _reflect(ray[CELL_X + j], ray[OFFSET_X + j], c, cols)
-        oy, row, inv_s, s_abs = _reflect(ray[CELL_Y + j], ray[OFFSET_Y + j], s, rows)
-        ray[OX + j], ray[OY + j], ray[IX + j], ray[IY + j] = ox, oy, inv_c, inv_s
-        # Also false for what is not a number, which must never become an index.
-        inside = (col >= 0) & (col < cols) & (row >= 0) & (row < rows) & (c_abs + s_abs > 0)
-        corner = (_quadrant(c, s) * (rows + 2) + row + 1) * (cols + 2) + col + 1
-        base[j] = np.int32(corner if inside else 0.0)
+    # A loop of its own: with float64 in it, the next would have half as many lanes in a vector.
+    for j in range(n):
+        state[SLOPE + j], state[INVERSE_SLOPE + j] = np.float32(ray[COS + j]), np.float32(ray[SIN + j])
+        state[FX + j], state[FY + j] = np.float32(ray[OFFSET_X + j]), np.float32(ray[OFFSET_Y + j])
+        state[COL + j], state[ROW + j] = np.float32(ray[CELL_X + j]), np.float32(ray[CELL_Y + j])
+    # In a map too wide for float32 no ray starts inside.
+    narrow = max(terrain.rows, terrain.cols) < WIDE
+    rows, cols = np.float32(terrain.rows if narrow else 0), np.float32(terrain.cols if narrow else 0)
+    width = np.int32(terrain.cols + 2)
+    plane = np.int32(width * (terrain.rows + 2))
+    reach = np.float32(min(terrain.max_cells, np.float64(terrain.rows + terrain.cols)) + 2.0)
+    for j in range(n):
+        c, s = state[SLOPE + j], state[INVERSE_SLOPE + j]
+        west, south = c < ZERO, s < ZERO
+        c, s = abs(c), abs(s)
+        x, y, col, row = state[FX + j], state[FY + j], state[COL + j], state[ROW + j]
+        x, y = (ONE - x if west else x), (ONE - y if south else y)
+        col, row = (cols - ONE - col if west else col), (rows - ONE - row if south else row)
+        # Also false for what is not a number, in cell or direction, which must never become an index.
+        inside = (col >= ZERO) & (col < cols) & (row >= ZERO) & (row < rows) & (c + s > ZERO)
+        # The frame's first cell for all others. Chosen in float32: LLVM would choose among integers of 64 bits.
+        first_col, first_row = (col + ONE if inside else ZERO), (row + ONE if inside else ZERO)
+        quadrant = (ONE if west & inside else ZERO) + (TWO if south & inside else ZERO)
+        base[j] = np.int32(quadrant) * plane + np.int32(first_row) * width + np.int32(first_col)
         # A parallel ray never crosses an edge of the other axis: anywhere inside the cell is right for it.
-        state[FX + j] = np.float32(ox) if inside & (c_abs > 0) else HALF
-        state[FY + j] = np.float32(oy) if inside & (s_abs > 0) else HALF
-        slope, inverse_slope = np.float32(min(s_abs * inv_c, STEEP)), np.float32(min(c_abs * inv_s, STEEP))
+        along_x, along_y = c >= PARALLEL_32, s >= PARALLEL_32
+        state[FX + j] = x if inside & along_x else HALF
+        state[FY + j] = y if inside & along_y else HALF
+        slope, inverse_slope = s / max(c, FLAT), c / max(s, FLAT)
         state[SLOPE + j], state[INVERSE_SLOPE + j] = slope, inverse_slope
-        steepest = max(slope if c_abs > 0 else ZERO, inverse_slope if s_abs > 0 else ZERO)
+        steepest = max(slope if along_x else ZERO, inverse_slope if along_y else ZERO)
         # Rays that start off the map are doubtful from the start.
-        state[LIMIT + j] = HALF - (reach + steepest) * np.float32(DOUBT_PER_CELL) if inside else -ONE
+        state[LIMIT + j] = HALF - (reach + steepest) * DOUBT_PER_CELL if inside else -ONE
         # From these cells on the ray is longer than max_range, or off the map. The first has a margin for float32.
-        state[LAST_COL + j] = min(ONE + reach * np.float32(c_abs), np.float32(cols - col) - HALF)
-        state[LAST_ROW + j] = min(ONE + reach * np.float32(s_abs), np.float32(rows - row) - HALF)
+        state[LAST_COL + j] = min(ONE + reach * c, cols - col - HALF)
+        state[LAST_ROW + j] = min(ONE + reach * s, rows - row - HALF)
         state[COL + j] = ZERO
         state[ROW + j] = ZERO
         state[DOUBT + j] = ZERO
@@ -524,14 +569,15 @@ def _start(lanes: Lanes, terrain: Terrain) -> None:
 
 @kernel
 def _walk(state: NDArray[np.float32], base: NDArray[np.int32], index: NDArray[np.uint32], size: NDArray[np.uint16],
-          alive: NDArray[np.uint8], table: NDArray[np.uint16], width: int, steps: int) -> None:  # fmt: skip
-    """Jump `steps` times; say which rays are still under way."""
-    for j in range(BLOCK):
+          alive: NDArray[np.uint8], table: NDArray[np.uint16], width: int, steps: int,
+          n: int) -> None:  # fmt: skip
+    """Let the first n rays jump `steps` times; say which are still under way."""
+    for j in range(n):
         index[j] = base[j] + np.int32(state[ROW + j]) * np.int32(width) + np.int32(state[COL + j])
-    for j in range(BLOCK):
+    for j in range(n):
         size[j] = table[index[j]]
     for _ in range(steps):
-        for j in range(BLOCK):
+        for j in range(n):
             col, row = state[COL + j], state[ROW + j]
             edge_x, edge_y = col + np.float32(size[j] & 255), row + np.float32(size[j] >> 8)
             at_x = (edge_x - state[FX + j]) * state[SLOPE + j] + state[FY + j]
@@ -543,14 +589,15 @@ def _walk(state: NDArray[np.float32], base: NDArray[np.int32], index: NDArray[np
             go = size[j] > 0
             col = (edge_x if x_first else cell) if go else col
             row = (cell if x_first else edge_y) if go else row
-            state[COL + j] = col
-            state[ROW + j] = row
-            state[DOUBT + j] = max(state[DOUBT + j], abs(other - cell - HALF))
+            # Without the zeros LLVM stores under a mask, which takes AMD's Zen 1 to 3 about as long as all the rest.
+            state[COL + j] = col + ZERO
+            state[ROW + j] = row + ZERO
+            state[DOUBT + j] = max(state[DOUBT + j], abs(other - cell - HALF)) + ZERO
             index[j] = base[j] + np.int32(row) * np.int32(width) + np.int32(col)
-        for j in range(BLOCK):
+        for j in range(n):
             size[j] = table[index[j]]
     # A ray in doubt is finished: what it does next could be wrong, and need not end.
-    for j in range(BLOCK):
+    for j in range(n):
         alive[j] = (
             (size[j] > 0)
             & (state[COL + j] <= state[LAST_COL + j])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -244,7 +245,9 @@ class RayCaster:
 
 def pose_rows(poses: FloatArray) -> FloatArray:
     """Return poses (..., 3) as writeable rows (n, 3): one array type, so that kernels are compiled once."""
-    return np.require(poses.reshape(-1, 3), requirements=["C", "W"])
+    rows = poses.reshape(-1, 3)
+    flags = rows.flags
+    return rows if flags.c_contiguous and flags.writeable else np.require(rows, requirements=["C", "W"])
 
 
 def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:
@@ -253,6 +256,8 @@ def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:
     return x, y, yaw
 
 
+# A finder never changes and is itself alone, so it may be the key. What stays in memory are a few fans.
+@lru_cache(maxsize=16)
 def _fan(finder: RangeFinder, resolution: float) -> tuple[FloatArray, bool]:
     """Return the beams as the kernel wants them, x, y in cells, cos, sin, and whether all start at one point."""
     x, y, theta = finder.mounts.T

@@ -128,7 +128,7 @@ class RangeMixtureModel(ABC):
         flat = robot.reshape(-1, 3)
         total: FloatArray = np.zeros(len(flat))
         if len(beams) and len(flat):
-            self._add_up(z.subset(beams), flat, total)
+            self._add_up(z if len(beams) == z.finder.n_beams else z.subset(beams), flat, total)
         return (self.exponent * total).reshape(robot.shape[:-1])
 
     @checked
@@ -173,7 +173,9 @@ class RangeMixtureModel(ABC):
         -------
         Indices in [0, k), rising: about equally spaced among the beams with a measurement, perhaps none.
         """
-        valid = np.flatnonzero(~np.isnan(usable_ranges(scan.ranges, scan.finder)))
+        # What `usable_ranges` leaves, in a third of its time.
+        with np.errstate(invalid="ignore"):
+            valid = np.flatnonzero(scan.ranges >= scan.finder.min_range)
         if self.n_beams is None or self.n_beams >= len(valid):
             return valid
         return np.asarray(valid[np.round(np.linspace(0, len(valid) - 1, self.n_beams)).astype(np.int64)])
@@ -263,13 +265,13 @@ class RangeMixtureModel(ABC):
         step = max(1, RAYS_PER_CHUNK // scan.finder.n_beams)
         for start in range(0, len(poses), step):
             part = poses[start : start + step]
-            self._fill(scan, self.expected(part, scan.finder), out[start : start + step])
+            self._fill(scan, self._source.expected_ranges(part, scan.finder), out[start : start + step])
 
     def _fill(self, scan: Scan, expected: FloatArray, out: FloatArray) -> None:
-        """Fill out (n,) with the sum over beams, given the expected ranges (n, k)."""
+        """Fill out (n,) with the sum over beams, all of them used ones, given the expected ranges (n, k)."""
         finder = scan.finder
         view = as_view(self.parameters, finder.max_range, finder.min_range)
-        ranges = read_only(counted_from(finder.min_range, usable_ranges(scan.ranges, finder), finder.max_range))
+        ranges = read_only(counted_from(finder.min_range, scan.ranges, finder.max_range))
         expected = read_only(expected_from(finder.min_range, expected))
         n = len(ranges)
         run_in_blocks(

@@ -14,10 +14,12 @@ from beamfield.calibration.calibrate import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.html import render_report
+from beamfield.report.map_figures import fit_map
+from beamfield.report.mixture_figure import mixture
 from beamfield.report.page import document, finding_list
 from beamfield.report.page_section import PageSection
 from beamfield.report.parameter_rows import parameter_rows
-from beamfield.report.score_figures import candidate_plot, likelihood_trace
+from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace
 from beamfield.report.text_table import plus_minus
 from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import NoReturnPolicy
@@ -242,10 +244,17 @@ def test_the_page_is_small(text):
     assert len(text) < 3_000_000
 
 
-def test_the_same_calibration_gives_the_same_page_also_from_threads(case, text):
+def test_the_same_calibration_gives_the_same_pictures_also_from_threads(case, text):
+    def draw(_: int) -> list[str]:
+        calibration = case.calibration
+        figures = (mixture(calibration), likelihood_over_time(calibration), fit_map(calibration, case.grid, case.log))
+        return [panel.markup for figure in figures for panel in figure.panels]
+
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        pages = list(pool.map(lambda _: render(case), range(2)))
-    assert pages == [text, text]
+        first, second = pool.map(draw, range(2))
+    assert first == second
+    assert len(first) == 4
+    assert all(picture in text for picture in first)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -301,8 +310,14 @@ DEGENERATE = {
         {"bearings": ONE_BEAM, "n_scans": 600, "same_place": True},
         {"opposite"},
     ),
-    "one held-out block, long limit": ({"options": CalibrationOptions(block_s=50.0), "max_range": 80.0}, set()),
-    "noise that grows": ({"truth": BeamParameters(0.8, 0.1, 0.05, 0.05, 0.03, 0.3, 0.1, 0.02)}, set()),
+    "one held-out block, long limit, noise that grows": (
+        {
+            "options": CalibrationOptions(block_s=50.0),
+            "max_range": 80.0,
+            "truth": BeamParameters(0.8, 0.1, 0.05, 0.05, 0.03, 0.3, 0.1, 0.02),
+        },
+        set(),
+    ),
 }
 
 
@@ -315,7 +330,10 @@ def test_degenerate_calibrations_have_a_page(make_case, changes, missing):
     assert "nan" not in page.text.lower().replace("no measurement (nan", "")
 
 
-def test_unknown_standard_errors_do_not_reach_the_page(case):
+def test_unknown_standard_errors_do_not_reach_the_page(case, monkeypatch):
+    # Of the figures, two show standard errors: that of the scores is always drawn.
+    monkeypatch.setattr("beamfield.report.html.report_figures", lambda calibration, *_: [candidate_plot(calibration)])
+    monkeypatch.setattr(f"{__name__}.fit_of_calibration", lambda *_: None)
     scores = tuple(replace(s, standard_error=float("nan"), behind_fit_se=float("nan")) for s in case.calibration.scores)
     candidates = tuple(replace(c, gain_se=float("nan")) for c in case.calibration.candidates)
     intervals = replace(case.calibration.intervals, intervals={}, standard_errors={}, n_blocks=1)

@@ -9,10 +9,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from beamfield.calibration.calibrate import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.report import panel
 from beamfield.report.html import render_report
 from beamfield.report.map_figures import fit_map
 from beamfield.report.mixture_figure import mixture
@@ -102,8 +104,18 @@ def no_figures(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def text(case) -> str:
-    return render(case)
+def drawn(case) -> tuple[str, list[Figure]]:
+    """The page, and the figures that its pictures show."""
+    figures = []
+    with pytest.MonkeyPatch.context() as patched:
+        for canvas in (panel.FigureCanvasSVG, panel.FigureCanvasAgg):
+            patched.setattr(panel, canvas.__name__, lambda figure, of=canvas: figures.append(figure) or of(figure))
+        return render(case), figures
+
+
+@pytest.fixture(scope="module")
+def text(drawn) -> str:
+    return drawn[0]
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +129,14 @@ def test_every_figure_is_there_with_caption_and_text_alternative(page):
     pictures = [values for tag, values in page.tags if tag == "img" or values.get("class") == "plot"]
     assert len(pictures) >= len(FIGURES)
     assert all(len(values.get("alt") or values.get("aria-label") or "") > 20 for values in pictures)
+
+
+def test_no_text_leaves_its_picture(drawn):
+    assert len(drawn[1]) > len(FIGURES)
+    for figure in drawn[1]:
+        low, high = figure.get_tightbbox().get_points()
+        assert (low > -0.02).all(), figure.axes[0].get_title()
+        assert (high < figure.get_size_inches() + 0.02).all(), figure.axes[0].get_xlabel()
 
 
 def test_nothing_is_fetched_and_nothing_runs(text, page):

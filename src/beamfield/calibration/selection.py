@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -151,6 +152,28 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
     return selection
 
 
+def apart(poses: FloatArray, travel: float, turn: float) -> list[int]:
+    """Return the indices of poses that moved or turned so far since the last one that was kept; the first is kept.
+
+    Parameters
+    ----------
+    poses
+        (t, 3) finite.
+    travel, turn
+        Least distance in metres, and angle in radians.
+    """
+    kept: list[int] = []
+    x = y = heading = 0.0
+    # Plain floats: a call of NumPy for each scan takes a hundred times as long.
+    for i, pose in enumerate(poses.tolist()):
+        near = math.hypot(pose[0] - x, pose[1] - y) < travel
+        if kept and near and abs(math.remainder(pose[2] - heading, 2.0 * math.pi)) < turn:
+            continue
+        kept.append(i)
+        x, y, heading = pose
+    return kept
+
+
 def _sensor_origins(log: SensorLog) -> FloatArray:
     """(t, 2) where the first beam starts; poses that are NaN are put at the origin (they are dropped anyway)."""
     poses = np.where(np.isfinite(log.poses), log.poses, 0.0)
@@ -200,14 +223,7 @@ def _turns_fast(log: SensorLog, max_turn_rate: float) -> NDArray[np.bool_]:
 
 def _stands(log: SensorLog, candidates: NDArray[np.bool_], options: SelectionOptions) -> NDArray[np.bool_]:
     """Candidates that are too close to the last one kept."""
-    still = np.zeros(len(log), bool)
-    last: FloatArray | None = None
-    for i in np.flatnonzero(candidates):
-        pose = log.poses[i]
-        if last is not None:
-            step = between(last, pose)
-            if np.hypot(step[0], step[1]) < options.min_travel and abs(step[2]) < options.min_turn:
-                still[i] = True
-                continue
-        last = pose
+    rows = np.flatnonzero(candidates)
+    still = candidates.copy()
+    still[rows[apart(log.poses[rows], options.min_travel, options.min_turn)]] = False
     return still

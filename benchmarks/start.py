@@ -1,8 +1,8 @@
 """What a person waits for: CPU seconds of whole commands, with nothing compiled yet (cold) and with all of it (warm).
 
 Run ``python benchmarks/start.py [RUNS]``. The first process of a command finds an empty NUMBA_CACHE_DIR, the next RUNS
-(3) what it left there; the least of those counts. CPU time, user and system, of all threads. Python's byte code is there
-in both, if it may be written beside the sources and the command has been run before.
+(3) what it left there; the least of those counts. CPU time, user and system, of all threads. Python's byte code is in
+place for both, if it may be written beside the sources and the command has been run before.
 """
 
 from __future__ import annotations

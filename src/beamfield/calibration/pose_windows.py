@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from beamfield.calibration.selection import SelectionOptions, apart, select_scans
+from beamfield.calibration.selection import SelectionOptions, select_scans
 from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
@@ -244,7 +244,14 @@ def _groups(
 
 def _updates(log: SensorLog, used: NDArray[np.int64], options: WindowOptions) -> NDArray[np.int64]:
     """Return the used scans at which a filter would update: so far from the last one."""
-    return used[apart(log.poses[used], options.travel, options.turn)]
+    chosen: list[int] = []
+    for i in used.tolist():
+        if chosen:
+            step = between(log.poses[chosen[-1]], log.poses[i])
+            if np.hypot(step[0], step[1]) < options.travel and abs(step[2]) < options.turn:
+                continue
+        chosen.append(i)
+    return np.array(chosen, np.int64)
 
 
 def _block_length(log: SensorLog, groups: list[NDArray[np.int64]]) -> float | None:

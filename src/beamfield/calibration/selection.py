@@ -152,28 +152,6 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
     return selection
 
 
-def apart(poses: FloatArray, travel: float, turn: float) -> list[int]:
-    """Return the indices of poses that moved or turned so far since the last one that was kept; the first is kept.
-
-    Parameters
-    ----------
-    poses
-        (t, 3) finite.
-    travel, turn
-        Least distance in metres, and angle in radians.
-    """
-    kept: list[int] = []
-    x = y = heading = 0.0
-    # Plain floats: a call of NumPy for each scan takes a hundred times as long.
-    for i, pose in enumerate(poses.tolist()):
-        near = math.hypot(pose[0] - x, pose[1] - y) < travel
-        if kept and near and abs(math.remainder(pose[2] - heading, 2.0 * math.pi)) < turn:
-            continue
-        kept.append(i)
-        x, y, heading = pose
-    return kept
-
-
 def _sensor_origins(log: SensorLog) -> FloatArray:
     """(t, 2) where the first beam starts; poses that are NaN are put at the origin (they are dropped anyway)."""
     poses = np.where(np.isfinite(log.poses), log.poses, 0.0)
@@ -225,5 +203,19 @@ def _stands(log: SensorLog, candidates: NDArray[np.bool_], options: SelectionOpt
     """Candidates that are too close to the last one kept."""
     rows = np.flatnonzero(candidates)
     still = candidates.copy()
-    still[rows[apart(log.poses[rows], options.min_travel, options.min_turn)]] = False
+    still[rows[_apart(log.poses[rows], options.min_travel, options.min_turn)]] = False
     return still
+
+
+def _apart(poses: FloatArray, travel: float, turn: float) -> list[int]:
+    """Indices of finite poses (t, 3) that moved or turned so far since the last one kept; the first is kept."""
+    kept: list[int] = []
+    x = y = heading = 0.0
+    # Plain floats: a call of NumPy for each scan takes a hundred times as long.
+    for i, pose in enumerate(poses.tolist()):
+        near = math.hypot(pose[0] - x, pose[1] - y) < travel
+        if kept and near and abs(math.remainder(pose[2] - heading, 2.0 * math.pi)) < turn:
+            continue
+        kept.append(i)
+        x, y, heading = pose
+    return kept

@@ -168,7 +168,8 @@ def test_masked_beams_poses_from_a_file_a_held_parameter_and_a_fixed_form_are_re
     recorded = tmp_path / "beams.mcap"
     code = calibrate(
         world, tmp_path / "out", "--no-refine", "--mask=-30.5:-10", "--mask=170:-170", "--mcap", str(recorded),
-        "--poses", str(world / "truth.tum"), "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off", quiet=False,
+        "--poses", str(world / "truth.tum"), "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off",
+        quiet=False,
     )  # fmt: skip
     assert code == 0
     assert b"/causes" in recorded.read_bytes()

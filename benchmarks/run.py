@@ -11,6 +11,7 @@ import numba
 import numpy
 
 BENCHMARKS = (
+    "start",
     "raycast",
     "range_table",
     "beam_model",

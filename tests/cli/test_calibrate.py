@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import json
@@ -63,11 +64,18 @@ def fails(capsys: pytest.CaptureFixture[str], code: int, expected: int = 1) -> s
 
 
 @pytest.fixture(scope="module")
-def out(world: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(world: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The result for the world, and what was printed."""
+    folder, printed = tmp_path_factory.mktemp("result") / "out", io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert calibrate(world, folder, quiet=False) == 0
+    return folder, printed.getvalue()
+
+
+@pytest.fixture(scope="module")
+def out(run: tuple[Path, str]) -> Path:
     """The result for the world."""
-    folder = tmp_path_factory.mktemp("result") / "out"
-    assert calibrate(world, folder) == 0
-    return folder
+    return run[0]
 
 
 class TestResult:
@@ -123,13 +131,9 @@ class TestResult:
             assert name in page
 
 
-@pytest.mark.usefixtures("without_figures")
-def test_the_table_is_printed(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    recorded = tmp_path / "beams.mcap"
-    assert calibrate(world, tmp_path / "out", "--mcap", str(recorded), quiet=False) == 0
-    assert b"/causes" in recorded.read_bytes()
-    text = capsys.readouterr().out
-    assert json.loads((tmp_path / "out" / "calibration.json").read_text())["verdict"] in text
+def test_the_table_is_printed(run: tuple[Path, str]):
+    out, text = run
+    assert json.loads((out / "calibration.json").read_text())["verdict"] in text
     for words in (
         "scans used", "sigma_hit", "95 % interval", "nav2 defaults", "ROS 1 defaults", "uniform", "likelihood field",
         "beam model's, exponent 1", "The exponents are for 60 beams", "A scan of 61 beams is worth about",
@@ -158,8 +162,17 @@ def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdic
 
 
 @pytest.mark.usefixtures("without_figures")
-def test_masked_beams_count_as_no_measurement_and_the_mask_is_recorded(world: Path, tmp_path: Path):
-    assert calibrate(world, tmp_path / "out", "--no-refine", "--mask=-30.5:-10", "--mask=170:-170") == 0
+def test_masked_beams_poses_from_a_file_a_held_parameter_and_a_fixed_form_are_respected(
+    world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    recorded = tmp_path / "beams.mcap"
+    code = calibrate(
+        world, tmp_path / "out", "--no-refine", "--mask=-30.5:-10", "--mask=170:-170", "--mcap", str(recorded),
+        "--poses", str(world / "truth.tum"), "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off",
+        quiet=False,
+    )  # fmt: skip
+    assert code == 0
+    assert b"/causes" in recorded.read_bytes()
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())
     log = read_log(world / "log.carmen").only_sensor()
     degrees = np.degrees(log.finder.bearings)
@@ -169,6 +182,12 @@ def test_masked_beams_count_as_no_measurement_and_the_mask_is_recorded(world: Pa
     assert document["provenance"]["options"]["mask"] == ["-30.5:-10", "170:-170"]
     assert f"{n_masked} of {len(degrees)} beams masked" in " ".join(document["notes"])
     assert "nan-readings" not in [finding["name"] for finding in document["findings"]]
+    assert "reference pose from the given trajectory" in capsys.readouterr().err
+    assert document["provenance"]["inputs"]["poses"]["name"] == "truth.tum"
+    parameters = read_beam_model(tmp_path / "out" / "beam_model.yaml")
+    assert parameters.z_max == pytest.approx(0.1, abs=1e-12)
+    assert parameters.range_offset != 0.0
+    assert parameters.sigma_slope == 0.0
 
 
 @pytest.mark.parametrize("bad", ["", "10", "a:b", "1:2:3", "nan:3"])
@@ -178,36 +197,16 @@ def test_a_mask_that_is_no_sector_is_refused(world: Path, tmp_path: Path, capsys
 
 
 @pytest.mark.usefixtures("without_figures")
-def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, tmp_path: Path):
-    assert calibrate(world, tmp_path / "text") == 0
+def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, out: Path, tmp_path: Path):
     code = main([
         "calibrate", str(world / "bag"), "--map", str(world / "map.yaml"), "--out", str(tmp_path / "bag"), "--quiet",
+        "--no-refine",
     ])  # fmt: skip
     assert code == 0
-    text, bag = (read_beam_model(tmp_path / name / "beam_model.yaml") for name in ("text", "bag"))
+    text, bag = (read_beam_model(folder / "beam_model.yaml") for folder in (out, tmp_path / "bag"))
     for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
         # The bag's ranges are float32, the text's have a few digits.
         assert getattr(text, name) == pytest.approx(getattr(bag, name), rel=5e-3, abs=1e-4), name
-
-
-@pytest.mark.usefixtures("without_figures")
-def test_poses_come_from_a_file_if_one_is_given(world: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert calibrate(world, tmp_path / "out", "--poses", str(world / "truth.tum"), quiet=False) == 0
-    assert "reference pose from the given trajectory" in capsys.readouterr().err
-    origin = json.loads((tmp_path / "out" / "calibration.json").read_text())["provenance"]
-    assert origin["inputs"]["poses"]["name"] == "truth.tum"
-
-
-@pytest.mark.usefixtures("without_figures")
-def test_a_held_parameter_and_a_fixed_form_are_respected(world: Path, tmp_path: Path):
-    code = calibrate(
-        world, tmp_path / "out", "--hold", "z_max=0.1", "--range-offset", "on", "--sigma-slope", "off", "--no-refine"
-    )
-    assert code == 0
-    parameters = read_beam_model(tmp_path / "out" / "beam_model.yaml")
-    assert parameters.z_max == pytest.approx(0.1, abs=1e-12)
-    assert parameters.range_offset != 0.0
-    assert parameters.sigma_slope == 0.0
 
 
 def test_without_a_map_one_is_drawn_and_the_report_says_so(world: Path, tmp_path: Path):

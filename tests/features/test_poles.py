@@ -6,7 +6,7 @@ from benchmarks.rooms import Room
 from scipy.stats import chi2
 
 from beamfield.errors import InvalidInputError
-from beamfield.features.poles import find_poles
+from beamfield.features.poles import Pole, find_poles
 from beamfield.features.sweep import RangeNoise
 from beamfield.geometry import invert, transform_points, wrap_angle
 from beamfield.sensors import RangeFinder, Scan
@@ -16,17 +16,27 @@ FINDER = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 720, endpoint=Fals
 NOISE = RangeNoise(0.005)
 
 
+def four_around(rng: np.random.Generator, farthest: float) -> np.ndarray:
+    """Return (4, 2) centres of poles from 1.2 m on, one in each quarter, none of which hides another."""
+    directions = rng.uniform(-np.pi, np.pi) + np.pi / 2 * np.arange(4) + rng.uniform(-0.4, 0.4, 4)
+    return rng.uniform(1.2, farthest, (4, 1)) * np.column_stack([np.cos(directions), np.sin(directions)])
+
+
+def nearest(centres: np.ndarray, pole: Pole) -> np.ndarray:
+    """Return the centre that a pole was found for."""
+    return centres[np.hypot(*(centres - pole.position).T).argmin()]
+
+
 @pytest.mark.parametrize("diameter", [0.1, 0.3], ids=["thin", "thick"])
 def test_covariance_of_a_pole_is_that_of_its_errors(rng, diameter):
     squares = []
-    for _ in range(300):
+    for _ in range(75):
         pose = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-3, 3)])
-        direction, distance = rng.uniform(-3, 3), rng.uniform(1.2, 2.2)
-        centre = pose[:2] + distance * np.array([np.cos(direction), np.sin(direction)])
-        room = Room.from_outlines(HALL, poles=[(*centre, diameter / 2)])
+        centres = pose[:2] + four_around(rng, 2.2)
+        room = Room.from_outlines(HALL, poles=[(*centre, diameter / 2) for centre in centres])
         ranges = room.cast(pose, FINDER)[0] + rng.normal(0, 0.005, 720)
         for pole in find_poles(Scan(ranges, FINDER), NOISE):
-            x, y = transform_points(invert(pose), centre)
+            x, y = nearest(transform_points(invert(pose), centres), pole)
             error = pole.measurement - [np.hypot(x, y), np.arctan2(y, x), diameter]
             error[1] = wrap_angle(error[1])
             squares.append(error @ np.linalg.solve(pole.covariance, error))
@@ -43,13 +53,13 @@ def test_ellipses_hold_the_truth_also_where_a_circle_is_far_from_linear(rng, dia
     """The normal equations of a fit give ellipses that hold 61 % of the truth at 5 cm."""
     centred = RangeFinder.from_bearings(FINDER.bearings, 20.0)
     squares, scores = [], []
-    for _ in range(250):
-        direction, distance = rng.uniform(-3, 3), rng.uniform(1.2, 2.5)
-        centre = distance * np.array([np.cos(direction), np.sin(direction)])
-        room = Room.from_outlines(HALL, poles=[(*centre, diameter / 2)])
+    for _ in range(63):
+        centres = four_around(rng, 2.5)
+        room = Room.from_outlines(HALL, poles=[(*centre, diameter / 2) for centre in centres])
         ranges = room.cast((0, 0, 0), centred)[0] + rng.normal(0, sigma, 720)
         for pole in find_poles(Scan(ranges, centred), RangeNoise(sigma)):
-            error = pole.measurement - [distance, direction, diameter]
+            x, y = nearest(centres, pole)
+            error = pole.measurement - [np.hypot(x, y), np.arctan2(y, x), diameter]
             error[1] = wrap_angle(error[1])
             squares.append(error @ np.linalg.solve(pole.covariance, error))
             scores.append(error / np.sqrt(np.diag(pole.covariance)))

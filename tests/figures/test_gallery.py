@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,6 +29,12 @@ def world() -> FigureWorld:
     return simulated_world(3, duration=40.0)
 
 
+@pytest.fixture(scope="module")
+def drawn(world) -> Callable[[str], Figure]:
+    """A function that draws a figure of the world, once."""
+    return cache(lambda number: FIGURES[number].draw(world))
+
+
 def all_axes(figure: Figure) -> list:
     """Every axes of a figure, those of its subfigures included, without colour bars' and empty ones."""
     return [ax for ax in figure.findobj(match=lambda item: hasattr(item, "get_xlabel")) if ax.has_data()]
@@ -39,8 +47,8 @@ def test_the_registry_has_every_figure_in_order():
 
 
 @pytest.mark.parametrize("number", list(FIGURES))
-def test_every_figure_names_its_units(world, number):
-    check_units(all_axes(FIGURES[number].draw(world)))
+def test_every_figure_names_its_units(drawn, number):
+    check_units(all_axes(drawn(number)))
 
 
 def check_units(axes: list) -> None:
@@ -52,9 +60,9 @@ def check_units(axes: list) -> None:
 
 
 @pytest.mark.parametrize("number", ["6.8", "6.9"])
-def test_a_figure_is_the_same_on_every_run_and_small(world, tmp_path, number):
-    for name in ("one.svg", "two.svg"):
-        save_figure(FIGURES[number].draw(world), tmp_path / name)
+def test_a_figure_is_the_same_on_every_run_and_small(world, drawn, tmp_path, number):
+    save_figure(drawn(number), tmp_path / "one.svg")
+    save_figure(FIGURES[number].draw(world), tmp_path / "two.svg")
     content = (tmp_path / "one.svg").read_bytes()
     assert content == (tmp_path / "two.svg").read_bytes()
     assert b"<dc:date>" not in content
@@ -97,8 +105,8 @@ def test_figure_6_7_shows_the_first_scan_whose_maximum_is_at_its_pose(world, mon
         np.testing.assert_array_equal(shown[0], poses[1] if name == "wrong, right" else poses[0])
 
 
-def test_the_maximum_of_figure_6_7_is_at_the_reference_pose(world):
-    ax = next(ax for ax in all_axes(FIGURES["6.7"].draw(world)) if ax.get_title(loc="left").startswith("(b)"))
+def test_the_maximum_of_figure_6_7_is_at_the_reference_pose(world, drawn):
+    ax = next(ax for ax in all_axes(drawn("6.7")) if ax.get_title(loc="left").startswith("(b)"))
     maximum = next(line for line in ax.lines if line.get_label() == "maximum")
     there = np.array([maximum.get_xdata()[0], maximum.get_ydata()[0]])
     assert np.hypot(*(world.log.poses[[world.index, *world.others], :2] - there).T).min() < 0.5
@@ -124,16 +132,16 @@ def test_a_map_of_likelihoods_shows_differences_however_small_they_are(spread):
     assert image.norm.vmin == pytest.approx(-min(spread / 2.0, 30.0), rel=0.01)
 
 
-def test_the_beam_of_figure_6_9_passes_three_obstacles(world):
-    left = all_axes(FIGURES["6.9"].draw(world))[0]
+def test_the_beam_of_figure_6_9_passes_three_obstacles(drawn):
+    left = all_axes(drawn("6.9"))[0]
     assert [text.get_text() for text in left.texts] == ["$o_1$", "$o_2$", "$o_3$"]
     curve = left.lines[0]
     z, hit = curve.get_xdata(), curve.get_ydata()
     assert np.sum(hit) * (z[1] - z[0]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_every_pose_of_figure_6_13_sees_the_landmark_to_its_left(world):
-    left, right = (ax for ax in all_axes(FIGURES["6.13"].draw(world)) if ax.get_title(loc="left"))
+def test_every_pose_of_figure_6_13_sees_the_landmark_to_its_left(drawn):
+    left, right = (ax for ax in all_axes(drawn("6.13")) if ax.get_title(loc="left"))
     starts, tips = np.array(right.collections[0].get_segments()).transpose(1, 0, 2)
     bearing = np.arctan2(-starts[:, 1], -starts[:, 0]) - np.arctan2(*(tips - starts).T[::-1])
     assert np.degrees(np.angle(np.exp(1j * bearing)).mean()) == pytest.approx(30.0, abs=2.0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,9 +12,11 @@ from beamfield.geometry import wrap_angle
 from beamfield.io.read_log import read_log
 from beamfield.localization.global_search import GlobalSearch, SearchWindow
 from beamfield.maps.mapping import build_map, local_map, share_of_hits_in_obstacles
+from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.cell_difference import CellDifferenceModel
 from beamfield.models.histogram_matching import HistogramMatchingModel
 from beamfield.models.map_matching import MapMatchingModel
+from beamfield.sensors import SensorLog
 
 # Least share of hits within one cell of an occupied one; resolution in metres. Halls with people, glass and far walls
 # (acapulco, edmonton, fhw) and the outdoor campus are less sharp than offices.
@@ -31,10 +36,17 @@ LOGS = {
 OFFICES = ("belgioioso", "freiburg-079", "intel")
 
 
-def read(data, name):
+@cache
+def read(data: Path, name: str) -> SensorLog:
     """Return about 500 scans of a log."""
     sensor = read_log(data / "carmen_radish_corrected" / f"{name}-corrected.log.gz").only_sensor()
     return sensor.select(np.arange(0, len(sensor), max(1, len(sensor) // 500)))
+
+
+@cache
+def map_of_every_other_scan(data: Path, name: str) -> OccupancyGrid:
+    log = read(data, name)
+    return build_map(log, scans=np.arange(0, len(log), 2))
 
 
 @pytest.mark.real
@@ -52,7 +64,7 @@ def test_maps_are_sharp_and_would_not_be_with_poses_ten_centimetres_off(data, na
 @pytest.mark.parametrize("name", OFFICES)
 def test_scans_that_drew_no_map_are_found_in_it(data, name, rng):
     log = read(data, name)
-    search = GlobalSearch(build_map(log, scans=np.arange(0, len(log), 2)))
+    search = GlobalSearch(map_of_every_other_scan(data, name))
     found = 0
     for i in np.linspace(1, len(log) - 1, 12).astype(int) // 2 * 2 - 1:
         window = SearchWindow(log.poses[i] + rng.uniform(-8.0, 8.0, 3))
@@ -67,7 +79,7 @@ def test_scans_that_drew_no_map_are_found_in_it(data, name, rng):
 def test_map_matching_prefers_the_reference_pose(data, name, model, rng):
     """Among 300 poses within a metre and half a radian, for scans and for local maps of scans that drew no map."""
     log = read(data, name)
-    matching = model(build_map(log, scans=np.arange(0, len(log), 2)))
+    matching = model(map_of_every_other_scan(data, name))
     others = log.select(np.arange(1, len(log), 2))
     errors = []
     for i in np.linspace(5, len(others) - 1, 10).astype(int):

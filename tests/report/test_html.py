@@ -9,15 +9,19 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from beamfield.calibration.calibrate import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.report import panel
 from beamfield.report.html import render_report
+from beamfield.report.map_figures import fit_map
+from beamfield.report.mixture_figure import mixture
 from beamfield.report.page import document, finding_list
 from beamfield.report.page_section import PageSection
 from beamfield.report.parameter_rows import parameter_rows
-from beamfield.report.score_figures import candidate_plot, likelihood_trace
+from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace
 from beamfield.report.text_table import plus_minus
 from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import NoReturnPolicy
@@ -100,8 +104,18 @@ def no_figures(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def text(case) -> str:
-    return render(case)
+def drawn(case) -> tuple[str, list[Figure]]:
+    """The page, and the figures that its pictures show."""
+    figures = []
+    with pytest.MonkeyPatch.context() as patched:
+        for canvas in (panel.FigureCanvasSVG, panel.FigureCanvasAgg):
+            patched.setattr(panel, canvas.__name__, lambda figure, of=canvas: figures.append(figure) or of(figure))
+        return render(case), figures
+
+
+@pytest.fixture(scope="module")
+def text(drawn) -> str:
+    return drawn[0]
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +129,14 @@ def test_every_figure_is_there_with_caption_and_text_alternative(page):
     pictures = [values for tag, values in page.tags if tag == "img" or values.get("class") == "plot"]
     assert len(pictures) >= len(FIGURES)
     assert all(len(values.get("alt") or values.get("aria-label") or "") > 20 for values in pictures)
+
+
+def test_no_text_leaves_its_picture(drawn):
+    assert len(drawn[1]) > len(FIGURES)
+    for figure in drawn[1]:
+        low, high = figure.get_tightbbox().get_points()
+        assert (low > -0.02).all(), figure.axes[0].get_title()
+        assert (high < figure.get_size_inches() + 0.02).all(), figure.axes[0].get_xlabel()
 
 
 def test_nothing_is_fetched_and_nothing_runs(text, page):
@@ -242,10 +264,17 @@ def test_the_page_is_small(text):
     assert len(text) < 3_000_000
 
 
-def test_the_same_calibration_gives_the_same_page_also_from_threads(case, text):
+def test_the_same_calibration_gives_the_same_pictures_also_from_threads(case, text):
+    def draw(_: int) -> list[str]:
+        calibration = case.calibration
+        figures = (mixture(calibration), likelihood_over_time(calibration), fit_map(calibration, case.grid, case.log))
+        return [panel.markup for figure in figures for panel in figure.panels]
+
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        pages = list(pool.map(lambda _: render(case), range(2)))
-    assert pages == [text, text]
+        first, second = pool.map(draw, range(2))
+    assert first == second
+    assert len(first) == 4
+    assert all(picture in text for picture in first)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -301,8 +330,14 @@ DEGENERATE = {
         {"bearings": ONE_BEAM, "n_scans": 600, "same_place": True},
         {"opposite"},
     ),
-    "one held-out block, long limit": ({"options": CalibrationOptions(block_s=50.0), "max_range": 80.0}, set()),
-    "noise that grows": ({"truth": BeamParameters(0.8, 0.1, 0.05, 0.05, 0.03, 0.3, 0.1, 0.02)}, set()),
+    "one held-out block, long limit, noise that grows": (
+        {
+            "options": CalibrationOptions(block_s=50.0),
+            "max_range": 80.0,
+            "truth": BeamParameters(0.8, 0.1, 0.05, 0.05, 0.03, 0.3, 0.1, 0.02),
+        },
+        set(),
+    ),
 }
 
 
@@ -315,7 +350,10 @@ def test_degenerate_calibrations_have_a_page(make_case, changes, missing):
     assert "nan" not in page.text.lower().replace("no measurement (nan", "")
 
 
-def test_unknown_standard_errors_do_not_reach_the_page(case):
+def test_unknown_standard_errors_do_not_reach_the_page(case, monkeypatch):
+    # Of the figures, two show standard errors: that of the scores is always drawn.
+    monkeypatch.setattr("beamfield.report.html.report_figures", lambda calibration, *_: [candidate_plot(calibration)])
+    monkeypatch.setattr(f"{__name__}.fit_of_calibration", lambda *_: None)
     scores = tuple(replace(s, standard_error=float("nan"), behind_fit_se=float("nan")) for s in case.calibration.scores)
     candidates = tuple(replace(c, gain_se=float("nan")) for c in case.calibration.candidates)
     intervals = replace(case.calibration.intervals, intervals={}, standard_errors={}, n_blocks=1)

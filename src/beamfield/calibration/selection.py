@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -200,14 +201,21 @@ def _turns_fast(log: SensorLog, max_turn_rate: float) -> NDArray[np.bool_]:
 
 def _stands(log: SensorLog, candidates: NDArray[np.bool_], options: SelectionOptions) -> NDArray[np.bool_]:
     """Candidates that are too close to the last one kept."""
-    still = np.zeros(len(log), bool)
-    last: FloatArray | None = None
-    for i in np.flatnonzero(candidates):
-        pose = log.poses[i]
-        if last is not None:
-            step = between(last, pose)
-            if np.hypot(step[0], step[1]) < options.min_travel and abs(step[2]) < options.min_turn:
-                still[i] = True
-                continue
-        last = pose
+    rows = np.flatnonzero(candidates)
+    still = candidates.copy()
+    still[rows[_apart(log.poses[rows], options.min_travel, options.min_turn)]] = False
     return still
+
+
+def _apart(poses: FloatArray, travel: float, turn: float) -> list[int]:
+    """Indices of finite poses (t, 3) that moved or turned so far since the last one kept; the first is kept."""
+    kept: list[int] = []
+    x = y = heading = 0.0
+    # Plain floats: a call of NumPy for each scan takes a hundred times as long.
+    for i, pose in enumerate(poses.tolist()):
+        near = math.hypot(pose[0] - x, pose[1] - y) < travel
+        if kept and near and abs(math.remainder(pose[2] - heading, 2.0 * math.pi)) < turn:
+            continue
+        kept.append(i)
+        x, y, heading = pose
+    return kept

@@ -119,8 +119,8 @@ def opposite_widths(calibration: Calibration, log: SensorLog) -> ReportFigure | 
     first, second = first[chosen], second[chosen]
     mapped = table.expected_ranges[first] + table.expected_ranges[second]
     difference = table.ranges[first] + table.ranges[second] - mapped
-    labels = {"x": "mapped width between opposite walls [m]", "y": "measured minus mapped width [m]"}
-    figure, axes = new_axes(WIDE, 3.6, **labels)
+    x = "mapped width between opposite walls [m]"
+    figure, axes = new_axes(WIDE, 3.6, x=x, y="measured minus mapped width [m]")
     axes.scatter(mapped, difference, s=4, color=FIT, alpha=0.35, linewidths=0, label="pair of opposite beams")
     ends = np.array([mapped.min(), mapped.max()]) if len(mapped) else np.array([0.0, 1.0])
     axes.plot(ends, (fit.scale - 1) * ends + fit.widening, color=MODEL, linewidth=1.4, label="robust line")
@@ -156,8 +156,8 @@ def pose_shifts(calibration: Calibration) -> ReportFigure | None:
     axes.scatter(shifts[:, 0], shifts[:, 1], s=14, color=FIT, alpha=0.8, linewidths=0)
     reach = max(float(np.abs(shifts[:, :2]).max()) * 1.15, 0.02)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-    labels = {"title": "Turn of the pose", "x": "turn, counter-clockwise [deg]", "y": "number of scans"}
-    turn, histogram = new_axes(NARROW, 3.6, **labels, grid="y")
+    x = "turn, counter-clockwise [deg]"
+    turn, histogram = new_axes(NARROW, 3.6, title="Turn of the pose", x=x, y="number of scans", grid="y")
     degrees = np.degrees(shifts[:, 2])
     histogram.hist(degrees, bins=24, color=FIT)
     histogram.axvline(0, color=MODEL, linewidth=0.8)

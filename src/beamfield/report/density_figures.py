@@ -14,7 +14,7 @@ from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import CAUSES, beam_cdf
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.colours import CAUSE_COLOURS, DATA, MODEL, QUIET
-from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, log_scale, new_figure, style
+from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, log_scale, new_panel, style
 from beamfield.report.panel import Panel, ReportFigure, one_picture, svg_panel
 from beamfield.report.range_bins import RangeBin, range_step, telling_bin, thinned, typical_bins
 
@@ -46,7 +46,7 @@ def reading_series(calibration: Calibration) -> ReportFigure:
     group = telling_bin(typical_bins(table))
     shown, known = len(thinned(group.rows, MOST_IN_SERIES)), len(group.rows)
     count = f"All {known} readings" if shown == known else f"{shown} of the {known} readings"
-    figure = new_figure(WIDE, 3.6)
+    figure = new_panel(WIDE, 3.6, above=1)
     draw_readings(figure.add_subplot(), calibration, group)
     low, high = np.quantile(table.ranges[group.rows], [0.05, 0.95])
     return one_picture(
@@ -96,7 +96,7 @@ def draw_readings(axes: Axes, calibration: Calibration, group: RangeBin) -> None
 
 
 def _histogram_panel(calibration: Calibration, group: RangeBin, number: int) -> Panel:
-    figure = new_figure(NARROW, 4.3)
+    figure = new_panel(NARROW, 4.3)
     draw_histogram(figure, calibration, group)
     ranges = calibration.table.ranges[group.rows]
     counts = np.bincount(calibration.causes[group.rows], minlength=4)

@@ -10,12 +10,14 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 
 from beamfield.report.colours import GRID, QUIET
+from beamfield.report.text_room import TextRoom
 
 NARROW = 4.7  # inches: two such panels stand side by side on a screen, one fills a phone
 WIDE = 9.4
+LEGEND_LINE = 15.0  # points
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -23,9 +25,22 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained", facecolor="white", edgecolor="white")
 
 
-def new_axes(width: float, height: float, **look: str) -> tuple[Figure, Axes]:
-    """Return a new figure of this size in inches and its only axes, in the report's look; `look` as for `style`."""
-    figure = new_figure(width, height)
+def new_panel(width: float, height: float, *, above: float = 0.0) -> Figure:
+    """Return an empty white figure of this size in inches for a panel of the report, which has many.
+
+    Parameters
+    ----------
+    width, height
+        Inches.
+    above
+        Room above the axes for a legend or a colour bar, in lines of a legend.
+    """
+    return Figure(figsize=(width, height), layout=TextRoom(above * LEGEND_LINE), facecolor="white", edgecolor="white")
+
+
+def new_axes(width: float, height: float, *, above: float = 0.0, **look: str) -> tuple[Figure, Axes]:
+    """Return a new panel and its only axes in the report's look; the rest as for `new_panel` and `style`."""
+    figure = new_panel(width, height, above=above)
     axes = figure.add_subplot()
     style(axes, **look)
     return figure, axes
@@ -54,17 +69,18 @@ def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = 
     if grid != "none":
         axes.grid(True, axis=grid, color=GRID, linewidth=0.7, linestyle="-", alpha=1.0)  # type: ignore[arg-type]
     if title:
-        axes.set_title(title, fontsize=10, loc="left", color="#111111", fontweight="bold")
+        # With y, matplotlib does not measure the axes to see whether something is in the title's way.
+        axes.set_title(title, fontsize=10, loc="left", color="#111111", fontweight="bold", y=1.0)
     axes.set_xlabel(x, fontsize=9, color="#222222")
     axes.set_ylabel(y, fontsize=9, color="#222222")
 
 
 def log_scale(axes: Axes) -> None:
-    """Make the y axis logarithmic, labelled at powers of ten."""
+    """Make the y axis logarithmic, with ticks at powers of ten alone: those between take long to draw."""
     axes.set_yscale("log")
     # Matplotlib's own labels go through its formula parser: slow, and state shared by all threads.
     axes.yaxis.set_major_formatter(FuncFormatter(_power_of_ten))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _power_of_ten(value: float, _position: int | None = None) -> str:

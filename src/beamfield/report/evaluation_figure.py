@@ -9,7 +9,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.report.colours import CAUSE_COLOURS, MODEL, QUIET
-from beamfield.report.drawing import WIDE, new_figure, style
+from beamfield.report.drawing import WIDE, new_panel, style
 from beamfield.report.evaluation import Evaluation
 
 # Rows of one log lie a unit apart, logs a little more.
@@ -35,7 +35,7 @@ def evaluation_figure(evaluation: Evaluation) -> Figure:
         for name, one in zip(names, trials, strict=True)
     ]
     heights = np.array([i + gap for i, (*_, gap) in enumerate(rows)])
-    figure = new_figure(WIDE, 1.1 + 0.38 * (heights[-1] + 1.0))
+    figure = new_panel(WIDE, 1.1 + 0.38 * (heights[-1] + 1.0))
     errors, inside = figure.subplots(1, 2, sharey=True, width_ratios=(2.2, 1.0))
     for y, (_, one, colour, _) in zip(heights, rows, strict=True):
         _dots(errors, one, one.column("mean"), y, colour)

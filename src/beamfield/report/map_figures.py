@@ -32,7 +32,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     causes = calibration.causes[rows]
     path = log.poses[calibration.selection.used, :2]
     limits = _limits(points[causes != 3], path)
-    figure, axes = new_axes(WIDE, _height(limits))
+    figure, axes = new_axes(WIDE, _height(limits), above=1)
     draw_map(axes, grid, limits)
     all_causes = calibration.causes[~table.hits_nothing]
     shares = np.bincount(all_causes, minlength=4) / max(len(all_causes), 1)
@@ -70,7 +70,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         return None
     poses = log.poses[line.scan]
     limits = _limits(poses[:, :2], poses[:, :2], margin=3 * MARGIN)
-    figure, axes = new_axes(WIDE, _height(limits) + 0.6)
+    figure, axes = new_axes(WIDE, _height(limits) + 0.6, above=2.6)
     draw_map(axes, grid, limits)
     low, high = np.quantile(line.log_likelihood, [0.02, 0.98])
     order = np.argsort(-line.log_likelihood)
@@ -79,7 +79,9 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         edgecolors=MODEL, linewidths=0.2,
     )  # fmt: skip
     frame(axes, limits, with_legend=False)
-    bar = figure.colorbar(dots, ax=axes, location="top", shrink=0.5, aspect=35, pad=0.01, anchor=(0.0, 0.0))
+    bar = figure.colorbar(dots, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
+    bar.ax.xaxis.set_ticks_position("top")
+    bar.ax.xaxis.set_label_position("top")
     bar.set_label("log-likelihood per beam [nats]", fontsize=9, color="#222222")
     bar.ax.tick_params(labelsize=9)
     bar.outline.set_visible(False)

@@ -10,7 +10,7 @@ from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import CAUSES, beam_components
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.colours import CAUSE_COLOURS, QUIET
-from beamfield.report.drawing import NARROW, legend, log_scale, new_figure, style
+from beamfield.report.drawing import NARROW, legend, log_scale, new_panel, style
 from beamfield.report.panel import ReportFigure, svg_panel
 from beamfield.report.range_bins import telling_bin, typical_bins
 
@@ -19,7 +19,7 @@ def mixture(calibration: Calibration) -> ReportFigure:
     """The four components and their mixture at one expected range: Figures 6.3 and 6.4."""
     table, parameters = calibration.table, calibration.parameters
     expected = telling_bin(typical_bins(table)).centre
-    causes, both = new_figure(NARROW, 4.2), new_figure(NARROW, 4.2)
+    causes, both = new_panel(NARROW, 4.2), new_panel(NARROW, 4.2)
     draw_components(causes, expected, parameters, table.max_range, min_range=table.min_range)
     draw_mixture(both, expected, parameters, table.max_range, min_range=table.min_range)
     each = (

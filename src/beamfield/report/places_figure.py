@@ -55,7 +55,7 @@ def places_figure(found: ChangedPlaces, grid: OccupancyGrid, path: FloatArray) -
     limits = _limits(found, path)
     listed = found.lasting[:MOST_LISTED]
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
-    figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)))
+    figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)), above=2)
     draw_map(axes, grid, limits)
     axes.plot(path[:, 0], path[:, 1], color=MODEL, linewidth=0.8, alpha=0.7, label="robot's path", zorder=2.5)
     _draw(axes, found)

@@ -15,7 +15,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.report.as_json import LEVEL
 from beamfield.report.colours import CAUSE_COLOURS, FIT, HELD_OUT, MODEL, THROUGH
-from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, new_axes, new_figure, style
+from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, new_axes, new_panel, style
 from beamfield.report.map_figures import MARGIN, draw_map, frame
 from beamfield.report.panel import Panel, ReportFigure, one_picture, png_panel
 from beamfield.scan_fit.calibration_fit import CalibrationFit
@@ -51,7 +51,7 @@ def fit_over_time(
     judged = ~np.isnan(fits.p_value)
     if not judged.any():
         return None
-    figure = new_figure(WIDE, 4.6)
+    figure = new_panel(WIDE, 4.6)
     draw_fit(figure, fits, reference.smallest_p_value)
     share = fits.share_that_fits(LEVEL)
     compared = "the other scans of this log, none closer in time than a block" if own else "the scans of the good log"
@@ -161,7 +161,7 @@ def worst_scans(
 
 
 def _scan_panel(fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scan: int) -> Panel:
-    figure, axes = new_axes(NARROW, 4.6)
+    figure, axes = new_axes(NARROW, 4.6, above=2)
     draw_sides(axes, model, log, grid, scan)
     where = PROBLEMS[int(fits.problem[scan])]
     name = f"scan {scan}, stamp {log.stamps[scan]:.2f} s"

@@ -46,7 +46,7 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
     if len(candidates) < 2:
         return None
     x = f"gain over {form_name(candidates[0])} per held-out beam [nats]"
-    figure, axes = new_axes(NARROW, 0.55 + 0.42 * len(candidates), x=x, grid="x")
+    figure, axes = new_axes(NARROW, 0.75 + 0.42 * len(candidates), above=1, x=x, grid="x")
     _dots(axes, [(form_name(c), c.gain, c.gain_se, c.chosen) for c in candidates], decimals=4)
     # A span of less than the least gain that counts would blow noise up.
     low, high = axes.get_xlim()
@@ -126,8 +126,8 @@ def likelihood_over_time(calibration: Calibration) -> ReportFigure:
     """Mean log-likelihood per beam, scan by scan."""
     line = calibration.timeline
     seconds = line.stamps - line.stamps.min() if len(line.stamps) else line.stamps
-    labels = {"x": "time since the first used scan [s]", "y": "log-likelihood per beam [nats]"}
-    figure, axes = new_axes(WIDE, 3.4, **labels)
+    x = "time since the first used scan [s]"
+    figure, axes = new_axes(WIDE, 3.4, x=x, y="log-likelihood per beam [nats]")
     for held_out, colour, name in ((False, FIT, "fit blocks"), (True, HELD_OUT, "held-out blocks")):
         mine = line.held_out == held_out
         axes.scatter(seconds[mine], line.log_likelihood[mine], s=7, color=colour, linewidths=0, label=name)

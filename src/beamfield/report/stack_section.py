@@ -309,7 +309,7 @@ def _scores_as_dict(trial: Trial, update: ParticleUpdate) -> dict[str, Any]:
 
 def _beams_panel(fit: StackFit) -> Panel:
     name = ", ".join(fit.trials[0].setting) or "setting"
-    drawn, axes = new_axes(NARROW, 2.9, x=name, y="score [nats per window]")
+    drawn, axes = new_axes(NARROW, 2.9, above=1, x=name, y="score [nats per window]")
     labels = [", ".join(str(value) for value in trial.setting.values()) for trial in fit.trials]
     net = [net_score(trial.crossed) for trial in fit.trials]
     places = np.arange(len(fit.trials))
@@ -327,7 +327,7 @@ def _beams_panel(fit: StackFit) -> Panel:
 
 def _error_panel(fit: StackFit) -> Panel:
     x = "mean distance of particles from the reference [cm]"
-    drawn, axes = new_axes(NARROW, 2.9, x=x, y="share of held-out scans")
+    drawn, axes = new_axes(NARROW, 2.9, above=1, x=x, y="share of held-out scans")
     for update, colour, label in ((fit.update_before, DATA, "before"), (fit.update, FIT, "calibrated")):
         axes.ecdf(update.error_after * 100.0, color=colour, linewidth=1.8, label=label)
     start = float(fit.update.error_before.mean()) * 100.0

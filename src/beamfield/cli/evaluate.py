@@ -1,11 +1,11 @@
 """Replay robots' own particle filters on logs, side by side.
 
-Run the filter that each parameter file sets up (nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH, emulated) over logs with reference poses,
-with many seeds, and compare: position and heading error, how often the particles hold the truth, lost runs, processor
-time, and which differences are more than chance. The first file is what others are compared with. Every run starts
-from a belief around the first reference pose. With --global and --kidnap, also how often and how soon a lost robot is
-found. Prints tables and writes evaluation.json, evaluation.csv (one line per run) and evaluation.svg, whole or not at
-all.
+Run the filter that each parameter file sets up (nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH, emulated) over logs with
+reference poses, with many seeds, and compare: position and heading error, how often the particles hold the truth, lost
+runs, processor time, and which differences are more than chance. The first file is what others are compared with.
+Every run starts from a belief around the first reference pose. With --global and --kidnap, also how often and how soon a
+lost robot is found. Prints tables and writes evaluation.json, evaluation.csv (one line per run) and evaluation.svg,
+whole or not at all.
 
 for example:
 
@@ -63,7 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--kidnap", action="store_true",
                         help="also cut out the middle third of each log, unnoticed by the odometry")  # fmt: skip
     group = parser.add_argument_group("the parameter files")
-    group.add_argument("--stack", metavar="NAME", help="nav2, ros1, beluga, mrpt or f1tenth (default: find out for each file)")
+    group.add_argument("--stack", metavar="NAME", help="whose they are (default: find out for each file)")
     group.add_argument("--section", metavar="LABEL", help="which section, if several have such parameters")
     options.add_out(parser, "beamfield_evaluation", metavar="DIR", what="output folder")
     add_recordings(parser)

@@ -3,7 +3,7 @@
 Run the filter that each parameter file sets up (nav2, ROS 1 amcl, Beluga, MRPT or F1TENTH, emulated) over logs with
 reference poses, with many seeds, and compare: position and heading error, how often the particles hold the truth, lost
 runs, processor time, and which differences are more than chance. The first file is what others are compared with.
-Every run starts from a belief around the first reference pose. With --global and --kidnap, also how often and how soon a
+Every run starts from a belief around the first reference pose. With --global and --kidnap, also how often and soon a
 lost robot is found. Prints tables and writes evaluation.json, evaluation.csv (one line per run) and evaluation.svg,
 whole or not at all.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.kernels.elementary import quick_sin_cos
-from beamfield.kernels.jit import fast_kernel, kernel
+from beamfield.kernels.jit import fast_kernel, inlined_fast_kernel, kernel
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -181,6 +181,20 @@ def place_unusual(poses: Floats, heading: Floats, x: Singles, y: Singles, c: Sin
     return all_finite
 
 
+@inlined_fast_kernel
+def cell_of(x: float, y: float, c: float, s: float, along: float, across: float, limits: tuple[int, int]) -> int:
+    """Return the index of the cell that holds the end point of a beam (6.32); see `fill_cells`."""
+    zero, stride = np.float32(0.0), np.int32(limits[1])
+    top, right = np.float32(limits[0] - 1), np.float32(limits[1] - 1)
+    u = x + c * along - s * across
+    v = y + s * along + c * across
+    u = u if u > zero else zero
+    u = u if u < right else right
+    v = v if v > zero else zero
+    v = v if v < top else top
+    return np.uint32(np.int32(v) * stride + np.int32(u))
+
+
 @fast_kernel
 def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: float, across: float, limits: tuple[int, int],
                out: NDArray[np.uint32]) -> None:  # fmt: skip
@@ -189,16 +203,8 @@ def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: float, acr
     `along` and `across` are the end point in the robot frame, in cells, at most FAR_OFF; `limits` the table's rows and
     columns.
     """
-    zero, stride = np.float32(0.0), np.int32(limits[1])
-    top, right = np.float32(limits[0] - 1), np.float32(limits[1] - 1)
     for i in range(x.size):
-        u = x[i] + c[i] * along - s[i] * across
-        v = y[i] + s[i] * along + c[i] * across
-        u = u if u > zero else zero
-        u = u if u < right else right
-        v = v if v > zero else zero
-        v = v if v < top else top
-        out[i] = np.uint32(np.int32(v) * stride + np.int32(u))
+        out[i] = cell_of(x[i], y[i], c[i], s[i], along, across, limits)
 
 
 @kernel

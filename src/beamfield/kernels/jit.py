@@ -43,6 +43,11 @@ def fast_kernel(function: F) -> F:
     return _compiled(function, fastmath=True)
 
 
+def inlined_fast_kernel(function: F) -> F:
+    """Compile a scalar function into its callers, as `fast_kernel` would compile them."""
+    return _compiled(function, fastmath=True, forceinline=True)
+
+
 def fused_kernel(function: F) -> F:
     """Compile a kernel that may round a product and a sum with it once instead of twice; NaN and infinity stay.
 

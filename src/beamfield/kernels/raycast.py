@@ -333,6 +333,18 @@ def _place(
 
 
 @kernel
+def place_poses(poses: Floats, frame: tuple[float, float, float], resolution: float, out: Floats) -> None:
+    """Fill out (n, 4) with x, y, cos and sin of poses (n, 3) in the grid's frame, in cells."""
+    placed = np.zeros(4 * STRIDE)
+    for first in range(0, poses.shape[0], BLOCK):
+        count = min(BLOCK, poses.shape[0] - first)
+        _place(poses, frame, resolution, first, count, placed)
+        for b in range(count):
+            for row in range(4):
+                out[first + b, row] = placed[row * STRIDE + b]
+
+
+@kernel
 def _aim(
     ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
 ) -> None:

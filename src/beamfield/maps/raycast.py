@@ -13,6 +13,8 @@ from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels import raycast as kernels
+from beamfield.kernels.beam import BeamView
+from beamfield.kernels.device import require_device
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
@@ -48,11 +50,17 @@ class RayCaster:
         The map.
     unknown
         Whether rays pass through unknown cells ("free") or stop at them ("occupied").
+    device
+        Where `expected_ranges` and `cast` follow rays: "cpu", or "cuda", a GPU, with the same ranges (docs/raycasting.md).
+        Cells are found on the CPU.
 
     Raises
     ------
     InvalidInputError
-        If `unknown` is neither of the two, or the map has 2^29 cells or more.
+        If `unknown` is neither of the two, the map has 2^29 cells or more, or device is "cuda" and there is no GPU, or
+        one with too little free memory.
+    MissingDependencyError
+        If device is "cuda" and numba-cuda is not installed.
 
     Notes
     -----
@@ -72,13 +80,16 @@ class RayCaster:
 
     grid: OccupancyGrid
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
+    device: Literal["cpu", "cuda"] = field(default="cpu", kw_only=True)
     _rectangles: NDArray[np.uint16] = field(init=False, repr=False)
+    _on_device: Any = field(init=False, repr=False)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)
         require(self.unknown in ("free", "occupied"), "unknown", "'free' or 'occupied'", self.unknown)
+        require_device(self.device)
         rows, cols = self.grid.shape
         shape = (4, rows + 2, cols + 2)
         if np.prod(shape, dtype=np.float64) > MAX_TABLE_CELLS:
@@ -86,6 +97,7 @@ class RayCaster:
         rectangles = np.empty(shape, np.uint16)
         kernels.free_rectangles(self.grid.occupied if self.unknown == "free" else ~self.grid.free, rectangles)
         keep(self, _rectangles=rectangles)
+        self._upload()
 
     @property
     def table_bytes(self) -> int:
@@ -130,6 +142,9 @@ class RayCaster:
         rows, results = pose_rows(robots), ranges.reshape(-1)
         frame, terrain = frame_of(self.grid), self._terrain(finder.max_range)
         fan, same_mount = _fan(finder, self.grid.resolution)
+        if self.device == "cuda":
+            self._cast_on_device(rows, fan, terrain, results)
+            return ranges
 
         def work(start: int, stop: int) -> None:
             part = results[start * k : stop * k]
@@ -194,6 +209,9 @@ class RayCaster:
         ranges: FloatArray = np.empty(rays.shape[:-1])
         rows, results = pose_rows(rays), ranges.reshape(-1)
         frame, terrain = frame_of(self.grid), self._terrain(max_range)
+        if self.device == "cuda":
+            self._cast_on_device(rows, kernels.one_beam(), terrain, results)
+            return ranges
 
         def work(start: int, stop: int) -> None:
             kernels.cast_rays(rows[start:stop], frame, terrain, results[start:stop])
@@ -231,10 +249,57 @@ class RayCaster:
         run_in_blocks(work, len(rows))
         return cells
 
+    def fill_sums_on_device(
+        self, poses: FloatArray, finder: RangeFinder, ranges: FloatArray, view: BeamView, out: FloatArray
+    ) -> None:
+        """Fill in a beam model's sums over beams at poses; device "cuda" only, where expected ranges then stay.
+
+        Parameters
+        ----------
+        poses
+            (n, 3) robot poses, metres and radians.
+        finder
+            The sensor, of k beams.
+        ranges
+            (k,) readings in metres, counted from `view.min_range`.
+        view
+            Parameters of the mixture (6.12), as kernels take them.
+        out
+            (n,) nats, overwritten.
+        """
+        from beamfield.kernels import cuda_raycast
+
+        fan, _ = _fan(finder, self.grid.resolution)
+        terrain = self._terrain(finder.max_range)._replace(table=self._on_device)
+        frame = frame_of(self.grid)
+        cuda_raycast.fill_scan_log_likelihood(pose_rows(poses), frame, fan, terrain, ranges, view, out)
+
+    def _cast_on_device(
+        self, rows: FloatArray, fan: FloatArray, terrain: kernels.Terrain, results: FloatArray
+    ) -> None:
+        from beamfield.kernels import cuda_raycast
+
+        terrain = terrain._replace(table=self._on_device)
+        cuda_raycast.cast_fan(rows, frame_of(self.grid), fan, terrain, results)
+
+    def _upload(self) -> None:
+        table = None
+        if self.device == "cuda":
+            from beamfield.kernels.cuda_target import upload
+
+            table = upload(self._rectangles.reshape(-1))
+        keep(self, _on_device=table)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is in a GPU's memory."""
+        return {name: value for name, value in self.__dict__.items() if name != "_on_device"}
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Arrays come back writeable, which would also be another type to the compiler.
         self.__dict__.update(state)
         self._rectangles.flags.writeable = False
+        require_device(self.device)
+        self._upload()
 
     def _terrain(self, max_range: float) -> kernels.Terrain:
         require(0.0 < max_range < np.inf, "max_range", "a positive finite number of metres", max_range)

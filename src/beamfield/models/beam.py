@@ -9,10 +9,13 @@ import numpy as np
 
 from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
+from beamfield.geometry import FloatArray
+from beamfield.kernels.device import require_device
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_density import (
     CAUSES,
+    as_view,
     beam_cdf,
     beam_components,
     beam_log_density,
@@ -21,8 +24,9 @@ from beamfield.models.beam_density import (
 )
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
+from beamfield.models.blind_zone import counted_from
 from beamfield.models.range_mixture import GridCaster, RangeMixtureModel, RangeSource
-from beamfield.sensors import RangeFinder
+from beamfield.sensors import RangeFinder, Scan
 from beamfield.short_repr import short_repr
 
 __all__ = [
@@ -70,11 +74,17 @@ class BeamModel(RangeMixtureModel):
     caster
         Where the expected ranges come from: a `RayCaster` that is there already, or a `RangeTable`, which is quicker
         for very many poses and less exact (6.3.4); None: a new `RayCaster`.
+    device
+        Where `log_likelihood` is computed: "cpu", or "cuda", a GPU (docs/raycasting.md), where `expected` casts too. All else
+        is computed on the CPU.
 
     Raises
     ------
     InvalidInputError
-        If the exponent is not positive and finite, n_beams < 1, or the caster is of another map or stops elsewhere.
+        If the exponent is not positive and finite, n_beams < 1, the caster is of another map or stops elsewhere; or if
+        device is "cuda" and there is no GPU, or the caster is not a `RayCaster` there.
+    MissingDependencyError
+        If device is "cuda" and numba-cuda is not installed.
 
     Notes
     -----
@@ -112,17 +122,31 @@ class BeamModel(RangeMixtureModel):
     unknown: Literal["free", "occupied"] = field(default="free", kw_only=True)
     finder: RangeFinder | None = field(default=None, kw_only=True)
     caster: GridCaster | None = field(default=None, kw_only=True)
+    device: Literal["cpu", "cuda"] = field(default="cpu", kw_only=True)
     _source: RangeSource = field(init=False, repr=False)
 
     __repr__ = short_repr
 
     def _make_source(self) -> RangeSource:
+        require_device(self.device)
         if self.caster is None:
-            return RayCaster(self.grid, unknown=self.unknown)
+            return RayCaster(self.grid, unknown=self.unknown, device=self.device)
+        if self.device == "cuda" and getattr(self.caster, "device", "cpu") != "cuda":
+            raise InvalidInputError("caster: expected a RayCaster with device='cuda', or None, for device='cuda'")
         require(self.caster.unknown == self.unknown, "caster", f"unknown={self.unknown!r}", self.caster.unknown)
         if not _are_same(self.caster.grid, self.grid):
             raise InvalidInputError("caster: expected one of the model's grid, got one of another map")
         return self.caster
+
+    def _add_up(self, scan: Scan, poses: FloatArray, out: FloatArray) -> None:
+        caster = self._source
+        if self.device == "cpu" or not isinstance(caster, RayCaster):
+            super()._add_up(scan, poses, out)
+            return
+        finder = scan.finder
+        view = as_view(self.parameters, finder.max_range, finder.min_range)
+        ranges = counted_from(finder.min_range, scan.ranges, finder.max_range)
+        caster.fill_sums_on_device(poses, finder, ranges, view, out)
 
 
 def _are_same(one: OccupancyGrid, other: OccupancyGrid) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ class FieldTables:
         self.centred = self._make_frame(0.5)
         """How the map frame becomes positions from the first centre of the table of distances."""
         self._tables: dict[float, Table] = {}
+        self._on_device: dict[float, tuple[Table, Any]] = {}
         self._smooth: smooth_field.Table | None = None
         self._smooth_views: dict[float, smooth_field.SmoothView] = {}
         self._lock = threading.Lock()
@@ -110,6 +111,19 @@ class FieldTables:
                         del self._tables[next(iter(self._tables))]
                     self._tables[max_range] = table
         return table
+
+    def table_on_device(self, max_range: float) -> tuple[Table, Any]:
+        """Return the table for scans with this limit, and its codes in the GPU's memory, flat."""
+        kept = self._on_device.get(max_range)
+        if kept is None:
+            from beamfield.kernels.cuda_target import upload
+
+            table = self.table(max_range)
+            with self._lock:
+                while len(self._on_device) >= MAX_TABLES:
+                    del self._on_device[next(iter(self._on_device))]
+                kept = self._on_device[max_range] = table, upload(table.codes.ravel())
+        return kept
 
     def _make_smooth_view(self, max_range: float) -> smooth_field.SmoothView:
         p, view = self._parameters, self.view(max_range)

@@ -15,6 +15,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses
 from beamfield.kernels import field as kernels
 from beamfield.kernels import smooth_field
+from beamfield.kernels.device import require_device
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
@@ -95,12 +96,18 @@ class LikelihoodFieldModel:
     n_beams
         Use only so many beams of each scan: about equally spaced among those that have an end point, so that NaN, too
         close and max-range readings do not use up the number. None: all, or what the parameters bring.
+    device
+        Where `log_likelihood` looks up: "cpu", or "cuda", a GPU, for "nearest" only (docs/raycasting.md). All else is computed
+        on the CPU.
 
     Raises
     ------
     InvalidInputError
-        If the exponent is not positive and finite, n_beams < 1, an option has no such value, or max_distance is not
-        finite or shorter than a cell, so that all places off the obstacles would be alike.
+        If the exponent is not positive and finite, n_beams < 1, an option has no such value, max_distance is not
+        finite or shorter than a cell, so that all places off the obstacles would be alike, or device is "cuda" and
+        there is no GPU.
+    MissingDependencyError
+        If device is "cuda" and numba-cuda is not installed.
 
     Notes
     -----
@@ -149,6 +156,7 @@ class LikelihoodFieldModel:
     interpolation: Literal["nearest", "bilinear"] = field(default="nearest", kw_only=True)
     exponent: float = field(default=None, kw_only=True)  # type: ignore[assignment]  # the same
     n_beams: int | None = field(default=None, kw_only=True)
+    device: Literal["cpu", "cuda"] = field(default="cpu", kw_only=True)
     _tables: FieldTables = field(init=False, repr=False)
 
     __repr__ = short_repr
@@ -161,6 +169,9 @@ class LikelihoodFieldModel:
         for name, known in (("unknown", ("free", "uniform")), ("interpolation", ("nearest", "bilinear"))):
             if getattr(self, name) not in known:
                 raise InvalidInputError(f"{name}: expected {known[0]!r} or {known[1]!r}, got {getattr(self, name)!r}")
+        require_device(self.device)
+        if self.device == "cuda" and self.interpolation != "nearest":
+            raise InvalidInputError(f"interpolation: device='cuda' needs 'nearest', got {self.interpolation!r}")
         if self.distances is None:
             made = _distances_for(self.grid, self.parameters, max_distance, only_boundaries, off_map)
             keep(self, distances=made)
@@ -185,7 +196,7 @@ class LikelihoodFieldModel:
         parameters
             As for the class.
         **options
-            unknown, interpolation, exponent and n_beams of the class.
+            unknown, interpolation, exponent, n_beams and device of the class.
         """
         return cls(distances.grid, parameters, distances=distances, **options)
 
@@ -222,7 +233,9 @@ class LikelihoodFieldModel:
             If the poses are not finite (..., 3).
         """
         table = self._tables.table(z.finder.max_range) if self.interpolation == "nearest" else None
-        if table is None or table.has_impossible:
+        if self.device == "cuda":
+            total = self._sums_on_device(z, as_poses(poses))
+        elif table is None or table.has_impossible:
             total = self._sums(z, as_poses(poses))
         else:
             total = self._code_sums(z, table, poses)
@@ -395,6 +408,18 @@ class LikelihoodFieldModel:
             if n_factors:
                 work = lambda flat, out: smooth_field.fill_sums(flat, frame, ends, smooth, view, n_factors, out)  # noqa: E731
         self._run(work, robot, total.reshape(-1), ends.shape[1])
+        return total
+
+    def _sums_on_device(self, scan: Scan, robot: FloatArray) -> FloatArray:
+        """Return the sums over beams, looked up on the GPU."""
+        from beamfield.kernels import cuda_field
+
+        table, codes = self._tables.table_on_device(scan.finder.max_range)
+        _, ends = self._end_points(scan)
+        total, flat = np.zeros(robot.shape[:-1]), np.ascontiguousarray(robot.reshape(-1, 3))
+        if ends.size:
+            singles, frame, sums = ends.astype(np.float32), self._tables.framed, total.reshape(-1)
+            cuda_field.fill_scan_sums(flat, frame, singles, codes, table.codes.shape, table.low, table.step, sums)
         return total
 
     def _values(self, max_range: float, ends: FloatArray) -> Fill:

@@ -1,0 +1,77 @@
+"""Numba's CUDA target: the CPU kernels' own Python source compiled for it, and tables in its memory.
+
+Loaded only after `require_device("cuda")`. In Numba's CUDA simulator the same source runs as Python.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba import config, cuda
+from numba.core.dispatcher import Dispatcher
+from numpy.typing import NDArray
+
+from beamfield.errors import InvalidInputError
+
+THREADS_PER_BLOCK = 128
+
+if config.ENABLE_CUDASIM:
+    product: Callable[[float, float], float] = operator.mul
+else:
+    from numba.cuda import libdevice
+
+    # A product that is rounded on its own, as on the CPU: the compiler would fuse `a * b + c`.
+    product = libdevice.dmul_rn
+
+
+@cache
+def on_device(kernel: Any) -> Any:
+    """Return a CPU kernel, and whatever it calls, compiled for the GPU from the same source.
+
+    The one change is `np.floor`, which Numba does not have there: it becomes the GPU's own.
+    """
+    source = kernel.py_func
+    known = source.__globals__
+    names = {name: _on_device_too(known[name]) for name in source.__code__.co_names if name in known}
+    copy = FunctionType(source.__code__, names, source.__name__, source.__defaults__)
+    return copy if config.ENABLE_CUDASIM else cuda.jit(device=True)(copy)
+
+
+def upload(table: NDArray[Any]) -> Any:
+    """Return a table in the GPU's memory.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is too little of it.
+    """
+    free = cuda.current_context().get_memory_info().free if not config.ENABLE_CUDASIM else np.inf
+    if table.nbytes > free:
+        raise InvalidInputError(f"device: expected {table.nbytes} bytes of free memory on the GPU, got {free}")
+    return cuda.to_device(table)
+
+
+def launch(kernel: Any, n: int, *args: Any) -> None:
+    """Run a kernel in n threads or a few more."""
+    if n > 0:
+        kernel[(n + THREADS_PER_BLOCK - 1) // THREADS_PER_BLOCK, THREADS_PER_BLOCK](*args)
+
+
+def _on_device_too(value: Any) -> Any:
+    """Return what a kernel's global name stands for on the device."""
+    if value is np and not config.ENABLE_CUDASIM:
+        return _numpy_on_device()
+    return on_device(value) if isinstance(value, Dispatcher) else value
+
+
+@cache
+def _numpy_on_device() -> ModuleType:
+    module = ModuleType("numpy_on_device")
+    module.__dict__.update({name: value for name, value in vars(np).items() if not name.startswith("__")})
+    module.__dict__["floor"] = libdevice.floor
+    return module

@@ -1,0 +1,43 @@
+"""Which processor computes: "cpu", or "cuda" where Numba finds a GPU."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Literal
+
+from numba import config
+
+from beamfield.errors import InvalidInputError, MissingDependencyError
+
+Device = Literal["cpu", "cuda"]
+# What installs Numba's CUDA target, and the extra of beamfield that asks for it.
+PACKAGE, EXTRA = "numba-cuda[cu12]", "cuda"
+
+
+def require_device(device: str) -> None:
+    """Raise unless the processor is there; nothing of CUDA is loaded for "cpu".
+
+    Parameters
+    ----------
+    device
+        "cpu" or "cuda".
+
+    Raises
+    ------
+    InvalidInputError
+        If it is neither, or there is no GPU.
+    MissingDependencyError
+        If numba-cuda is not installed. Numba's CUDA simulator (NUMBA_ENABLE_CUDASIM=1) needs neither it nor a GPU.
+    """
+    if device not in ("cpu", "cuda"):
+        raise InvalidInputError(f"device: expected 'cpu' or 'cuda', got {device!r}")
+    if device == "cpu":
+        return
+    if not config.ENABLE_CUDASIM and find_spec("numba_cuda") is None:
+        raise MissingDependencyError(PACKAGE, EXTRA, "device='cuda'")
+    try:
+        from numba import cuda
+    except ImportError as error:
+        raise MissingDependencyError(PACKAGE, EXTRA, "device='cuda'") from error
+    if not cuda.is_available():
+        raise InvalidInputError("device: expected a GPU and its driver for 'cuda', found none; device='cpu' needs none")

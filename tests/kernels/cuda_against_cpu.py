@@ -1,0 +1,86 @@
+"""Run by `test_cuda` in Numba's CUDA simulator: how far results of device="cuda" are from the CPU's, as JSON."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import sys
+
+import numpy as np
+
+import beamfield as bf
+
+ROOM = """
+########################
+#......................#
+#......................#
+#...##.................#
+#...##........#........#
+#..............#.......#
+#..................????#
+#.....#............????#
+#.......................
+########################
+"""
+
+
+def results() -> dict[str, float]:
+    cells = {"#": 100, ".": 0, "?": -1}
+    room = np.array([[cells[cell] for cell in row] for row in ROOM.split()])
+    grid = bf.OccupancyGrid.from_ros(room, resolution=0.1, origin=(0.3, -0.2, 0.4))
+    rng = np.random.default_rng(13)
+    poses = np.column_stack([rng.uniform(-0.5, 2.5, (24, 2)), rng.uniform(-9.0, 9.0, 24)])
+    # On a cell's corner; off the map; after many turns.
+    poses[:3] = (0.3, -0.2, 0.4 + np.pi / 4), (-9.0, -9.0, 0.8), (1.3, 0.7, 3e6)
+    mounts = np.column_stack([rng.uniform(-0.2, 0.2, (9, 2)), np.linspace(-2.0, 2.0, 9)])
+    finder = bf.RangeFinder(mounts, max_range=2.0, min_range=0.1)
+    scan = bf.Scan([np.nan, 2.5, 0.05, 0.3, 0.7, 1.0, 1.4, 1.9, 0.11], finder)
+    return _rays(grid, poses, finder) | _beam_model(grid, poses, scan) | _fields(grid, poses, scan)
+
+
+def _rays(grid: bf.OccupancyGrid, poses: np.ndarray, finder: bf.RangeFinder) -> dict[str, float]:
+    cpu = [bf.RayCaster(grid, unknown=unknown) for unknown in ("free", "occupied")]
+    found = {"CUDA is loaded for the CPU": int("beamfield.kernels.cuda_target" in sys.modules)}
+    gpu = [bf.RayCaster(grid, unknown=caster.unknown, device="cuda") for caster in cpu]
+    gpu[0] = pickle.loads(pickle.dumps(gpu[0]))
+    pairs = list(zip(cpu, gpu, strict=True))
+    fans = [(a.expected_ranges(poses, finder), b.expected_ranges(poses, finder)) for a, b in pairs]
+    single = [(a.cast(poses, 2.0), b.cast(poses, 2.0)) for a, b in pairs]
+    found["ranges that differ"] = sum(int(np.sum(a != b)) for a, b in fans + single)
+    found["ranges of walls"] = int(np.sum(fans[0][1] < 2.0))
+    return found
+
+
+def _beam_model(grid: bf.OccupancyGrid, poses: np.ndarray, scan: bf.Scan) -> dict[str, float]:
+    parameters = bf.BeamParameters(0.7, 0.1, 0.1, 0.1, sigma_hit=0.05, lambda_short=0.5)
+    certain = bf.BeamParameters(0.9, 0.0, 0.1, 0.0, sigma_hit=0.02, lambda_short=0.5)
+    found = {}
+    for name, given in (("mixture", parameters), ("only hits", certain)):
+        cpu, gpu = (bf.BeamModel(grid, given, exponent=0.5, n_beams=5, device=device) for device in ("cpu", "cuda"))
+        found[name] = _error(cpu.log_likelihood(scan, poses), gpu.log_likelihood(scan, poses))
+    return found
+
+
+def _fields(grid: bf.OccupancyGrid, poses: np.ndarray, scan: bf.Scan) -> dict[str, float]:
+    usual, certain = bf.LikelihoodFieldParameters(0.8, 0.2, 0.05), bf.LikelihoodFieldParameters(1.0, 0.0, 0.01)
+    found, impossible = {}, 0
+    for name, parameters, unknown in (("field", usual, "uniform"), ("impossible", certain, "free")):
+        cpu, gpu = (bf.LikelihoodFieldModel(grid, parameters, unknown=unknown, device=d) for d in ("cpu", "cuda"))
+        expected = cpu.log_likelihood(scan, poses)
+        found[name] = _error(expected, gpu.log_likelihood(scan, poses))
+        impossible += int(np.sum(expected == -np.inf))
+        empty = bf.Scan(np.full(scan.finder.n_beams, np.nan), scan.finder)
+        found[f"no scan, {name}"] = float(np.abs(gpu.log_likelihood(empty, poses)).max())
+    return found | {"scans that are impossible": impossible}
+
+
+def _error(expected: np.ndarray, got: np.ndarray) -> float:
+    """Return the largest difference, relative where numbers are large; inf if -inf is not at the same places."""
+    if not np.array_equal(np.isinf(expected), np.isinf(got)) or np.isnan(got).any():
+        return np.inf
+    finite = np.isfinite(expected)
+    return float(np.max(np.abs(expected[finite] - got[finite]) / np.maximum(1.0, np.abs(expected[finite]))))
+
+
+if __name__ == "__main__":
+    print(json.dumps(results()))  # noqa: T201

@@ -1,0 +1,85 @@
+"""device="cuda": its source in Numba's CUDA simulator against the CPU, and what is said where there is no GPU."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import cuda
+
+import beamfield as bf
+from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.kernels import device
+
+
+@pytest.fixture(scope="module")
+def in_simulator() -> dict[str, float]:
+    command = [sys.executable, "-W", "error", "-m", "tests.kernels.cuda_against_cpu"]
+    environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    result: dict[str, float] = json.loads(done.stdout)
+    return result
+
+
+def test_cuda_is_not_loaded_for_the_cpu(in_simulator: dict[str, float]) -> None:
+    assert in_simulator["CUDA is loaded for the CPU"] == 0
+
+
+def test_rays_have_the_same_bits(in_simulator: dict[str, float]) -> None:
+    assert in_simulator["ranges of walls"] > 50
+    assert in_simulator["ranges that differ"] == 0
+
+
+@pytest.mark.parametrize("name", ["mixture", "only hits"])
+def test_the_beam_model_is_the_same_to_the_last_digits(in_simulator: dict[str, float], name: str) -> None:
+    assert in_simulator[name] < 1e-12
+
+
+@pytest.mark.parametrize("name", ["field", "impossible"])
+def test_likelihood_fields_are_the_same_to_the_last_digits(in_simulator: dict[str, float], name: str) -> None:
+    assert in_simulator["scans that are impossible"] > 3
+    assert in_simulator[name] < 1e-12
+    assert in_simulator[f"no scan, {name}"] == 0.0
+
+
+@pytest.fixture
+def grid() -> bf.OccupancyGrid:
+    return bf.OccupancyGrid(np.array([[0.0, 1.0]]), resolution=1.0)
+
+
+def test_a_missing_package_is_named_at_selection(grid: bf.OccupancyGrid, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "find_spec", lambda _: None)
+    with pytest.raises(MissingDependencyError, match=r"device='cuda' needs .*numba-cuda.*beamfield\[cuda\]"):
+        bf.RayCaster(grid, device="cuda")
+
+
+def test_a_missing_gpu_is_told_at_selection(grid: bf.OccupancyGrid, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "find_spec", lambda name: name)
+    monkeypatch.setattr(cuda, "is_available", lambda: False)
+    parameters = bf.BeamParameters(0.7, 0.1, 0.1, 0.1, sigma_hit=0.05, lambda_short=0.5)
+    for make in (
+        lambda: bf.RayCaster(grid, device="cuda"),
+        lambda: bf.BeamModel(grid, parameters, device="cuda"),
+        lambda: bf.LikelihoodFieldModel(grid, bf.LikelihoodFieldParameters(0.8, 0.2, 0.05), device="cuda"),
+    ):
+        with pytest.raises(InvalidInputError, match="device: expected a GPU and its driver for 'cuda', found none"):
+            make()
+
+
+def test_options_that_a_gpu_has_not_are_refused(grid: bf.OccupancyGrid, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InvalidInputError, match="device: expected 'cpu' or 'cuda', got 'gpu'"):
+        bf.RayCaster(grid, device="gpu")  # type: ignore[arg-type]
+    monkeypatch.setattr("beamfield.models.likelihood_field.require_device", lambda _: None)
+    monkeypatch.setattr("beamfield.models.beam.require_device", lambda _: None)
+    with pytest.raises(InvalidInputError, match="interpolation: device='cuda' needs 'nearest', got 'bilinear'"):
+        parameters = bf.LikelihoodFieldParameters(0.8, 0.2, 0.05)
+        bf.LikelihoodFieldModel(grid, parameters, interpolation="bilinear", device="cuda")
+    with pytest.raises(InvalidInputError, match="caster: expected a RayCaster with device='cuda'"):
+        beams = bf.BeamParameters(0.7, 0.1, 0.1, 0.1, sigma_hit=0.05, lambda_short=0.5)
+        bf.BeamModel(grid, beams, caster=bf.RayCaster(grid), device="cuda")

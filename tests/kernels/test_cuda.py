@@ -77,9 +77,9 @@ def test_options_that_a_gpu_has_not_are_refused(grid: bf.OccupancyGrid, monkeypa
         bf.RayCaster(grid, device="gpu")  # type: ignore[arg-type]
     monkeypatch.setattr("beamfield.models.likelihood_field.require_device", lambda _: None)
     monkeypatch.setattr("beamfield.models.beam.require_device", lambda _: None)
+    parameters = bf.LikelihoodFieldParameters(0.8, 0.2, 0.05)
     with pytest.raises(InvalidInputError, match="interpolation: device='cuda' needs 'nearest', got 'bilinear'"):
-        parameters = bf.LikelihoodFieldParameters(0.8, 0.2, 0.05)
         bf.LikelihoodFieldModel(grid, parameters, interpolation="bilinear", device="cuda")
+    beams, on_cpu = bf.BeamParameters(0.7, 0.1, 0.1, 0.1, sigma_hit=0.05, lambda_short=0.5), bf.RayCaster(grid)
     with pytest.raises(InvalidInputError, match="caster: expected a RayCaster with device='cuda'"):
-        beams = bf.BeamParameters(0.7, 0.1, 0.1, 0.1, sigma_hit=0.05, lambda_short=0.5)
-        bf.BeamModel(grid, beams, caster=bf.RayCaster(grid), device="cuda")
+        bf.BeamModel(grid, beams, caster=on_cpu, device="cuda")

@@ -6,6 +6,8 @@ the same bits as the CPU's. (In the walk itself only the guess of `_edges_before
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,12 +15,13 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from beamfield.kernels import beam, raycast
+from beamfield.kernels.beam import BeamView
 from beamfield.kernels.cuda_target import launch, on_device, product
 from beamfield.kernels.elementary import split as cpu_split
+from beamfield.kernels.raycast import Terrain
 from beamfield.kernels.threads import run_in_blocks
 
 Floats = NDArray[np.float64]
-BeamView, Terrain = beam.BeamView, raycast.Terrain
 log_mixture, split, trace_ray = on_device(beam.log_mixture), on_device(cpu_split), on_device(raycast._trace_ray)
 
 # Rays whose ranges are in the GPU's memory at a time: 128 MB.
@@ -55,17 +58,23 @@ def fill_scan_log_likelihood(
         sums.copy_to_host(out[start:stop])
 
 
-def _placed_parts(poses: Floats, frame: tuple[float, float, float], resolution: float, k: int) -> Any:
+def _placed_parts(
+    poses: Floats, frame: tuple[float, float, float], resolution: float, k: int
+) -> Iterator[tuple[int, int, Any]]:
     """Yield start and stop of parts of the poses, and these poses placed, on the device."""
     step = max(1, RAYS_TOGETHER // k)
     for start in range(0, len(poses), step):
         part = poses[start : start + step]
         placed = np.empty((len(part), 4))
-        run_in_blocks(
-            lambda a, b, part=part, placed=placed: raycast.place_poses(part[a:b], frame, resolution, placed[a:b]),
-            len(part), work_per_row=1.0 / PLACED_PER_WORK_UNIT,
-        )  # fmt: skip
+        work = partial(_place, part, frame, resolution, placed)
+        run_in_blocks(work, len(part), work_per_row=1.0 / PLACED_PER_WORK_UNIT)
         yield start, start + len(part), cuda.to_device(placed)
+
+
+def _place(
+    poses: Floats, frame: tuple[float, float, float], resolution: float, out: Floats, start: int, stop: int
+) -> None:
+    raycast.place_poses(poses[start:stop], frame, resolution, out[start:stop])
 
 
 @cuda.jit(device=True)

@@ -12,15 +12,16 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
-from numba import config, cuda
+from numba import cuda
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import NDArray
 
 from beamfield.errors import InvalidInputError
+from beamfield.kernels.device import IN_SIMULATOR
 
 THREADS_PER_BLOCK = 128
 
-if config.ENABLE_CUDASIM:
+if IN_SIMULATOR:
     product: Callable[[float, float], float] = operator.mul
 else:
     from numba.cuda import libdevice
@@ -39,7 +40,7 @@ def on_device(kernel: Any) -> Any:
     known = source.__globals__
     names = {name: _on_device_too(known[name]) for name in source.__code__.co_names if name in known}
     copy = FunctionType(source.__code__, names, source.__name__, source.__defaults__)
-    return copy if config.ENABLE_CUDASIM else cuda.jit(device=True)(copy)
+    return copy if IN_SIMULATOR else cuda.jit(device=True)(copy)
 
 
 def upload(table: NDArray[Any]) -> Any:
@@ -50,7 +51,7 @@ def upload(table: NDArray[Any]) -> Any:
     InvalidInputError
         If there is too little of it.
     """
-    free = cuda.current_context().get_memory_info().free if not config.ENABLE_CUDASIM else np.inf
+    free = cuda.current_context().get_memory_info().free if not IN_SIMULATOR else np.inf
     if table.nbytes > free:
         raise InvalidInputError(f"device: expected {table.nbytes} bytes of free memory on the GPU, got {free}")
     return cuda.to_device(table)
@@ -64,7 +65,7 @@ def launch(kernel: Any, n: int, *args: Any) -> None:
 
 def _on_device_too(value: Any) -> Any:
     """Return what a kernel's global name stands for on the device."""
-    if value is np and not config.ENABLE_CUDASIM:
+    if value is np and not IN_SIMULATOR:
         return _numpy_on_device()
     return on_device(value) if isinstance(value, Dispatcher) else value
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import Literal
 
 from numba import config
 
 from beamfield.errors import InvalidInputError, MissingDependencyError
 
-Device = Literal["cpu", "cuda"]
+# Whether Numba runs device code as Python (NUMBA_ENABLE_CUDASIM=1), which needs no GPU.
+IN_SIMULATOR = bool(vars(config)["ENABLE_CUDASIM"])
 # What installs Numba's CUDA target, and the extra of beamfield that asks for it.
 PACKAGE, EXTRA = "numba-cuda[cu12]", "cuda"
 
@@ -33,7 +33,7 @@ def require_device(device: str) -> None:
         raise InvalidInputError(f"device: expected 'cpu' or 'cuda', got {device!r}")
     if device == "cpu":
         return
-    if not config.ENABLE_CUDASIM and find_spec("numba_cuda") is None:
+    if not IN_SIMULATOR and find_spec("numba_cuda") is None:
         raise MissingDependencyError(PACKAGE, EXTRA, "device='cuda'")
     try:
         from numba import cuda

@@ -182,7 +182,8 @@ def place_unusual(poses: Floats, heading: Floats, x: Singles, y: Singles, c: Sin
 
 
 @inlined_fast_kernel
-def cell_of(x: float, y: float, c: float, s: float, along: float, across: float, limits: tuple[int, int]) -> int:
+def cell_of(x: np.float32, y: np.float32, c: np.float32, s: np.float32, along: np.float32, across: np.float32,
+            limits: tuple[int, int]) -> np.uint32:  # fmt: skip
     """Return the index of the cell that holds the end point of a beam (6.32); see `fill_cells`."""
     zero, stride = np.float32(0.0), np.int32(limits[1])
     top, right = np.float32(limits[0] - 1), np.float32(limits[1] - 1)
@@ -196,8 +197,8 @@ def cell_of(x: float, y: float, c: float, s: float, along: float, across: float,
 
 
 @fast_kernel
-def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: float, across: float, limits: tuple[int, int],
-               out: NDArray[np.uint32]) -> None:  # fmt: skip
+def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: np.float32, across: np.float32,
+               limits: tuple[int, int], out: NDArray[np.uint32]) -> None:  # fmt: skip
     """Fill out (n,) with the index of the cell that holds the end point of one beam (6.32), seen from n poses.
 
     `along` and `across` are the end point in the robot frame, in cells, at most FAR_OFF; `limits` the table's rows and

@@ -51,8 +51,8 @@ class RayCaster:
     unknown
         Whether rays pass through unknown cells ("free") or stop at them ("occupied").
     device
-        Where `expected_ranges` and `cast` follow rays: "cpu", or "cuda", a GPU, with the same ranges (docs/raycasting.md).
-        Cells are found on the CPU.
+        Where `expected_ranges` and `cast` follow rays: "cpu", or "cuda", a GPU, with the same ranges
+        (docs/raycasting.md). Cells are found on the CPU.
 
     Raises
     ------
@@ -274,9 +274,7 @@ class RayCaster:
         frame = frame_of(self.grid)
         cuda_raycast.fill_scan_log_likelihood(pose_rows(poses), frame, fan, terrain, ranges, view, out)
 
-    def _cast_on_device(
-        self, rows: FloatArray, fan: FloatArray, terrain: kernels.Terrain, results: FloatArray
-    ) -> None:
+    def _cast_on_device(self, rows: FloatArray, fan: FloatArray, terrain: kernels.Terrain, results: FloatArray) -> None:
         from beamfield.kernels import cuda_raycast
 
         terrain = terrain._replace(table=self._on_device)

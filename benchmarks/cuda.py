@@ -1,0 +1,153 @@
+"""device="cuda" beside the CPU: `python benchmarks/cuda.py [POSES]`; without a GPU it says that nothing was measured.
+
+The map is the building of `raycast.py`, with 60 beams at each pose. *Whole* is a call with poses and results in the
+host's memory; *kernel* what the GPU does of it, on what is in its memory already. The share of the bandwidth counts 32
+bytes, the least that memory hands out, for each look-up or jump: near 1 memory is the limit, beyond 1 the caches
+serve, far below it instructions are the limit. Compiling comes before and is timed apart.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numba import cuda
+
+import beamfield as bf
+from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.kernels.device import IN_SIMULATOR, require_device
+
+if __package__:
+    from benchmarks import raycast
+    from benchmarks.tables import least_seconds, print_table
+else:
+    import raycast
+    from tables import least_seconds, print_table
+
+SECTOR_BYTES = 32
+# Of a ray in that building; see docs/raycasting.md.
+JUMPS_PER_RAY = 2.4
+COPIED_BYTES = 2**30
+
+
+def main(n_poses: int) -> None:
+    """Print the table, or why there is none."""
+    try:
+        require_device("cuda")
+    except (InvalidInputError, MissingDependencyError) as error:
+        print(f"Not measured: {error}")
+        return
+    if IN_SIMULATOR:
+        print("Not measured: NUMBA_ENABLE_CUDASIM is set, and times of the simulator mean nothing.")
+        return
+    print(f"{cuda.get_current_device().name.decode()}, {n_poses} poses, {raycast.N_BEAMS} beams\n")
+    print_table(list(run(n_poses)), digits=3)
+
+
+def run(n_poses: int) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the table."""
+    rng = np.random.default_rng(1)
+    occupied = raycast.building(rng)
+    grid = bf.OccupancyGrid(occupied.astype(np.float32), raycast.RESOLUTION)
+    half = raycast.FIELD_OF_VIEW / 2
+    finder = bf.RangeFinder.from_bearings(np.linspace(-half, half, raycast.N_BEAMS), raycast.MAX_RANGE)
+    row, col = np.nonzero(~occupied)
+    place = rng.integers(0, len(row), n_poses)
+    xy = (np.column_stack([col, row])[place] + rng.random((n_poses, 2))) * raycast.RESOLUTION
+    poses = np.column_stack([xy, rng.uniform(-np.pi, np.pi, n_poses)])
+    beams = bf.BeamParameters(0.7, 0.1, 0.1, 0.1, sigma_hit=0.1, lambda_short=0.5)
+    usual = bf.LikelihoodFieldParameters(0.8, 0.2, 0.1)
+    casters = [bf.RayCaster(grid, device=device) for device in ("cpu", "cuda")]
+    # Without noise, end points would lie on borders of cells, where rounding alone chooses the cell that is read.
+    noise = rng.normal(0.0, 0.02, raycast.N_BEAMS)
+    scan = bf.Scan(np.maximum(casters[0].expected_ranges(poses[0], finder) + noise, 0.0), finder)
+    models = [bf.BeamModel(grid, beams, caster=caster, device=caster.device) for caster in casters]
+    fields = [bf.LikelihoodFieldModel(grid, usual, device=device) for device in ("cpu", "cuda")]
+    bandwidth = _bandwidth()
+    work: dict[str, tuple[list[Callable[[], Any]], Callable[[], Any] | None, float]] = {
+        "rays": (
+            [lambda c=c: c.expected_ranges(poses, finder) for c in casters],
+            _cast_alone(casters[1], poses, finder),
+            JUMPS_PER_RAY,
+        ),
+        "beam model": ([lambda m=m: m.log_likelihood(scan, poses) for m in models], None, JUMPS_PER_RAY),
+        "field look-ups": (
+            [lambda f=f: f.log_likelihood(scan, poses) for f in fields],
+            _look_up_alone(fields[1], scan, poses),
+            1.0,
+        ),
+    }
+    for name, ((on_cpu, on_gpu), alone, loads) in work.items():
+        yield _row(name, on_cpu, on_gpu, alone, loads, n_poses * raycast.N_BEAMS, bandwidth)
+
+
+def _row(
+    name: str, on_cpu: Callable[[], Any], on_gpu: Callable[[], Any], alone: Callable[[], Any] | None, loads: float,
+    n: int, bandwidth: float,
+) -> dict[str, Any]:  # fmt: skip
+    start = time.perf_counter()
+    result = on_gpu()
+    first = time.perf_counter() - start
+    error = np.max(np.abs(result - on_cpu()))
+    seconds = {"CPU": least_seconds(on_cpu, 3), "whole": least_seconds(on_gpu, 7)}
+    if alone is not None:
+        seconds["kernel"] = least_seconds(alone, 7)
+    row = {"what": name, **{f"{what} [10^9/s]": n / s / 1e9 for what, s in seconds.items()}}
+    share = n / seconds["kernel"] * loads * SECTOR_BYTES / bandwidth if alone is not None else ""
+    return row | {"largest difference": float(error), "first call [s]": first, "share of bandwidth": share}
+
+
+def _cast_alone(caster: bf.RayCaster, poses: np.ndarray, finder: bf.RangeFinder) -> Callable[[], None]:
+    """Return a call that casts at as many of the poses as are in the GPU's memory at a time, and repeats it for all."""
+    from beamfield.kernels import cuda_raycast
+    from beamfield.kernels.cuda_target import launch
+    from beamfield.maps.raycast import _fan, frame_of
+
+    fan, _ = _fan(finder, caster.grid.resolution)
+    terrain = caster._terrain(finder.max_range)._replace(table=caster._on_device)
+    parts = list(cuda_raycast._placed_parts(poses, frame_of(caster.grid), terrain.resolution, finder.n_beams))
+    sensor = cuda.to_device(fan)
+    outs = [cuda.device_array((stop - start) * finder.n_beams, np.float64) for start, stop, _ in parts]
+
+    def call() -> None:
+        for (_, _, placed), out in zip(parts, outs, strict=True):
+            launch(cuda_raycast._cast, out.size, placed, sensor, *terrain, out)
+        cuda.synchronize()
+
+    return call
+
+
+def _look_up_alone(model: bf.LikelihoodFieldModel, scan: bf.Scan, poses: np.ndarray) -> Callable[[], None]:
+    """Return a call that adds up codes at all poses."""
+    from beamfield.kernels import cuda_field
+    from beamfield.kernels.cuda_target import launch
+
+    table, codes = model._tables.table_on_device(scan.finder.max_range)
+    _, ends = model._end_points(scan)
+    placed = cuda.to_device(cuda_field._placed(poses, model._tables.framed))
+    beams, sums = cuda.to_device(ends.astype(np.float32)), cuda.device_array(len(poses), np.float64)
+
+    def call() -> None:
+        rest = codes, table.codes.shape, table.low, table.step, sums
+        launch(cuda_field._add_codes, len(poses), placed, beams, *rest)
+        cuda.synchronize()
+
+    return call
+
+
+def _bandwidth() -> float:
+    """Return how many bytes per second the GPU's memory reads and writes in a copy."""
+    source, target = (cuda.device_array(COPIED_BYTES, np.uint8) for _ in range(2))
+
+    def copy() -> None:
+        target.copy_to_device(source)
+        cuda.synchronize()
+
+    return 2 * COPIED_BYTES / least_seconds(copy, 5)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200_000)

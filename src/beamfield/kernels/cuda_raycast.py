@@ -1,7 +1,8 @@
 """Ray casting on a GPU, one ray a thread: `raycast._trace_ray`, the exact walk in float64, from the same source.
 
-Poses are placed by the CPU's kernel, and no product is fused with a sum where that could change a ray: so ranges have
-the same bits as the CPU's. (In the walk itself only the guess of `_edges_before` could be fused, and it is corrected.)
+Poses are placed by the CPU's kernel, and no product that makes a ray is fused with a sum: so ranges have the same bits
+as the CPU's. In the walk, fusing may change the guess of `_edges_before`, which is corrected, and the last digit of the
+difference that is compared with TIE.
 """
 
 from __future__ import annotations

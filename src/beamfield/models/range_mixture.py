@@ -128,7 +128,8 @@ class RangeMixtureModel(ABC):
         flat = robot.reshape(-1, 3)
         total: FloatArray = np.zeros(len(flat))
         if len(beams) and len(flat):
-            self._add_up(z if len(beams) == z.finder.n_beams else z.subset(beams), flat, total)
+            # By the shape, not the number: a log of scans, which is refused, must not reach the kernels.
+            self._add_up(z if z.ranges.shape == beams.shape else z.subset(beams), flat, total)
         return (self.exponent * total).reshape(robot.shape[:-1])
 
     @checked

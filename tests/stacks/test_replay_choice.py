@@ -12,7 +12,7 @@ import pytest
 from beamfield.calibration.odometry.windows import update_scans
 from beamfield.cli.calibrate_replay import replay_fit
 from beamfield.errors import TooLittleDataError
-from beamfield.localization.replay import ReplayErrors
+from beamfield.localization.replay import MEASURES, ReplayErrors
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.models.beam_parameters import BeamParameters
@@ -27,6 +27,7 @@ from beamfield.stacks.f1tenth.motion import F1tenthMotion
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.fit import replay_choice
+from beamfield.stacks.fit.kept_runs import KeptRuns, kept_runs
 from beamfield.stacks.fit.motion_candidates import motion_candidates
 from beamfield.stacks.fit.replay_choice import (
     ReplayOptions,
@@ -121,13 +122,52 @@ def test_seeds_that_are_missing_are_run_and_no_others(office, segments, monkeypa
         return run_trials(replayed, log, seeds, name=name)
 
     monkeypatch.setattr(replay_choice, "run_trials", counted)
-    stepwise, at_once = (_Replays(segments.choosing, ["a"], office, replace(FEW, seed=7)) for _ in range(2))
+    stepwise, at_once = (_Replays(segments.choosing, ["a"], office, replace(FEW, seed=7), KeptRuns()) for _ in range(2))
     first = stepwise.of([own], 1)[own.key]
     (grown,), (whole,) = stepwise.of([own], 3)[own.key], at_once.of([own], 3)[own.key]
     assert runs == [7, 8, 9, 7, 8, 9]
     assert grown.seeds == whole.seeds
     np.testing.assert_array_equal(grown.column("mean"), whole.column("mean"))
     assert first[0].seeds == stepwise.of([own], 1)[own.key][0].seeds == (7,)
+
+
+def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, segments, tmp_path, monkeypatch):
+    before, motions = nav2_filter(**ABSURD), {"before": {}, "alpha 0.02": GOOD}
+    inputs = before, {"before": SENSOR}, motions, 0.5 * office.resolution, segments, office, FEW
+    runs: list[int] = []
+
+    def counted(replayed, log, seeds, *, name):
+        runs.extend(seeds)
+        return run_trials(replayed, log, seeds, name=name)
+
+    def interrupt(stage: str, done: int, _: int) -> None:
+        if (stage, done) == ("replay: judging the choice", 1):
+            raise KeyboardInterrupt
+
+    def choose(given=inputs, progress=None):
+        runs.clear()
+        with kept_runs(tmp_path / "cache", given) as kept:
+            return choose_by_replay(*given, progress, kept)
+
+    monkeypatch.setattr(replay_choice, "run_trials", counted)
+    with pytest.raises(KeyboardInterrupt):
+        choose(progress=interrupt)
+    begun = len(runs)
+    (left,) = (tmp_path / "cache").iterdir()
+    content = left.read_bytes()
+    resumed = choose()
+    assert 0 < len(runs) < begun
+    assert not list((tmp_path / "cache").iterdir())
+    for measure in set(MEASURES) - {"update_ms"}:
+        for one, other in zip(repaired.trials_finalist, resumed.trials_finalist, strict=True):
+            np.testing.assert_array_equal(one.column(measure), other.column(measure))
+    assert replay_as_dict(resumed) == replay_as_dict(repaired)
+    # Other inputs find nothing, and leave alone what is not theirs.
+    left.write_bytes(content)
+    other = repaired.trials_finalist[0]
+    with kept_runs(tmp_path / "cache", (*inputs[:-1], replace(FEW, seed=1))) as kept:
+        assert kept.of(("stretch 1", ("before", "before", 0.0), range(2)), lambda: other) is other
+    assert left.read_bytes() == content
 
 
 def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):

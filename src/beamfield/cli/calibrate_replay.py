@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import FormatError, TooLittleDataError
@@ -45,6 +46,7 @@ def replay_fit(
     `learned` is the motion noise that was asked for with --odometry-noise: it is then the only other one.
     """
     from beamfield.calibration.pose_windows import REFERENCE_LEVER
+    from beamfield.stacks.fit.kept_runs import kept_runs
     from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED, motion_candidates
     from beamfield.stacks.fit.replay_choice import choose_by_replay, replay_options
     from beamfield.stacks.fit.replay_segments import cut_segments
@@ -69,10 +71,10 @@ def replay_fit(
     sensors = {BEFORE: fit.before.parameters}
     if fit.chosen is not fit.before:
         sensors["fitted"] = fit.parameters
+    inputs = before, sensors, motions, _shift(job, before, grid), segments, grid, options
     try:
-        choice = choose_by_replay(
-            before, sensors, motions, _shift(job, before, grid), segments, grid, options, job.progress
-        )
+        with kept_runs(_cache_folder(), inputs) as kept:
+            choice = choose_by_replay(*inputs, job.progress, kept)
     except TooLittleDataError as problem:
         return Replayed(None, str(problem))
     return Replayed(choice)
@@ -123,3 +125,8 @@ def _shift(job: CalibrationJob, before: FilterSettings, grid: OccupancyGrid) -> 
 
     can_write = job.arguments.map.suffix in (".yaml", ".yml") and grid.origin[2] == 0.0
     return 0.5 * grid.resolution if STACKS[before.stack].half_cell_low and can_write else 0.0
+
+
+def _cache_folder() -> Path:
+    """Return where interrupted replays are kept: not beside the results, of which nothing partial may be left."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "beamfield"

@@ -39,7 +39,7 @@ amcl:
     laser_model_type: "{MODEL}"
 """
 # Runs of the filter before and after.
-SEEDS = 20
+SEEDS = 10
 BEFORE, AFTER = "nav2_defaults.yaml", "nav2.yaml"
 SHOWN = {"mean": "position error [m]", "p95": "95 % of position errors [m]", "yaw_mean_deg": "heading error [deg]"}
 
@@ -49,8 +49,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser = add_command(subparsers, run, "demo", __doc__)
     options.add_out(parser, "beamfield_demo", metavar="DIR", what="output folder")
     options.add_seed(parser, 1)
-    parser.add_argument("--duration", type=positive, default=150.0, metavar="S",
-                        help="of the drive to calibrate from; the other is half as long (default: 150)")  # fmt: skip
+    parser.add_argument("--duration", type=positive, default=100.0, metavar="S",
+                        help="of the drive to calibrate from; the other is half as long (default: 100)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> Outcome:

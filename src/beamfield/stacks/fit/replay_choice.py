@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import product
 from math import ceil, log
 from typing import Any
 
 import numpy as np
 
+from beamfield.kernels.threads import run_in_blocks
 from beamfield.localization.replay import ReplayErrors
 from beamfield.localization.replay_comparison import FEWEST_SEEDS, ReplayComparison, ReplayTrials, compare_trials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
+from beamfield.stacks.fit.kept_runs import KeptRuns
 from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED
 from beamfield.stacks.fit.replay_segments import ReplaySegments
 from beamfield.stacks.registry import model_named
@@ -30,6 +33,8 @@ FARTHEST = 1.0
 NEAREST = 0.001
 # Seeds of the race's first round, how many settings come into the second, and how many motion noises into the last.
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
+# Work of the runs on one stretch, as threads count it: they need the interpreter for about half of their time only.
+LONG = 1e7
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95 % ellipse lacks of
@@ -165,6 +170,7 @@ def choose_by_replay(
     grid: OccupancyGrid,
     options: ReplayOptions | None = None,
     progress: Progress | None = None,
+    kept: KeptRuns | None = None,
 ) -> ReplayChoice:
     """Choose sensor parameters, motion noise and the map's origin by replaying the stack's filter.
 
@@ -191,8 +197,10 @@ def choose_by_replay(
         How many runs.
     progress
         Called with what is done, runs done and runs in all.
+    kept
+        Runs of an interrupted call with the same inputs; this one's are added.
     """
-    options = options or ReplayOptions()
+    options, kept = options or ReplayOptions(), kept or KeptRuns()
     settings = {
         (sensor, motion, shift): ReplaySetting(
             sensor, motion, shift,
@@ -202,11 +210,11 @@ def choose_by_replay(
     }  # fmt: skip
     own = settings[BEFORE, BEFORE, 0.0]
     raced = [one for one in settings.values() if one.shift == shift or one is own]
-    choosing = _Replays(segments.choosing, segments.names[0], grid, options)
+    choosing = _Replays(segments.choosing, segments.names[0], grid, options, kept)
     best = _race(raced, choosing, progress)
     finalist = _with_origin_or_without(best, settings[best.sensor, best.motion, 0.0], choosing)
     without = _without_each_part(settings, finalist)
-    judging = _Replays(segments.judging, segments.names[1], grid, options)
+    judging = _Replays(segments.judging, segments.names[1], grid, options, kept)
     judged = {one.key: one for one in (own, finalist, *without.values())}
     trials = judging.of(judged.values(), judging.n_seeds, "judging the choice", progress)
     before_, after = trials[own.key], trials[finalist.key]
@@ -253,9 +261,15 @@ class _Replays:
     """Runs of settings on some stretches, none made twice."""
 
     def __init__(
-        self, stretches: Sequence[SensorLog], names: Sequence[str], grid: OccupancyGrid, options: ReplayOptions
+        self,
+        stretches: Sequence[SensorLog],
+        names: Sequence[str],
+        grid: OccupancyGrid,
+        options: ReplayOptions,
+        kept: KeptRuns,
     ) -> None:
         self._stretches, self._names, self._grid, self._first = stretches, names, grid, options.seed
+        self._kept = kept
         self.n_seeds = options.seeds(len(stretches))
         self._runs: dict[Key, list[ReplayTrials]] = {}
 
@@ -277,9 +291,15 @@ class _Replays:
         if not seeds:
             return
         replayed = setting.filter.filter(shifted_map(self._grid, setting.shift))
-        new = [
-            run_trials(replayed, log, seeds, name=name) for log, name in zip(self._stretches, self._names, strict=True)
-        ]
+        new: list[Any] = [None] * len(self._names)
+
+        def work(start: int, stop: int) -> None:
+            for i in range(start, stop):
+                name = self._names[i]
+                run = partial(run_trials, replayed, self._stretches[i], seeds, name=name)
+                new[i] = self._kept.of((name, setting.key, seeds), run)
+
+        run_in_blocks(work, len(new), work_per_row=LONG)
         self._runs[setting.key] = [_joined(*pair) for pair in zip(known, new, strict=True)] if known else new
 
 

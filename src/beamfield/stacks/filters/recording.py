@@ -39,12 +39,14 @@ class Recording:
 
     def published(self, scan: int, pose: FloatArray) -> None:
         """Note an answer, which odometry continues until the next one."""
-        self._answers.append((scan, compose(pose, invert(self._odometry[scan]))))
+        self._answers.append((scan, pose))
 
     def replay(self) -> Replay:
         """Return the whole."""
+        scans, answers = (np.array(column) for column in zip(*self._answers, strict=True))
+        # All at once: one by one takes a sixth of a replay's time.
+        map_from_odom = compose(answers, invert(self._odometry[scans]))
         poses = np.full(self._odometry.shape, np.nan)
-        ends = [*(scan for scan, _ in self._answers[1:]), len(poses)]
-        for (scan, map_from_odom), end in zip(self._answers, ends, strict=True):
-            poses[scan:end] = compose(map_from_odom, self._odometry[scan:end])
+        held = np.repeat(map_from_odom, np.diff(scans, append=len(poses)), axis=0)
+        poses[scans[0] :] = compose(held, self._odometry[scans[0] :])
         return Replay(poses, *(np.array(column) for column in zip(*self._rows, strict=True)))

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import beamfield
@@ -28,22 +27,21 @@ class KeptRuns:
     """Runs by what tells them apart, in a file, or in memory alone where there is none or it cannot be written."""
 
     def __init__(self, path: Path | None = None) -> None:
-        self._path, self._written, self._lock = path, time.monotonic(), Lock()
+        self._path, self._written = path, time.monotonic()
         self._runs: dict[str, Any] = {}
         if path is not None:
             with suppress(OSError, ValueError):
                 self._runs = json.loads(path.read_bytes())
 
     def of(self, key: tuple[object, ...], run: Callable[[], ReplayTrials]) -> ReplayTrials:
-        """Return the runs of a key, run now if they are not there; several threads may ask."""
+        """Return the runs of a key, run now if they are not there."""
         if (kept := self._runs.get(repr(key))) is not None:
             errors = tuple(ReplayErrors(**one) for one in kept["errors"])
             return ReplayTrials(kept["log"], tuple(kept["seeds"]), errors)
         trials = run()
-        with self._lock:
-            self._runs[repr(key)] = asdict(trials)
-            if time.monotonic() - self._written > EVERY_S:
-                self.write()
+        self._runs[repr(key)] = asdict(trials)
+        if time.monotonic() - self._written > EVERY_S:
+            self.write()
         return trials
 
     def write(self) -> None:

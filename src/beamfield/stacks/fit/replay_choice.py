@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.kernels.threads import run_in_blocks
 from beamfield.localization.replay import ReplayErrors
 from beamfield.localization.replay_comparison import FEWEST_SEEDS, ReplayComparison, ReplayTrials, compare_trials
 from beamfield.localization.replay_trials import run_trials
@@ -33,8 +32,6 @@ FARTHEST = 1.0
 NEAREST = 0.001
 # Seeds of the race's first round, how many settings come into the second, and how many motion noises into the last.
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
-# Work of the runs on one stretch, as threads count it: they need the interpreter for about half of their time only.
-LONG = 1e7
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95 % ellipse lacks of
@@ -291,15 +288,10 @@ class _Replays:
         if not seeds:
             return
         replayed = setting.filter.filter(shifted_map(self._grid, setting.shift))
-        new: list[Any] = [None] * len(self._names)
-
-        def work(start: int, stop: int) -> None:
-            for i in range(start, stop):
-                name = self._names[i]
-                run = partial(run_trials, replayed, self._stretches[i], seeds, name=name)
-                new[i] = self._kept.of((name, setting.key, seeds), run)
-
-        run_in_blocks(work, len(new), work_per_row=LONG)
+        new = [
+            self._kept.of((name, setting.key, seeds), partial(run_trials, replayed, log, seeds, name=name))
+            for log, name in zip(self._stretches, self._names, strict=True)
+        ]
         self._runs[setting.key] = [_joined(*pair) for pair in zip(known, new, strict=True)] if known else new
 
 

@@ -149,7 +149,7 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
 
     Returns
     -------
-    The log, and its halves with each other's poses. A scan is trusted if it is in both fits and they agree to 0.15 m.
+    The log, and its halves with each other's poses. A scan is trusted if it is in both fits and they agree to 0.1 m.
 
     Raises
     ------

@@ -44,7 +44,7 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
         f"(median; expected {LEAST_AGREEMENT:.0%} or more). By its odometry it drove {way:.1f} m and "
         f"turned {np.degrees(turn):.0f} degrees.",
         {"median_agreement": float(np.median(shares)), "way_m": way, "turn_rad": turn},
-        why="The robot was most likely elsewhere: the start, the map or the odometry (its signs, or it stands still) is "
-        "wrong; or most readings are of people.",
+        why="The robot was most likely elsewhere: the start, the map or the odometry (its signs, or it stands still) "
+        "is wrong; or most readings are of people.",
         do="Run beamfield trajectory on this log and map: it searches all starts, and odometry of the wrong sign.",
     )

@@ -278,7 +278,9 @@ def fit_course(
     report("fitting all poses", 0, 1)
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
     trusted, more = judge_trajectory(drive, walls, fitted, cut, options or TrajectoryOptions())
-    findings = [*found.findings, *odometry_findings(drive, found.course, fitted), *more]
+    # Without odometry it is an alignment that slipped, not a wheel.
+    seen = (one for one in odometry_findings(drive, found.course, fitted) if log.has_odometry or one.name != "wheel-slip")
+    findings = [*found.findings, *seen, *more]
     return _result(log, fitted, trusted, findings, found.hypotheses)
 
 

@@ -10,8 +10,8 @@ from beamfield.localization.ray_agreement import scan_agreement
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 
-# Midway between the runs that are lost for most of the log, at most 0.39 in the median scan, and those that follow the
-# robot, at least 0.52: real and simulated logs with two filters, see docs/localization.md.
+# Midway between runs with wrong odometry or an unlike building's map, at most 0.39 in the median scan, and those that
+# follow the robot, at least 0.52: real and simulated logs with two filters, see docs/localization.md.
 LEAST_AGREEMENT = 0.45
 
 

@@ -279,7 +279,9 @@ def fit_course(
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
     trusted, more = judge_trajectory(drive, walls, fitted, cut, options or TrajectoryOptions())
     # Without odometry it is an alignment that slipped, not a wheel.
-    seen = (one for one in odometry_findings(drive, found.course, fitted) if log.has_odometry or one.name != "wheel-slip")
+    seen = (
+        one for one in odometry_findings(drive, found.course, fitted) if log.has_odometry or one.name != "wheel-slip"
+    )
     findings = [*found.findings, *seen, *more]
     return _result(log, fitted, trusted, findings, found.hypotheses)
 

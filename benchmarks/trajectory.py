@@ -1,12 +1,13 @@
 """Fit trajectories to logs, and compare with exact truth (simulations) or with references (real logs).
 
-Run: python benchmarks/trajectory.py [simulated|real|all] [FOLDER WITH DATA]
+Run: python benchmarks/trajectory.py [simulated|real|halves|all] [FOLDER WITH DATA]
 
 - Simulations have exact truth: offices, a corridor 60 m long without ends in sight, and a Pioneer's sensor in the map
   that the real Stage log was recorded in. Odometry drifts with the noise of `OdometryNoise`.
 - Stage's own log has exact poses too, but the map that comes with the data is about 0.3 % too small for them, and its
   true poses are up to one sample (0.1 s) beside the scans. The second row has the map 0.36 % larger.
 - Wean Hall and TurtleBot 4 have references that were fitted to the same maps, good to about 0.05 m.
+- "halves" fits the poses of the real logs by every other beam, as ``beamfield calibrate`` does for a log without poses.
 
 "in 95 %" is the share of scans whose true position lies in the ellipse; "NEES" the mean square of its error in standard
 deviations, per axis: 1 if the ellipses are right, less if they are too large. "seconds" are the process's own.
@@ -27,6 +28,7 @@ from beamfield.geometry import wrap_angle
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import attach_poses, read_trajectory
+from beamfield.localization.fitted_poses import cross_fit_poses
 from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory, position_deviations
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -49,6 +51,9 @@ Case = tuple[str, SensorLog, OccupancyGrid]
 
 
 def main(which: str, data: Path) -> None:
+    if which == "halves":
+        print_table([halved(*case) for case in real(data)], digits=3)
+        return
     cases = {"simulated": simulated, "real": real}
     for name in cases if which == "all" else (which,):
         rows = []
@@ -65,6 +70,19 @@ def measured(name: str, log: SensorLog, grid: OccupancyGrid) -> dict[str, Any]:
     before = time.process_time()
     fit = fit_trajectory(log, grid, start=log.poses[0] if "start given" in name else None)
     return {"log": name, "scans": len(log), **errors(fit, log), "seconds": round(time.process_time() - before, 1)}
+
+
+def halved(name: str, log: SensorLog, grid: OccupancyGrid) -> dict[str, Any]:
+    """Return how far poses fitted by halves of the beams are from the poses of the log."""
+    before = time.process_time()
+    fitted = cross_fit_poses(log.with_poses(np.full((len(log), 3), np.nan)), grid)
+    off = np.hypot(*(fitted.log.poses - log.poses)[:, :2].T)
+    off = off[np.isfinite(off)]
+    return {
+        "log": name, "scans": len(log), "trusted": fitted.n_trusted / len(log), "mean m": float(off.mean()),
+        "median m": float(np.median(off)), "95 % m": float(np.quantile(off, 0.95)), "largest m": float(off.max()),
+        "stated, per axis m": fitted.deviation, "seconds": round(time.process_time() - before, 1),
+    }  # fmt: skip
 
 
 def errors(fit: TrajectoryFit, log: SensorLog) -> dict[str, Any]:

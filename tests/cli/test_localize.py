@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from beamfield.io.trajectory import read_trajectory, write_tum
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.sensors import ScanLog, Track
+from beamfield.simulation.floor_plan import draw_floor_plan
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +31,12 @@ def folder(tmp_path_factory, office, drive, truth) -> Path:
     # One pose per scan: either a reference or odometry.
     write_carmen(place / "bare.log", ScanLog({"FLASER": log.with_poses(log.odometry)}))
     write_carmen(place / "drive.log", ScanLog({"FLASER": log}, Track(log.stamps, log.odometry)))
+    for name, signs in (("mirrored.log", (1.0, -1.0, -1.0)), ("still.log", (0.0, 0.0, 0.0))):
+        # Odometry begins at 0, 0, 0, so that a mirror image has its turns reversed.
+        odometry = np.array(signs) * log.odometry
+        wrong = replace(log, odometry=odometry)
+        write_carmen(place / name, ScanLog({"FLASER": wrong}, Track(log.stamps, odometry)))
+    write_map(draw_floor_plan(seed=8), place / "elsewhere.yaml")
     write_tum(place / "truth.tum", Track(log.stamps, log.poses))
     provenance = {"program": "test"}
     (place / "beam_model.yaml").write_text(beam_model_text(truth, log.finder, provenance=provenance))
@@ -119,8 +127,10 @@ def test_models_and_options_are_taken(folder, capsys, words):
 
 
 def test_a_file_of_a_stack_runs_that_stacks_filter(folder, capsys):
-    assert run(folder, "--params", "nav2.yaml", "--json", "-q", "--seed", "3") == 0
+    words = ("--params", "nav2.yaml", "--rerun", "way.rrd", "--mcap", "way.mcap")
+    assert run(folder, *words, "--json", "-q", "--seed", "3") == 0
     found = document(capsys)
+    assert all(b"estimate" in Path(name).read_bytes() for name in ("way.rrd", "way.mcap"))
     assert found["filter"].startswith("that of nav2, emulated, with its model likelihood_field_prob")
     assert found["errors"]["mean"] < 0.2
 
@@ -142,6 +152,24 @@ def test_what_makes_no_sense_is_refused_on_one_line(folder, capsys, words, what)
     said = capsys.readouterr()
     assert what in said.err.splitlines()[-1]
     assert not Path("beamfield_localization").exists()
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        ("mirrored.log", ("--map", "map.yaml")),
+        ("still.log", ("--map", "map.yaml", "--params", "nav2.yaml")),
+        ("drive.log", ("--map", "elsewhere.yaml", "--global", "--particles", "1000")),
+    ],
+)
+def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
+    given = [str(folder / word) if word.endswith(".yaml") else word for word in words]
+    assert main(["localize", str(folder / log), "--poses", str(folder / "truth.tum"), "--json", *given]) == 3
+    said = capsys.readouterr()
+    assert "the robot is most likely lost" in said.err
+    (finding,) = (one for one in json.loads(said.out)["findings"] if one["name"] == "robot-lost")
+    assert finding["values"]["median_agreement"] < 0.45
+    assert (finding["values"]["way_m"] == 0.0) == (log == "still.log")
 
 
 def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsys):

@@ -28,14 +28,16 @@ def crossed(lone: SensorLog, drive: SensorLog, office: OccupancyGrid) -> CrossFi
 
 
 def test_no_beam_is_judged_at_a_pose_that_it_made(lone: SensorLog, office: OccupancyGrid, monkeypatch):
-    fits = {}
+    fits, searched = {}, []
 
     def made_up_once(log: SensorLog, *_, **__) -> TrajectoryFit:
         fits[log.ranges.tobytes()] = fit = made_up(log, np.ones(len(log), bool), heading=0.01 * len(fits))
         return fit
 
-    monkeypatch.setattr(fitted_poses, "fit_trajectory", made_up_once)
+    monkeypatch.setattr(fitted_poses, "find_course", lambda log, *_, **__: searched.append(log))
+    monkeypatch.setattr(fitted_poses, "fit_course", made_up_once)
     crossed = cross_fit_poses(lone, office)
+    assert searched == [lone], "half of the beams may not tell where the log begins"
     even, odd = (np.ascontiguousarray(lone.ranges[:, first::2]) for first in (0, 1))
     assert set(fits) == {even.tobytes(), odd.tobytes()}
     for log, seen, made in ((crossed.judged, even, odd), (crossed.swapped, odd, even), (crossed.same, odd, odd)):
@@ -80,7 +82,9 @@ def test_the_less_is_trusted_the_louder_it_is_said(
 
 
 def test_where_no_pose_is_trusted_none_is_returned(lone: SensorLog, office: OccupancyGrid, monkeypatch):
-    monkeypatch.setattr(fitted_poses, "fit_trajectory", lambda log, *_, **__: made_up(log, np.zeros(len(log), bool)))
+    for name in ("fit_trajectory", "fit_course"):
+        monkeypatch.setattr(fitted_poses, name, lambda log, *_, **__: made_up(log, np.zeros(len(log), bool)))
+    monkeypatch.setattr(fitted_poses, "find_course", lambda *_, **__: None)
     for fit in (fit_poses, cross_fit_poses):
         with pytest.raises(TrajectoryNotFoundError, match="no pose of the fitted trajectory can be trusted"):
             fit(lone, office)

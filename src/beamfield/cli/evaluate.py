@@ -152,7 +152,7 @@ def _filters(
         try:
             filters[name] = one.filter(read)
         except InvalidInputError as error:
-            raise FormatError(path, str(error)) from error
+            raise FormatError(path, str(error).removeprefix("grid: ")) from error
     return filters
 
 

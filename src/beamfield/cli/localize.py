@@ -21,7 +21,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,7 +91,9 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, filter, judge, write."""
     # What imports numerical libraries is imported where it is used, so that --help answers at once.
+    from beamfield.finding import worst_first
     from beamfield.io.files.atomic import check_folder_writable, check_writable
+    from beamfield.localization.lost_robot import find_lost_robot
 
     check_folder_writable(arguments.out)
     if arguments.animation is not None:
@@ -117,12 +119,18 @@ def run(arguments: argparse.Namespace) -> Outcome:
             found = localizer(watch)
         except TooLittleDataError as error:
             raise FormatError(arguments.log, str(error)) from error
+        lost = find_lost_robot(log, grid, found.poses)
+        if lost is not None:
+            found = replace(found, findings=worst_first((*found.findings, lost)))
         errors = _judged(found, log)
         progress("drawing", 0, 1)
         document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
         wrote = _write(found, log, grid, film, document, arguments)
     notes = (*notes, *(finding.full_text for finding in found.findings))
-    return Outcome(f"wrote {' and '.join(map(str, wrote))}", _summary(document, errors), document, notes, wrote)
+    return Outcome(
+        f"wrote {' and '.join(map(str, wrote))}", _summary(document, errors), document, notes, wrote,
+        code=0 if lost is None else 3, problem="" if lost is None else "the robot is most likely lost",
+    )  # fmt: skip
 
 
 def _start(

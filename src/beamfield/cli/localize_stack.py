@@ -53,7 +53,7 @@ def stack_filter(
     try:
         replayed = settings.filter(grid)
     except InvalidInputError as error:
-        raise FormatError(arguments.map, str(error)) from error
+        raise FormatError(arguments.map, str(error).removeprefix("grid: ")) from error
     which = f"that of {file.program.title}, emulated, with its model {settings.model}"
     if not file.stack_is_certain:
         which += f" (the file may be one of {' or '.join(name for name in file.possible if name != file.stack)})"

@@ -88,6 +88,12 @@ def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
     return Drive(log.stamps, steps, broken, scans, points, first, int(np.count_nonzero(~known)))
 
 
+def with_points(drive: Drive, log: SensorLog) -> Drive:
+    """Return the drive with the end points of some of its log's beams."""
+    points, first = _points(log, drive.scans)
+    return replace(drive, points=points, first=first)
+
+
 def mirrored(drive: Drive) -> list[tuple[str, Drive]]:
     """Return the log with odometry in the senses that it may have been meant in, and what was changed."""
     return [

@@ -49,14 +49,50 @@ def ray_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans:
     -------
     Shares; agreement 0 and the rest 1 if no beam should hit anything.
     """
+    z, expected = _readings(log, grid, poses, scans)
+    counted = np.isfinite(z) & (expected < log.finder.max_range)
+    z, expected = z[counted], expected[counted]
+    if not len(z):
+        return RayAgreement(0.0, 1.0)
+    tolerance = _tolerance(grid, expected)
+    return RayAgreement(float(np.mean(np.abs(z - expected) <= tolerance)), float(np.mean(z - expected > tolerance)))
+
+
+def scan_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
+    """Return the share of the beams of each scan that are as long as the map says.
+
+    Parameters
+    ----------
+    log, grid
+        The scans and the map.
+    poses
+        (t, 3) where the scans were taken; those without a pose are left out.
+
+    Returns
+    -------
+    Shares of the beams that hit something or should, for up to 200 scans spread over the log; scans without such beams
+    are left out.
+    """
+    known = np.flatnonzero(np.isfinite(poses).all(axis=1))
+    z, expected = _readings(log, grid, poses[known], known)
+    counted = np.isfinite(z) & (np.minimum(z, expected) < log.finder.max_range)
+    agrees = counted & (np.abs(z - expected) <= _tolerance(grid, expected))
+    some = counted.any(axis=1)
+    return np.asarray(agrees[some].sum(axis=1) / counted[some].sum(axis=1))
+
+
+def _readings(
+    log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans: NDArray[np.int64]
+) -> tuple[FloatArray, FloatArray]:
+    """Return measured and expected ranges of some beams of some scans."""
+    if not len(scans):
+        return np.empty((0, 1)), np.empty((0, 1))
     chosen = np.unique(np.linspace(0, len(scans) - 1, SCANS).astype(np.int64))
     beams = np.unique(np.linspace(0, log.finder.n_beams - 1, BEAMS).astype(np.int64))
     finder = log.finder.subset(beams)
     ranges = usable_ranges(log.ranges[np.ix_(scans[chosen], beams)], finder)
-    expected = RayCaster(grid).expected_ranges(poses[chosen], finder)
-    counted = np.isfinite(ranges) & (expected < finder.max_range)
-    z, expected = ranges[counted], expected[counted]
-    if not len(z):
-        return RayAgreement(0.0, 1.0)
-    tolerance = max(TOLERANCE, TOLERANCE_CELLS * grid.resolution) + TOLERANCE_SHARE * expected
-    return RayAgreement(float(np.mean(np.abs(z - expected) <= tolerance)), float(np.mean(z - expected > tolerance)))
+    return ranges, RayCaster(grid).expected_ranges(poses[chosen], finder)
+
+
+def _tolerance(grid: OccupancyGrid, expected: FloatArray) -> FloatArray:
+    return max(TOLERANCE, TOLERANCE_CELLS * grid.resolution) + TOLERANCE_SHARE * expected

@@ -15,7 +15,7 @@ from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNo
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, wrap_angle
 from beamfield.kernels.trajectory import Walls
-from beamfield.localization.drive import Drive, chained, mirrored, prepare
+from beamfield.localization.drive import Drive, chained, mirrored, prepare, with_points
 from beamfield.localization.ray_agreement import RayAgreement, ray_agreement
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
@@ -209,7 +209,34 @@ def fit_trajectory(
     >>> bool(np.abs(fit.poses - log.poses)[:, :2].max() < 0.1)
     True
     """
-    options = options or TrajectoryOptions()
+    return fit_course(log, grid, find_course(log, grid, start=start, progress=progress), options, progress)
+
+
+class FoundCourse(NamedTuple):
+    """Where a log was recorded, before its poses are fitted.
+
+    Parameters
+    ----------
+    drive
+        The log, with odometry put right where its sign is wrong.
+    course
+        Rough poses.
+    hypotheses
+        Where the log may have begun, the best first.
+    findings
+        What is wrong with the odometry.
+    """
+
+    drive: Drive
+    course: Course
+    hypotheses: tuple[StartHypothesis, ...]
+    findings: tuple[Finding, ...]
+
+
+def find_course(
+    log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | None = None, progress: Progress | None = None
+) -> FoundCourse:
+    """Find roughly where a robot drove: the first step of `fit_trajectory`, with its parameters and errors."""
     report = progress or (lambda _stage, _done, _total: None)
     initial = _checked(log, grid, start)
     findings: list[Finding] = []
@@ -217,18 +244,53 @@ def fit_trajectory(
     if not log.has_odometry:
         odometry = odometry_from_scans(log, lambda done, total: report("aligning scans", done, total))
         findings.append(_no_odometry())
-    walls, drive = walls_of(grid), prepare(log, odometry)
+    drive = prepare(log, odometry)
+    _check_points(drive)
+    drive, course, hypotheses = _found(log, grid, drive, walls_of(grid), initial, findings, report)
+    return FoundCourse(drive, course, hypotheses, tuple(findings))
+
+
+def fit_course(
+    log: SensorLog,
+    grid: OccupancyGrid,
+    found: FoundCourse,
+    options: TrajectoryOptions | None = None,
+    progress: Progress | None = None,
+) -> TrajectoryFit:
+    """Fit all poses of a log whose course is known: the other steps of `fit_trajectory`.
+
+    Parameters
+    ----------
+    log
+        The log that the course was found for, or some beams of it: the poses are fitted to these.
+    grid, found, options, progress
+        The map, the course, and as for `fit_trajectory`.
+
+    Raises
+    ------
+    TooLittleDataError
+        If the log has next to no readings.
+    """
+    report = progress or (lambda _stage, _done, _total: None)
+    walls, drive = walls_of(grid), with_points(found.drive, log)
+    _check_points(drive)
+    poses, cut = _spread_out(drive, found.course)
+    report("fitting all poses", 0, 1)
+    fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
+    trusted, more = judge_trajectory(drive, walls, fitted, cut, options or TrajectoryOptions())
+    # Without odometry it is an alignment that slipped, not a wheel.
+    seen = (
+        one for one in odometry_findings(drive, found.course, fitted) if log.has_odometry or one.name != "wheel-slip"
+    )
+    findings = [*found.findings, *seen, *more]
+    return _result(log, fitted, trusted, findings, found.hypotheses)
+
+
+def _check_points(drive: Drive) -> None:
     if len(drive.points) < FEWEST_POINTS:
         raise TooLittleDataError(
             f"the scans have {len(drive.points)} readings with an end point; expected {FEWEST_POINTS}"
         )
-    drive, course, hypotheses = _found(log, grid, drive, walls, initial, findings, report)
-    poses, cut = _spread_out(drive, course)
-    report("fitting all poses", 0, 1)
-    fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
-    findings += odometry_findings(drive, course, fitted)
-    trusted, more = judge_trajectory(drive, walls, fitted, cut, options)
-    return _result(log, fitted, trusted, [*findings, *more], hypotheses)
 
 
 def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> FloatArray | None:

@@ -1,0 +1,50 @@
+"""Whether scans agree with the map where a filter believes the robot to be; if not, it is elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beamfield.finding import Finding
+from beamfield.geometry import FloatArray, between
+from beamfield.localization.ray_agreement import scan_agreement
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+
+# Midway between runs with wrong odometry or an unlike building's map, at most 0.39 in the median scan, and those that
+# follow the robot, at least 0.52: real and simulated logs with two filters, see docs/localization.md.
+LEAST_AGREEMENT = 0.45
+
+
+def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
+    """Return a warning if most readings of most scans disagree with the map.
+
+    Parameters
+    ----------
+    log, grid
+        The scans, with odometry, and the map.
+    poses
+        (t, 3) where a filter took the robot to be; NaN where it said nothing.
+
+    Returns
+    -------
+    The warning; None if scans agree, or if there is nothing to tell by: no reading, or cones of a sonar.
+    """
+    if log.finder.opening_angle > 0.0:
+        return None
+    shares = scan_agreement(log, grid, poses)
+    if not len(shares) or float(np.median(shares)) >= LEAST_AGREEMENT:
+        return None
+    odometry = log.odometry[np.isfinite(log.odometry).all(axis=1)]
+    steps = np.abs(between(odometry[:-1], odometry[1:]))
+    way, turn = float(np.hypot(*steps[:, :2].T).sum()), float(steps[:, 2].sum())
+    return Finding(
+        "robot-lost",
+        "warning",
+        f"Where the filter takes the robot to be, {np.median(shares):.0%} of a scan's readings agree with the map "
+        f"(median; expected {LEAST_AGREEMENT:.0%} or more). By its odometry it drove {way:.1f} m and "
+        f"turned {np.degrees(turn):.0f} degrees.",
+        {"median_agreement": float(np.median(shares)), "way_m": way, "turn_rad": turn},
+        why="The robot was most likely elsewhere: the start, the map or the odometry (its signs, or it stands still) "
+        "is wrong; or most readings are of people.",
+        do="Run beamfield trajectory on this log and map: it searches all starts, and odometry of the wrong sign.",
+    )

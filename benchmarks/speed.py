@@ -124,7 +124,7 @@ def landmarks(rng: np.random.Generator) -> Iterator[Case]:
             accuracy=nats(known.log_likelihood(z, poses), plain()),
         )  # fmt: skip
     # Features that no landmark can mask: of 5 of 50 landmarks.
-    few, poses = known.sample(truth, rng, ids=[1, 11, 21, 31, 41])[0], near(truth, rng, 200)
+    few, poses = known.sample(truth, rng, ids=[1, 11, 21, 31, 41])[0], near(truth, rng, N_POSES)
     model = LandmarkModel(field, noise, correspondence="nearest")
 
     def nearest() -> FloatArray:

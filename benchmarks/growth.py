@@ -113,8 +113,8 @@ def draw_growth(rows: list[Row]) -> Figure:
     matplotlib.rcParams["svg.hashsalt"] = "beamfield"
     figure = new_figure(9.4, 6.6)
     panels = figure.subplots(2, 2, sharey=True)
-    whats = list(dict.fromkeys(what for what, _, _ in rows))
-    for axes, what in zip(panels.flat, whats, strict=True):
+    grown = list(dict.fromkeys(what for what, _, _ in rows))
+    for axes, what in zip(panels.flat, grown, strict=True):
         for colour, name in enumerate(NAMES):
             points = [(size, ns[name]) for of, size, ns in rows if of == what and name in ns]
             if points:

@@ -128,7 +128,8 @@ def commit() -> str:
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], cwd=HERE, check=True, capture_output=True, text=True).stdout.strip()
 
-    return git("rev-parse", "--short=10", "HEAD") + ("+" if git("status", "--porcelain", "--", "../src", "*.py") else "")
+    changed = git("status", "--porcelain", "--", "../src", "*.py")
+    return git("rev-parse", "--short=10", "HEAD") + ("+" if changed else "")
 
 
 def write_part(name: str, lines: list[str]) -> None:

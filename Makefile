@@ -37,7 +37,7 @@ lint: $(STAMP)  ## Check style, types, import direction and spelling
 rays: $(STAMP)  ## Compare RAYS=1e8 adversarial rays with an exact traversal
 	$(BIN)/python -m tests.rays --rays $(RAYS)
 
-bench: $(STAMP)  ## Measure speed and memory beside their baselines
+bench: $(STAMP)  ## Measure speed beside baselines and limit, write docs/benchmarks.md and the history of ratios
 	$(BIN)/python benchmarks/run.py
 
 kills: $(STAMP)  ## Kill every command that writes, fill its disk, run it twice at once

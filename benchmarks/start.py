@@ -36,7 +36,7 @@ def main(runs: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name, words, cold_aim, warm_aim in COMMANDS:
             if words is WEAN and not DATA.is_dir():
-                print(f"| {name} | no data in {DATA} | | |")
+                print(f"| {name} | not measured: no data | | |")
                 continue
             cache = Path(tempfile.mkdtemp(dir=folder))
             cold = cpu_seconds(words, folder, cache)

@@ -11,6 +11,7 @@ from scipy import integrate, stats
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
+from beamfield.kernels import landmark as kernels
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
@@ -96,6 +97,35 @@ def test_the_sum_runs_over_all_landmarks_and_none():
         for k, feature in enumerate(FEATURES):
             q = sum_over_correspondences(feature, pose, POSITIONS, SIGMAS, 0.1, 6.0)
             assert got[i, k] == pytest.approx(math.log(q), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("sigmas", [(0.3, 0.2), (1e-6, 1e-7), (5.0, 3.0)])
+def test_nearest_finds_the_first_of_the_best_of_all_candidates_to_the_last_bit(sigmas):
+    """Bounds leave out only what cannot win: two landmarks of one position, poses on landmarks, missing values."""
+    rng = np.random.default_rng(5)
+    positions = np.repeat(rng.uniform(0.0, 4.0, (15, 2)), 2, axis=0)
+    features = np.column_stack([rng.uniform(0.0, 5.0, 9), np.cos(angles := rng.uniform(-3.1, 3.1, 9)), np.sin(angles)])
+    weights = np.tile(1.0 / np.array(sigmas), (9, 1))
+    weights[3, 0] = weights[4, 1] = 0.0
+    poses = np.column_stack([rng.uniform(0.0, 4.0, (60, 2)), rng.uniform(-9.0, 9.0, 60)])
+    poses[:15, :2], poses[15, :2] = positions[::2], 1e200
+    features[:5, 1:] = np.cos(0.3), np.sin(0.3)
+    base = rng.choice([0.0, 1.0, -np.inf], (9, 30), p=[0.5, 0.3, 0.2])
+    base[8] = -np.inf
+    given = poses, np.zeros(3), np.column_stack([features, weights]), np.ascontiguousarray(positions.T), base
+    none = np.full(9, -np.inf)
+    none[::2] = -3.0
+    each = np.empty((60, 9, 30))
+    values, chosen = np.empty((60, 9)), np.empty((60, 9), dtype=np.int64)
+    with np.errstate(all="ignore"):  # without the JIT they warn
+        kernels.fill_candidates(*given, each)
+        kernels.fill_nearest(*given, -0.5, none, values, chosen)
+    best = each.max(axis=2) - 0.5
+    which = np.where(none > best, 30, each.argmax(axis=2))
+    which[np.maximum(best, none) == -np.inf] = 31
+    np.testing.assert_array_equal(values, np.maximum(best, none))
+    np.testing.assert_array_equal(chosen, which)
+    assert {30, 31} < set(chosen.ravel().tolist())
 
 
 def test_nearest_is_the_least_mahalanobis_distance():

@@ -25,6 +25,9 @@ Measured = tuple[float, float, float, float, float]
 # Poses of one pass of the vectorised loop: five columns of doubles stay in the nearest cache.
 BLOCK = 512
 
+# The square of a chord, times the one and less the other, is below the square of the angle as computed.
+CHORD, CHORD_ERROR = 1.0 - 1e-6, 1e-14
+
 
 @inlined_kernel
 def log_value(sensor: Sensor, landmark_x: float, landmark_y: float, feature: Measured, base: float) -> float:
@@ -99,6 +102,67 @@ def fill_candidates(
             feature, constants, row = _measured(features[k]), base[k], out[i, k]
             for j in range(across.size):
                 row[j] = _never_nan(log_value(sensor, across[j], along[j], feature, constants[j]))
+
+
+@kernel
+def fill_nearest(
+    poses: Floats, mount: Floats, features: Floats, landmarks: Floats, base: Floats, log_landmark: float,
+    log_spurious: Floats, out: Floats, chosen: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Fill in the most probable correspondence of each feature: the first of the largest values of `fill_candidates`.
+
+    Candidates whose bound is below the best value so far need no angle; the result has the same bits.
+
+    Parameters
+    ----------
+    poses, mount, features, landmarks, base
+        As for `fill_candidates`, of N landmarks.
+    log_landmark, log_spurious
+        Logarithms of each landmark's share, and (k,) of the density given none times its probability.
+    out
+        (n, k) the value of the best, its share included.
+    chosen
+        (n, k) its index; N where none is more probable, N + 1 where nothing is possible.
+    """
+    across, along = landmarks[0], landmarks[1]
+    bounds = np.empty(across.size)
+    for i in range(poses.shape[0]):
+        sensor = _sensor(poses[i], mount)
+        for k in range(features.shape[0]):
+            feature, constants = _measured(features[k]), base[k]
+            for j in range(across.size):
+                bounds[j] = _bound(sensor, across[j], along[j], feature, constants[j])
+            first, largest = 0, bounds[0]
+            for j in range(1, across.size):
+                if bounds[j] > largest:
+                    first, largest = j, bounds[j]
+            which, best = first, _never_nan(log_value(sensor, across[first], along[first], feature, constants[first]))
+            for j in range(across.size):
+                # A bound that is NaN says nothing.
+                if not bounds[j] < best and j != first:
+                    value = _never_nan(log_value(sensor, across[j], along[j], feature, constants[j]))
+                    if value > best or (value == best and j < which):
+                        which, best = j, value
+            best += log_landmark
+            out[i, k] = max(best, log_spurious[k])
+            chosen[i, k] = which if best >= log_spurious[k] else across.size
+            if out[i, k] == -math.inf:
+                chosen[i, k] = across.size + 1
+
+
+@inlined_kernel
+def _bound(sensor: Sensor, landmark_x: float, landmark_y: float, feature: Measured, base: float) -> float:
+    """Return a bound on `log_value` by the chord, which is shorter than the angle by more than either is rounded."""
+    x, y, cos, sin = sensor
+    r, cos_phi, sin_phi, range_weight, bearing_weight = feature
+    dx, dy = landmark_x - x, landmark_y - y
+    square = dx * dx + dy * dy
+    distance = math.sqrt(square)
+    ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
+    chord = CHORD * (2.0 - 2.0 * (ahead * cos_phi + left * sin_phi) / distance) - CHORD_ERROR
+    a = (distance - r) * range_weight
+    b = max(chord, 0.0) * bearing_weight * bearing_weight
+    return base - 0.5 * (a * a + b)
 
 
 @inlined_kernel

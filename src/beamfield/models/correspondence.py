@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_pose, as_poses, compose, invert
+from beamfield.geometry import FloatArray, as_pose, as_poses
 from beamfield.kernels.correspondence import fill_sums
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.landmarks import LandmarkMap
@@ -99,7 +99,8 @@ class CorrespondenceModel(ABC, Generic[Z]):
     feature_name: ClassVar[str]
     """What a feature is called in errors."""
     _kernels: ClassVar[ModuleType]
-    """Has fill_known and fill_candidates, with the parameters of those in `kernels.landmark`."""
+    """Has fill_known and fill_candidates, with the parameters of those in `kernels.landmark`, and fill_nearest where
+    nothing is excluded and the best candidate can be found without the values of all."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -253,6 +254,16 @@ class CorrespondenceModel(ABC, Generic[Z]):
         features, base = tables.features[given.unknown], tables.base[given.unknown]
         none = tables.log_spurious[given.unknown] + _log(self._spurious_rate)
         things, mount = np.ascontiguousarray(tables.things.T), self._mount_in_sensor_axes()
+        if self.correspondence == "nearest" and hasattr(self._kernels, "fill_nearest"):
+            prior = self._log_share_of_thing()
+
+            def nearest(a: int, b: int) -> None:
+                self._kernels.fill_nearest(
+                    flat[a:b], mount, features, things, base, prior, none, values[a:b], chosen[a:b]
+                )
+
+            run_in_blocks(nearest, len(flat), work_per_row=1 + k * n_things // 8)
+            return values, chosen
         rows = max(1, VALUES_PER_CHUNK // (k * (n_things + 1)))
 
         def chunk(a: int, b: int) -> None:
@@ -278,7 +289,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         chosen: NDArray[np.int64],
     ) -> None:
         n_things = each.shape[-1]
-        prior = math.log1p(-self._spurious_rate) - math.log(n_things)
+        prior = self._log_share_of_thing()
         if self.correspondence == "assignment":
             # Taken by a feature whose id is known.
             each[..., taken] = -np.inf
@@ -293,10 +304,14 @@ class CorrespondenceModel(ABC, Generic[Z]):
         else:
             np.maximum(values, none, out=values)
 
+    def _log_share_of_thing(self) -> float:
+        """Return the log probability that a feature is of one certain thing, before it is seen."""
+        return math.log1p(-self._spurious_rate) - math.log(len(self._things))
+
     def _mount_in_sensor_axes(self) -> FloatArray:
-        turn = np.array([0.0, 0.0, self.mount[2]])
-        x, y, _ = compose(invert(turn), np.array([self.mount[0], self.mount[1], 0.0]))
-        return np.array([x, y, self.mount[2]])
+        x, y, theta = self.mount.tolist()
+        cos, sin = math.cos(theta), math.sin(theta)
+        return np.array([cos * x + sin * y, cos * y - sin * x, theta])
 
 
 def _log(probability: float) -> float:

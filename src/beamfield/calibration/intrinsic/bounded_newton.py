@@ -57,6 +57,12 @@ def newton_step(
     else:
         relative = gradient
     active &= ~((x <= lower) & (relative <= 0.0)) & ~((x >= upper) & (relative >= 0.0))
+    if not shares.any() and np.count_nonzero(active) == 1:
+        # What is below takes 0.2 ms, most of an M-step on few beams.
+        i = int(np.argmax(active))
+        step = gradient[i] / max(abs(hessian[i, i]), _TINY)
+        moved[i] = min(max(step, lower[i] - x[i]), upper[i] - x[i])
+        return moved
     for _ in range(2 * x.size):
         step = _solve(gradient + hessian @ moved, hessian, x, active, active & summed, -moved[summed].sum())
         step += moved

@@ -18,6 +18,8 @@ from beamfield.kernels import intrinsics as kernels
 _MOST_STEPS = 50
 # A cause with fewer expected beams than this is dying: its shape stays what it was.
 _LEAST_COUNT = 1e-12
+# Where `hit_objective` has the second derivatives.
+_SECOND = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])
 
 
 def m_step(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> FloatArray:
@@ -73,9 +75,7 @@ def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: Learn
         kernels.hit_objective(
             statistics.node_ranges, statistics.node_hit, problem.span, problem.min_range, x[0], x[1], x[2], out
         )
-        value, gradient, hessian = out[0], out[1:4].copy(), np.zeros((3, 3))
-        hessian[np.tril_indices(3)] = out[4:]
-        hessian += np.tril(hessian, -1).T
+        value, gradient, hessian = out[0], out[1:4].copy(), out[_SECOND]
         if problem.priors.sigma_beams > 0.0:
             prior = theta.copy()
             prior[VARIANCE] = x[0]

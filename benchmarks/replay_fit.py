@@ -82,7 +82,7 @@ def choose(stack: str, model: str, place: Place) -> tuple[ReplayChoice, float]:
     before = place.settings(
         FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())
     )
-    amount = replay_options(stack, model, 0)
+    amount = replay_options(before, place.log, 0)
     segments = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
     choice = choose_by_replay(
         before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},

@@ -98,7 +98,10 @@ def rows(place: Place, stack: str, model: str, n_seeds: int) -> list[dict[str, A
     print(f"{replay_tables(choice)}\n{seconds:.0f} s of processor time", flush=True)
     table = []
     for title, log in place.others.items():
-        for which, setting in (("before", choice.before), (describe(choice.chosen), choice.chosen)):
+        settings = {"before": choice.before}
+        if choice.chosen is not choice.before:
+            settings[describe(choice.chosen)] = choice.chosen
+        for which, setting in settings.items():
             trials = run_trials(setting.filter.filter(shifted_map(place.grid, setting.shift)), log, range(n_seeds))
             table.append({
                 "stack": stack, "model": model, "log": title, "values": which,

@@ -82,7 +82,7 @@ def choose(stack: str, model: str, place: Place) -> tuple[ReplayChoice, float]:
     before = place.settings(
         FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())
     )
-    amount = replay_options(stack, model, 0)
+    amount = replay_options(before, place.log, 0)
     segments = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
     choice = choose_by_replay(
         before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},
@@ -98,7 +98,10 @@ def rows(place: Place, stack: str, model: str, n_seeds: int) -> list[dict[str, A
     print(f"{replay_tables(choice)}\n{seconds:.0f} s of processor time", flush=True)
     table = []
     for title, log in place.others.items():
-        for which, setting in (("before", choice.before), (describe(choice.chosen), choice.chosen)):
+        settings = {"before": choice.before}
+        if choice.chosen is not choice.before:
+            settings[describe(choice.chosen)] = choice.chosen
+        for which, setting in settings.items():
             trials = run_trials(setting.filter.filter(shifted_map(place.grid, setting.shift)), log, range(n_seeds))
             table.append({
                 "stack": stack, "model": model, "log": title, "values": which,

@@ -9,6 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from beamfield.calibration.odometry.learning import calibrate_odometry
+from beamfield.calibration.odometry.result import OdometryOptions
 from beamfield.calibration.odometry.windows import update_scans
 from beamfield.cli.calibrate_replay import replay_fit
 from beamfield.errors import TooLittleDataError
@@ -16,6 +18,7 @@ from beamfield.localization.replay import MEASURES, ReplayErrors
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
 from beamfield.report.stack_section import small_z_hit
 from beamfield.sensors import RangeFinder, SensorLog
@@ -28,7 +31,7 @@ from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.fit import replay_choice
 from beamfield.stacks.fit.kept_runs import KeptRuns, kept_runs
-from beamfield.stacks.fit.motion_candidates import motion_candidates
+from beamfield.stacks.fit.motion_candidates import MotionCandidates, motion_candidates
 from beamfield.stacks.fit.replay_choice import (
     ReplayOptions,
     ReplaySetting,
@@ -79,7 +82,8 @@ def segments(drive):
 def repaired(office, segments):
     told: list[tuple[str, int, int]] = []
     choice = choose_by_replay(
-        nav2_filter(**ABSURD), {"before": SENSOR}, {"before": {}, "alpha 0.02": GOOD}, 0.5 * office.resolution,
+        nav2_filter(**ABSURD), {"before": SENSOR}, MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None),
+        0.5 * office.resolution,
         segments, office, FEW, progress=lambda *words: told.append(words),
     )  # fmt: skip
     assert {"replay: racing 3 settings", "replay: judging the choice"} < {stage for stage, _, _ in told}
@@ -102,9 +106,8 @@ def test_absurd_motion_noise_is_repaired(repaired, office):
 def test_values_that_nothing_beats_are_kept(office, segments):
     own = nav2_filter(**GOOD)
     worse = replace(SENSOR, z_hit=0.0, z_rand=1.0)  # says nothing
-    choice = choose_by_replay(
-        own, {"before": SENSOR, "fitted": worse}, {"before": {}, "absurd": ABSURD}, 0.0, segments, office, FEW
-    )
+    motions = MotionCandidates({"before": {}, "absurd": ABSURD}, GOOD)
+    choice = choose_by_replay(own, {"before": SENSOR, "fitted": worse}, motions, 0.0, segments, office, FEW)
     assert not choice.is_better
     assert choice.chosen is choice.finalist is choice.before
     assert choice.chosen.filter.motion == own.motion
@@ -132,7 +135,7 @@ def test_seeds_that_are_missing_are_run_and_no_others(office, segments, monkeypa
 
 
 def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, segments, tmp_path, monkeypatch):
-    before, motions = nav2_filter(**ABSURD), {"before": {}, "alpha 0.02": GOOD}
+    before, motions = nav2_filter(**ABSURD), MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
     inputs = before, {"before": SENSOR}, motions, 0.5 * office.resolution, segments, office, FEW
     runs: list[int] = []
 
@@ -206,7 +209,7 @@ def test_a_short_drive_is_too_little(drive):
 
 
 def test_motion_candidates_are_the_logs_and_common_alphas(drive):
-    found = motion_candidates(nav2_filter(), drive, 0.01, 0.003)
+    found = motion_candidates(nav2_filter(), drive, 0.01, 0.003).by_name
     assert found["before"] == {}
     assert found["alpha 0.1"] == {f"alpha{i}": 0.1 for i in range(1, 5)}
     assert list(found["alphas 0.2 and 0.02"].values()) == [0.2, 0.2, 0.02, 0.02]
@@ -216,7 +219,7 @@ def test_motion_candidates_are_the_logs_and_common_alphas(drive):
 
 def test_where_alphas_mean_something_else_they_stand_for_the_same_noise(drive):
     settings = FilterSettings("ros1", KIND, None, Ros1Motion(), AmclFilterParameters())
-    found = motion_candidates(settings, drive, 0.01, 0.003)
+    found = motion_candidates(settings, drive, 0.01, 0.003).by_name
     literal = {name: values["odom_alpha3"] for name, values in found.items() if name.startswith("alpha")}
     # A deviation of alpha x step^2 instead of sqrt(alpha) x step: ten times the alpha at steps of 0.3 m or so.
     assert literal["alpha 0.1"] > literal["alpha 0.05"] > 0.2
@@ -231,7 +234,7 @@ def test_programs_without_alphas_get_as_much_noise_in_their_own_names(drive):
         settings = FilterSettings(stack, "", None, motion, particles)
         assert settings.update_distances == (0.0, 0.0)
         assert len(settings.at_ticks(drive)) < len(drive) or stack == "f1tenth"
-        found[stack] = motion_candidates(settings, drive, 0.01, 0.003)
+        found[stack] = motion_candidates(settings, drive, 0.01, 0.003).by_name
         assert found[stack].keys() >= {"before", "learned", "alpha 0.1"}
     assert found["mrpt"]["alpha 0.1"]["a1"] > found["mrpt"]["alpha 0.05"]["a1"] > 0.0
     assert found["f1tenth"]["learned"]["motion_dispersion_theta"] < 0.25
@@ -239,7 +242,7 @@ def test_programs_without_alphas_get_as_much_noise_in_their_own_names(drive):
 
 def test_a_motion_model_without_alphas_stays(drive):
     settings = FilterSettings("beluga", KIND, None, BelugaMotion("stationary"), AmclFilterParameters())
-    assert motion_candidates(settings, drive, 0.01, 0.003) == {"before": {}}
+    assert motion_candidates(settings, drive, 0.01, 0.003) == ({"before": {}}, None)
 
 
 def test_lost_runs_and_missing_coverage_cost_without_drowning_the_rest():
@@ -260,9 +263,19 @@ def test_a_small_z_hit_is_explained_where_the_weight_is_a_product():
     assert small_z_hit("nav2", "likelihood_field", replace(small, laser_model_type="likelihood_field")) == []
 
 
-def test_rays_are_replayed_less():
-    assert replay_options("nav2", "beam", 3).runs < replay_options("nav2", KIND, 3).runs
-    assert replay_options("nav2", "beam", 3).seed == 3
+def test_rays_are_replayed_less_and_filters_that_take_every_scan(drive):
+    field = nav2_filter()
+    assert replay_options(field, drive, 3) == ReplayOptions(seed=3)
+    assert replay_options(replace(field, model="beam"), drive, 3).runs < ReplayOptions().runs
+    every = FilterSettings("mrpt", "LF_Thrun", None, MrptMotion(), MrptFilterParameters())
+    slow = replace(drive, odometry=0.2 * drive.odometry)
+    assert replay_options(field, slow, 3) == ReplayOptions(seed=3)
+    usual, less = replay_options(every, drive, 0), replay_options(every, slow, 0)
+    scans_per_update = len(slow) / len(update_scans(slow.odometry, 0.25, 0.2))
+    assert less.runs < usual.runs
+    assert scans_per_update * less.runs * less.longest == pytest.approx(2.0 * 60 * 40, rel=0.1)
+    still = replace(drive, odometry=np.zeros_like(drive.odometry))
+    assert replay_options(every, still, 0).longest >= 1
 
 
 def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, office, monkeypatch):
@@ -274,19 +287,36 @@ def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, offic
     assert replay_fit(job, drive, office, fit, {}).why_not == "the particle filter of mrpt is not emulated"
 
 
-def test_of_settings_as_good_the_one_with_twice_the_noise_of_the_log_is_taken():
+def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):
+    rng, poses = np.random.default_rng(2), [drive.poses[:1]]
+    for step in range(1, len(drive)):
+        poses.append(DifferentialMotion(0.5, 0.5, 0.0, 0.0).sample(poses[-1], drive.odometry[step - 1 : step + 1], rng))
+    turning = replace(drive, poses=np.concatenate(poses))
+    options = OdometryOptions(reference_error=0.01, reference_turn_error=0.003)
+    for log in (drive, turning):
+        shown = calibrate_odometry(log, options).chosen.model
+        by_name, safe = motion_candidates(nav2_filter(), log, 0.01, 0.003)
+        learned, twice = ({name: max(0.02, n * getattr(shown, name)) for name in GOOD} for n in (1.0, 2.0))
+        assert by_name["learned"] == pytest.approx(learned, rel=0.02)  # written with three digits
+        assert safe == pytest.approx(twice, rel=0.02)
+        assert max(safe.values()) > 0.1 if log is turning else set(safe.values()) == {0.02}
+
+
+def test_of_settings_as_good_the_one_nearest_to_safe_noise_is_taken():
     settings = [
         ReplaySetting("before", name, 0.0, nav2_filter(**{f"alpha{i}": value for i in range(1, 5)}))
         for name, value in (("a", 0.02), ("b", 0.05), ("c", 0.1))
     ]
 
-    def chosen(*costs: float, alpha: float = 0.02) -> str:
+    def chosen(*costs: float, alpha: float | None = 0.04) -> str:
         by_key = {one.key: cost for one, cost in zip(settings, costs, strict=True)}
-        return _of_equals(settings, by_key, 4.0 * alpha).motion
+        safe = None if alpha is None else Nav2Motion(**{f"alpha{i}": alpha for i in range(1, 5)})
+        return _of_equals(settings, by_key, safe).motion
 
     assert chosen(-2.0, -1.95, -1.99) == "b"
     assert chosen(-1.95, -1.95, -2.0) == "b"
-    assert chosen(-1.95, -1.95, -2.0, alpha=0.06) == "c"
+    assert chosen(-1.95, -1.95, -2.0, alpha=0.12) == "c"
+    assert chosen(-1.95, -1.95, -2.0, alpha=0.02) == "a"
     assert chosen(-2.0, -1.8, -1.8) == "a"
     assert chosen(-1.8, -1.8, -2.0) == "c"
-    assert chosen(-1.95, -1.95, -2.0, alpha=0.0) == "c"  # the log does not show it
+    assert chosen(-1.95, -1.95, -2.0, alpha=None) == "c"  # the log does not show it

@@ -57,7 +57,7 @@ def replay_fit(
         before = _settings(job, fit)
         if before is None:
             return Replayed(None, f"the particle filter of {fit.model.stack} is not emulated")
-        options = replay_options(fit.model.stack, fit.model.model, job.arguments.seed)
+        options = replay_options(before, sensor, job.arguments.seed)
         segments = cut_segments(
             sensor, *before.update_distances, most=options.most_stretches, longest=options.longest,
         )  # fmt: skip
@@ -67,7 +67,7 @@ def replay_fit(
     job.progress("replay: looking at the odometry", 0, 1)
     motions = motion_candidates(before, sensor, error, error / REFERENCE_LEVER)
     if learned:
-        motions = {BEFORE: {}, LEARNED: learned}
+        motions = motions._replace(by_name={BEFORE: {}, LEARNED: learned})
     sensors = {BEFORE: fit.before.parameters}
     if fit.chosen is not fit.before:
         sensors["fitted"] = fit.parameters

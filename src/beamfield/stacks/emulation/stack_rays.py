@@ -105,8 +105,11 @@ def exact_ranges(
         The range of rays that start off the map, as the program has it.
     """
     ranges = caster.expected_ranges(poses, RangeFinder(mounts, max_range))
-    starts = transform_points(poses[:, None], mounts[:, :2])
-    ranges[~seen.look_up(np.ones(seen.shape, np.bool_), starts)] = off_map
+    # Most lasers send all beams from one place, and to look it up for each beam takes as long as to cast the rays.
+    places, place_of = np.unique(mounts[:, :2], axis=0, return_inverse=True)
+    is_off = ~seen.look_up(np.ones(seen.shape, np.bool_), transform_points(poses[:, None], places))
+    if is_off.any():
+        ranges[is_off[:, place_of.ravel()]] = off_map
     return ranges
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
@@ -98,8 +99,7 @@ class F1tenthTable(RayModel[F1tenthParameters]):
         """Return log T of each beam that counts, before squashing, (n, k)."""
         values = self._parameters_for(evidence, parameters)
         resolution = self._caster.grid.resolution
-        with np.errstate(divide="ignore"):
-            table = np.log(sensor_table(values, resolution))
+        table = _log_table(values, resolution)
         n = len(table) - 1
         readings = _whole_pixels(evidence.ranges, resolution, n)
         return np.asarray(table[readings, _whole_pixels(evidence.expected_ranges, resolution, n)])
@@ -108,6 +108,13 @@ class F1tenthTable(RayModel[F1tenthParameters]):
         """Return the sum of log T divided by squash_factor, (n,); see `StackModel.log_weights`."""
         values = self._parameters_for(evidence, parameters)
         return np.asarray(self.beam_log_values(evidence, values).sum(axis=1) / values.squash_factor)
+
+
+@lru_cache(maxsize=1)
+def _log_table(parameters: F1tenthParameters, resolution: float) -> FloatArray:
+    """Return log T, which a filter asks for at every scan."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(sensor_table(parameters, resolution)))
 
 
 def sensor_table(parameters: F1tenthParameters, resolution: float) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 from beamfield.calibration.odometry.learning import calibrate_odometry
 from beamfield.calibration.odometry.result import OdometryCalibration, OdometryOptions
@@ -18,23 +19,36 @@ BEFORE, LEARNED = "before", "learned"
 # updates are close to each other noise there costs little, and particles stay as far apart as errors of the map and
 # drift of the odometry ask for. How far the robot has come along a corridor no scan tells, and noise there is error.
 ALPHAS = ((0.02, 0.02), (0.05, 0.05), (0.1, 0.1), (0.1, 0.02), (0.2, 0.02))
+# Noise four times too large costs little, but five times too small it loses robots. The floor of what is learned is a
+# reserve of its own.
+RESERVE = 2.0
+
+
+class MotionCandidates(NamedTuple):
+    """Values for the motion model's parameters."""
+
+    by_name: dict[str, Mapping[str, float]]
+    """By a name for people, the user's own (none to change) first."""
+    safe: Mapping[str, float] | None
+    """Twice what the log shows, or the floor where that is more: of settings that replay cannot tell apart, the one
+    with about so much noise is best. None if the log does not show it."""
 
 
 def motion_candidates(
     settings: FilterSettings, log: SensorLog, reference_error: float, reference_turn_error: float
-) -> dict[str, Mapping[str, float]]:
-    """Return values for the motion model's parameters by a name for people, the user's own (none to change) first.
+) -> MotionCandidates:
+    """Return values that are worth a replay.
 
-    Others are those learned from the log, at the filter's own update distance, and `ALPHAS`. Where the stack's formula
-    is not nav2's, values with the noise of such alphas at the same steps stand for them: of the lower one in formulas
-    with a single level. There are no others if the log does not show the odometry's noise, or the motion model has none
-    that could be set.
+    Beside the user's own, they are those learned from the log, at the filter's own update distance, and `ALPHAS`. Where
+    the stack's formula is not nav2's, values with the noise of such alphas at the same steps stand for them: of the
+    lower one in formulas with a single level. There are no others if the log does not show the odometry's noise, or the
+    motion model has none that could be set.
     """
     described = STACKS[settings.stack]
     convert = described.motion_from(getattr(settings.motion, described.motion_key, None))
     candidates: dict[str, Mapping[str, float]] = {BEFORE: {}}
     if convert is None:
-        return candidates
+        return MotionCandidates(candidates, None)
     min_distance, min_turn = settings.update_distances
     options = OdometryOptions(
         update_min_d=min_distance,
@@ -45,13 +59,21 @@ def motion_candidates(
     try:
         learned = calibrate_odometry(settings.at_ticks(log), options)
     except TooLittleDataError:
-        return candidates
+        return MotionCandidates(candidates, None)
     candidates[LEARNED] = convert(learned)
+    shown = convert(_without_floor(learned))
+    safe = {name: max(least, RESERVE * shown[name]) for name, least in candidates[LEARNED].items()}
     for rotation, translation in ALPHAS:
         same = rotation == translation
         name = f"alpha {rotation:g}" if same else f"alphas {rotation:g} and {translation:g}"
         candidates[name] = convert(_with_alphas(learned, rotation, translation))
-    return _without_repetition(candidates)
+    return MotionCandidates(_without_repetition(candidates), safe)
+
+
+def _without_floor(learned: OdometryCalibration) -> OdometryCalibration:
+    model = learned.chosen.model
+    assert isinstance(model, DifferentialMotion)
+    return replace(learned, alphas=model, options=replace(learned.options, floor=0.0))
 
 
 def _with_alphas(learned: OdometryCalibration, rotation: float, translation: float) -> OdometryCalibration:

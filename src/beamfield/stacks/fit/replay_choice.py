@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
-from math import ceil, log
+from math import ceil, log, sqrt
 from typing import Any
 
 import numpy as np
 
+from beamfield.calibration.odometry.windows import update_scans
 from beamfield.localization.replay import ReplayErrors
 from beamfield.localization.replay_comparison import FEWEST_SEEDS, ReplayComparison, ReplayTrials, compare_trials
 from beamfield.localization.replay_trials import run_trials
@@ -18,8 +19,8 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.kept_runs import KeptRuns
-from beamfield.stacks.fit.motion_candidates import BEFORE, LEARNED
-from beamfield.stacks.fit.replay_segments import ReplaySegments
+from beamfield.stacks.fit.motion_candidates import BEFORE, MotionCandidates
+from beamfield.stacks.fit.replay_segments import USUAL_DISTANCES, ReplaySegments
 from beamfield.stacks.registry import model_named
 
 Progress = Callable[[str, int, int], None]
@@ -39,10 +40,8 @@ LEAST_NOISE = 1e-6
 COVERAGE_PRICE = 2.0
 COVERAGE = 0.9
 # Settings that cost so little more than the best, relatively, are as good on a few stretches. Of them the one is taken
-# whose motion noise is nearest to what the log shows, with a reserve: noise four times too large costs little, but five
-# times too small it loses robots.
+# whose motion noise is nearest to what is safe by the log.
 AS_GOOD = 0.1
-RESERVE = 2.0
 
 
 @dataclass(frozen=True)
@@ -72,11 +71,23 @@ class ReplayOptions:
 # By the model's kind: a cast ray costs some twenty times a look-up in a field.
 OF_FIELDS = ReplayOptions()
 OF_RAYS = ReplayOptions(runs=30, most_stretches=4, longest=12)
+# Where a filter takes more scans than so many for each update of amcl, there are fewer runs, and shorter ones.
+AFFORDABLE_SCANS = 2.0
 
 
-def replay_options(stack: str, model: str, seed: int) -> ReplayOptions:
-    """Return how much a model can afford."""
-    return replace(OF_FIELDS if model_named(stack, model).weight.of_field else OF_RAYS, seed=seed)
+def replay_options(settings: FilterSettings, log: SensorLog, seed: int) -> ReplayOptions:
+    """Return how much a filter can afford on a log: fewer and shorter runs if updates are costly or many."""
+    usual = OF_FIELDS if model_named(settings.stack, settings.model).weight.of_field else OF_RAYS
+    less = max(1.0, sqrt(_scans_per_update(settings, log) / AFFORDABLE_SCANS))
+    return replace(usual, runs=ceil(usual.runs / less), longest=ceil(usual.longest / less), seed=seed)
+
+
+def _scans_per_update(settings: FilterSettings, log: SensorLog) -> float:
+    """Return how many scans a filter takes where amcl takes one."""
+    if settings.update_distances != (0.0, 0.0):
+        return 1.0
+    taken = settings.at_ticks(log).odometry
+    return float(np.isfinite(taken).all(axis=1).sum() / max(1, len(update_scans(taken, *USUAL_DISTANCES))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +113,6 @@ class ReplaySetting:
     def key(self) -> Key:
         """What tells it from others."""
         return self.sensor, self.motion, self.shift
-
-    @property
-    def noise(self) -> float:
-        """The sum of the motion model's numbers, but for the fifth alpha, which differential models do not have."""
-        values = asdict(self.filter.motion).items()
-        return sum(value for name, value in values if isinstance(value, float) and not name.endswith("5"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +166,7 @@ class ReplayChoice:
 def choose_by_replay(
     before: FilterSettings,
     sensors: Mapping[str, Any],
-    motions: Mapping[str, Mapping[str, float]],
+    motions: MotionCandidates,
     shift: float,
     segments: ReplaySegments,
     grid: OccupancyGrid,
@@ -183,7 +188,7 @@ def choose_by_replay(
     sensors
         Parameters of the measurement model by name, "before" for the user's.
     motions
-        Parameters of the motion model to change by name, "before" for none.
+        Parameters of the motion model.
     shift
         What sets the map's x and y origin right for the program, metres; 0 if it reads maps as they are.
     segments
@@ -201,14 +206,15 @@ def choose_by_replay(
     settings = {
         (sensor, motion, shift): ReplaySetting(
             sensor, motion, shift,
-            replace(before, sensor=sensors[sensor], motion=replace(before.motion, **motions[motion])),
+            replace(before, sensor=sensors[sensor], motion=replace(before.motion, **motions.by_name[motion])),
         )
-        for sensor, motion, shift in product(sensors, motions, {0.0, shift})
+        for sensor, motion, shift in product(sensors, motions.by_name, {0.0, shift})
     }  # fmt: skip
     own = settings[BEFORE, BEFORE, 0.0]
     raced = [one for one in settings.values() if one.shift == shift or one is own]
     choosing = _Replays(segments.choosing, segments.names[0], grid, options, kept)
-    best = _race(raced, choosing, progress)
+    safe = None if motions.safe is None else replace(before.motion, **motions.safe)
+    best = _race(raced, choosing, safe, progress)
     finalist = _with_origin_or_without(best, settings[best.sensor, best.motion, 0.0], choosing)
     without = _without_each_part(settings, finalist)
     judging = _Replays(segments.judging, segments.names[1], grid, options, kept)
@@ -303,8 +309,8 @@ def _joined(one: ReplayTrials, other: ReplayTrials) -> ReplayTrials:
     return replace(one, seeds=one.seeds + other.seeds, errors=one.errors + other.errors)
 
 
-def _race(settings: list[ReplaySetting], replays: _Replays, progress: Progress | None) -> ReplaySetting:
-    """Return the best setting on the stretches for choosing.
+def _race(settings: list[ReplaySetting], replays: _Replays, safe: Any, progress: Progress | None) -> ReplaySetting:
+    """Return the best setting on the stretches for choosing; `safe` is a motion model, or None.
 
     Two rounds find the sensor's values; with those, all motion noises are compared, the best of them with all seeds.
     """
@@ -320,21 +326,27 @@ def _race(settings: list[ReplaySetting], replays: _Replays, progress: Progress |
     sensor, _, shift = next(iter(best_first(left, some, f"racing the best {len(left)}")))
     left = [one for one in settings if (one.sensor, one.shift) == (sensor, shift)]
     left = [by_key[key] for key in best_first(left, some, "comparing motion noise")][:LAST]
-    learned = next((one.noise for one in settings if one.motion == LEARNED), 0.0)
-    return _of_equals(left, best_first(left, replays.n_seeds, f"comparing the best {len(left)}"), learned)
+    return _of_equals(left, best_first(left, replays.n_seeds, f"comparing the best {len(left)}"), safe)
 
 
-def _of_equals(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], learned: float) -> ReplaySetting:
-    """Return the best setting, or one about as good whose motion noise is nearer to the log's (0 for unknown)."""
+def _of_equals(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], safe: Any) -> ReplaySetting:
+    """Return the best setting, or one about as good whose motion noise is nearer to the safe one, if known."""
     best = min(settings, key=lambda one: cost[one.key])
-    if learned == 0.0:
+    if safe is None:
         return best
     as_good = [one for one in settings if cost[one.key] <= cost[best.key] + AS_GOOD]
 
     def apart(one: ReplaySetting) -> float:
-        return abs(log(max(one.noise, LEAST_NOISE) / (RESERVE * learned)))
+        return abs(log(_noise(one.filter.motion) / _noise(safe)))
 
     return min(as_good, key=lambda one: (apart(one), cost[one.key]))
+
+
+def _noise(motion: Any) -> float:
+    """Return the sum of a motion model's numbers, but for the fifth alpha, which differential models do not have."""
+    values = asdict(motion).items()
+    numbers = [value for name, value in values if isinstance(value, float) and not name.endswith("5")]
+    return max(LEAST_NOISE, sum(numbers))
 
 
 def _with_origin_or_without(shifted: ReplaySetting, plain: ReplaySetting, replays: _Replays) -> ReplaySetting:

@@ -16,6 +16,10 @@ import beamfield as bf
 from beamfield.errors import InvalidInputError, MissingDependencyError
 from beamfield.kernels import device
 
+pytestmark = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="the simulator is compared with the CPU's compiled kernels"
+)
+
 
 @pytest.fixture(scope="module")
 def in_simulator() -> dict[str, float]:

@@ -48,7 +48,7 @@ docs: $(STAMP)  ## Redraw the pictures and tables of the documentation
 	$(BIN)/python docs/make_book_map.py
 
 site: $(STAMP)  ## Build the documentation site into site/; it works from file://
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[docs]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --builder html docs site
 
 wheel: $(STAMP)  ## Build the wheel into dist/

@@ -57,8 +57,9 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Fi
     since = drive.stamps - drive.stamps[0]
     findings = [*_carried(drive, course, since), *_resets(drive, since), *_slips(fitted, since), *_gaps(since)]
     if drive.n_unknown:
+        which = "1 scan has" if drive.n_unknown == 1 else f"{drive.n_unknown} scans have"
         findings.append(Finding(
-            "odometry-missing", "warning", f"{drive.n_unknown} scans have no odometry; it was interpolated for them.",
+            "odometry-missing", "warning", f"{which} no odometry; it was interpolated.",
             {"scans": float(drive.n_unknown)},
             why="Slips in between are not seen.", do="Record the odometry for as long as the scans.",
         ))  # fmt: skip

@@ -129,6 +129,7 @@ def is_complete(path: Path) -> bool:
                 return all(arrays[name] is not None for name in arrays.files)
     except Exception:
         return False
-    return content.endswith(
-        {".html": b"</html>\n", ".svg": b"</svg>\n", ".mcap": b"\x89MCAP0\r\n"}.get(path.suffix, b"\n")
-    )
+    endings = {
+        ".html": b"</html>\n", ".svg": b"</svg>\n", ".mcap": b"\x89MCAP0\r\n", ".rrd": b"RRF2FOOT\x01\0\0\0",
+    }  # fmt: skip
+    return content.endswith(endings.get(path.suffix, b"\n"))

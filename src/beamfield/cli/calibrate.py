@@ -121,8 +121,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
             place.mkdir(exist_ok=True)
             for file_name, content in result.files.items():
                 (place / file_name).write_text(content, encoding="utf-8")
-    first = next(iter(results.values()))
-    recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
+        first = next(iter(results.values()))
+        recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
     if patched is not None and first.stack is not None:
         line += f"\n{write_patch(patched, first.stack)}"

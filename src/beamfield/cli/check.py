@@ -130,8 +130,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with atomic_folder(arguments.out) as folder:
         for name, content in files.items():
             (folder / name).write_text(content, encoding="utf-8")
-    numbers = {"p-value": fits.p_value, "probability of being lost": fits.lost}
-    recorded = write_recordings(arguments, lambda: beam_recording(parameters, given.log, given.grid, numbers))
+        numbers = {"p-value": fits.p_value, "probability of being lost": fits.lost}
+        recorded = write_recordings(arguments, lambda: beam_recording(parameters, given.log, given.grid, numbers))
     text = f"{_basis(reference, given)}\n{fit_table(fits, worst)}" + (
         "" if places is None else f"\n\n{places.summary()}"
     )

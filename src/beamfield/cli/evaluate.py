@@ -100,8 +100,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
             (folder / "evaluation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
             (folder / "evaluation.csv").write_text(evaluation_csv(evaluation))
             save_figure(evaluation_figure(evaluation), folder / "evaluation.svg")
-        log = next(iter(logs.values()))
-        recorded = write_recordings(arguments, lambda: _recording(arguments, filters, log, grid))
+            log = next(iter(logs.values()))
+            recorded = write_recordings(arguments, lambda: _recording(arguments, filters, log, grid))
     text = evaluation_tables(evaluation)
     return Outcome(evaluation_line(evaluation), text, document, (*notes, *more), [arguments.out, *recorded])
 

@@ -327,11 +327,11 @@ def _write(
         save_figure(localization_figure(found, log, grid), folder / "localization.png")
         text = json.dumps(document, indent=1, allow_nan=False)
         (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
-    written = [arguments.out]
-    if arguments.animation is not None:
-        write_file(arguments.animation, animation(film.frames, found, log, grid))
-        written.append(arguments.animation)
-    return [*written, *write_recordings(arguments, lambda: _recording(found, log, grid, film))]
+        recorded = write_recordings(arguments, lambda: _recording(found, log, grid, film))
+        if arguments.animation is not None:
+            write_file(arguments.animation, animation(film.frames, found, log, grid))
+            recorded.append(arguments.animation)
+    return [arguments.out, *recorded]
 
 
 def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: _Film) -> Recording:

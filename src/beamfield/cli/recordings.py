@@ -52,18 +52,19 @@ def check_recordings(arguments: argparse.Namespace) -> None:
 
 
 def write_recordings(arguments: argparse.Namespace, record: Callable[[], Recording]) -> list[Path]:
-    """Write what was asked for, and return the files."""
+    """Write what was asked for, all or nothing, and return the files; within the block that writes the results."""
     if not wants_recording(arguments):
         return []
+    from beamfield.io.files.atomic import atomic_files
     from beamfield.io.recordings.mcap_file import write_mcap
     from beamfield.io.recordings.rerun_file import write_rerun
 
-    recording, written = record(), []
-    for path, write in ((arguments.rerun, write_rerun), (arguments.mcap, write_mcap)):
-        if path is not None:
-            write(path, recording)
-            written.append(path)
-    return written
+    asked = [(path, write) for path, write in ((arguments.rerun, write_rerun), (arguments.mcap, write_mcap)) if path]
+    recording, paths = record(), [path for path, _ in asked]
+    with atomic_files(paths) as parts:
+        for part, (_, write) in zip(parts, asked, strict=True):
+            write(part, recording)
+    return paths
 
 
 def beam_recording(

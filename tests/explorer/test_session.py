@@ -124,11 +124,13 @@ def test_a_filter_follows_the_robot(session, log):
 
 
 def test_files_hold_the_values_that_were_chosen(session, grid, log, tmp_path):
-    answer = ask(session, "file", i=0, pose=POSE, set=BEAM, parameters={"sigma_hit": 0.07})
+    answer = ask(session, "file", i=0, pose=POSE, set=BEAM, parameters={"sigma_hit": 0.07, "exponent": 0.2})
     path = tmp_path / answer["file"]
     path.write_text(answer["text"])
     saved = read_beam_model(path)
-    assert (saved.sigma_hit, saved.z_hit, saved.exponent) == pytest.approx((0.07, 0.8, 0.1))
+    assert (saved.sigma_hit, saved.z_hit) == pytest.approx((0.07, 0.8))
+    # One scan's exponent is the slider's; a filter's keeps its ratio to it.
+    assert (saved.single_scan_exponent, saved.exponent) == pytest.approx((0.2, 0.06))
     again = read_set(path, grid, log.finder)
     assert again.kind == "beam"
     assert again.values["sigma_hit"] == pytest.approx(0.07)

@@ -60,8 +60,7 @@ def open_session(
             beam = calibrate(log, grid, CalibrationOptions(refine=False), progress=report).parameters
             report("learning the likelihood field", 0, 1)
             field = learn_field_parameters(log, grid)
-            exponent = field.exponent if field.exponents is None else field.exponents.single.value
-            sets += fitted_sets(beam, field.parameters, exponent, grid, log.finder)
+            sets += fitted_sets(beam, field, grid, log.finder)
             numbers = _timeline(log, grid, beam, report)
         except BeamfieldError as error:
             why = str(error)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from beamfield import __version__
+from beamfield.calibration.field.learning import FieldLearning
 from beamfield.errors import InvalidInputError
 from beamfield.io.parameters.beam_model_file import beam_model_text, read_beam_model
 from beamfield.io.parameters.likelihood_field_file import (
@@ -28,6 +29,11 @@ from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.registry import STACKS, build_model, model_named
 
 Kind = Literal["beam", "field", "stack"]
+# Name and writer of the file of each of the chapter's models.
+_FILES: dict[str, tuple[str, Callable[..., str]]] = {
+    "beam": ("beam_model.yaml", beam_model_text),
+    "field": ("likelihood_field.yaml", likelihood_field_text),
+}
 WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 
 
@@ -128,7 +134,9 @@ class ParameterSet:
 
 def typical_sets(grid: OccupancyGrid, finder: RangeFinder) -> list[ParameterSet]:
     """Return what there is without a file: a typical beam model, its field, and the first program's default."""
-    beam = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.15, "lambda_short": 0.4}
+    beam = BeamParameters(z_hit=0.8, z_short=0.08, z_max=0.02, z_rand=0.1, sigma_hit=0.15, lambda_short=0.4)
+    field_parameters = LikelihoodFieldParameters(z_hit=0.8, z_rand=0.1, sigma_hit=0.15)
+    counting = _Counting(in_filter=0.03, single=0.1, n_beams=None)
     program, model = next(
         (program, model)
         for program in STACKS.values()
@@ -136,23 +144,21 @@ def typical_sets(grid: OccupancyGrid, finder: RangeFinder) -> list[ParameterSet]
         if model.weight.of_field and model.weight.is_product
     )
     return [
-        _beam_set("typical beam model", beam, 0.1, grid, finder),
-        _field_set("typical likelihood field", {"z_hit": 0.8, "z_rand": 0.1, "sigma_hit": 0.15}, 0.1, grid, finder),
+        _chapter_set("typical beam model", "beam", beam, counting, grid, finder),
+        _chapter_set("typical likelihood field", "field", field_parameters, counting, grid, finder),
         _stack_set(f"{program.title}'s default", program.name, model.name, model.parameters(), grid, None),
     ]
 
 
 def fitted_sets(
-    beam: BeamParameters,
-    field_parameters: LikelihoodFieldParameters,
-    exponent: float,
-    grid: OccupancyGrid,
-    finder: RangeFinder,
+    beam: BeamParameters, learned: FieldLearning, grid: OccupancyGrid, finder: RangeFinder
 ) -> list[ParameterSet]:
-    """Return what was learned from a log; the exponent is for one scan."""
+    """Return what was learned from a log: a beam model, and a likelihood field, whose exponents serve both."""
+    single = learned.exponent if learned.exponents is None else learned.exponents.single.value
+    counting = _Counting(learned.exponent, single, learned.n_beams)
     return [
-        _beam_set("beam model, fitted", _numbers(beam), exponent, grid, finder),
-        _field_set("likelihood field, fitted", _numbers(field_parameters), exponent, grid, finder),
+        _chapter_set("beam model, fitted", "beam", beam, counting, grid, finder),
+        _chapter_set("likelihood field, fitted", "field", learned.parameters, counting, grid, finder),
     ]
 
 
@@ -164,14 +170,12 @@ def read_set(path: Path, grid: OccupancyGrid, finder: RangeFinder) -> ParameterS
     FormatError
         If the file cannot be used.
     """
-    if is_likelihood_field(path):
-        saved_field = read_likelihood_field(path)
-        values, exponent = _numbers(saved_field.parameters), saved_field.single_scan_exponent
-        return _field_set(f"{path.name}: likelihood field", values, exponent, grid, finder)
-    if is_beam_model(path):
-        saved = read_beam_model(path)
-        label = f"{path.name}: beam model"
-        return _beam_set(label, _numbers(saved.parameters), saved.single_scan_exponent, grid, finder)
+    if is_likelihood_field(path) or is_beam_model(path):
+        is_field = is_likelihood_field(path)
+        saved = read_likelihood_field(path) if is_field else read_beam_model(path)
+        counting = _Counting(saved.exponent, saved.single_scan_exponent, saved.n_beams)
+        label = f"{path.name}: {'likelihood field' if is_field else 'beam model'}"
+        return _chapter_set(label, "field" if is_field else "beam", saved.parameters, counting, grid, finder)
     file = read_stack_file(path)
     label = f"{path.name}: {file.program.title} {file.model}"
     return _stack_set(label, file.stack, file.model, checked_values(file), grid, file)
@@ -191,45 +195,42 @@ def _numbers(parameters: Any) -> dict[str, float]:
     return {item.name: float(getattr(parameters, item.name)) for item in fields(parameters)}
 
 
-def _beam_set(
-    label: str, values: Mapping[str, float], exponent: float, grid: OccupancyGrid, finder: RangeFinder
-) -> ParameterSet:
-    def make(changed: Mapping[str, float]) -> BeamModel:
+class _Counting(NamedTuple):
+    """How much beams count: in a filter, and in one scan on its own, which is what the page shows; None: all beams."""
+
+    in_filter: float
+    single: float
+    n_beams: int | None
+
+
+def _chapter_set(
+    label: str, kind: Literal["beam", "field"], parameters: Any, counting: _Counting, grid: OccupancyGrid,
+    finder: RangeFinder,
+) -> ParameterSet:  # fmt: skip
+    """Return a set of the beam model or the likelihood field; its slider `exponent` is that of one scan."""
+    model: type[Any] = BeamModel if kind == "beam" else LikelihoodFieldModel
+    name, text_of = _FILES[kind]
+
+    def split(changed: Mapping[str, float]) -> tuple[Any, float]:
         numbers = dict(changed)
-        power = numbers.pop("exponent")
-        return BeamModel(grid, BeamParameters(**numbers), exponent=power)
+        exponent = numbers.pop("exponent")
+        return type(parameters)(**numbers), exponent
+
+    def make(changed: Mapping[str, float]) -> Any:
+        own, exponent = split(changed)
+        return model(grid, own, exponent=exponent, n_beams=counting.n_beams)
 
     def write(changed: Mapping[str, float]) -> tuple[str, str]:
-        numbers = dict(changed)
-        power = numbers.pop("exponent")
-        text = beam_model_text(
-            BeamParameters(**numbers), finder, provenance=_origin(), exponent=power, single_scan_exponent=power,
-            n_beams=finder.n_beams,
-        )  # fmt: skip
-        return "beam_model.yaml", text
-
-    all_values = {**values, "exponent": exponent}
-    return ParameterSet(label, "beam", _sliders(all_values), all_values, make, write)
-
-
-def _field_set(
-    label: str, values: Mapping[str, float], exponent: float, grid: OccupancyGrid, finder: RangeFinder
-) -> ParameterSet:
-    def make(changed: Mapping[str, float]) -> LikelihoodFieldModel:
-        numbers = dict(changed)
-        power = numbers.pop("exponent")
-        return LikelihoodFieldModel(grid, LikelihoodFieldParameters(**numbers), exponent=power)
-
-    def write(changed: Mapping[str, float]) -> tuple[str, str]:
-        numbers = dict(changed)
-        power = numbers.pop("exponent")
-        text = likelihood_field_text(
-            LikelihoodFieldParameters(**numbers), finder, provenance=_origin(), exponent=power, n_beams=finder.n_beams
+        own, exponent = split(changed)
+        # A filter's exponent is smaller, as scan after scan err alike: it keeps its ratio to one scan's.
+        in_filter = exponent * counting.in_filter / counting.single
+        n_beams = counting.n_beams or finder.n_beams
+        return name, text_of(
+            own, finder, provenance=_origin(), exponent=in_filter, single_scan_exponent=exponent, n_beams=n_beams
         )
-        return "likelihood_field.yaml", text
 
-    all_values = {**values, "exponent": exponent}
-    return ParameterSet(label, "field", _sliders(all_values), all_values, make, write)
+    values = {**_numbers(parameters), "exponent": counting.single}
+    return ParameterSet(label, kind, _sliders(values), values, make, write)
 
 
 def _stack_set(

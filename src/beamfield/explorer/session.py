@@ -202,12 +202,12 @@ class Session:
             shares = beam_responsibilities(usable, expected, finder.max_range, parameters, min_range=finder.min_range)
             return [None if not row.any() else row.tolist() for row in shares]
         if one.kind == "field":
-            each = self._model(one, {**values, "exponent": 1.0}).beam_log_likelihood(scan, pose)
-            random = np.log(max(values["z_rand"], 1e-12) / finder.max_range)
-            with np.errstate(over="ignore"):
-                hit = 1.0 - np.exp(np.minimum(random - each, 0.0))
+            off = self._model(one, values).distances_to_obstacles(scan, pose) / values["sigma_hit"]
+            # (6.34): the part of the hit in the value of each reading.
+            near = values["z_hit"] * np.exp(-0.5 * off**2) / (values["sigma_hit"] * np.sqrt(2.0 * np.pi))
+            hit = near / (near + max(values["z_rand"], 1e-12) / finder.max_range)
             return [
-                None if np.isnan(z) or z >= finder.max_range else [float(share)]
+                None if np.isnan(share) or z >= finder.max_range else [float(share)]
                 for z, share in zip(usable, hit, strict=True)
             ]
         return None

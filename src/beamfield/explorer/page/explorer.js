@@ -213,7 +213,7 @@ class Explorer {
     const kind = this.start.sets[this.set].kind;
     const entry = (name, text) => make("li", {}, make("span", { className: `swatch ${name}` }), text);
     const entries = kind === "beam" ? CAUSES.map((name) => entry(name, CAUSE_WORDS[name]))
-      : kind === "field" ? [entry("hit", "near an obstacle"), entry("short", "far from any")] : [entry("hit", "reading")];
+      : kind === "field" ? [entry("hit", "near an obstacle"), entry("short", "far from any"), make("li", { textContent: "grey: not looked at" })] : [entry("hit", "reading")];
     this.page.legend.replaceChildren(...entries, make("li", { textContent: "line: expected ranges" }));
   }
 
@@ -520,7 +520,7 @@ class Explorer {
       if (!end) return;
       const share = this.answer.shares?.[beam];
       if (kind === "beam" && !share) return;
-      context.fillStyle = kind === "beam" ? colours[CAUSES[largest(share)]] : kind === "field" && share ? (share[0] > 0.5 ? colours.hit : colours.short) : colours.hit;
+      context.fillStyle = kind === "beam" ? colours[CAUSES[largest(share)]] : kind === "stack" ? colours.hit : !share ? colours.quiet : share[0] > 0.5 ? colours.hit : colours.short;
       const [x, y] = this.toScreen(end), size = beam === this.beam ? 5 : 2.6;
       context.beginPath(); context.arc(x, y, size, 0, 2 * Math.PI); context.fill();
       if (beam === this.beam) this.drawLine(context, [this.pose, end], colours.accent, 1);

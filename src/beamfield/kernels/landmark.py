@@ -8,6 +8,7 @@ in place of 1 / sigma. ``base`` is the logarithm of all constants and of the sig
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,23 @@ Floats = NDArray[np.float64]
 Sensor = tuple[float, float, float, float]
 # Measured range, cosine and sine of the measured bearing, and what residuals of range and bearing count.
 Measured = tuple[float, float, float, float, float]
+
+LOG_2PI = math.log(2.0 * math.pi)
+
+
+class Noise(NamedTuple):
+    """What is known of the sensor: `LandmarkParameters`, as logarithms and weights."""
+
+    range_bias: float
+    range_scale: float
+    bearing_bias: float
+    range_weight: float  # range_scale / sigma_r
+    bearing_weight: float  # 1 / sigma_phi
+    log_range: float  # logarithm of the constants of range and of bearing
+    log_bearing: float
+    max_range: float  # of features of no landmark; infinite if there are none with a range
+    log_max_range: float
+
 
 # Poses of one pass of the vectorised loop: five columns of doubles stay in the nearest cache.
 BLOCK = 512
@@ -47,6 +65,38 @@ def log_value(sensor: Sensor, landmark_x: float, landmark_y: float, feature: Mea
     a = (math.sqrt(square) - r) * range_weight
     b = bearing_error * bearing_weight
     return base - 0.5 * (a * a + b * b)
+
+
+@kernel
+def describe_features(ranges: Floats, bearings: Floats, noise: Noise, features: Floats, logs: Floats) -> None:
+    """Turn what was measured into what the other kernels need; NaN was not measured.
+
+    Parameters
+    ----------
+    ranges, bearings
+        (k,) metres and radians.
+    noise
+        Of the sensor.
+    features
+        (k, 5) overwritten.
+    logs
+        (k, N + 1) log densities of the signatures given each landmark and given none; what ranges and bearings add
+        to them is added: the constants given a landmark, all of the log density given none.
+    """
+    for k in range(ranges.size):
+        has_range, has_bearing = not math.isnan(ranges[k]), not math.isnan(bearings[k])
+        phi = bearings[k] - noise.bearing_bias if has_bearing else 0.0
+        features[k, 0] = (ranges[k] - noise.range_bias) / noise.range_scale if has_range else 0.0
+        features[k, 1], features[k, 2] = math.cos(phi), math.sin(phi)
+        features[k, 3] = noise.range_weight if has_range else 0.0
+        features[k, 4] = noise.bearing_weight if has_bearing else 0.0
+        constant = (noise.log_range if has_range else 0.0) + (noise.log_bearing if has_bearing else 0.0)
+        last = logs.shape[1] - 1
+        for j in range(last):
+            logs[k, j] += constant
+        outside = has_range and not 0.0 <= ranges[k] <= noise.max_range
+        none = (-noise.log_max_range if has_range else 0.0) - (LOG_2PI if has_bearing else 0.0)
+        logs[k, last] += -math.inf if outside else none
 
 
 @kernel

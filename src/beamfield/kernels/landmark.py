@@ -182,10 +182,12 @@ def fill_nearest(
         (n, k) its index; N where none is more probable, N + 1 where nothing is possible.
     """
     across, along = landmarks[0], landmarks[1]
-    lack, cost = np.empty_like(base), np.empty(across.size)
+    lack, cost = np.empty(base.shape), np.empty(across.size)
     scales, most = np.empty(features.shape[0]), np.empty(features.shape[0])
     for k in range(features.shape[0]):
-        scales[k], most[k] = _scale_of_places(_measured(features[k])), base[k].max()
+        scales[k], most[k] = _scale_of_places(_measured(features[k])), base[k, 0]
+        for j in range(across.size):
+            most[k] = max(most[k], base[k, j])
         for j in range(across.size):
             lack[k, j] = 2.0 * (most[k] - base[k, j])
     for i in range(poses.shape[0]):

@@ -26,6 +26,7 @@ from beamfield.models.line_detections import LineDetections
 Correspondence = Literal["known", "nearest", "sum", "assignment"]
 # Values per pose, feature and thing in memory at a time: 8 MB.
 VALUES_PER_CHUNK = 1_000_000
+_NO_FEATURES = np.empty(0, dtype=np.int64)
 
 
 Z = TypeVar("Z", bound=Detections | LineDetections)
@@ -204,18 +205,22 @@ class CorrespondenceModel(ABC, Generic[Z]):
         """Set candidates (n, unknown, N) that are none to -inf; poses, mount and things (c, N) as for the kernels."""
 
     def _prepare(self, z: Z) -> tuple[Given, Tables]:
-        ids = np.full(len(z), UNKNOWN) if z.ids is None else z.ids
-        places = np.empty((4, len(ids)), dtype=np.int64)
-        n_known, n_unknown, n_spurious = sort_by_id(ids, self._things.ids, self._things.by_id, UNKNOWN, places)
-        if n_unknown and self.correspondence == "known":
+        given = self._given(z.ids, len(z))
+        if len(given.unknown) and self.correspondence == "known":
             raise InvalidInputError(
                 f"ids: correspondence 'known' needs an id of every {self.feature_name}, "
-                f"got none for {self.feature_name} {places[2, 0]}"
+                f"got none for {self.feature_name} {given.unknown[0]}"
             )
-        if n_known < 0:
-            self._things.indices_of(ids[-1 - n_known])  # which says so
-        given = Given(places[0, :n_known], places[1, :n_known], places[2, :n_unknown], places[3, :n_spurious])
         return given, self._tables(z, given)
+
+    def _given(self, ids: NDArray[np.int64] | None, n: int) -> Given:
+        if ids is None:
+            return Given(_NO_FEATURES, _NO_FEATURES, np.arange(n), _NO_FEATURES)
+        places = np.empty((4, n), dtype=np.int64)
+        known, unknown, spurious = sort_by_id(ids, self._things.ids, self._things.by_id, UNKNOWN, places)
+        if known < 0:
+            self._things.indices_of(ids[-1 - known])  # which says so
+        return Given(places[0, :known], places[1, :known], places[2, :unknown], places[3, :spurious])
 
     def _evaluate(self, z: Z, poses: ArrayLike) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return values and ids, each (..., k)."""

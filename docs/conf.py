@@ -1,6 +1,6 @@
 """The documentation site: Sphinx over the same Markdown files that are read in the repository.
 
-`make site` builds it into site/; warnings are errors. The API reference is made from the front door's docstrings, and the
+`make site` builds it into site/; warnings are errors. The API reference is made from the front door's docstrings;
 notebooks run while the site is built.
 """
 

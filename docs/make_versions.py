@@ -1,6 +1,6 @@
 """Write what joins the versions of the site: ``python docs/make_versions.py site``.
 
-Each version stands in a folder of its own, site/0.1.0; older ones stay as they were built. versions.js tells all of them
+Each version stands in a folder of its own, site/0.1.0; older ones stay as they were built. versions.js tells all
 which there are, and index.html leads to the newest.
 """
 
@@ -16,8 +16,8 @@ def main(site: Path) -> None:
     """List the versions, newest first."""
     versions = sorted((path.parent.name for path in site.glob("*/index.html")), key=numbers, reverse=True)
     (site / "versions.js").write_text(f"window.VERSIONS = {json.dumps(versions)};\n", encoding="utf-8")
-    newest = f'<!doctype html><title>beamfield</title><meta http-equiv="refresh" content="0; url={versions[0]}/index.html">\n'
-    (site / "index.html").write_text(newest, encoding="utf-8")
+    newest = f'<meta http-equiv="refresh" content="0; url={versions[0]}/index.html">'
+    (site / "index.html").write_text(f"<!doctype html><title>beamfield</title>{newest}\n", encoding="utf-8")
 
 
 def numbers(version: str) -> list[int]:

@@ -138,10 +138,11 @@ def features(world: World) -> dict[str, Any]:
         "pose": world.log.poses[10],
         "beam_model": world.model,
         "line_model": line_model,
-        "log": world.log,
-        "grid": world.grid,
-        "parameters": world.model.parameters,
     }
+
+
+def features_measured(world: World) -> dict[str, Any]:
+    return {"scan": world.scan, "log": world.log, "grid": world.grid, "parameters": world.model.parameters}
 
 
 def landmark_learning(world: World) -> dict[str, Any]:
@@ -185,6 +186,10 @@ def localization(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "log": world.log[:20]}
 
 
+def range_table(world: World) -> dict[str, Any]:
+    return {"grid": world.grid, "poses": world.particles, "finder": world.finder}
+
+
 def raycasting(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "poses": world.particles, "finder": world.finder, "origins": world.particles}
 
@@ -209,6 +214,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "calibrate": calibrate,
     "calibrate_stack": calibrate_stack,
     "changed_places": changed_places,
+    "evidence/features": features_measured,
     "features": features,
     "in_context": calibrate_stack,
     "landmark_learning": landmark_learning,
@@ -217,6 +223,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "lines": lines,
     "localization": localization,
     "marker": marker,
+    "range_table": range_table,
     "raycasting": raycasting,
     "scan_fit": scan_fit,
     "stacks": stacks,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -305,6 +306,15 @@ def test_a_notebook_checks_what_it_shows_and_says_where_the_book_is_not_literal(
     assert f"{{nb-download}}`Download as a notebook <{path.stem}.ipynb>`" in text
     assert sum(block.text.count("assert ") for block in blocks_of(path)) >= 2
     assert ("## Where the book must not be taken literally" in text) == path.stem.startswith("chapter")
+
+
+def test_the_site_lists_its_versions_and_leads_to_the_newest(tmp_path: Path):
+    for version in ("0.9.0", "0.10.0"):
+        (tmp_path / version).mkdir()
+        (tmp_path / version / "index.html").touch()
+    runpy.run_path(str(DOCS / "make_versions.py"))["main"](tmp_path)
+    assert '["0.10.0", "0.9.0"]' in (tmp_path / "versions.js").read_text(encoding="utf-8")
+    assert 'url=0.10.0/index.html"' in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
 def test_the_filter_in_a_ros_node_weighs_its_particles(world: World):

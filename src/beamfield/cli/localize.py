@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.15, "lambda_short": 0.4}
 DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
-# Measured in docs/localization.md.
+# Measured in docs/evidence/localization.md.
 INDEPENDENT_BEAMS = 1.8
 PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
 # Particles kept for an animation, and pictures of it, at most.

@@ -138,9 +138,9 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
     """Fit the poses of a log to a map by every other beam, twice, so that no beam is judged at a pose that it made.
 
     A pose follows the noise of the beams that it is fitted to, and the map's errors. At poses from the beams between,
-    the first does not flatter the sensor; the second still does, and is the larger part (docs/calibrate.md). Roughly
-    where the robot drove, within tenths of a metre, is found once by all beams, as is what stands in for odometry that
-    is missing.
+    the first does not flatter the sensor; the second still does, and is the larger part (docs/evidence/calibrate.md).
+    Roughly where the robot drove, within tenths of a metre, is found once by all beams, as is what stands in for
+    odometry that is missing.
 
     Parameters
     ----------

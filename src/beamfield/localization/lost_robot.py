@@ -11,7 +11,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 
 # Midway between runs with wrong odometry or an unlike building's map, at most 0.39 in the median scan, and those that
-# follow the robot, at least 0.52: real and simulated logs with two filters, see docs/localization.md.
+# follow the robot, at least 0.52: real and simulated logs with two filters, see docs/evidence/localization.md.
 LEAST_AGREEMENT = 0.45
 
 

@@ -32,7 +32,7 @@ Progress = Callable[[str, int, int], None]
 # Nats that a scan costs if all of its beams pass walls.
 THROUGH_COST = 6.0
 # Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
-# buildings (at least 5.2) of the logs that docs/trajectory.md lists.
+# buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
 MOST_COST = 4.6
 # A start that is given is believed against a worse fit.
 MOST_COST_FROM_START = 9.0
@@ -191,7 +191,7 @@ def fit_trajectory(
     Notes
     -----
     Covariances are the marginals of the whole fit. End points on one patch of wall share its errors, so they count less
-    than if they were independent; see docs/trajectory.md for the measured coverage.
+    than if they were independent; see docs/evidence/trajectory.md for the measured coverage.
 
     References
     ----------

@@ -6,6 +6,7 @@ beamfield[fleet].
 for example:
 
   beamfield fleet scan fleet.yaml --out catalogue
+  beamfield fleet scan logs --out s3://bucket/catalogue
 """
 
 from __future__ import annotations

@@ -233,5 +233,5 @@ def record_from_json(content: bytes, path: str) -> RunRecord:
             covariance = tuple(tuple(row) for row in given["covariance"])
             values["odometry"] = OdometryErrors(tuple(given["names"]), tuple(given["values"]), covariance)
         return RunRecord(**values)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise FormatError(path, f"expected the record of a run, got something else: {error}") from error

@@ -28,6 +28,7 @@ from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.io.landmarks.landmark_files import write_landmarks
 from beamfield.io.landmarks.line_files import write_line_map
+from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map import write_map
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
@@ -37,7 +38,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.line import LineModel, LineParameters
-from beamfield.sensors import RangeFinder, Scan, SensorLog
+from beamfield.sensors import RangeFinder, Scan, ScanLog, SensorLog
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from tests.io.mini_bag import MiniBag, quaternion
 from tests.io.test_fiducial_detections import CameraBag
@@ -54,6 +55,8 @@ COMMAND = re.compile(r"^(?: {4}|\$ )?(beamfield [a-z].*?)(?:\s+#.*)?$", re.MULTI
 DEEP = {
     "beamfield.calibration.pose_windows",
     "beamfield.features.feature",
+    "beamfield.fleet.engine",
+    "beamfield.fleet.scan",
     "beamfield.io.bags.fiducial_detections",
     "beamfield.features.map_features",
     "beamfield.localization.information",
@@ -63,6 +66,8 @@ DEEP = {
     "beamfield.simulation.dependence",
     "beamfield.simulation.sonar",
 }
+# What a document needs besides beamfield; without, its Python does not run.
+NEEDS = {"fleet": ("distributed", "pyarrow", "fsspec", "polars", "duckdb", "pandas")}
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
 
@@ -191,6 +196,14 @@ def range_table(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "poses": world.particles, "finder": world.finder}
 
 
+def fleet(world: World) -> dict[str, Any]:
+    Path("fleet").mkdir()
+    write_map(world.grid, "fleet/room.yaml")
+    write_carmen("fleet/run.log", ScanLog({"FLASER": world.log}, source="run.log"))
+    Path("fleet.csv").write_text("log,map,robot,site\nfleet/run.log,fleet/room.yaml,ann,hall\n")
+    return {}
+
+
 def raycasting(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "poses": world.particles, "finder": world.finder, "origins": world.particles}
 
@@ -217,6 +230,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "changed_places": changed_places,
     "evidence/features": features_measured,
     "features": features,
+    "fleet": fleet,
     "in_context": calibrate_stack,
     "landmark_learning": landmark_learning,
     "landmarks": landmarks,
@@ -284,6 +298,8 @@ def test_documents_and_examples_come_in_by_the_front_door(path: Path):
 
 @pytest.mark.parametrize("path", WITH_PYTHON, ids=name_of)
 def test_the_python_of_a_document_runs(path: Path, world: World, tmp_path, monkeypatch):
+    for package in NEEDS.get(name_of(path), ()):
+        pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     names = STAND_INS[name_of(path)](world) if name_of(path) in STAND_INS else {}
     for block in blocks_of(path):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from beamfield.fleet.learning import FleetFit, SensorLimits
+from beamfield.fleet.learning import FleetFit
+from beamfield.fleet.shard_passes import SensorLimits
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
 

@@ -63,6 +63,19 @@ def test_a_fleet_learns_what_one_process_learns_from_the_same_beams(truth, min_r
     assert fit.log_likelihood == pytest.approx(alone.log_likelihood, rel=1e-12)
 
 
+def test_two_processes_learn_the_same_bits_as_one(monkeypatch):
+    monkeypatch.setattr(learning, "SAMPLE_BEAMS", 1000)
+    catalogue = fleet_of(TRUTH, n_shards=7, n_scans=20)
+    here = learn(catalogue, SERIAL).fits + learn(catalogue, SERIAL, by="robot").fits
+    with Engine("processes", workers=2) as engine:
+        there = learn(catalogue, engine).fits + learn(catalogue, engine, by="robot").fits
+    for one, other in zip(here, there, strict=True):
+        assert one.parameters == other.parameters
+        assert one.log_likelihood == other.log_likelihood
+        assert one.intervals == other.intervals
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
 @pytest.mark.parametrize("truth", [TRUTH, WIDE])
 def test_sums_over_shards_are_those_of_all_beams(truth, monkeypatch):
     monkeypatch.setattr(shard_passes, "BATCH_ROWS", 700)

@@ -19,7 +19,7 @@ from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.fleet import learning, shard_passes
 from beamfield.fleet.engine import Engine
-from beamfield.fleet.learning import learn, sensor_limits
+from beamfield.fleet.learning import GroupFit, learn, sensor_limits
 from beamfield.fleet.shard_passes import Part, SensorLimits, ShardedLikelihood, metres
 from beamfield.models.beam_parameters import BeamParameters
 
@@ -64,15 +64,20 @@ def test_a_fleet_learns_what_one_process_learns_from_the_same_beams(truth, min_r
 
 
 def test_two_processes_learn_the_same_bits_as_one(monkeypatch):
-    monkeypatch.setattr(learning, "SAMPLE_BEAMS", 1000)
     catalogue = fleet_of(TRUTH, n_shards=7, n_scans=20)
-    here = learn(catalogue, SERIAL).fits + learn(catalogue, SERIAL, by="robot").fits
+
+    def fits(engine: Engine) -> tuple[GroupFit, ...]:
+        with monkeypatch.context() as patch:  # workers do not see it
+            patch.setattr(learning, "SAMPLE_BEAMS", 1000)
+            of_fleet = learn(catalogue, engine).fits
+        return of_fleet + learn(catalogue, engine, by="robot").fits
+
     with Engine("processes", workers=2) as engine:
-        there = learn(catalogue, engine).fits + learn(catalogue, engine, by="robot").fits
-    for one, other in zip(here, there, strict=True):
+        there = fits(engine)
+    for one, other in zip(fits(SERIAL), there, strict=True):
         assert one.parameters == other.parameters
         assert one.log_likelihood == other.log_likelihood
-        assert one.intervals == other.intervals
+        assert one.intervals.intervals == other.intervals.intervals
         np.testing.assert_array_equal(one.covariance, other.covariance)
 
 

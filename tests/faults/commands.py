@@ -55,7 +55,9 @@ class Command:
     mine
         Files in the folder that the user had before, by name; the command changes them.
     in_steps
-        Whether it is several commands: what the first wrote stays if the next one fails.
+        Whether it is several steps: what the first wrote stays if the next one fails.
+    resumes
+        Whether it goes on with what an earlier run wrote, in a folder of its own.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Command:
     kills: int
     mine: Mapping[str, str] = field(default_factory=dict)
     in_steps: bool = False
+    resumes: bool = False
 
     def typed(self, out: Path, world: Path) -> list[str]:
         return [word.format(out=out, world=world) for word in self.words.split()]
@@ -88,6 +91,8 @@ COMMANDS = (
     Command("calibrate", f"calibrate {_LOG} --no-refine --out {{out}}/c", 4),
     Command("calibrate --stack --patch", f"calibrate {_LOG} --no-refine --out {{out}}/c --stack nav2 "
             "--patch {out}/nav2.yaml", 3, {"nav2.yaml": NAV2}),
+    Command("fleet scan", "fleet scan {world}/fleet.csv --out {out}/catalogue --scheduler serial --quiet", 12,
+            in_steps=True, resumes=True),
     Command("demo", "demo --out {out}/demo --duration 90 --quiet", 2, in_steps=True),
 )  # fmt: skip
 QUICK = COMMANDS[:2]
@@ -103,6 +108,7 @@ def make_world(folder: Path, *, logs: bool) -> None:
     words = ["simulate", "--out", str(folder), "--seed", "4", "--duration", "90", "--scan-rate", "3"]
     if main([*words, "--beams", "31", "--quiet"]) != 0:
         raise RuntimeError("the world could not be simulated")
+    (folder / "fleet.csv").write_text("log,map,robot,site\nlog.carmen,map.yaml,ann,hall\n")
     rng = np.random.default_rng(4)
     landmarks = LandmarkMap([[0.0, 0.0], [9.0, 1.0], [4.0, 7.0]], ids=[4, 9, 2])
     model = LandmarkModel(landmarks, LandmarkParameters(0.1, 0.02), correspondence="known")

@@ -103,8 +103,8 @@ def _log(fit: GroupFit, name: str) -> tuple[float, float] | None:
     value, error = getattr(fit.parameters, name), fit.intervals.standard_errors[name]
     if math.isnan(error):  # on its bound
         high = fit.intervals.intervals[name][1]
-        if not 0.0 < high < math.inf or value > 0.0:
-            return (math.log(value), _LEAST) if value > 0.5 else None
+        if value > 0.0 or not 0.0 < high < math.inf:  # sigma_hit at its floor, or no interval
+            return None
         return math.log(high / math.log(20.0)) - _EULER, _VARIANCE_OF_LOG
     if not (math.isfinite(error) and value > 0.0):
         return None

@@ -55,8 +55,6 @@ COMMAND = re.compile(r"^(?: {4}|\$ )?(beamfield [a-z].*?)(?:\s+#.*)?$", re.MULTI
 DEEP = {
     "beamfield.calibration.pose_windows",
     "beamfield.features.feature",
-    "beamfield.fleet.engine",
-    "beamfield.fleet.scan",
     "beamfield.io.bags.fiducial_detections",
     "beamfield.features.map_features",
     "beamfield.localization.information",

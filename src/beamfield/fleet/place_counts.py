@@ -1,0 +1,83 @@
+"""What the beams of one run say about the squares of a map: how many could tell, and how many differ."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamfield.calibration.beam_table import BeamTable
+from beamfield.fleet.catalogue import Catalogue, Shard
+from beamfield.fleet.run_record import RunRecord
+from beamfield.geometry import compose
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.scan_fit.changed_places import SIDE, Reading
+from beamfield.scan_fit.place_beams import MOST_BEAMS, judge_table
+from beamfield.scan_fit.place_tallies import Lattice, tally_short, tally_walls
+from beamfield.scan_fit.place_visits import Tally
+
+READINGS: tuple[Reading, ...] = ("short", "beyond", "no return")
+# Poses may be off by so much, metres; a quarter of it in radians.
+REFERENCE_ERROR = 0.04
+COLUMNS = ("scan", "beam", "stamp", "range", "expected_range", "x", "y", "heading")
+
+
+class CountJob(NamedTuple):
+    """A run's beams on a day, to be judged with the parameters of its robot."""
+
+    catalogue: Catalogue
+    shard: Shard
+    record: RunRecord
+    parameters: BeamParameters
+
+    @property
+    def map_hash(self) -> str:
+        """Which map."""
+        return "" if self.record.map_info is None else self.record.map_info.content
+
+
+def count_places(job: CountJob) -> tuple[Tally, ...]:
+    """Return what the beams of a run say about each square of the map, for each of `READINGS`.
+
+    Parameters
+    ----------
+    job
+        The run.
+    """
+    grid = _grid(job.catalogue, job.map_hash, job.record)
+    lattice, finder = Lattice.over(grid, SIDE), job.record.finder
+    columns = job.shard.read(COLUMNS, thin=1 + job.shard.rows // MOST_BEAMS)
+    # Ranges are stored as float32, which may be a little less than max_range.
+    ranges, expected = (
+        np.where(columns[name] >= np.float32(finder.max_range), finder.max_range, columns[name])
+        for name in ("range", "expected_range")
+    )
+    table = BeamTable(
+        ranges, expected, columns["scan"], columns["beam"], columns["stamp"], finder.max_range,
+        min_range=finder.min_range,
+    )  # fmt: skip
+    poses = np.column_stack([columns["x"], columns["y"], columns["heading"]])
+    beams = judge_table(
+        table, compose(poses, finder.mounts[table.beam]), np.zeros(len(table), np.int64), grid, job.parameters,
+        reference_error=REFERENCE_ERROR, longest_error=lattice.side,
+    )  # fmt: skip
+    every: NDArray[np.int32] = np.arange(lattice.rows * lattice.cols, dtype=np.int32).reshape(lattice.shape)
+    return (
+        tally_short(beams, lattice, every),
+        tally_walls(beams, lattice, every, beams.through),
+        tally_walls(beams, lattice, every, beams.silent),
+    )
+
+
+# The map of the last job: jobs come site by site.
+_GRIDS: dict[tuple[str, str], OccupancyGrid] = {}
+
+
+def _grid(catalogue: Catalogue, map_hash: str, record: RunRecord) -> OccupancyGrid:
+    key = (repr(catalogue), map_hash)
+    if key not in _GRIDS:
+        _GRIDS.clear()
+        _GRIDS[key] = catalogue.grid(record)
+    return _GRIDS[key]

@@ -18,7 +18,7 @@ from beamfield.calibration.intrinsic.likelihood import (
     W_RAND,
     W_SHORT,
     ExpectedStatistics,
-    IntrinsicLikelihood,
+    LikelihoodPasses,
 )
 from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.geometry import FloatArray
@@ -58,7 +58,7 @@ class Climb:
 
 
 def climb(
-    likelihood: IntrinsicLikelihood,
+    likelihood: LikelihoodPasses,
     problem: LearningProblem,
     start: FloatArray,
     *,
@@ -125,7 +125,7 @@ class _Climber:
 
     def __init__(
         self,
-        likelihood: IntrinsicLikelihood,
+        likelihood: LikelihoodPasses,
         problem: LearningProblem,
         theta: FloatArray,
         known: tuple[float, FloatArray, FloatArray] | None,
@@ -177,6 +177,10 @@ class _Climber:
         promised = slope / self.likelihood.n_beams
         if not np.isfinite(slope) or promised <= _ROUNDING * max(1.0, abs(self.trace[-1])):
             self.at_rest = True
+            if slope > 0.0:
+                # The objective no longer tells, but the gradient does: with this step, climbs from different starts
+                # end at the same numbers.
+                self.theta = self._valid(x + step)
             return 0.0
         for share in (1.0, 0.5, 0.125):
             theta = self._valid(x + share * step)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -51,6 +52,24 @@ class ExpectedStatistics:
     node_short: FloatArray
     sum_short_range: float
     cut_matters: bool
+
+
+class LikelihoodPasses(Protocol):
+    """What a climb asks of a set of beams, wherever they lie."""
+
+    @property
+    def n_beams(self) -> float:
+        """Number of beams, by weight."""
+
+    @property
+    def n_max(self) -> float:
+        """Readings at maximum range among them."""
+
+    def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
+        """Do the E-step, see `IntrinsicLikelihood`."""
+
+    def derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return the log-likelihood, its gradient and its Hessian, see `IntrinsicLikelihood`."""
 
 
 class IntrinsicLikelihood:

@@ -1,0 +1,155 @@
+"""A folder on this machine or in an object store, by its fsspec address: files are written whole or not at all."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.io.files.atomic import atomic_file
+
+# Whose uploads appear when they are complete. Elsewhere a file is uploaded under another name, and renamed.
+_OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory"}
+_SCHEME = re.compile(r"^[a-zA-Z][a-zA-Z0-9+.-]+://")
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder at an fsspec address.
+
+    Parameters
+    ----------
+    address
+        A path, or an address such as ``s3://bucket/fleet``. What it has of secrets is used, and never shown.
+    options
+        Storage options for fsspec, such as ``endpoint_url``; never shown.
+    """
+
+    address: str = field(repr=False)
+    options: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        return f"Folder({self.shown!r})"
+
+    @property
+    def shown(self) -> str:
+        """The address without secrets, for people and records."""
+        return without_secrets(self.address)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it is on this machine's disks."""
+        return not _SCHEME.match(self.address)
+
+    @cached_property
+    def _opened(self) -> tuple[Any, str]:
+        fsspec = require_fsspec()
+        try:
+            system, root = fsspec.core.url_to_fs(self.address, **self.options)
+        except (ValueError, ImportError) as error:
+            # fsspec quotes the address, which may hold a password.
+            reason = str(error).replace(self.address, self.shown)
+            raise InvalidInputError(f"{self.shown}: this address cannot be opened: {reason}") from None
+        return system, root.rstrip("/")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the connection."""
+        return {"address": self.address, "options": dict(self.options)}
+
+    @property
+    def system(self) -> Any:
+        """The fsspec file system."""
+        return self._opened[0]
+
+    def path(self, name: str = "") -> str:
+        """Return the path of a file in it, as the file system takes it."""
+        root = self._opened[1]
+        return f"{root}/{name}" if name else root
+
+    def shown_path(self, name: str) -> str:
+        """Return the address of a file in it without secrets."""
+        return f"{self.shown.rstrip('/')}/{name}"
+
+    def exists(self, name: str) -> bool:
+        """Return whether there is such a file."""
+        # Another process may have written it since this file system last looked.
+        self.system.invalidate_cache()
+        return bool(self.system.exists(self.path(name)))
+
+    def names(self, folder: str = "") -> list[str]:
+        """Return the sorted names of the files in a folder of it; none if there is no such folder."""
+        self.system.invalidate_cache()
+        try:
+            found = self.system.ls(self.path(folder), detail=False)
+        except FileNotFoundError:
+            return []
+        return sorted(str(path).rstrip("/").rpartition("/")[2] for path in found)
+
+    def read(self, name: str) -> bytes:
+        """Return the content of a file."""
+        return bytes(self.system.cat_file(self.path(name)))
+
+    def remove(self, name: str) -> None:
+        """Remove a file, which another process may have removed already."""
+        try:
+            self.system.rm_file(self.path(name))
+        except FileNotFoundError:
+            return
+
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        """Write a file whole or not at all: yield a local path to create it at; it takes its name when it is whole."""
+        if self.is_local:
+            with atomic_file(self.path(name)) as part:
+                yield part
+            return
+        with tempfile.TemporaryDirectory(prefix="beamfield-") as scratch:
+            part = Path(scratch) / "part"
+            yield part
+            if urlsplit(self.address).scheme in _OBJECT_STORES:
+                self.system.put_file(str(part), self.path(name))
+                return
+            hidden = self.path(f"{name}.{secrets.token_hex(6)}.part")
+            self.system.makedirs(hidden.rpartition("/")[0], exist_ok=True)
+            self.system.put_file(str(part), hidden)
+            self.system.mv(hidden, self.path(name))
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write bytes to a file, whole or not at all."""
+        with self.writing(name) as part:
+            part.write_bytes(content)
+
+
+def without_secrets(address: str) -> str:
+    """Return an address without user, password and query, which may hold keys.
+
+    Examples
+    --------
+    >>> without_secrets("s3://AKIA:secret@bucket/logs/run.bag?token=abc#x")
+    's3://bucket/logs/run.bag'
+    >>> without_secrets("logs/run.bag")
+    'logs/run.bag'
+    """
+    if not _SCHEME.match(address):
+        return address
+    scheme, _, rest = address.partition("://")
+    rest = re.split(r"[?#]", rest, maxsplit=1)[0]
+    host, slash, path = rest.partition("/")
+    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
+
+
+def require_fsspec() -> Any:
+    """Return fsspec, or say how to get it."""
+    try:
+        import fsspec.core
+    except ImportError as error:
+        raise MissingDependencyError("fsspec", "fleet", "a fleet's catalogue") from error
+    return fsspec

@@ -193,8 +193,8 @@ def plan_fleet(size: FleetSize | None = None, *, seed: int = 1) -> FleetPlan:
     Examples
     --------
     >>> plan = plan_fleet(FleetSize(robots=8, sites=2, days=6))
-    >>> [robot.fault.kind for robot in plan.robots if robot.fault]
-    ['turned-mount', 'range-bias', 'dirty-lens', 'wheel-scale']
+    >>> [robot.name for robot in plan.robots if robot.fault is None]
+    ['robot-02', 'robot-03', 'robot-06', 'robot-07']
     """
     size = size or FleetSize()
     as_count(seed, "seed", least=0)
@@ -218,7 +218,7 @@ def _faults(size: FleetSize, rng: np.random.Generator) -> Iterator[Fault]:
         kind = FAULT_KINDS[number % len(FAULT_KINDS)]
         begins_later = number < len(FAULT_KINDS) or kind == "dirty-lens"
         since = int(rng.integers(max(1, size.days // 3), max(2, 2 * size.days // 3))) if begins_later else 0
-        start, width = rng.uniform(-0.4, 0.25) * FIELD_OF_VIEW, rng.uniform(*DIRTY_SECTOR)
+        start, width = float(rng.uniform(-0.4, 0.25) * FIELD_OF_VIEW), float(rng.uniform(*DIRTY_SECTOR))
         sign = 1.0 if kind == "dirty-lens" else rng.choice([-1.0, 1.0])
         amount = float(sign * rng.uniform(*SIZES[kind]))
         yield Fault(kind, since, amount, (start, start + width) if kind == "dirty-lens" else (0.0, 0.0))
@@ -299,9 +299,7 @@ def simulate_drive(plan: FleetPlan, number: int, day: int) -> tuple[ScanLog, Flo
     return replace(log, sensors={"laser": recorded}), sensor.poses
 
 
-def _through_dirt(
-    ranges: FloatArray, finder: RangeFinder, fault: Fault, rng: np.random.Generator
-) -> FloatArray:
+def _through_dirt(ranges: FloatArray, finder: RangeFinder, fault: Fault, rng: np.random.Generator) -> FloatArray:
     """Return readings of which dirt in a sector swallows some and sends others back at once."""
     dirty = (finder.bearings >= fault.sector[0]) & (finder.bearings <= fault.sector[1])
     fate = rng.random(ranges.shape)

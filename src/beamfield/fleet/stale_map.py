@@ -386,7 +386,7 @@ def _rates(runs: _Runs) -> SquareRates:
     n = runs.lattice.rows * runs.lattice.cols
 
     def total(tally: Tally, what: str) -> NDArray[np.int64]:
-        return np.bincount(tally.place, weights=getattr(tally, what), minlength=n).astype(np.int64)[seen]
+        return np.asarray(np.bincount(tally.place, getattr(tally, what), n)[seen].astype(np.int64))
 
     both = np.unique(np.column_stack([np.concatenate([t.place for t in runs.tallies]),
                                       np.concatenate([t.visit for t in runs.tallies])]), axis=0)  # fmt: skip

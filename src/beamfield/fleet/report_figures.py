@@ -1,0 +1,214 @@
+"""The pictures of a fleet's report: drift over days, parameters robot by robot, and maps that are out of date."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from beamfield.fleet.drift import DailySeries, Drift, Fault
+from beamfield.fleet.hierarchy import Hierarchy
+from beamfield.fleet.learning import FleetFit
+from beamfield.fleet.stale_map import StaleMap
+from beamfield.geometry import FloatArray
+from beamfield.report.colours import DATA, FIT, HELD_OUT, MODEL, QUIET
+from beamfield.report.drawing import NARROW, WIDE, new_axes, new_panel, style
+from beamfield.report.map_figures import MARGIN, draw_map, frame
+from beamfield.report.page import table
+from beamfield.report.panel import Panel, ReportFigure, png_panel, svg_panel
+
+# What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
+FAULTS: Mapping[Fault, tuple[str, str, float]] = {
+    "dirty-lens": ("dirty lens", "readings in the sector [%]", 100.0),
+    "turned-mount": ("turned mount", "yaw of the range finder [degrees]", math.degrees(1.0)),
+    "range-bias": ("range bias", "ranges too long by [cm]", 100.0),
+    "wheel-scale": ("wheel scale", "distances too long by [%]", 100.0),
+}
+MOST_CURVES, MOST_PLACES = 16, 20
+PLACE_COLUMNS = ("", "what", "x [m]", "y [m]", "size [m]", "since", "runs", "robots", "share of beams", "chance")
+# Squares with fewer beams say little.
+FEWEST_BEAMS, LEAST_SHOWN = 20, 0.05
+
+
+def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> ReportFigure:
+    """Draw what each alarm is about over the days, among the same numbers of the other robots.
+
+    Parameters
+    ----------
+    series
+        Daily numbers of all robots.
+    drifts
+        Those to draw, the most urgent first.
+    """
+    panels = []
+    for number, drift in enumerate(drifts[:MOST_CURVES]):
+        same = [one for one in series if _what(one) == _what(drift)]
+        mine = next((one for one in same if one.robot == drift.robot), None)
+        if mine is not None:
+            panels.append(_drift_panel(f"drift-{number}", drift, mine, [one for one in same if one is not mine]))
+    more = f" {len(drifts) - MOST_CURVES} more are in series.parquet." if len(drifts) > MOST_CURVES else ""
+    caption = (
+        "Thick: the robot's number of each day with its 95 % interval; grey: the same of the other robots. The dashed "
+        f"line is the day since when it has changed; without one, it was so from the first day on.{more}"
+        if panels
+        else "No robot shows a fault."
+    )
+    return ReportFigure("drift", "Drift over the days", tuple(panels), caption, "")
+
+
+def _what(of: DailySeries | Drift) -> tuple[object, ...]:
+    return of.fault, of.cause, of.bearings
+
+
+def _drift_panel(name: str, drift: Drift, mine: DailySeries, others: Sequence[DailySeries]) -> Panel:
+    what, unit, scale = FAULTS[drift.fault]
+    figure, axes = new_axes(NARROW, 2.7, title=f"{drift.robot}: {what}", y=unit)
+    for one in others:
+        axes.plot(np.array(one.days), one.values * scale, color=DATA, linewidth=0.8, zorder=1)
+    days, values = np.array(mine.days), mine.values * scale
+    axes.errorbar(
+        days, values, 1.96 * mine.standard_errors * scale, color=HELD_OUT, linewidth=1.8, elinewidth=1.0, marker="o",
+        markersize=3.5, zorder=3,
+    )  # fmt: skip
+    if drift.since is not None:
+        axes.axvline(np.datetime64(drift.since), color=MODEL, linestyle="--", linewidth=1.0, zorder=2)
+    _date_axis(axes, figure)
+    since = "from the first day on" if drift.since is None else f"since {drift.since.isoformat()}"
+    return svg_panel(figure, name, f"{drift.robot}, {what} over the days: {drift.sentence} ({since}).")
+
+
+def _date_axis(axes: Axes, figure: Figure) -> None:
+    axes.tick_params(axis="x", labelrotation=0)
+    locator = axes.xaxis.get_major_locator()
+    if hasattr(locator, "intervald"):
+        from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+        found = AutoDateLocator(minticks=2, maxticks=6)
+        axes.xaxis.set_major_locator(found)
+        axes.xaxis.set_major_formatter(ConciseDateFormatter(found))
+
+
+def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy]) -> ReportFigure:
+    """Draw each robot's own estimate and the pooled one, parameter by parameter.
+
+    Parameters
+    ----------
+    fit
+        By robots.
+    hierarchies
+        What pooling made of it.
+    """
+    panels = []
+    own = {(one.robot, one.limits): one.parameters for one in fit.fits}
+    for number, hierarchy in enumerate(hierarchies):
+        names = list(hierarchy.robots[0].shrinkage) if hierarchy.robots else []
+        robots = sorted(hierarchy.robots, key=lambda one: (str(one.site), str(one.robot)))
+        n_rows = -(-len(names) // 3)
+        if not names:
+            continue
+        figure = new_panel(WIDE, n_rows * (0.9 + 0.16 * len(robots)))
+        for place, name in enumerate(names, start=1):
+            axes = figure.add_subplot(n_rows, 3, place)
+            style(axes, title=name, grid="x")
+            _dots(axes, name, robots, [own[one.robot, hierarchy.limits] for one in robots])
+            axes.axvline(getattr(hierarchy.fleet.parameters, name), color=QUIET, linewidth=1.0, zorder=1)
+            axes.set_yticks(range(len(robots)), [str(one.robot) for one in robots] if place % 3 == 1 else [])
+            axes.tick_params(axis="y", labelsize=7)
+            axes.invert_yaxis()
+        alt = f"Parameters of {len(robots)} robots, each robot's own estimate beside the pooled one."
+        panels.append(svg_panel(figure, f"parameters-{number}", alt))
+    return ReportFigure(
+        "robot-parameters", "Which robots need their own parameters", tuple(panels),
+        "Open: what a robot's own beams say. Filled: what to use, with its 95 % interval: the robot's own estimate, "
+        "moved towards that of its site as far as its data are few. Vertical line: the fleet.", "",
+    )  # fmt: skip
+
+
+def _dots(axes: Axes, name: str, robots: Sequence[object], own: Sequence[object]) -> None:
+    for row, (pooled, alone) in enumerate(zip(robots, own, strict=True)):
+        low, high = pooled.intervals[name]  # type: ignore[attr-defined]
+        used = getattr(pooled.parameters, name)  # type: ignore[attr-defined]
+        axes.plot([low, high], [row, row], color=FIT, linewidth=1.2, zorder=2)
+        axes.plot(getattr(alone, name), row, "o", color=HELD_OUT, markerfacecolor="white", markersize=4.5, zorder=3)
+        axes.plot(used, row, "o", color=FIT, markersize=3.5, zorder=4)
+
+
+def stale_figure(stale: StaleMap) -> ReportFigure:
+    """Draw where readings disagree with a site's map, and list the places to map again.
+
+    Parameters
+    ----------
+    stale
+        Result of `find_stale_places`.
+    """
+    squares, listed = stale.squares, stale.lasting[:MOST_PLACES]
+    name, title = f"map-{stale.site}-{stale.map_hash[:8]}", f"{stale.site}: where the map is out of date"
+    if not len(squares.x):
+        return ReportFigure(name, title, (), "No beams.", "")
+    corners = np.column_stack([squares.x, squares.y])
+    low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + stale.side + MARGIN
+    limits = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
+    figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)), above=2.6)
+    draw_map(axes, stale.grid, limits)
+    shown = (np.maximum(squares.crossed, squares.tested) >= FEWEST_BEAMS) & (squares.disagreement >= LEAST_SHOWN)
+    patches = PolyCollection(list(_squares(corners[shown], stale.side)), cmap="YlOrRd", zorder=2.0)
+    patches.set_array(squares.disagreement[shown])
+    patches.set_clim(0.0, 1.0)
+    axes.add_collection(patches)
+    for number, place in enumerate(listed, start=1):
+        axes.add_collection(PolyCollection(list(_squares(place.corners, stale.side)), facecolors="none",
+                                           edgecolors=MODEL, linewidths=0.8, zorder=3.0))  # fmt: skip
+        text = axes.annotate(str(number), (place.x, place.y), (7, 7), textcoords="offset points", fontsize=9,
+                             fontweight="bold", color=MODEL, zorder=5)  # fmt: skip
+        text.set_path_effects([patheffects.withStroke(linewidth=2.5, foreground="white")])
+    frame(axes, limits, with_legend=False)
+    bar = figure.colorbar(patches, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
+    bar.ax.xaxis.set_ticks_position("top")
+    bar.ax.xaxis.set_label_position("top")
+    bar.set_label("share of beams that disagree with the map", fontsize=9, color="#222222")
+    bar.ax.tick_params(labelsize=9)
+    bar.outline.set_visible(False)
+    panels = [png_panel(figure, f"Map of {stale.site} with {len(stale.lasting)} places to map again.")]
+    if listed:
+        panels.append(Panel(table(PLACE_COLUMNS, _rows(stale), right=(2, 3)), wide=True))
+    return ReportFigure(name, title, tuple(panels), _caption(stale), "")
+
+
+def _squares(corners: FloatArray, side: float) -> FloatArray:
+    return np.asarray(corners[:, None] + side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
+
+
+def _rows(stale: StaleMap) -> list[tuple[str, ...]]:
+    return [
+        (
+            str(number),
+            place.kind,
+            f"{place.x:.1f}",
+            f"{place.y:.1f}",
+            f"{place.width:.1f} x {place.height:.1f}",
+            "before the first run" if place.since is None else place.since.isoformat(),
+            f"{place.runs_changed} of {place.runs}",
+            f"{place.robots_changed} of {place.robots}",
+            f"{place.rate:.0%}",
+            f"{place.p_value:.1g}",
+        )
+        for number, place in enumerate(stale.lasting[:MOST_PLACES], start=1)
+    ]
+
+
+def _caption(stale: StaleMap) -> str:
+    left_out = f" Not asked: {', '.join(stale.not_asked)}, who see differences everywhere." if stale.not_asked else ""
+    more = len(stale.lasting) - MOST_PLACES
+    return (
+        f"Squares of {stale.side:g} m, coloured by the share of beams that disagree with the map, over {stale.runs} "
+        f"runs of {stale.robots} robots on {stale.days} days. Outlined and numbered: places to map again, which differ "
+        "in at least half of the runs since the day named, for two robots and on two days at least. Chance: that "
+        "people and doors alone make so many runs differ. Colour without an outline: people, doors, and what was there "
+        f"for a while.{f' {more} more places are in places.parquet.' if more > 0 else ''}{left_out}"
+    )

@@ -1,0 +1,194 @@
+"""The files of a fleet's report: the page, JSON, Parquet, and the places to map again as maps and GeoJSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beamfield import __version__
+from beamfield.fleet.beam_schema import require_pyarrow
+from beamfield.fleet.fleet_report import FleetReport
+from beamfield.fleet.report_page import render_fleet_page
+from beamfield.fleet.stale_map import StaleMap
+from beamfield.geometry import FloatArray
+from beamfield.io.maps.ros_map import write_map
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.report.as_json import plain
+
+PAGE, JSON_FILE, SCHEMA = "fleet_report.html", "fleet_report.json", "beamfield-fleet-report/1"
+
+
+def write_fleet_report(folder: Path, report: FleetReport) -> list[str]:
+    """Write all files of a report.
+
+    Parameters
+    ----------
+    folder
+        An empty folder.
+    report
+        Result of `judge_fleet`.
+
+    Returns
+    -------
+    Names of the files in the folder.
+    """
+    pq = require_pyarrow().parquet
+    (folder / PAGE).write_text(render_fleet_page(report), encoding="utf-8")
+    document = json.dumps(report_as_dict(report), indent=1, allow_nan=False) + "\n"
+    (folder / JSON_FILE).write_text(document, encoding="utf-8")
+    for name, rows in report_tables(report).items():
+        pq.write_table(require_pyarrow().Table.from_pylist(rows), folder / f"{name}.parquet", compression="zstd")
+    (folder / "maps").mkdir()
+    for stale in report.stale_maps:
+        name = f"{stale.site}-{stale.map_hash[:8]}"
+        write_map(disagreement_map(stale), folder / f"maps/{name}.yaml", mode="raw")
+        text = json.dumps(places_as_geojson(stale), indent=1, allow_nan=False) + "\n"
+        (folder / f"maps/{name}.geojson").write_text(text, encoding="utf-8")
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def report_as_dict(report: FleetReport) -> dict[str, Any]:
+    """Return what a report says as values that strict JSON can hold; numbers per day and square are in Parquet.
+
+    Parameters
+    ----------
+    report
+        Result of `judge_fleet`.
+    """
+    return {
+        "schema": SCHEMA,
+        "program": f"beamfield {__version__}",
+        "days": plain(report.days),
+        "sites": plain(report.sites),
+        "robots": plain(report.states),
+        "faults": [plain(drift) for drift in report.alarms],
+        "parameters": plain(report.hierarchies),
+        "differences": plain([one for one in report.differences if one.differs]),
+        "maps": [
+            {
+                "site": one.site, "map": one.map_hash, "runs": one.runs, "robots": one.robots, "days": one.days,
+                "not_asked": plain(one.not_asked), "places": plain(one.places),
+            }
+            for one in report.stale_maps
+        ],
+        "runs": [
+            {"run": one.run, "robot": one.robot, "site": one.site, "status": one.status, "reason": one.reason}
+            for one in report.records
+        ],
+    }  # fmt: skip
+
+
+def report_tables(report: FleetReport) -> dict[str, list[dict[str, Any]]]:
+    """Return tables by name, row by row: robots, faults, series, parameters, differences, places and squares.
+
+    Parameters
+    ----------
+    report
+        Result of `judge_fleet`.
+    """
+    return {
+        "robots": [
+            {
+                "robot": one.robot, "site": one.site, "light": one.light, "urgency": one.urgency, "runs": one.runs,
+                "left_out": one.left_out, "why": " ".join(finding.text for finding in one.findings),
+                "do": " ".join(finding.do for finding in one.findings),
+            }
+            for one in report.states
+        ],
+        "faults": [_flat(drift) for drift in report.drifts],
+        "series": [
+            {
+                "robot": one.robot, "site": one.site, "fault": one.fault, "cause": one.cause, "unit": one.unit,
+                "from_bearing": one.bearings[0] if one.bearings else None,
+                "to_bearing": one.bearings[1] if one.bearings else None,
+                "day": day, "value": value, "standard_error": error,
+            }
+            for one in report.series
+            for day, value, error in zip(one.days, one.values.tolist(), one.standard_errors.tolist(), strict=True)
+        ],
+        "parameters": [
+            {
+                "site": group.site, "robot": group.robot, "max_range": hierarchy.limits.max_range, "parameter": name,
+                "value": getattr(group.parameters, name), "low": low, "high": high,
+                "shrinkage": group.shrinkage.get(name),
+            }
+            for hierarchy in report.hierarchies
+            for group in (hierarchy.fleet, *hierarchy.sites, *hierarchy.robots)
+            for name, (low, high) in group.intervals.items()
+        ],
+        "differences": [_flat(one) for one in report.differences],
+        "places": [
+            {"site": stale.site, "map": stale.map_hash, **_flat(replace(place, corners=np.zeros((0, 2))))}
+            for stale in report.stale_maps
+            for place in stale.places
+        ],
+        "squares": [
+            {"site": stale.site, "map": stale.map_hash, "side": stale.side, **dict(zip(names, values, strict=True))}
+            for stale in report.stale_maps
+            for names in [[*vars(stale.squares), "disagreement"]]
+            for values in zip(*(getattr(stale.squares, name).tolist() for name in names), strict=True)
+        ],
+    }  # fmt: skip
+
+
+def _flat(row: Any) -> dict[str, Any]:
+    """Return the fields of a row; a pair of bearings as two columns."""
+    values = dict(vars(row))
+    values.pop("corners", None)
+    if "bearings" in values:
+        low, high = values.pop("bearings") or (None, None)
+        values |= {"from_bearing": low, "to_bearing": high}
+    return values
+
+
+def disagreement_map(stale: StaleMap) -> OccupancyGrid:
+    """Return the share of beams that disagree as a map in the place of the site's: unknown where no beam came.
+
+    Parameters
+    ----------
+    stale
+        Result of `find_stale_places`.
+
+    Returns
+    -------
+    Whole percents, on the cells of the site's map, with its origin.
+    """
+    grid, squares = stale.grid, stale.squares
+    rows, cols = np.indices(grid.shape)
+    points: FloatArray = grid.to_map(np.column_stack([cols.ravel(), rows.ravel()]) + 0.5)
+    corner = np.floor(points / stale.side).astype(np.int64)
+    seen = np.round(np.column_stack([squares.x, squares.y]) / stale.side).astype(np.int64)
+    low = np.minimum(corner.min(axis=0), seen.min(axis=0, initial=0))
+    size = np.maximum(corner.max(axis=0), seen.max(axis=0, initial=0)) - low + 1
+    shares = np.full(size, np.nan)
+    shares[tuple((seen - low).T)] = np.round(squares.disagreement, 2)
+    return replace(grid, probability=shares[tuple((corner - low).T)].reshape(grid.shape).astype(np.float32))
+
+
+def places_as_geojson(stale: StaleMap) -> dict[str, Any]:
+    """Return the places to map again as a GeoJSON FeatureCollection; coordinates are metres in the map frame.
+
+    Parameters
+    ----------
+    stale
+        Result of `find_stale_places`.
+    """
+    square = stale.side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    features = [
+        {
+            "type": "Feature",
+            "properties": {name: plain(value) for name, value in vars(place).items() if name != "corners"},
+            "geometry": {"type": "MultiPolygon", "coordinates": [[(corner + square).tolist()] for corner in place.corners]},
+        }
+        for place in stale.lasting
+    ]  # fmt: skip
+    return {
+        "type": "FeatureCollection",
+        "name": f"{stale.site}: places to map again",
+        "coordinates_are": "metres in the map frame, not degrees",
+        "features": features,
+    }

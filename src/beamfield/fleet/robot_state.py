@@ -1,0 +1,149 @@
+"""The state of each robot in words: what is wrong, since when, and what to do."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from beamfield.finding import Finding
+from beamfield.fleet.drift import Drift, Fault
+from beamfield.fleet.run_record import RunRecord
+from beamfield.short_repr import short_repr
+
+Light = Literal["red", "amber", "green", "grey"]
+LIGHTS: tuple[Light, ...] = ("red", "amber", "green", "grey")
+# From this size on a fault is red: share of readings in the sector, radians, metres, share of the distance. Smaller
+# ones cost a filter little yet.
+SERIOUS: Mapping[Fault, float] = {
+    "dirty-lens": 0.05, "turned-mount": math.radians(0.5), "range-bias": 0.02, "wheel-scale": 0.01,
+}  # fmt: skip
+# A robot with so large a share of runs that cannot be used needs a look.
+MANY_LEFT_OUT = 1 / 3
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """A robot's traffic light.
+
+    Parameters
+    ----------
+    robot, site
+        Its name, and its site; several sites are joined by commas.
+    light
+        "red": a fault to see to now; "amber": one to watch, or many runs that cannot be used; "green": nothing found;
+        "grey": no run could be used, so nothing is known.
+    findings
+        Why, and what to do; the worst first.
+    urgency
+        Largest fault in units of the size from which on it is red; robots are ranked by it.
+    runs, left_out
+        Runs used, and runs that could not be.
+    """
+
+    robot: str
+    site: str
+    light: Light
+    findings: tuple[Finding, ...]
+    urgency: float
+    runs: int
+    left_out: int
+
+    __repr__ = short_repr
+
+
+def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple[RobotState, ...]:
+    """Return the state of every robot, the most urgent first.
+
+    Parameters
+    ----------
+    records
+        All runs of the fleet.
+    drifts
+        What robots show; see `find_drift`.
+    """
+    states = []
+    for robot in sorted({record.robot for record in records}):
+        mine = [record for record in records if record.robot == robot]
+        used = sum(record.is_used for record in mine)
+        alarms = sorted((d for d in drifts if d.robot == robot and d.alarm), key=_urgency, reverse=True)
+        findings = (*map(_fault, alarms), *_runs_left_out(mine))
+        urgency = max(map(_urgency, alarms), default=0.0)
+        light: Light = "grey" if used == 0 else "red" if urgency >= 1.0 else "amber" if findings else "green"
+        site = ", ".join(sorted({record.site for record in mine}))
+        states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
+    return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot)))
+
+
+def _urgency(drift: Drift) -> float:
+    return abs(drift.size) / SERIOUS[drift.fault]
+
+
+def _fault(drift: Drift) -> Finding:
+    values = {"size": drift.size, "low": drift.low, "high": drift.high, "q_value": drift.q_value}
+    if drift.fault == "dirty-lens":
+        return Finding(
+            "dirty-lens",
+            "warning",
+            drift.sentence,
+            values,
+            why="The robot sees less there than it should, and may take dirt for obstacles.",
+            do=f"Clean the window of the range finder {_sector(drift)}; if that does not help, look for scratches, and "
+            "for something that stands in its way.",
+        )
+    if drift.fault == "turned-mount":
+        return Finding(
+            "turned-mount",
+            "warning",
+            drift.sentence,
+            values,
+            why="Scans are turned against the map by as much: a robot localises worse and drives crooked.",
+            do="Check that the range finder sits straight and its screws are tight; else correct its yaw in the "
+            f"robot's description by {math.degrees(drift.size):+.2g} degrees.",
+        )
+    if drift.fault == "range-bias":
+        return Finding(
+            "range-bias",
+            "warning",
+            drift.sentence,
+            values,
+            why="Walls seem to be nearer or farther than they are, and docking misses by as much.",
+            do="Measure a wall at a known distance with this range finder; calibrate it, or replace it.",
+        )
+    return Finding(
+        "wheel-scale",
+        "warning",
+        drift.sentence,
+        values,
+        why="Odometry is off by as much on every metre, which a filter must make up for.",
+        do="Check the tyres and their pressure; else correct the wheels' radius in the robot's description by "
+        f"{-100.0 * drift.size:+.2g} %.",
+    )
+
+
+def _sector(drift: Drift) -> str:
+    """Say where in words: bearings grow to the left."""
+    if drift.bearings is None:
+        return "all around"
+    low, high = (math.degrees(angle) for angle in drift.bearings)
+    return f"from {_side(low)} to {_side(high)}"
+
+
+def _side(degrees: float) -> str:
+    return f"{abs(degrees):.0f} degrees {'left' if degrees > 0 else 'right'} of straight ahead"
+
+
+def _runs_left_out(records: Sequence[RunRecord]) -> Iterator[Finding]:
+    left_out = [record for record in records if not record.is_used]
+    if len(left_out) >= MANY_LEFT_OUT * len(records) and left_out:
+        reason, _ = Counter(record.reason for record in left_out).most_common(1)[0]
+        yield Finding(
+            "runs-left-out",
+            "warning",
+            f"{len(left_out)} of {len(records)} runs cannot be used; most often: {reason}",
+            {"left_out": float(len(left_out)), "runs": float(len(records))},
+            why="What these runs would show is not known.",
+            do="Look at how this robot records, and at the list of runs that were left out.",
+        )

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import datetime
-import io
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.errors import FormatError, InvalidInputError
-from beamfield.fleet.beam_schema import COLUMNS, SCHEMA, VERSION_KEY, beam_schema, require_pyarrow
 from beamfield.fleet.folder import Folder
-from beamfield.fleet.run_record import MapInfo, RunRecord, record_from_json
+from beamfield.fleet.run_record import RunRecord
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.short_repr import short_repr
 
 CATALOGUE_FILE, BEAMS, RUNS, MAPS = "catalogue.json", "beams", "runs", "maps"
 Columns = dict[str, NDArray[Any]]

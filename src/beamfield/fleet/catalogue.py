@@ -3,83 +3,21 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from numpy.typing import NDArray
-
+from beamfield.errors import FormatError, InvalidInputError
+from beamfield.fleet.beam_schema import SCHEMA, beam_schema, require_pyarrow
 from beamfield.fleet.folder import Folder
-from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.run_record import RunRecord, record_from_json
+from beamfield.fleet.shard import Shard
+from beamfield.fleet.stored_map import load_map
 from beamfield.maps.occupancy import OccupancyGrid
 
-CATALOGUE_FILE, BEAMS, RUNS, MAPS = "catalogue.json", "beams", "runs", "maps"
-Columns = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class Shard:
-    """The beams of one run and day.
-
-    Parameters
-    ----------
-    site, robot, day, run
-        Whose, and when (UTC).
-    rows
-        Beams.
-    path
-        Its file in the catalogue.
-    folder
-        The catalogue's.
-    """
-
-    site: str
-    robot: str
-    day: datetime.date
-    run: str
-    rows: int
-    path: str
-    folder: Folder = field(repr=False)
-
-    @property
-    def address(self) -> str:
-        """The file's address, without secrets."""
-        return self.folder.shown_path(self.path)
-
-    def read(self, columns: Sequence[str], *, fit_only: bool = False, thin: int = 1) -> Columns:
-        """Return columns as arrays, in the order of the file: scan by scan.
-
-        Parameters
-        ----------
-        columns
-            Names among those of `beam_schema`.
-        fit_only
-            Without the beams that are held out.
-        thin
-            One beam in this many: those where `scan` + `beam` is a multiple of it, so that each beam has its turn.
-
-        Returns
-        -------
-        Arrays of the types of the schema; `run` as text.
-
-        Raises
-        ------
-        FormatError
-            If the file is damaged, is no Parquet, or has another schema.
-        InvalidInputError
-            If there is no such column, or thin < 1.
-        """
-        return _arrays(self._scanner(columns, fit_only, thin), self.address, columns)
-
-    def batches(
-        self, columns: Sequence[str], rows: int = 1_000_000, *, fit_only: bool = False, thin: int = 1
-    ) -> Iterator[Columns]:
-        """Yield what `read` returns in parts of at most so many rows."""
-        raise NotImplementedError
-
-    def _scanner(self, columns: Sequence[str], fit_only: bool, thin: int) -> Any:
-        raise NotImplementedError
+CATALOGUE_FILE, BEAMS, RUNS = "catalogue.json", "beams", "runs"
 
 
 @dataclass(frozen=True)
@@ -96,8 +34,15 @@ class Catalogue:
 
     @cached_property
     def runs(self) -> tuple[RunRecord, ...]:
-        """All records as they were when first asked for, by site, robot, first stamp and run."""
-        raise NotImplementedError
+        """All records as they were when first asked for, by site, robot, first stamp and run.
+
+        Raises
+        ------
+        FormatError
+            If a file is not the record of its run.
+        """
+        records = read_records(self.folder)
+        return tuple(sorted(records, key=lambda one: (one.site, one.robot, one.is_used, one.first_stamp, one.run)))
 
     @property
     def used(self) -> tuple[RunRecord, ...]:
@@ -112,15 +57,46 @@ class Catalogue:
         runs: Sequence[str] | None = None,
     ) -> tuple[Shard, ...]:
         """Return the files of beams of the runs used, by path; those of a site, robot, day or of some runs alone."""
-        raise NotImplementedError
+        found = [
+            Shard(record.site, record.robot, datetime.date.fromisoformat(file.day), record.run, file.rows, file.path,
+                  self.folder)
+            for record in self.used
+            for file in record.files
+            if site in (None, record.site) and robot in (None, record.robot) and (runs is None or record.run in runs)
+        ]  # fmt: skip
+        return tuple(sorted((one for one in found if day in (None, one.day)), key=lambda one: one.path))
 
     def dataset(self) -> Any:
-        """Return all beams as a `pyarrow.dataset.Dataset`, with the columns site, robot and day."""
-        raise NotImplementedError
+        """Return all beams as a `pyarrow.dataset.Dataset`, with the columns site, robot and day.
+
+        Other programs read it, too (docs/fleet.md). It holds the files that records name, and no others that may lie
+        in the folder.
+        """
+        pa = require_pyarrow()
+        parts = pa.schema([("site", pa.string()), ("robot", pa.string()), ("day", pa.date32())])
+        fields = [*beam_schema(), *parts]
+        return pa.dataset.dataset(
+            [self.folder.path(shard.path) for shard in self.shards()],
+            schema=pa.schema(fields),
+            format="parquet",
+            filesystem=self.folder.arrow_system,
+            partitioning=pa.dataset.partitioning(parts, flavor="hive"),
+            partition_base_dir=self.folder.path(BEAMS),
+        )
 
     def grid(self, record: RunRecord) -> OccupancyGrid:
-        """Return the map of a run."""
-        raise NotImplementedError
+        """Return the map of a run.
+
+        Raises
+        ------
+        FormatError
+            If its file is not there, is damaged, or is another map.
+        InvalidInputError
+            If the run was left out and has none.
+        """
+        if record.map_info is None:
+            raise InvalidInputError(f"{record.run}: the run was left out and has no map: {record.reason}")
+        return load_map(self.folder, record.map_info)
 
 
 def open_catalogue(address: str, options: Mapping[str, Any] | None = None) -> Catalogue:
@@ -137,9 +113,77 @@ def open_catalogue(address: str, options: Mapping[str, Any] | None = None) -> Ca
     ------
     FormatError
         If it is none, or of another schema.
+    OSError
+        As the file system says.
     """
-    raise NotImplementedError
+    require_pyarrow()
+    folder = Folder(str(address), options or {})
+    shown = folder.shown_path(CATALOGUE_FILE)
+    try:
+        said = json.loads(folder.read(CATALOGUE_FILE))
+        schema = said["schema"]
+    except (FileNotFoundError, NotADirectoryError):
+        raise FormatError(folder.shown, f"no catalogue of a fleet: it has no {CATALOGUE_FILE}") from None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise FormatError(shown, "expected the version of a fleet's catalogue, got something else") from error
+    if schema != SCHEMA:
+        raise FormatError(
+            shown, f"the catalogue has schema {schema!r}, this version of beamfield reads {SCHEMA}: scan into a new one"
+        )
+    return Catalogue(folder)
 
 
-def _arrays(scanner: Any, address: str, columns: Sequence[str]) -> Columns:
-    raise NotImplementedError
+def create_catalogue(address: str, options: Mapping[str, Any] | None = None) -> Catalogue:
+    """Open a catalogue, or begin a new one in a folder that is empty or not there.
+
+    Parameters
+    ----------
+    address, options
+        As for `open_catalogue`.
+
+    Raises
+    ------
+    FormatError
+        If the folder holds other files, or a catalogue of another schema.
+    OSError
+        As the file system says.
+    """
+    from beamfield import __version__
+
+    folder = Folder(str(address), options or {})
+    if not folder.exists(CATALOGUE_FILE):
+        # What another scan writes at this moment is in hidden folders.
+        foreign = [name for name in folder.names() if not name.startswith(".") and name != CATALOGUE_FILE]
+        if foreign:
+            raise FormatError(
+                folder.shown, f"expected a catalogue or an empty folder, got {foreign[0]!r} and no {CATALOGUE_FILE}"
+            )
+        said = {"schema": SCHEMA, "beamfield": __version__}
+        folder.write(CATALOGUE_FILE, (json.dumps(said) + "\n").encode())
+    return open_catalogue(address, options)
+
+
+def read_records(folder: Folder) -> list[RunRecord]:
+    """Return all records of a catalogue.
+
+    Parameters
+    ----------
+    folder
+        The catalogue's.
+
+    Raises
+    ------
+    FormatError
+        If a file is not the record of its run.
+    """
+    names = [name for name in folder.names(RUNS) if name.endswith(".json")]
+    records = []
+    for name, content in zip(names, folder.read_all([f"{RUNS}/{name}" for name in names]), strict=True):
+        if content is None:  # another scan has replaced it since
+            continue
+        path = folder.shown_path(f"{RUNS}/{name}")
+        record = record_from_json(content, path)
+        if record.run != name.removesuffix(".json"):
+            raise FormatError(path, f"the record of another run, {record.run!r}")
+        records.append(record)
+    return records

@@ -2,35 +2,97 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+import socket
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
+from urllib.parse import urlsplit
+
+from beamfield.arguments import as_count
+from beamfield.errors import BeamfieldError, InvalidInputError, MissingDependencyError
+from beamfield.fleet.folder import without_secrets
+from beamfield.kernels.processors import n_processors
+from beamfield.kernels.threads import set_threads
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 # Called with items done and items in all.
 Progress = Callable[[int, int], None]
+# A task that was running on so many workers when they died is what kills them.
+MOST_DEATHS = 4
+# Items are combined in about so many tasks: enough to share them out, and each costs the scheduler a millisecond.
+TASKS = 256
+# How long a scheduler may take to answer, seconds.
+ANSWER_S = 10.0
+
+
+class WorkersLostError(BeamfieldError):
+    """A task was given up, because all workers that took it died."""
 
 
 class Engine:
-    """Applies functions to many items.
+    """Applies functions to many items, with the same results wherever that happens.
 
     Parameters
     ----------
     scheduler
-        "serial" in this process; "processes" of this machine (a Dask LocalCluster); or the address of a Dask scheduler.
+        "serial" in this process; "processes" of this machine, a Dask LocalCluster; or the address of a Dask scheduler.
         None: processes if there is more than one processor.
     workers
-        Number of processes; None: one per processor.
+        Number of processes; None: one per processor. A scheduler's are its own.
+
+    Raises
+    ------
+    InvalidInputError
+        If workers < 1, or given for a scheduler that has its own.
+    MissingDependencyError
+        If Dask is needed and not installed.
+    OSError
+        If no scheduler answers at the address.
+
+    Notes
+    -----
+    A context manager; at its end, processes that it started are gone. They speak TLS with keys made for the occasion,
+    so that no other user of the machine can send them work. Each of them computes with one thread. A script that uses
+    processes needs ``if __name__ == "__main__":``, as always with processes in Python.
+
+    Examples
+    --------
+    >>> with Engine("serial") as engine:
+    ...     engine.reduce(abs, [-1, 2, -3], max)
+    3
     """
 
     def __init__(self, scheduler: str | None = None, workers: int | None = None) -> None:
-        raise NotImplementedError
+        if workers is not None:
+            as_count(workers, "workers", least=1)
+        if scheduler is None:
+            scheduler = "processes" if (workers or n_processors()) > 1 else "serial"
+        if workers is not None and scheduler not in ("serial", "processes"):
+            raise InvalidInputError("workers: a scheduler has workers of its own; give one of the two")
+        self.cluster: Any = None
+        self._client: Any = None
+        if scheduler == "serial":
+            return
+        distributed = _require_distributed()
+        if scheduler == "processes":
+            self.cluster = _local_cluster(distributed, workers or n_processors())
+        else:
+            _require_answer(scheduler)
+        self._client = distributed.Client(self.cluster or scheduler, set_as_default=False)
 
     def __enter__(self) -> Engine:
-        raise NotImplementedError
+        return self
 
     def __exit__(self, *_: object) -> None:
-        raise NotImplementedError
+        self.close()
+
+    def close(self) -> None:
+        """End the processes that this engine started."""
+        if self._client is not None:
+            self._client.close()
+        if self.cluster is not None:
+            self.cluster.close()
 
     def map(
         self,
@@ -38,6 +100,7 @@ class Engine:
         items: Sequence[Item],
         *,
         key: Callable[[Item], str] | None = None,
+        lost: Callable[[Item], Result] | None = None,
         progress: Progress | None = None,
     ) -> list[Result]:
         """Return function(item) of each item, in their order.
@@ -51,10 +114,18 @@ class Engine:
         key
             Names a task by its content: whoever else asks the same scheduler for it waits for the one result. None:
             every call is its own.
+        lost
+            What stands for the result of an item whose workers die, 4 of them; None: an error ends the work.
         progress
             Called with items done and in all.
+
+        Raises
+        ------
+        WorkersLostError
+            If all workers that took an item died.
         """
-        raise NotImplementedError
+        results: dict[int, Result] = dict(self._results(function, items, key, lost, progress))
+        return [results[i] for i in range(len(items))]
 
     def reduce(
         self,
@@ -64,8 +135,178 @@ class Engine:
         *,
         progress: Progress | None = None,
     ) -> Result:
-        """Return the results of all items combined, in a fixed order: neighbours first, then neighbouring pairs.
+        """Return the results of all items combined in a fixed order: neighbours first, then neighbouring pairs.
 
-        The same bits for any number of workers, whenever results arrive.
+        The bits are the same for any number of workers, in whatever order results arrive.
+
+        Parameters
+        ----------
+        function, items, progress
+            As for `map`; at least one item.
+        combine
+            Takes the results of neighbours, the earlier first; it is called in this process.
+
+        Raises
+        ------
+        InvalidInputError
+            If there is no item.
+        WorkersLostError
+            As for `map`.
         """
-        raise NotImplementedError
+        if not items:
+            raise InvalidInputError("items: expected at least one")
+        size = 1
+        while len(items) > size * TASKS and self._client is not None:
+            size *= 2
+        # Blocks begin at multiples of a power of two: a worker adds up a branch of the one tree, whatever their size.
+        blocks = [_Block(function, combine, items[start : start + size]) for start in range(0, len(items), size)]
+        total = _Tree(combine, len(blocks))
+        told = None if progress is None else lambda done, _: progress(min(done * size, len(items)), len(items))
+        for index, result in self._results(_reduce_block, blocks, None, None, told):
+            total.add(index, result)
+        return total.value()
+
+    def _results(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        key: Callable[[Item], str] | None,
+        lost: Callable[[Item], Result] | None,
+        progress: Progress | None,
+    ) -> Iterator[tuple[int, Result]]:
+        """Yield the index and the result of each item, as they come."""
+        if self._client is None:
+            found: Iterator[tuple[int, Result]] = ((i, function(item)) for i, item in enumerate(items))
+        else:
+            found = self._from_workers(function, items, key, lost)
+        for done, (index, result) in enumerate(found):
+            yield index, result
+            if progress is not None:
+                progress(done + 1, len(items))
+
+    def _from_workers(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        key: Callable[[Item], str] | None,
+        lost: Callable[[Item], Result] | None,
+    ) -> Iterator[tuple[int, Result]]:
+        distributed = _require_distributed()
+        call = uuid.uuid4().hex
+        names = [f"{function.__name__}-{call if key is None else 'of'}-{i if key is None else key(item)}"
+                 for i, item in enumerate(items)]  # fmt: skip
+        indices: dict[str, list[int]] = {}
+        for i, name in enumerate(names):
+            indices.setdefault(name, []).append(i)
+        first = [items[of[0]] for of in indices.values()]
+        futures = self._client.map(
+            _with_one_thread, [function] * len(first), first, key=list(indices), pure=False, batch_size=1000
+        )
+        arriving = distributed.as_completed(futures, loop=self._client.loop)
+        del futures
+        for batch in arriving.batches():
+            finished = [future for future in batch if future.status == "finished"]
+            # One question for all of them: each alone takes milliseconds.
+            results = dict(zip((one.key for one in finished), self._client.gather(finished), strict=True))
+            for future in batch:
+                for i in indices[future.key]:
+                    yield i, results[future.key] if future.key in results else _failed(future, items[i], lost)
+                future.release()
+
+
+class _Block(NamedTuple):
+    """Items that one task takes together."""
+
+    function: Callable[[Any], Any]
+    combine: Callable[[Any, Any], Any]
+    items: Sequence[Any]
+
+
+def _reduce_block(block: _Block) -> Any:
+    total = _Tree(block.combine, len(block.items))
+    for index, item in enumerate(block.items):
+        total.add(index, block.function(item))
+    return total.value()
+
+
+class _Tree(Generic[Result]):
+    """Combines results pairwise by their index, each pair as soon as both are there."""
+
+    def __init__(self, combine: Callable[[Result, Result], Result], n: int) -> None:
+        self._combine = combine
+        self._n = n
+        # By level and index.
+        self._waiting: dict[tuple[int, int], Result] = {}
+
+    def add(self, index: int, value: Result) -> None:
+        level, size = 0, self._n
+        while size > 1:
+            other = index ^ 1
+            if other < size:
+                if (level, other) not in self._waiting:
+                    break
+                neighbour = self._waiting.pop((level, other))
+                value = self._combine(value, neighbour) if index < other else self._combine(neighbour, value)
+            level, index, size = level + 1, index // 2, (size + 1) // 2
+        self._waiting[level, index] = value
+
+    def value(self) -> Result:
+        (value,) = self._waiting.values()
+        return value
+
+
+def _with_one_thread(function: Callable[[Item], Result], item: Item) -> Result:
+    """Apply a function in a worker: there is a worker for every processor."""
+    set_threads(1)
+    return function(item)
+
+
+def _failed(future: Any, item: Item, lost: Callable[[Item], Result] | None) -> Result:
+    """Raise the error of a task, or return what stands for one whose workers died."""
+    error = future.exception()
+    if not isinstance(error, _require_distributed().KilledWorker):
+        raise error
+    if lost is None:
+        raise WorkersLostError(
+            f"all workers that took a task died, {MOST_DEATHS} of them: of too little memory, most often"
+        ) from error
+    return lost(item)
+
+
+def _require_answer(scheduler: str) -> None:
+    """Raise if nothing listens at an address: Dask itself would say so after minutes."""
+    try:
+        parts = urlsplit(scheduler)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if host is None or port is None:
+        got = without_secrets(scheduler)
+        raise InvalidInputError(f"scheduler: expected serial, processes or an address as tcp://host:8786, got {got!r}")
+    try:
+        socket.create_connection((host, port), timeout=ANSWER_S).close()
+    except OSError as error:
+        raise OSError(error.errno, f"no Dask scheduler answers: {error.strerror or error}", f"{host}:{port}") from error
+
+
+def _local_cluster(distributed: Any, workers: int) -> Any:
+    import dask
+
+    settings = {
+        "distributed.scheduler.allowed-failures": MOST_DEATHS - 1,
+        # What a worker has to say about a task that failed, its caller says.
+        "distributed.logging.distributed": "critical",
+    }
+    with dask.config.set(settings):
+        return distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, security=True,
+            silence_logs=50,
+        )  # fmt: skip
+
+
+def _require_distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingDependencyError("distributed", "fleet", "work on several processors") from error
+    return distributed

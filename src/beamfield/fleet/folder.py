@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import secrets
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -69,6 +69,11 @@ class Folder:
         """The fsspec file system."""
         return self._opened[0]
 
+    @property
+    def arrow_system(self) -> Any:
+        """The file system as PyArrow takes it."""
+        return None if self.is_local else self.system
+
     def path(self, name: str = "") -> str:
         """Return the path of a file in it, as the file system takes it."""
         root = self._opened[1]
@@ -96,6 +101,15 @@ class Folder:
     def read(self, name: str) -> bytes:
         """Return the content of a file."""
         return bytes(self.system.cat_file(self.path(name)))
+
+    def read_all(self, names: Sequence[str]) -> list[bytes | None]:
+        """Return the content of many files, read at once where the store can; None for those that are not there."""
+        paths = [self.path(name) for name in names]
+        found = self.system.cat(paths, on_error="return") if paths else {}
+        for content in found.values():
+            if isinstance(content, Exception) and not isinstance(content, FileNotFoundError):
+                raise content
+        return [None if isinstance(found[path], Exception) else bytes(found[path]) for path in paths]
 
     def remove(self, name: str) -> None:
         """Remove a file, which another process may have removed already."""

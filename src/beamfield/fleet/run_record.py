@@ -199,6 +199,11 @@ def record_from_json(content: bytes, path: str) -> RunRecord:
             given = values["odometry"]
             covariance = tuple(tuple(row) for row in given["covariance"])
             values["odometry"] = OdometryErrors(tuple(given["names"]), tuple(given["values"]), covariance)
-        return RunRecord(**values)
+        record = RunRecord(**values)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise FormatError(path, f"expected the record of a run, got something else: {error}") from error
+    for file in record.files:
+        # Files of old records are removed: only such as a scan writes.
+        if not file.path.startswith("beams/") or ".." in file.path.split("/") or "\\" in file.path:
+            raise FormatError(path, f"expected a file in beams/, got {file.path!r}")
+    return record

@@ -97,12 +97,18 @@ def judged(log_density: FloatArray, blocks: Blocks) -> HeldOut:
 
 def jackknife_intervals(estimate: FloatArray, without: FloatArray, level: float) -> FloatArray:
     """Return intervals (k, 2) of estimates (k,) from those (b, k) without each block; infinite for too few blocks."""
+    deviation = np.sqrt(np.diag(jackknife_covariance(without, len(estimate))))
+    reach = float(stdtrit(max(len(without) - 1, 1), 0.5 + 0.5 * level)) * deviation
+    return np.column_stack([estimate - reach, estimate + reach])
+
+
+def jackknife_covariance(without: FloatArray, k: int) -> FloatArray:
+    """Return the covariance (k, k) of estimates from those (b, k) without each block; infinite for too few blocks."""
     n = len(without)
     if n < FEWEST_BLOCKS:
-        return np.array([[-np.inf, np.inf]] * len(estimate))
-    variance = (n - 1) / n * np.sum((without - without.mean(axis=0)) ** 2, axis=0)
-    reach = float(stdtrit(n - 1, 0.5 + 0.5 * level)) * np.sqrt(variance)
-    return np.column_stack([estimate - reach, estimate + reach])
+        return np.diag(np.full(k, np.inf))
+    off = without - without.mean(axis=0)
+    return np.asarray((n - 1) / n * off.T @ off)
 
 
 def _nan_mean(values: FloatArray) -> float:

@@ -13,6 +13,7 @@ from beamfield.calibration.odometry.findings import odometry_findings
 from beamfield.calibration.odometry.held_out import (
     HeldOut,
     blocks_of,
+    jackknife_covariance,
     jackknife_intervals,
     judged,
 )
@@ -24,7 +25,13 @@ from beamfield.calibration.odometry.noise_fit import (
     not_faults,
     squared_distances,
 )
-from beamfield.calibration.odometry.result import Estimate, NoiseCandidate, OdometryCalibration, OdometryOptions
+from beamfield.calibration.odometry.result import (
+    Estimate,
+    NoiseCandidate,
+    OdometryCalibration,
+    OdometryOptions,
+    SystematicErrors,
+)
 from beamfield.calibration.odometry.systematic import systematic_errors
 from beamfield.calibration.odometry.windows import SYSTEMATIC, OdometryWindows, cut_odometry_windows, update_scans
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -103,6 +110,64 @@ def calibrate_odometry(
     (True, 0.02)
     """
     options = options or OdometryOptions()
+    fit, n_steps, cut = _cut(log, options, covariances)
+    windows, is_noise = fit.windows, fit.kept
+    systematic, corrected = fit.systematic_errors()
+    default = fit.judge_given(DEFAULT)
+    ours = [fit.judge(family, default) for family in DIFFERENTIAL]
+    other = fit.judge(GAUSSIAN, default)
+    chosen = _simplest_of_the_best(ours)
+    covariance = windows.reference + windows.covariance(chosen.model)
+    inside = squared_distances(windows.residuals, covariance)[is_noise] <= NINETY_FIVE
+    floored = {f"alpha{i}": max(getattr(chosen.model, f"alpha{i}"), options.floor) for i in range(1, 5)}
+    result = OdometryCalibration(
+        systematic=systematic.errors,
+        alphas=DifferentialMotion(**floored),
+        chosen=chosen,
+        candidates=(fit.as_candidate(DEFAULT, default), *ours, other),
+        corrected_alpha=corrected,
+        by_length=_by_length(cut, options.window),
+        coverage=float(inside.mean()),
+        fault_stamps=log.stamps[windows.scans[windows.first[~is_noise]]],
+        n_windows=len(windows),
+        n_steps=n_steps,
+        n_blocks=fit.blocks.n,
+        options=options,
+        findings=(),
+        windows=windows,
+        is_noise=is_noise,
+    )
+    return replace(result, findings=odometry_findings(result, log))
+
+
+@checked
+def learn_systematic_errors(
+    log: SensorLog, options: OdometryOptions | None = None, *, covariances: ArrayLike | None = None
+) -> SystematicErrors:
+    """Learn only the systematic errors of a log's odometry, with their covariance; much faster than all of it.
+
+    Parameters
+    ----------
+    log, options, covariances
+        As for `calibrate_odometry`.
+
+    Returns
+    -------
+    The errors that are in the result of `calibrate_odometry`, too.
+
+    Raises
+    ------
+    InvalidInputError, TooLittleDataError
+        As for `calibrate_odometry`.
+    """
+    fit, _, _ = _cut(log, options or OdometryOptions(), covariances)
+    return fit.systematic_errors()[0]
+
+
+def _cut(
+    log: SensorLog, options: OdometryOptions, covariances: ArrayLike | None
+) -> tuple[_WindowFit, int, Callable[[int], OdometryWindows]]:
+    """Return the windows without faults, the number of update steps, and what cuts windows of other lengths."""
     if not log.has_odometry or not log.has_poses:
         raise TooLittleDataError(f"the log has no {'reference poses' if log.has_odometry else 'odometry'}")
     poses_covariance = _pose_covariances(log, covariances, options)
@@ -116,33 +181,7 @@ def calibrate_odometry(
     if not unit.any():
         raise TooLittleDataError("the odometry never moves")
     is_noise = not_faults(windows.residuals, windows.reference, unit[None])
-    fit = _WindowFit(windows, is_noise, options.level)
-    systematic, corrected = fit.systematic_errors()
-    default = fit.judge_given(DEFAULT)
-    ours = [fit.judge(family, default) for family in DIFFERENTIAL]
-    other = fit.judge(GAUSSIAN, default)
-    chosen = _simplest_of_the_best(ours)
-    covariance = windows.reference + windows.covariance(chosen.model)
-    inside = squared_distances(windows.residuals, covariance)[is_noise] <= NINETY_FIVE
-    floored = {f"alpha{i}": max(getattr(chosen.model, f"alpha{i}"), options.floor) for i in range(1, 5)}
-    result = OdometryCalibration(
-        systematic=systematic,
-        alphas=DifferentialMotion(**floored),
-        chosen=chosen,
-        candidates=(fit.as_candidate(DEFAULT, default), *ours, other),
-        corrected_alpha=corrected,
-        by_length=_by_length(cut, options.window),
-        coverage=float(inside.mean()),
-        fault_stamps=log.stamps[windows.scans[windows.first[~is_noise]]],
-        n_windows=len(windows),
-        n_steps=len(scans) - 1,
-        n_blocks=fit.blocks.n,
-        options=options,
-        findings=(),
-        windows=windows,
-        is_noise=is_noise,
-    )
-    return replace(result, findings=odometry_findings(result, log))
+    return _WindowFit(windows, is_noise, options.level), len(scans) - 1, cut
 
 
 class _WindowFit:
@@ -185,19 +224,17 @@ class _WindowFit:
         """Return the stacks' default among the candidates."""
         return NoiseCandidate("nav2's default, 0.2", default, (), score.mean, 0.0, 0.0, tuple(score.by_block))
 
-    def systematic_errors(self) -> tuple[dict[str, Estimate], float]:
+    def systematic_errors(self) -> tuple[SystematicErrors, float]:
         """Return the systematic errors that the drive shows, and the common alpha without them."""
         design, unit = self.windows.design()[self.kept], self.units(ONE_ALPHA)
         everything = np.ones(len(self.residuals), dtype=np.bool_)
         errors, left, alpha = self._in_turn(design, unit, everything, None)
-        without = [self._in_turn(design, unit, rest, np.array([alpha]))[0] for _, rest in self._rests()]
-        intervals = jackknife_intervals(errors, np.array(without), self.level)
-        found = {
-            name: Estimate(float(errors[i]), float(intervals[i, 0]), float(intervals[i, 1]))
-            for i, name in enumerate(SYSTEMATIC)
-            if left[i] < LEAST_KNOWN
-        }
-        return found, alpha
+        without = np.array([self._in_turn(design, unit, rest, np.array([alpha]))[0] for _, rest in self._rests()])
+        intervals = jackknife_intervals(errors, without, self.level)
+        shown = np.flatnonzero(left < LEAST_KNOWN)
+        found = {SYSTEMATIC[i]: Estimate(float(errors[i]), *map(float, intervals[i])) for i in shown}
+        covariance = jackknife_covariance(without, len(errors))[np.ix_(shown, shown)]
+        return SystematicErrors(found, covariance), alpha
 
     def _in_turn(
         self, design: FloatArray, unit: FloatArray, used: NDArray[np.bool_], start: FloatArray | None

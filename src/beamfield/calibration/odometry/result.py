@@ -85,6 +85,22 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
+class SystematicErrors:
+    """Systematic errors of odometry.
+
+    Parameters
+    ----------
+    errors
+        Those that the drive shows, by the names of `OdometryCalibration.systematic`.
+    covariance
+        (e, e) of their values, by the jackknife over blocks of the drive; infinite variances if there are too few.
+    """
+
+    errors: Mapping[str, Estimate]
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class NoiseCandidate:
     """One way to have noise, judged on held-out blocks.
 

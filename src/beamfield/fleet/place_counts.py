@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.fleet.catalogue import Catalogue, Shard
+from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.shard import Shard
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Mapping, Sequence
 
@@ -9,13 +10,13 @@ import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 
 from beamfield.fleet.drift import DailySeries, Drift, Fault
-from beamfield.fleet.hierarchy import Hierarchy
+from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.stale_map import StaleMap
 from beamfield.geometry import FloatArray
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.colours import DATA, FIT, HELD_OUT, MODEL, QUIET
 from beamfield.report.drawing import NARROW, WIDE, new_axes, new_panel, style
 from beamfield.report.map_figures import MARGIN, draw_map, frame
@@ -29,7 +30,7 @@ FAULTS: Mapping[Fault, tuple[str, str, float]] = {
     "range-bias": ("range bias", "ranges too long by [cm]", 100.0),
     "wheel-scale": ("wheel scale", "distances too long by [%]", 100.0),
 }
-MOST_CURVES, MOST_PLACES = 16, 20
+MOST_CURVES, MOST_PLACES, MOST_DATES = 16, 20, 5
 PLACE_COLUMNS = ("", "what", "x [m]", "y [m]", "size [m]", "since", "runs", "robots", "share of beams", "chance")
 # Squares with fewer beams say little.
 FEWEST_BEAMS, LEAST_SHOWN = 20, 0.05
@@ -69,28 +70,23 @@ def _drift_panel(name: str, drift: Drift, mine: DailySeries, others: Sequence[Da
     what, unit, scale = FAULTS[drift.fault]
     figure, axes = new_axes(NARROW, 2.7, title=f"{drift.robot}: {what}", y=unit)
     for one in others:
-        axes.plot(np.array(one.days), one.values * scale, color=DATA, linewidth=0.8, zorder=1)
-    days, values = np.array(mine.days), mine.values * scale
+        axes.plot([day.toordinal() for day in one.days], one.values * scale, color=DATA, linewidth=0.8, zorder=1)
+    days, values = [day.toordinal() for day in mine.days], mine.values * scale
     axes.errorbar(
         days, values, 1.96 * mine.standard_errors * scale, color=HELD_OUT, linewidth=1.8, elinewidth=1.0, marker="o",
         markersize=3.5, zorder=3,
     )  # fmt: skip
     if drift.since is not None:
-        axes.axvline(np.datetime64(drift.since), color=MODEL, linestyle="--", linewidth=1.0, zorder=2)
-    _date_axis(axes, figure)
+        axes.axvline(drift.since.toordinal() - 0.5, color=MODEL, linestyle="--", linewidth=1.0, zorder=2)
+    _date_axis(axes, mine.days)
     since = "from the first day on" if drift.since is None else f"since {drift.since.isoformat()}"
     return svg_panel(figure, name, f"{drift.robot}, {what} over the days: {drift.sentence} ({since}).")
 
 
-def _date_axis(axes: Axes, figure: Figure) -> None:
-    axes.tick_params(axis="x", labelrotation=0)
-    locator = axes.xaxis.get_major_locator()
-    if hasattr(locator, "intervald"):
-        from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-
-        found = AutoDateLocator(minticks=2, maxticks=6)
-        axes.xaxis.set_major_locator(found)
-        axes.xaxis.set_major_formatter(ConciseDateFormatter(found))
+def _date_axis(axes: Axes, days: Sequence[datetime.date]) -> None:
+    """Name some of the days, which are counted from the year 1."""
+    ticks = np.unique(np.linspace(0, len(days) - 1, MOST_DATES).round().astype(np.int64)).tolist()
+    axes.set_xticks([days[i].toordinal() for i in ticks], [f"{days[i].day} {days[i]:%b}" for i in ticks])
 
 
 def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy]) -> ReportFigure:
@@ -129,10 +125,10 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy]) -> ReportF
     )  # fmt: skip
 
 
-def _dots(axes: Axes, name: str, robots: Sequence[object], own: Sequence[object]) -> None:
+def _dots(axes: Axes, name: str, robots: Sequence[Pooled], own: Sequence[BeamParameters]) -> None:
     for row, (pooled, alone) in enumerate(zip(robots, own, strict=True)):
-        low, high = pooled.intervals[name]  # type: ignore[attr-defined]
-        used = getattr(pooled.parameters, name)  # type: ignore[attr-defined]
+        low, high = pooled.intervals[name]
+        used = getattr(pooled.parameters, name)
         axes.plot([low, high], [row, row], color=FIT, linewidth=1.2, zorder=2)
         axes.plot(getattr(alone, name), row, "o", color=HELD_OUT, markerfacecolor="white", markersize=4.5, zorder=3)
         axes.plot(used, row, "o", color=FIT, markersize=3.5, zorder=4)

@@ -182,7 +182,9 @@ def places_as_geojson(stale: StaleMap) -> dict[str, Any]:
         {
             "type": "Feature",
             "properties": {name: plain(value) for name, value in vars(place).items() if name != "corners"},
-            "geometry": {"type": "MultiPolygon", "coordinates": [[(corner + square).tolist()] for corner in place.corners]},
+            "geometry": {
+                "type": "MultiPolygon", "coordinates": [[(corner + square).tolist()] for corner in place.corners]
+            },
         }
         for place in stale.lasting
     ]  # fmt: skip

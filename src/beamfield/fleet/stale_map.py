@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +13,13 @@ from scipy import ndimage
 from scipy.stats import false_discovery_control
 
 from beamfield.arguments import require
-from beamfield.fleet.catalogue import Catalogue, Shard
+from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.engine import Engine, Progress
 from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.place_counts import READINGS, CountJob, count_places
 from beamfield.fleet.place_votes import PlaceTest, judge_places
 from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.shard import Shard
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -225,8 +226,8 @@ def find_stale_places(
 def _jobs(catalogue: Catalogue, fit: FleetFit) -> list[CountJob]:
     """Return the runs of lasers whose parameters are known, site by site."""
     records = {record.run: record for record in catalogue.used}
-    # Without the records, which a catalogue keeps.
-    sent, jobs = Catalogue(catalogue.folder), []
+    # A copy without the records, which a catalogue keeps once it has read them.
+    sent, jobs = replace(catalogue), []
     for shard in catalogue.shards():
         parameters = _parameters(fit, records[shard.run])
         if parameters is not None and records[shard.run].finder.opening_angle == 0.0:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from beamfield.fleet.engine import Engine, Progress
 from beamfield.fleet.simulated import FleetPlan, changed_site, simulate_drive, site_map
-from beamfield.io.logs.carmen_writer import write_carmen
+from beamfield.io.files.atomic import write_file
 from beamfield.io.maps.ros_map import write_map
+from beamfield.sensors import SensorLog
 
 MANIFEST, TRUTH = "manifest.yaml", "truth.json"
 # Of a fleet with so many logs, the first one is cut off in the middle, as by a full disk.
 LOGS_WITH_A_CUT = 20
-HEAD = """\
-# A simulated fleet. Logs hold scans and odometry; poses are found in the maps.
-lone_poses: odometry
-runs:
-"""
+HEAD = "# A simulated fleet. Logs hold scans and odometry; poses are found in the maps.\nruns:\n"
 
 
 class _Drive(NamedTuple):
@@ -96,5 +97,29 @@ def _write_drive(drive: _Drive) -> str:
     robot, date = drive.plan.robots[drive.robot], drive.plan.size.date(drive.day)
     name = f"logs/{robot.name}/{date.isoformat()}.log.gz"
     log, _ = simulate_drive(drive.plan, drive.robot, drive.day)
-    write_carmen(drive.folder / name, log)
+    write_raw_carmen(drive.folder / name, log.only_sensor())
     return name
+
+
+def write_raw_carmen(path: Path, sensor: SensorLog) -> None:
+    """Write scans and odometry as a robot records them in CARMEN: RAWLASER1 and ODOM lines, compressed.
+
+    Parameters
+    ----------
+    path
+        The file.
+    sensor
+        Scans of a laser on the robot's axis with equal steps, and odometry.
+    """
+    finder, mounts = sensor.finder, sensor.finder.mounts
+    step = float(mounts[1, 2] - mounts[0, 2]) if len(mounts) > 1 else math.radians(1.0)
+    start = float(mounts[0, 2])
+    laser = f"RAWLASER1 0 {start!r} {step * (len(mounts) - 1)!r} {step!r} {finder.max_range:g} 0.01 0 {len(mounts)}"
+    lines = [f"PARAM robot_frontlaser_offset {float(mounts[0, 0])!r}"]
+    ranges = np.minimum(sensor.ranges, finder.max_range)
+    for stamp, z, (x, y, heading) in zip(sensor.stamps, ranges.tolist(), sensor.odometry.tolist(), strict=True):
+        time = f"{stamp:.6f} robot {stamp:.6f}"
+        lines.append(f"ODOM {x:.6f} {y:.6f} {heading:.6f} 0 0 0 {time}")
+        lines.append(f"{laser} {' '.join(f'{value:.3f}' for value in z)} 0 {time}")
+    # No time inside, so that the same drive gives the same bytes.
+    write_file(path, gzip.compress(("\n".join(lines) + "\n").encode("ascii"), mtime=0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from beamfield.indices import subset_of
 from beamfield.maps.cone import make_caster
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.sensors import RangeFinder, SensorLog, usable_ranges
 from beamfield.short_repr import short_repr
 
 UnknownRule = Literal["skip", "free", "occupied"]
@@ -24,6 +24,8 @@ Progress = Callable[[int, int], None]
 
 # Scans per call of the ray caster: keeps memory small and progress alive.
 SCANS_PER_CHUNK = 256
+COLUMNS = ("ranges", "expected_ranges", "scan", "beam", "stamps")
+COUNTS = ("n_no_measurement", "n_unknown", "n_too_close")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,7 @@ class BeamTable:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        return subset_of(self, rows, len(self), "rows", ("ranges", "expected_ranges", "scan", "beam", "stamps"))
+        return subset_of(self, rows, len(self), "rows", COLUMNS)
 
     @property
     def n_nan(self) -> int:
@@ -142,42 +144,66 @@ def build_beam_table(
     InvalidInputError
         If the map has no obstacle, a scan has no finite pose,.
     """
-    if not grid.occupied.any():
-        raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
     chosen = np.arange(len(log))[np.asarray(scans)]
-    caster = make_caster(grid, log.finder, unknown="occupied" if unknown == "occupied" else "free")
-    stopping = RayCaster(grid, unknown="occupied") if unknown == "skip" and grid.unknown.any() else None
-    parts: list[tuple[FloatArray, FloatArray, NDArray[np.int32], NDArray[np.int32]]] = []
-    n_no_measurement = n_unknown = n_too_close = 0
-    for start in range(0, len(chosen), SCANS_PER_CHUNK):
-        rows = chosen[start : start + SCANS_PER_CHUNK]
-        ranges = usable_ranges(log.ranges[rows], log.finder)
-        expected = caster.expected_ranges(log.poses[rows], log.finder)
+    caster = BeamCaster(grid, log.finder, unknown)
+    parts: list[BeamTable] = []
+    for start in range(0, max(len(chosen), 1), SCANS_PER_CHUNK):
+        parts.append(caster.cast(log, chosen[start : start + SCANS_PER_CHUNK]))
+        if progress is not None and len(chosen):
+            progress(min(start + SCANS_PER_CHUNK, len(chosen)), len(chosen))
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+    joined |= {name: sum(getattr(part, name) for part in parts) for name in COUNTS}
+    return replace(parts[0], **joined)
+
+
+class BeamCaster:
+    """Makes a beam table of a few scans at a time, for logs whose table would not fit into memory.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    finder
+        The sensor; other sensors may be cast too, if theirs are beams or cones as well.
+    unknown
+        As for `build_beam_table`.
+
+    Raises
+    ------
+    InvalidInputError
+        If the map has no obstacle.
+    """
+
+    def __init__(self, grid: OccupancyGrid, finder: RangeFinder, unknown: UnknownRule = "skip") -> None:
+        if not grid.occupied.any():
+            raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
+        self.caster = make_caster(grid, finder, unknown="occupied" if unknown == "occupied" else "free")
+        self._stopping = RayCaster(grid, unknown="occupied") if unknown == "skip" and grid.unknown.any() else None
+
+    def cast(self, log: SensorLog, scans: NDArray[np.integer]) -> BeamTable:
+        """Return the table of the scans of these indices, as `build_beam_table` does."""
+        ranges = usable_ranges(log.ranges[scans], log.finder)
+        expected = self.caster.expected_ranges(log.poses[scans], log.finder)
         keep = np.isfinite(ranges)
-        n_no_measurement += int((~keep).sum())
-        n_too_close += int((~keep & ~np.isnan(log.ranges[rows])).sum())
-        if stopping is not None:
+        n_no_measurement = int((~keep).sum())
+        n_too_close = int((~keep & ~np.isnan(log.ranges[scans])).sum())
+        n_unknown = 0
+        if self._stopping is not None:
             # The ray stopped by unknown cells is shorter exactly if it enters one before the obstacle.
-            doubtful = keep & (stopping.expected_ranges(log.poses[rows], log.finder) < expected)
-            n_unknown += int(doubtful.sum())
+            doubtful = keep & (self._stopping.expected_ranges(log.poses[scans], log.finder) < expected)
+            n_unknown = int(doubtful.sum())
             keep &= ~doubtful
         in_chunk, in_scan = np.nonzero(keep)
-        parts.append((ranges[keep], expected[keep], rows[in_chunk].astype(np.int32), in_scan.astype(np.int32)))
-        if progress is not None:
-            progress(min(start + SCANS_PER_CHUNK, len(chosen)), len(chosen))
-    ranges = np.concatenate([part[0] for part in parts])
-    expected = np.concatenate([part[1] for part in parts])
-    scan = np.concatenate([part[2] for part in parts])
-    beam = np.concatenate([part[3] for part in parts])
-    return BeamTable(
-        ranges,
-        expected,
-        scan,
-        beam,
-        log.stamps[scan],
-        log.finder.max_range,
-        n_no_measurement,
-        n_unknown,
-        log.finder.min_range,
-        n_too_close=n_too_close,
-    )
+        scan = scans[in_chunk].astype(np.int32)
+        return BeamTable(
+            ranges[keep],
+            expected[keep],
+            scan,
+            in_scan.astype(np.int32),
+            log.stamps[scan],
+            log.finder.max_range,
+            n_no_measurement,
+            n_unknown,
+            log.finder.min_range,
+            n_too_close=n_too_close,
+        )

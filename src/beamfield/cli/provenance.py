@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 from pathlib import Path
 from typing import Any
 
 from beamfield import __version__
+from beamfield.io.files.content_hash import file_hash
 from beamfield.printable import printable
 
 # They say where and how something is printed or computed, and change no result.
@@ -19,20 +19,6 @@ def file_name(path: str | Path) -> str:
     r"""Return a file's name as one line that any output can hold: bytes that are no UTF-8 become ``\xe4``."""
     name = Path(path).name or Path(path).resolve().name
     return printable(os.fsencode(name).decode("utf-8", "backslashreplace"))
-
-
-def file_hash(path: str | Path) -> str:
-    """Return the SHA-256 of a file, or of a folder's files with their names, in hexadecimal."""
-    path = Path(path)
-    digest = hashlib.sha256()
-    if path.is_dir():
-        for item in sorted(p for p in path.rglob("*") if p.is_file()):
-            digest.update(f"{item.relative_to(path).as_posix()} {file_hash(item)}\n".encode(errors="surrogateescape"))
-        return digest.hexdigest()
-    with path.open("rb") as file:
-        while chunk := file.read(1 << 20):
-            digest.update(chunk)
-    return digest.hexdigest()
 
 
 def provenance(arguments: argparse.Namespace) -> dict[str, Any]:

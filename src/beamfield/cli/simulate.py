@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, not_negative, positive
-from beamfield.cli.provenance import file_hash, provenance
+from beamfield.cli.provenance import provenance
 from beamfield.cli.simulate_sonar import (
     Value,
     add_sonar_options,
@@ -34,6 +34,7 @@ from beamfield.cli.simulate_sonar import (
     values_of,
 )
 from beamfield.errors import InvalidInputError
+from beamfield.io.files.content_hash import file_hash
 
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid

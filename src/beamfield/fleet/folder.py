@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import secrets
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.errors import BeamfieldError, InvalidInputError, MissingDependencyError
 from beamfield.io.files.atomic import atomic_file
 
 # Whose uploads appear when they are complete. Elsewhere a file is uploaded under another name, and renamed.
@@ -47,17 +48,16 @@ class Folder:
     @property
     def is_local(self) -> bool:
         """Whether it is on this machine's disks."""
-        return not _SCHEME.match(self.address)
+        return not is_address(self.address)
 
     @cached_property
     def _opened(self) -> tuple[Any, str]:
         fsspec = require_fsspec()
         try:
-            system, root = fsspec.core.url_to_fs(self.address, **self.options)
-        except (ValueError, ImportError) as error:
-            # fsspec quotes the address, which may hold a password.
-            reason = str(error).replace(self.address, self.shown)
-            raise InvalidInputError(f"{self.shown}: this address cannot be opened: {reason}") from None
+            with self.named_errors():
+                system, root = fsspec.core.url_to_fs(self.address, **self.options)
+        except OSError as error:
+            raise InvalidInputError(f"{self.shown}: this address cannot be opened: {error.strerror or error}") from None
         return system, root.rstrip("/")
 
     def __getstate__(self) -> dict[str, Any]:
@@ -72,7 +72,9 @@ class Folder:
     @property
     def arrow_system(self) -> Any:
         """The file system as PyArrow takes it."""
-        return None if self.is_local else self.system
+        from pyarrow import fs
+
+        return fs.LocalFileSystem() if self.is_local else fs.PyFileSystem(fs.FSSpecHandler(self.system))
 
     def path(self, name: str = "") -> str:
         """Return the path of a file in it, as the file system takes it."""
@@ -83,40 +85,62 @@ class Folder:
         """Return the address of a file in it without secrets."""
         return f"{self.shown.rstrip('/')}/{name}"
 
+    @contextmanager
+    def named_errors(self, name: str = "") -> Iterator[None]:
+        """Raise what a store's program raises in its own words as an OSError, without secrets."""
+        try:
+            yield
+        except (OSError, BeamfieldError):
+            raise
+        except Exception as error:
+            shown = self.shown_path(name) if name else self.shown
+            # Without the cause, whose text is the one with secrets.
+            raise OSError(errno.EIO, f"{type(error).__name__}: {self._hidden(str(error))}", shown) from None
+
+    def _hidden(self, text: str) -> str:
+        """Return a text without what is secret in the address and the options."""
+        parts = urlsplit(self.address)
+        secret = [self.address, parts.username, parts.password, parts.query, *map(str, self.options.values())]
+        for one in filter(None, secret):
+            text = text.replace(one, "***")
+        return text
+
     def exists(self, name: str) -> bool:
         """Return whether there is such a file."""
         # Another process may have written it since this file system last looked.
-        self.system.invalidate_cache()
-        return bool(self.system.exists(self.path(name)))
+        with self.named_errors(name):
+            self.system.invalidate_cache()
+            return bool(self.system.exists(self.path(name)))
 
     def names(self, folder: str = "") -> list[str]:
         """Return the sorted names of the files in a folder of it; none if there is no such folder."""
-        self.system.invalidate_cache()
         try:
-            found = self.system.ls(self.path(folder), detail=False)
+            with self.named_errors(folder):
+                self.system.invalidate_cache()
+                found = self.system.ls(self.path(folder), detail=False)
         except FileNotFoundError:
             return []
         return sorted(str(path).rstrip("/").rpartition("/")[2] for path in found)
 
     def read(self, name: str) -> bytes:
         """Return the content of a file."""
-        return bytes(self.system.cat_file(self.path(name)))
+        with self.named_errors(name):
+            return bytes(self.system.cat_file(self.path(name)))
 
     def read_all(self, names: Sequence[str]) -> list[bytes | None]:
         """Return the content of many files, read at once where the store can; None for those that are not there."""
         paths = [self.path(name) for name in names]
-        found = self.system.cat(paths, on_error="return") if paths else {}
-        for content in found.values():
-            if isinstance(content, Exception) and not isinstance(content, FileNotFoundError):
-                raise content
+        with self.named_errors():
+            found = self.system.cat(paths, on_error="return") if paths else {}
+            for content in found.values():
+                if isinstance(content, Exception) and not isinstance(content, FileNotFoundError):
+                    raise content
         return [None if isinstance(found[path], Exception) else bytes(found[path]) for path in paths]
 
     def remove(self, name: str) -> None:
         """Remove a file, which another process may have removed already."""
-        try:
+        with suppress(FileNotFoundError), self.named_errors(name):
             self.system.rm_file(self.path(name))
-        except FileNotFoundError:
-            return
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
@@ -128,18 +152,27 @@ class Folder:
         with tempfile.TemporaryDirectory(prefix="beamfield-") as scratch:
             part = Path(scratch) / "part"
             yield part
-            if urlsplit(self.address).scheme in _OBJECT_STORES:
-                self.system.put_file(str(part), self.path(name))
-                return
-            hidden = self.path(f"{name}.{secrets.token_hex(6)}.part")
-            self.system.makedirs(hidden.rpartition("/")[0], exist_ok=True)
-            self.system.put_file(str(part), hidden)
-            self.system.mv(hidden, self.path(name))
+            with self.named_errors(name):
+                self._upload(part, name)
+
+    def _upload(self, part: Path, name: str) -> None:
+        if urlsplit(self.address).scheme in _OBJECT_STORES:
+            self.system.put_file(str(part), self.path(name))
+            return
+        hidden = self.path(f"{name}.{secrets.token_hex(6)}.part")
+        self.system.makedirs(hidden.rpartition("/")[0], exist_ok=True)
+        self.system.put_file(str(part), hidden)
+        self.system.mv(hidden, self.path(name))
 
     def write(self, name: str, content: bytes) -> None:
         """Write bytes to a file, whole or not at all."""
         with self.writing(name) as part:
             part.write_bytes(content)
+
+
+def is_address(path: str) -> bool:
+    """Return whether a path is an fsspec address: it begins with a scheme, as s3://."""
+    return _SCHEME.match(path) is not None
 
 
 def without_secrets(address: str) -> str:
@@ -152,7 +185,7 @@ def without_secrets(address: str) -> str:
     >>> without_secrets("logs/run.bag")
     'logs/run.bag'
     """
-    if not _SCHEME.match(address):
+    if not is_address(address):
         return address
     scheme, _, rest = address.partition("://")
     rest = re.split(r"[?#]", rest, maxsplit=1)[0]

@@ -97,6 +97,8 @@ class RunRecord:
         Hash of everything that its beams come from; "" for a log that could not be read, which is tried again.
     log, map, poses
         Addresses as the manifest gives them, without secrets; poses "" if it gives none.
+    log_sensor
+        The log's sensor as the manifest names it; "": the only one.
     log_hash
         SHA-256 of the log; "" if it could not be read.
     status, reason
@@ -130,6 +132,7 @@ class RunRecord:
     log: str
     map: str
     poses: str
+    log_sensor: str
     log_hash: str
     status: Literal["used", "left out"]
     reason: str = ""
@@ -169,7 +172,7 @@ class RunRecord:
         values = asdict(self)
         for name in ("first_stamp", "last_stamp"):
             values[name] = values[name] if np.isfinite(values[name]) else None
-        return (json.dumps(values, indent=1, allow_nan=False) + "\n").encode()
+        return (json.dumps(values, allow_nan=False) + "\n").encode()
 
 
 def record_from_json(content: bytes, path: str) -> RunRecord:

@@ -1,0 +1,136 @@
+"""Scan a fleet: every log of a manifest into the catalogue, but for those that are there already."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from beamfield.fleet.catalogue import Catalogue, create_catalogue, read_records
+from beamfield.fleet.engine import Engine
+from beamfield.fleet.manifest import ManifestRow, read_manifest
+from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.scan_job import RunContent, ScanJob, content_of, log_address
+from beamfield.fleet.scan_run import left_out, scan_run, worker_died, write_record
+
+# Called with stage, logs done and logs in all.
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class FleetScan:
+    """What a scan did.
+
+    Parameters
+    ----------
+    catalogue
+        With the records as they are now.
+    rows, records
+        Of the manifest, and the record of each.
+    scanned
+        Runs that were read; the others were there already.
+    replaced
+        Runs of logs that had been scanned with other content, which are gone.
+    """
+
+    catalogue: Catalogue
+    rows: tuple[ManifestRow, ...] = field(repr=False)
+    records: tuple[RunRecord, ...] = field(repr=False)
+    scanned: tuple[str, ...]
+    replaced: tuple[str, ...]
+
+
+def scan_fleet(
+    manifest: str | os.PathLike[str],
+    catalogue: str,
+    engine: Engine,
+    *,
+    options: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> FleetScan:
+    """Scan the logs of a manifest into a catalogue.
+
+    Parameters
+    ----------
+    manifest
+        As for `read_manifest`.
+    catalogue
+        Its address; a new one is begun in an empty folder.
+    engine
+        Where to work.
+    options
+        Storage options for fsspec, for the catalogue and the logs.
+    progress
+        Called with stage, logs done and logs in all.
+
+    Returns
+    -------
+    The records; logs that cannot be used are left out, with the reason.
+
+    Raises
+    ------
+    FormatError
+        If the manifest, or the catalogue, is no such thing.
+    MissingDependencyError
+        If a log needs a package that is not installed.
+    OSError
+        If the catalogue cannot be written.
+    """
+    report = progress or (lambda _stage, _done, _total: None)
+    rows = read_manifest(manifest)
+    opened = create_catalogue(catalogue, options)
+    jobs = [ScanJob(row, opened.folder) for row in rows]
+    contents = engine.map(content_of, jobs, progress=lambda done, n: report("looking for changes", done, n))
+    before = read_records(opened.folder)
+    jobs = [_planned(job, content, before) for job, content in zip(jobs, contents, strict=True)]
+    records = [_copy_of_another(job, jobs) or _known(job, before) for job in jobs]
+    open_jobs = [job for job, record in zip(jobs, records, strict=True) if record is None]
+    done = iter(
+        engine.map(
+            scan_run, open_jobs, key=lambda job: f"{job.folder.shown}-{job.run}", lost=worker_died,
+            progress=lambda done, n: report("scanning logs", done, n),
+        )
+    )  # fmt: skip
+    found = tuple(next(done) if record is None else record for record in records)
+    return FleetScan(
+        Catalogue(opened.folder), rows, found, tuple(job.run for job in open_jobs),
+        tuple(old.run for job in open_jobs for old in job.replaces),
+    )  # fmt: skip
+
+
+def _planned(job: ScanJob, content: RunContent, before: list[RunRecord]) -> ScanJob:
+    """Return the job with its content and the records that it replaces.
+
+    These are of the same robot's log of that name with other content, and of the same log under another robot's name.
+    """
+    row, planned = job.row, replace(job, content=content)
+    name = (row.site, row.robot, log_address(row), row.sensor)
+    replaces = tuple(
+        one
+        for one in before
+        if one.run != planned.run
+        and (
+            (one.site, one.robot, one.log, one.log_sensor) == name
+            or (one.is_used and (one.log_hash, one.log_sensor) == (content.log_hash, row.sensor))
+        )
+    )
+    return replace(planned, replaces=replaces)
+
+
+def _copy_of_another(job: ScanJob, jobs: list[ScanJob]) -> RunRecord | None:
+    """Leave a log out whose content is that of an earlier row: its beams would count twice."""
+    if not job.content.key:
+        return None
+    same = (job.content.log_hash, job.row.sensor)
+    first = next(one for one in jobs if one.content.key and (one.content.log_hash, one.row.sensor) == same)
+    if first is job:
+        return None
+    record = left_out(job, f"the same log as {log_address(first.row)} of {first.row.robot}")
+    # One of the same robot and name has the name of the first.
+    return record if job.run == first.run else write_record(replace(job, replaces=()), record)
+
+
+def _known(job: ScanJob, before: list[RunRecord]) -> RunRecord | None:
+    """Return the record of the same content, whatever the log was called when it was scanned."""
+    return next((one for one in before if one.key == job.content.key != ""), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +13,7 @@ import pytest
 
 from beamfield.calibration.beam_table import build_beam_table
 from beamfield.fleet.report_files import disagreement_map, places_as_geojson
-from beamfield.fleet.run_record import MapInfo
+from beamfield.fleet.run_record import MapInfo, RunRecord
 from beamfield.fleet.stale_map import StaleMap, find_stale_places
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
@@ -21,7 +21,7 @@ from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.sensors import RangeFinder, SensorLog
-from tests.fleet.beams import FIRST_DAY, MemoryCatalogue, MemoryShard, SerialEngine, memory_catalogue
+from tests.fleet.beams import FIRST_DAY, MemoryCatalogue, MemoryShard, SerialEngine
 
 TRUTH = BeamParameters(0.9, 0.02, 0.03, 0.05, 0.02, 0.5)
 FINDER = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 60), 10.0)
@@ -34,7 +34,7 @@ SINCE, DAYS, ROBOTS = 3, 8, 4
 class MappedCatalogue(MemoryCatalogue):
     mapped: Any = None
 
-    def grid(self, record: Any) -> OccupancyGrid:
+    def grid(self, _record: Any) -> OccupancyGrid:
         return self.mapped
 
 
@@ -75,13 +75,16 @@ def stale() -> StaleMap:
             }  # fmt: skip
             date = FIRST_DAY + datetime.timedelta(days=day)
             shards.append(MemoryShard("hall", f"r{robot}", date, f"r{robot}-{day}", columns, f"{day}/{robot}"))
-    plain = memory_catalogue(shards, max_range=10.0)
     sensor = {"mounts": FINDER.mounts.tolist(), "max_range": 10.0, "min_range": 0.0, "opening_angle": 0.0}
     known = MapInfo(0.05, (0.0, 0.0, 0.0), grid.shape, "0123456789abcdef")
-    records = tuple(replace(record, sensor=sensor, map_info=known) for record in plain.used)
+    records = tuple(
+        RunRecord(run=one.run, robot=one.robot, site=one.site, key="", log="", map="", poses="", log_sensor="",
+                  log_hash="", status="used", sensor=sensor, map_info=known)
+        for one in shards
+    )  # fmt: skip
     limits = SimpleNamespace(max_range=10.0, min_range=0.0)
     fit = SimpleNamespace(fits=[SimpleNamespace(site=None, robot=None, limits=limits, parameters=TRUTH)])
-    (found,) = find_stale_places(MappedCatalogue(records, plain.all_shards, grid), SerialEngine(), fit)
+    (found,) = find_stale_places(MappedCatalogue(records, tuple(shards), grid), SerialEngine(), fit)
     return found
 
 

@@ -21,6 +21,7 @@ from beamfield.cli import (
     evaluate,
     explore,
     figures,
+    fleet,
     inspect,
     likelihood,
     localize,
@@ -53,6 +54,7 @@ COMMANDS = (
     likelihood,
     localize,
     figures,
+    fleet,
     demo,
 )
 # Old names, which are not in the help.

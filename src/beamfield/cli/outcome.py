@@ -27,7 +27,7 @@ class Outcome:
     notes
         What else is worth knowing; on stderr, as stdout may go into a file.
     wrote
-        Files and folders written.
+        Files and folders written, or addresses.
     code, problem
         The exit code, and if it is 3, why.
     """
@@ -36,7 +36,7 @@ class Outcome:
     text: str = ""
     document: Mapping[str, Any] | None = None
     notes: Sequence[str] = ()
-    wrote: Sequence[Path] = ()
+    wrote: Sequence[Path | str] = ()
     code: int = 0
     problem: str = ""
 

@@ -93,16 +93,34 @@ def add_command(
         The help, which is the docstring of the command's module: one line for the list of commands, what it does, and
         examples, which stand below the options.
     """
-    summary, _, rest = (text or "x").partition("\n\n")
-    about, head, examples = rest.partition("for example:")
-    summary = summary[0].lower() + summary[1:].rstrip(".")
-    parser = commands.add_parser(name, help=summary, description=about, epilog=f"{head}{examples}\n{UNITS}")
+    parser = _add_parser(commands, name, text)
     parser.add_argument("-q", "--quiet", action="store_true", help="print only errors and the result on one line")
     parser.add_argument("-v", "--verbose", action="store_true",
                         help="number the steps and time them; show where an internal error arose")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the result as JSON (metres, radians, seconds)")
     parser.set_defaults(run=run, command=name)
     return parser
+
+
+def add_group(
+    commands: argparse._SubParsersAction[Parser], name: str, text: str | None
+) -> argparse._SubParsersAction[Parser]:
+    """Return where to add the commands of a group, which are typed after its name.
+
+    Parameters
+    ----------
+    commands, name, text
+        As for `add_command`.
+    """
+    parser = _add_parser(commands, name, text)
+    return parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Parser)
+
+
+def _add_parser(commands: argparse._SubParsersAction[Parser], name: str, text: str | None) -> Parser:
+    summary, _, rest = (text or "x").partition("\n\n")
+    about, head, examples = rest.partition("for example:")
+    summary = summary[0].lower() + summary[1:].rstrip(".")
+    return commands.add_parser(name, help=summary, description=about, epilog=f"{head}{examples}\n{UNITS}")
 
 
 def positive(text: str) -> float:

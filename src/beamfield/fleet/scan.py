@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -42,7 +42,7 @@ class FleetScan:
 
 
 def scan_fleet(
-    manifest: str | os.PathLike[str],
+    manifest: str | os.PathLike[str] | Sequence[ManifestRow],
     catalogue: str,
     engine: Engine,
     *,
@@ -54,7 +54,7 @@ def scan_fleet(
     Parameters
     ----------
     manifest
-        As for `read_manifest`.
+        As for `read_manifest`, or what it returned.
     catalogue
         Its address; a new one is begun in an empty folder.
     engine
@@ -78,7 +78,7 @@ def scan_fleet(
         If the catalogue cannot be written.
     """
     report = progress or (lambda _stage, _done, _total: None)
-    rows = read_manifest(manifest)
+    rows = read_manifest(manifest) if isinstance(manifest, str | os.PathLike) else tuple(manifest)
     opened = create_catalogue(catalogue, options)
     jobs = [ScanJob(row, opened.folder) for row in rows]
     contents = engine.map(content_of, jobs, progress=lambda done, n: report("looking for changes", done, n))

@@ -1,0 +1,97 @@
+"""What the records of a fleet's runs say against each other: clocks that differ, runs at the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from beamfield.finding import Finding
+from beamfield.fleet.run_record import RunRecord
+
+# Clocks that were never set count from 0 or from the start; no robot had a lidar before (1980-01-01).
+FIRST_DATE = 315_532_800.0
+# Fleets are looked at over days and months: a robot whose runs lie this far from the others' has a wrong clock.
+CLOCK_DIFFERS_S = 365.0 * 86_400.0
+
+
+def run_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
+    """Return what to know of the runs' times before days are compared.
+
+    Parameters
+    ----------
+    records
+        Of a catalogue; those left out do not count.
+    """
+    used = [record for record in records if record.is_used]
+    dated = [record for record in used if record.first_stamp >= FIRST_DATE]
+    return (*_no_date(used), *_clocks(dated), *_overlaps(dated))
+
+
+def _no_date(used: Sequence[RunRecord]) -> list[Finding]:
+    without = [record for record in used if record.first_stamp < FIRST_DATE]
+    if not without:
+        return []
+    return [
+        Finding(
+            "no-date",
+            "warning",
+            f"{len(without)} of {len(used)} runs have stamps that count from 0, not from 1970: {_robots(without)}.",
+            {"runs": float(len(without))},
+            why="They are all put on 1970-01-01, so that nothing can be said of how these robots change over days.",
+            do="Set the robots' clocks before recording, or shift the stamps of the logs to when they were recorded.",
+        )
+    ]
+
+
+def _clocks(dated: Sequence[RunRecord]) -> list[Finding]:
+    if not dated:
+        return []
+    middle = float(np.median([record.first_stamp for record in dated]))
+    far = [record for record in dated if abs(record.first_stamp - middle) > CLOCK_DIFFERS_S]
+    if not far:
+        return []
+    return [
+        Finding(
+            "clock-differs",
+            "warning",
+            f"{len(far)} of {len(dated)} runs are more than a year from the others: {_robots(far)}.",
+            {"runs": float(len(far))},
+            why="A clock that jumps or was set wrong puts runs on days at which they did not happen.",
+            do="Compare these logs' stamps with when they were recorded; scan the fleet's years into catalogues of "
+            "their own if they are right.",
+        )
+    ]
+
+
+def _overlaps(dated: Sequence[RunRecord]) -> list[Finding]:
+    pairs = []
+    ordered = sorted(dated, key=lambda one: (one.site, one.robot, one.log_sensor, one.first_stamp, one.run))
+    for _, runs in groupby(ordered, key=lambda one: (one.site, one.robot, one.log_sensor)):
+        last: RunRecord | None = None
+        for record in runs:
+            if last is not None and record.first_stamp < last.last_stamp:
+                pairs.append((last, record))
+            if last is None or record.last_stamp > last.last_stamp:
+                last = record
+    if not pairs:
+        return []
+    first, second = pairs[0]
+    return [
+        Finding(
+            "runs-overlap",
+            "warning",
+            f"{len(pairs)} runs begin before an earlier run of the same robot has ended: {second.log} and {first.log} "
+            f"of {first.robot}.",
+            {"runs": float(len(pairs))},
+            why="A robot is in one place at a time: a log that is there in two formats counts twice, or a clock has "
+            "jumped.",
+            do="Take the copies out of the manifest and scan into a new catalogue, or give robots their own names.",
+        )
+    ]
+
+
+def _robots(records: Sequence[RunRecord]) -> str:
+    names = sorted({f"{record.robot} ({record.site})" for record in records})
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

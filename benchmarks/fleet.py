@@ -145,7 +145,7 @@ def workers_table(workers: list[int]) -> None:
             rows.append(row)
         used = sum(record.is_used for record in scanned.records)
     print(
-        f"scan: {used} logs of {LOGS.duration:g} s with {LOGS.beams} beams, {LOGS.scan_rate:g} Hz; learn: 2 x 10^7 beams"
+        f"scan: {used} logs of {LOGS.duration:g} s with {LOGS.beams} beams, {LOGS.scan_rate:g} Hz; learn: 2e7 beams"
     )
     print_table(rows)
 

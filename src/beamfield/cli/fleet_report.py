@@ -18,13 +18,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli import options
+from beamfield.cli.fleet_scan import add_engine
 from beamfield.cli.outcome import Outcome
-from beamfield.cli.parser import Parser, add_command, count
+from beamfield.cli.parser import Parser, add_command
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from beamfield.cli.progress import StageProgress
     from beamfield.fleet.catalogue import Catalogue
+    from beamfield.fleet.beam_schema import require_pyarrow
     from beamfield.fleet.engine import Engine
     from beamfield.fleet.fleet_report import FleetReport
 
@@ -39,19 +41,21 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_out(parser, "beamfield_fleet_report", metavar="DIR", what="output folder")
     parser.add_argument("--catalogue", metavar="ADDRESS",
                         help="where a manifest's beams are kept (default: catalogue in the output folder)")  # fmt: skip
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler (default: processes of this machine)")
-    parser.add_argument("--workers", type=count, metavar="N", help="processes to use (default: all processors)")
+    add_engine(parser)
+    parser.set_defaults(command="fleet report")
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Scan what is new, judge, draw, write."""
     # The numerical libraries load here, so that --help answers at once.
+    from beamfield.fleet.beam_schema import require_pyarrow
     from beamfield.fleet.engine import Engine
     from beamfield.fleet.fleet_report import judge_fleet
     from beamfield.fleet.report_files import report_as_dict, write_fleet_report
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
 
     check_folder_writable(arguments.out)
+    require_pyarrow()
     with options.progress(arguments) as progress, Engine(arguments.scheduler, arguments.workers) as engine:
         report = judge_fleet(_catalogue(arguments, engine, progress), engine, progress=progress)
         progress("drawing", 0, 1)
@@ -61,7 +65,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         f"wrote {', '.join(name for name in names if '/' not in name)} and maps into {arguments.out}",
         _summary(report),
         report_as_dict(report),
-        wrote=[arguments.out],
+        [f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in report.findings],
+        [arguments.out],
     )
 
 

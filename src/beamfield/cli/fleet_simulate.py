@@ -41,7 +41,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     for name, kind, default, metavar, what in OPTIONS:
         parser.add_argument(f"--{name}", type=kind, default=default, metavar=metavar,
                             help=f"{what} (default: {default:g})")  # fmt: skip
-    parser.add_argument("--workers", type=count, metavar="N", help="processes to use (default: all processors)")
+    parser.add_argument("--workers", type=count, metavar="N", help="how many processes (default: one per processor)")
+    parser.set_defaults(command="fleet simulate")
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
@@ -60,7 +61,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     plan = plan_fleet(size, seed=arguments.seed)
     with (
         options.progress(arguments) as progress,
-        Engine(None if arguments.workers is None else "processes", arguments.workers) as engine,
+        Engine(workers=arguments.workers) as engine,
         atomic_folder(arguments.out) as folder,
     ):
         truth = write_fleet(folder, plan, engine, progress=lambda done, total: progress("simulating", done, total))

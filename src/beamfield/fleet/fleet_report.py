@@ -6,13 +6,16 @@ import datetime
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from beamfield.finding import Finding
 from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.comparison import Difference, compare_robots
-from beamfield.fleet.drift import DailySeries, Drift, daily_series, find_drift
+from beamfield.fleet.daily import DailySeries, daily_series
+from beamfield.fleet.drift import Drift, find_drift
 from beamfield.fleet.engine import Engine
 from beamfield.fleet.hierarchy import Hierarchy, pool
 from beamfield.fleet.learning import FleetFit, learn
 from beamfield.fleet.robot_state import RobotState, robot_states
+from beamfield.fleet.run_findings import run_findings
 from beamfield.fleet.run_record import RunRecord
 from beamfield.fleet.stale_map import StaleMap, find_stale_places
 from beamfield.short_repr import short_repr
@@ -37,6 +40,8 @@ class FleetReport:
         One per site and map.
     states
         Traffic lights, the most urgent robot first.
+    findings
+        What to know of the runs' times before days are compared.
     """
 
     records: tuple[RunRecord, ...]
@@ -47,6 +52,7 @@ class FleetReport:
     drifts: tuple[Drift, ...]
     stale_maps: tuple[StaleMap, ...]
     states: tuple[RobotState, ...]
+    findings: tuple[Finding, ...]
 
     __repr__ = short_repr
 
@@ -93,5 +99,6 @@ def judge_fleet(catalogue: Catalogue, engine: Engine, *, progress: StageProgress
     )
     records = catalogue.runs
     return FleetReport(
-        records, fit, pool(fit), compare_robots(fit), series, drifts, stale, robot_states(records, drifts)
-    )
+        records, fit, pool(fit), compare_robots(fit), series, drifts, stale, robot_states(records, drifts),
+        run_findings(records),
+    )  # fmt: skip

@@ -11,7 +11,8 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from beamfield.fleet.drift import DailySeries, Drift, Fault
+from beamfield.fleet.daily import DailySeries, Fault
+from beamfield.fleet.drift import Drift
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.stale_map import StaleMap
@@ -26,9 +27,9 @@ from beamfield.report.panel import Panel, ReportFigure, png_panel, svg_panel
 # What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
 FAULTS: Mapping[Fault, tuple[str, str, float]] = {
     "dirty-lens": ("dirty lens", "readings in the sector [%]", 100.0),
-    "turned-mount": ("turned mount", "yaw of the range finder [degrees]", math.degrees(1.0)),
+    "turned-mount": ("turned mount", "direction of motion, to the left [degrees]", math.degrees(1.0)),
     "range-bias": ("range bias", "ranges too long by [cm]", 100.0),
-    "wheel-scale": ("wheel scale", "distances too long by [%]", 100.0),
+    "wheel-scale": ("wheel scale", "odometry too short by [%]", 100.0),
 }
 MOST_CURVES, MOST_PLACES, MOST_DATES = 16, 20, 5
 PLACE_COLUMNS = ("", "what", "x [m]", "y [m]", "size [m]", "since", "runs", "robots", "share of beams", "chance")
@@ -48,10 +49,10 @@ def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> Repo
     """
     panels = []
     for number, drift in enumerate(drifts[:MOST_CURVES]):
-        same = [one for one in series if _what(one) == _what(drift)]
-        mine = next((one for one in same if one.robot == drift.robot), None)
+        mine = _series_of(drift, series)
         if mine is not None:
-            panels.append(_drift_panel(f"drift-{number}", drift, mine, [one for one in same if one is not mine]))
+            others = [one for one in series if one is not mine and _what(one) == _what(mine)]
+            panels.append(_drift_panel(f"drift-{number}", drift, mine, others))
     more = f" {len(drifts) - MOST_CURVES} more are in series.parquet." if len(drifts) > MOST_CURVES else ""
     caption = (
         "Thick: the robot's number of each day with its 95 % interval; grey: the same of the other robots. The dashed "
@@ -62,8 +63,32 @@ def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> Repo
     return ReportFigure("drift", "Drift over the days", tuple(panels), caption, "")
 
 
-def _what(of: DailySeries | Drift) -> tuple[object, ...]:
+def _what(of: DailySeries) -> tuple[object, ...]:
     return of.fault, of.cause, of.bearings
+
+
+def _series_of(drift: Drift, series: Sequence[DailySeries]) -> DailySeries | None:
+    """Return what a drift is about; of the sectors that it covers, the worst."""
+    own = [
+        one
+        for one in series
+        if (one.robot, one.site, one.fault, one.cause) == (drift.robot, drift.site, drift.fault, drift.cause)
+        and _covers(drift.bearings, one.bearings)
+    ]
+    return max(own, key=lambda one: _level(one, drift.since), default=None)
+
+
+def _level(one: DailySeries, since: datetime.date | None) -> float:
+    """Return the mean of what is compared, from a day on."""
+    later = [value for day, value in zip(one.days, one.contrasts.tolist(), strict=True) if since is None or day >= since]
+    return math.fsum(later) / len(later) if later else -math.inf
+
+
+def _covers(whole: tuple[float, float] | None, part: tuple[float, float] | None) -> bool:
+    if whole is None or part is None:
+        return whole is part
+    middle = 0.5 * (part[0] + part[1])
+    return any(whole[0] <= middle + turn <= whole[1] for turn in (0.0, 2.0 * math.pi))
 
 
 def _drift_panel(name: str, drift: Drift, mine: DailySeries, others: Sequence[DailySeries]) -> Panel:

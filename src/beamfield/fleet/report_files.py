@@ -67,6 +67,7 @@ def report_as_dict(report: FleetReport) -> dict[str, Any]:
         "robots": plain(report.states),
         "faults": [plain(drift) for drift in report.alarms],
         "parameters": plain(report.hierarchies),
+        "findings": plain(report.findings),
         "differences": plain([one for one in report.differences if one.differs]),
         "maps": [
             {
@@ -105,10 +106,12 @@ def report_tables(report: FleetReport) -> dict[str, list[dict[str, Any]]]:
                 "robot": one.robot, "site": one.site, "fault": one.fault, "cause": one.cause, "unit": one.unit,
                 "from_bearing": one.bearings[0] if one.bearings else None,
                 "to_bearing": one.bearings[1] if one.bearings else None,
-                "day": day, "value": value, "standard_error": error,
+                "day": day, "value": value, "standard_error": error, "contrast": contrast,
             }
             for one in report.series
-            for day, value, error in zip(one.days, one.values.tolist(), one.standard_errors.tolist(), strict=True)
+            for day, value, error, contrast in zip(
+                one.days, one.values.tolist(), one.standard_errors.tolist(), one.contrasts.tolist(), strict=True
+            )
         ],
         "parameters": [
             {

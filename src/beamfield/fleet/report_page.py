@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from beamfield import __version__
 from beamfield.fleet.fleet_report import FleetReport
+from beamfield.fleet.hierarchy import Pooled
 from beamfield.fleet.report_figures import drift_figure, parameter_figure, stale_figure
 from beamfield.fleet.robot_state import Light, RobotState
 from beamfield.report.escape import escaped
@@ -133,7 +134,7 @@ def _parameter_table(report: FleetReport) -> str:
             (
                 f"{one.robot} ({one.site})",
                 *(
-                    f"{_value(getattr(one.parameters, name), one.intervals[name])}, {one.shrinkage[name]:.0%} shrunk"
+                    f"{_value(getattr(one.parameters, name), one.intervals[name])}{_shrunk(one, name)}"
                     for name in names
                 ),
             )
@@ -148,6 +149,10 @@ def _parameter_table(report: FleetReport) -> str:
 
 def _value(value: float, interval: tuple[float, float]) -> str:
     return f"{value:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]"
+
+
+def _shrunk(one: Pooled, name: str) -> str:
+    return f", {one.shrinkage[name]:.0%} of its site" if name in one.shrinkage else ""
 
 
 def _differences(report: FleetReport) -> str:
@@ -165,9 +170,10 @@ def _differences(report: FleetReport) -> str:
 
 def _runs(report: FleetReport) -> str:
     left_out = [record for record in report.records if not record.is_used]
+    warned = finding_list(report.findings) if report.findings else ""
     if not left_out:
-        return "<p>Every run could be used.</p>"
+        return f"{warned}<p>Every run could be used.</p>"
     rows = [(record.run, record.robot, record.site, record.reason) for record in left_out[:MOST_LEFT_OUT]]
     more = len(left_out) - MOST_LEFT_OUT
     rest = f"<p>{more} more are in fleet_report.json.</p>" if more > 0 else ""
-    return f"<p>Left out:</p>\n{table(('run', 'robot', 'site', 'reason'), rows)}{rest}"
+    return f"{warned}<p>Left out:</p>\n{table(('run', 'robot', 'site', 'reason'), rows)}{rest}"

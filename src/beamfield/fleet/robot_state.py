@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beamfield.finding import Finding
-from beamfield.fleet.drift import Drift, Fault
+from beamfield.fleet.daily import Fault
+from beamfield.fleet.drift import Drift
 from beamfield.fleet.run_record import RunRecord
 from beamfield.short_repr import short_repr
 
@@ -101,7 +102,7 @@ def _fault(drift: Drift) -> Finding:
             values,
             why="Scans are turned against the map by as much: a robot localises worse and drives crooked.",
             do="Check that the range finder sits straight and its screws are tight; else correct its yaw in the "
-            f"robot's description by {math.degrees(drift.size):+.2g} degrees.",
+            f"robot's description by {-math.degrees(drift.size):+.2g} degrees.",
         )
     if drift.fault == "range-bias":
         return Finding(
@@ -119,7 +120,7 @@ def _fault(drift: Drift) -> Finding:
         values,
         why="Odometry is off by as much on every metre, which a filter must make up for.",
         do="Check the tyres and their pressure; else correct the wheels' radius in the robot's description by "
-        f"{-100.0 * drift.size:+.2g} %.",
+        f"{100.0 * drift.size:+.2g} %.",
     )
 
 

@@ -144,9 +144,7 @@ def workers_table(workers: list[int]) -> None:
                         f"{name}: efficiency": f"{speed_up * first[name][0] / n:.0%}"}  # fmt: skip
             rows.append(row)
         used = sum(record.is_used for record in scanned.records)
-    print(
-        f"scan: {used} logs of {LOGS.duration:g} s with {LOGS.beams} beams, {LOGS.scan_rate:g} Hz; learn: 2e7 beams"
-    )
+    print(f"scan: {used} logs of {LOGS.duration:g} s with {LOGS.beams} beams, {LOGS.scan_rate:g} Hz; learn: 2e7 beams")
     print_table(rows)
 
 

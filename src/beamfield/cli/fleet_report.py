@@ -26,7 +26,6 @@ from beamfield.errors import InvalidInputError
 if TYPE_CHECKING:
     from beamfield.cli.progress import StageProgress
     from beamfield.fleet.catalogue import Catalogue
-    from beamfield.fleet.beam_schema import require_pyarrow
     from beamfield.fleet.engine import Engine
     from beamfield.fleet.fleet_report import FleetReport
 

@@ -27,14 +27,16 @@ from beamfield.report.panel import Panel, ReportFigure, png_panel, svg_panel
 # What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
 FAULTS: Mapping[Fault, tuple[str, str, float]] = {
     "dirty-lens": ("dirty lens", "readings in the sector [%]", 100.0),
-    "turned-mount": ("turned mount", "direction of motion, to the left [degrees]", math.degrees(1.0)),
+    "turned-mount": ("turned mount", "motion, to the left [degrees]", math.degrees(1.0)),
     "range-bias": ("range bias", "ranges too long by [cm]", 100.0),
     "wheel-scale": ("wheel scale", "odometry too short by [%]", 100.0),
 }
 MOST_CURVES, MOST_PLACES, MOST_DATES = 16, 20, 5
 PLACE_COLUMNS = ("", "what", "x [m]", "y [m]", "size [m]", "since", "runs", "robots", "share of beams", "chance")
-# Squares with fewer beams say little.
-FEWEST_BEAMS, LEAST_SHOWN = 20, 0.05
+# Squares that fewer runs or beams saw say little, and some readings disagree with every wall.
+FEWEST_RUNS, FEWEST_BEAMS, LEAST_SHOWN = 3, 20, 0.15
+# Beyond so many robots, the most urgent are drawn.
+MOST_ROBOTS = 40
 
 
 def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> ReportFigure:
@@ -80,7 +82,9 @@ def _series_of(drift: Drift, series: Sequence[DailySeries]) -> DailySeries | Non
 
 def _level(one: DailySeries, since: datetime.date | None) -> float:
     """Return the mean of what is compared, from a day on."""
-    later = [value for day, value in zip(one.days, one.contrasts.tolist(), strict=True) if since is None or day >= since]
+    later = [
+        value for day, value in zip(one.days, one.contrasts.tolist(), strict=True) if since is None or day >= since
+    ]
     return math.fsum(later) / len(later) if later else -math.inf
 
 
@@ -114,7 +118,7 @@ def _date_axis(axes: Axes, days: Sequence[datetime.date]) -> None:
     axes.set_xticks([days[i].toordinal() for i in ticks], [f"{days[i].day} {days[i]:%b}" for i in ticks])
 
 
-def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy]) -> ReportFigure:
+def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], order: Sequence[str]) -> ReportFigure:
     """Draw each robot's own estimate and the pooled one, parameter by parameter.
 
     Parameters
@@ -123,12 +127,15 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy]) -> ReportF
         By robots.
     hierarchies
         What pooling made of it.
+    order
+        Names of the robots, those to be drawn first.
     """
     panels = []
     own = {(one.robot, one.limits): one.parameters for one in fit.fits}
     for number, hierarchy in enumerate(hierarchies):
         names = list(hierarchy.robots[0].shrinkage) if hierarchy.robots else []
-        robots = sorted(hierarchy.robots, key=lambda one: (str(one.site), str(one.robot)))
+        robots = sorted(hierarchy.robots, key=lambda one: order.index(str(one.robot)))[:MOST_ROBOTS]
+        robots.sort(key=lambda one: (str(one.site), str(one.robot)))
         n_rows = -(-len(names) // 3)
         if not names:
             continue
@@ -146,7 +153,8 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy]) -> ReportF
     return ReportFigure(
         "robot-parameters", "Which robots need their own parameters", tuple(panels),
         "Open: what a robot's own beams say. Filled: what to use, with its 95 % interval: the robot's own estimate, "
-        "moved towards that of its site as far as its data are few. Vertical line: the fleet.", "",
+        "moved towards that of its site as far as its data are few. Vertical line: the fleet. "
+        f"At most {MOST_ROBOTS} robots are drawn.", "",
     )  # fmt: skip
 
 
@@ -177,7 +185,8 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)), above=2.6)
     draw_map(axes, stale.grid, limits)
-    shown = (np.maximum(squares.crossed, squares.tested) >= FEWEST_BEAMS) & (squares.disagreement >= LEAST_SHOWN)
+    shown = (np.maximum(squares.crossed, squares.tested) >= FEWEST_BEAMS) & (squares.runs >= FEWEST_RUNS)
+    shown &= squares.disagreement >= LEAST_SHOWN
     patches = PolyCollection(list(_squares(corners[shown], stale.side)), cmap="YlOrRd", zorder=2.0)
     patches.set_array(squares.disagreement[shown])
     patches.set_clim(0.0, 1.0)
@@ -227,9 +236,10 @@ def _caption(stale: StaleMap) -> str:
     left_out = f" Not asked: {', '.join(stale.not_asked)}, who see differences everywhere." if stale.not_asked else ""
     more = len(stale.lasting) - MOST_PLACES
     return (
-        f"Squares of {stale.side:g} m, coloured by the share of beams that disagree with the map, over {stale.runs} "
-        f"runs of {stale.robots} robots on {stale.days} days. Outlined and numbered: places to map again, which differ "
-        "in at least half of the runs since the day named, for two robots and on two days at least. Chance: that "
-        "people and doors alone make so many runs differ. Colour without an outline: people, doors, and what was there "
-        f"for a while.{f' {more} more places are in places.parquet.' if more > 0 else ''}{left_out}"
+        f"{len(stale.lasting) or 'No'} places to map again. Squares of {stale.side:g} m, coloured by the share of "
+        f"beams that disagree with the map, from {LEAST_SHOWN:.0%} on, over {stale.runs} runs of {stale.robots} robots "
+        f"on {stale.days} days. Outlined and numbered: places to map again, which differ in at least half of the runs "
+        "since the day named, for two robots and on two days at least. Chance: that people and doors alone make so "
+        "many runs differ. Colour without an outline: people, doors, and what was there for a while."
+        f"{f' {more} more places are in places.parquet.' if more > 0 else ''}{left_out}"
     )

@@ -21,6 +21,28 @@ from beamfield.report.as_json import plain
 
 PAGE, JSON_FILE, SCHEMA = "fleet_report.html", "fleet_report.json", "beamfield-fleet-report/1"
 
+# Columns of the tables; SI units.
+TABLES = {
+    "robots": "robot site light urgency runs left_out why do",
+    "faults": "robot site fault since size low high before after unit from_bearing to_bearing cause p_value q_value "
+              "alarm",
+    "series": "robot site fault cause unit from_bearing to_bearing day value standard_error contrast",
+    "parameters": "site robot max_range parameter value low high shrinkage",
+    "differences": "robot site parameter value usual low high p_value q_value differs",
+    "places": "site map kind reading x y width height since rate readings beams runs_changed runs robots_changed "
+              "robots p_value q_value",
+    "squares": "site map side x y crossed short tested beyond no_return runs robots disagreement",
+}  # fmt: skip
+_NUMBERS = (
+    "urgency size low high before after from_bearing to_bearing p_value q_value value standard_error contrast "
+    "max_range shrinkage usual x y width height rate side disagreement"
+)
+_COUNTS = "runs left_out readings beams runs_changed robots_changed robots crossed short tested beyond no_return"
+TYPES = {
+    **dict.fromkeys(_NUMBERS.split(), "double"), **dict.fromkeys(_COUNTS.split(), "int64"),
+    **dict.fromkeys(("alarm", "differs"), "bool"), **dict.fromkeys(("day", "since"), "date32"),
+}  # fmt: skip
+
 
 def write_fleet_report(folder: Path, report: FleetReport) -> list[str]:
     """Write all files of a report.
@@ -36,12 +58,13 @@ def write_fleet_report(folder: Path, report: FleetReport) -> list[str]:
     -------
     Names of the files in the folder.
     """
-    pq = require_pyarrow().parquet
+    pa = require_pyarrow()
+    pq = pa.parquet
     (folder / PAGE).write_text(render_fleet_page(report), encoding="utf-8")
     document = json.dumps(report_as_dict(report), indent=1, allow_nan=False) + "\n"
     (folder / JSON_FILE).write_text(document, encoding="utf-8")
     for name, rows in report_tables(report).items():
-        pq.write_table(require_pyarrow().Table.from_pylist(rows), folder / f"{name}.parquet", compression="zstd")
+        pq.write_table(pa.Table.from_pylist(rows, _schema(pa, name)), folder / f"{name}.parquet", compression="zstd")
     (folder / "maps").mkdir()
     for stale in report.stale_maps:
         name = f"{stale.site}-{stale.map_hash[:8]}"
@@ -49,6 +72,11 @@ def write_fleet_report(folder: Path, report: FleetReport) -> list[str]:
         text = json.dumps(places_as_geojson(stale), indent=1, allow_nan=False) + "\n"
         (folder / f"maps/{name}.geojson").write_text(text, encoding="utf-8")
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def _schema(pa: Any, table: str) -> Any:
+    """Return the schema of a table: columns are text unless their name is among `TYPES`."""
+    return pa.schema([(name, pa.type_for_alias(TYPES.get(name, "string"))) for name in TABLES[table].split()])
 
 
 def report_as_dict(report: FleetReport) -> dict[str, Any]:

@@ -14,12 +14,10 @@ from beamfield.report.escape import escaped
 from beamfield.report.page import document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import Level
 
-# Colours alone tell nothing to many readers: each light has its word.
-WORDS: Mapping[Light, str] = {
-    "red": "See to it", "amber": "Keep an eye on it", "green": "Nothing found", "grey": "Not known",
-}  # fmt: skip
+# Colours alone tell nothing to many readers: each light is named.
 LEVELS: Mapping[Light, Level | str] = {"red": "bad", "amber": "care", "green": "good", "grey": ""}
 MOST_LEFT_OUT = 50
+ONE_LINE = 'style="white-space: nowrap"'
 KEY = (
     "Red: a fault to see to now. Orange: one to watch, or many runs that cannot be used. Green: nothing was found in "
     "the days that the report covers. Grey: no run could be used. Robots are listed by urgency."
@@ -39,7 +37,7 @@ def render_fleet_page(report: FleetReport) -> str:
         Result of `judge_fleet`.
     """
     drift = drift_figure(report.series, report.alarms)
-    parameters = parameter_figure(report.fit, report.hierarchies)
+    parameters = parameter_figure(report.fit, report.hierarchies, [state.robot for state in report.states])
     maps = [stale_figure(stale) for stale in report.stale_maps]
     title = f"Fleet report: {_count(report.states, 'robot')} at {_count(report.sites, 'site')}"
     contents = [
@@ -49,7 +47,7 @@ def render_fleet_page(report: FleetReport) -> str:
         f'<h1>{escaped(title)}</h1>\n<p class="facts">{_facts(report)}</p>',
         verdict_box(*_verdict(report)),
         f'<p class="key">{escaped(KEY)}</p>',
-        f'<h2 id="robots">Robots</h2>\n{_lights(report.states)}\n{_details(report.states)}',
+        f'<h2 id="robots">Robots</h2>\n{_lights(report.states)}',
         figure(drift).replace("<h3>", "<h2>").replace("</h3>", "</h2>"),
         '<h2 id="maps">Maps</h2>',
         *(map(figure, maps) if maps else ["<p>No laser's beams tell about a map.</p>"]),
@@ -96,28 +94,31 @@ def _verdict(report: FleetReport) -> tuple[Level, str, str]:
 
 
 def _lights(states: Iterable[RobotState]) -> str:
-    rows = "".join(
-        f'<tr><td class="{LEVELS[state.light]}"><b class="label">{state.light}</b></td>'
-        f'<th scope="row">{escaped(state.robot)}</th><td>{escaped(state.site)}</td>'
-        f"<td>{escaped(_in_short(state))}</td>"
-        f'<td class="n">{state.runs} of {state.runs + state.left_out}</td></tr>\n'
-        for state in states
-    )
-    heads = "".join(f'<th scope="col">{name}</th>' for name in ("", "robot", "site", "why", "runs used"))
-    return f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>\n<tbody>{rows}</tbody></table></div>'
-
-
-def _in_short(state: RobotState) -> str:
-    return " ".join(finding.text for finding in state.findings) or WORDS[state.light]
-
-
-def _details(states: Iterable[RobotState]) -> str:
-    parts = [
-        f"<h3>{escaped(state.robot)} ({escaped(state.site)}): what to do</h3>\n{finding_list(state.findings)}"
-        for state in states
-        if state.findings
-    ]
+    """All robots but the green ones, with what to do; those are folded away."""
+    others = [state for state in states if state.light != "green"]
+    green = [(state.robot, state.site, f"{state.runs} of {state.runs + state.left_out}") for state in states
+             if state.light == "green"]  # fmt: skip
+    parts = []
+    if others:
+        names = ("", "robot", "site", "what was found", "what to do", "runs used")
+        heads = "".join(f'<th scope="col">{name}</th>' for name in names)
+        body = "\n".join(map(_light, others))
+        parts.append(f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table></div>')
+    if green:
+        listed = table(("robot", "site", "runs used"), green, right=(2,))
+        head = f'<b class="label">Green</b> {_count(green, "robot")}: nothing found'
+        parts.append(f'<details><summary><span class="good">{head}</span></summary>{listed}</details>')
     return "\n".join(parts)
+
+
+def _light(state: RobotState) -> str:
+    found = "<br>".join(f"{escaped(one.text)} {escaped(one.why)}" for one in state.findings) or "No run could be used."
+    do = "<br>".join(escaped(one.do) for one in state.findings)
+    return (
+        f'<tr><td class="{LEVELS[state.light]}" style="padding-left: .5rem"><b class="label">{state.light}</b></td>'
+        f'<th scope="row" {ONE_LINE}><b>{escaped(state.robot)}</b></th><td {ONE_LINE}>{escaped(state.site)}</td>'
+        f'<td>{found}</td><td>{do}</td><td class="n">{state.runs} of {state.runs + state.left_out}</td></tr>'
+    )
 
 
 def _parameter_table(report: FleetReport) -> str:

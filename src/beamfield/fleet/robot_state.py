@@ -83,12 +83,15 @@ def _urgency(drift: Drift) -> float:
 
 
 def _fault(drift: Drift) -> Finding:
+    # Without the robot's name, which stands beside it.
+    seen = drift.sentence.removeprefix(f"{drift.robot} ({drift.site}): ")
+    seen = seen[:1].upper() + seen[1:]
     values = {"size": drift.size, "low": drift.low, "high": drift.high, "q_value": drift.q_value}
     if drift.fault == "dirty-lens":
         return Finding(
             "dirty-lens",
             "warning",
-            drift.sentence,
+            seen,
             values,
             why="The robot sees less there than it should, and may take dirt for obstacles.",
             do=f"Clean the window of the range finder {_sector(drift)}; if that does not help, look for scratches, and "
@@ -98,7 +101,7 @@ def _fault(drift: Drift) -> Finding:
         return Finding(
             "turned-mount",
             "warning",
-            drift.sentence,
+            seen,
             values,
             why="Scans are turned against the map by as much: a robot localises worse and drives crooked.",
             do="Check that the range finder sits straight and its screws are tight; else correct its yaw in the "
@@ -108,7 +111,7 @@ def _fault(drift: Drift) -> Finding:
         return Finding(
             "range-bias",
             "warning",
-            drift.sentence,
+            seen,
             values,
             why="Walls seem to be nearer or farther than they are, and docking misses by as much.",
             do="Measure a wall at a known distance with this range finder; calibrate it, or replace it.",
@@ -116,7 +119,7 @@ def _fault(drift: Drift) -> Finding:
     return Finding(
         "wheel-scale",
         "warning",
-        drift.sentence,
+        seen,
         values,
         why="Odometry is off by as much on every metre, which a filter must make up for.",
         do="Check the tyres and their pressure; else correct the wheels' radius in the robot's description by "

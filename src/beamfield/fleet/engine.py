@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
@@ -18,8 +18,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 # Called with items done and items in all.
 Progress = Callable[[int, int], None]
-# A task that was running on so many workers when they died is what kills them.
-MOST_DEATHS = 4
+# A task that was on so many workers when they died is what kills them.
+MOST_DEATHS = 3
 # Items are combined in about so many tasks: enough to share them out, and each costs the scheduler a millisecond.
 TASKS = 256
 # How long a scheduler may take to answer, seconds.
@@ -115,7 +115,7 @@ class Engine:
             Names a task by its content: whoever else asks the same scheduler for it waits for the one result. None:
             every call is its own.
         lost
-            What stands for the result of an item whose workers die, 4 of them; None: an error ends the work.
+            What stands for the result of an item whose workers die; None: an error ends the work.
         progress
             Called with items done and in all.
 
@@ -198,19 +198,40 @@ class Engine:
         indices: dict[str, list[int]] = {}
         for i, name in enumerate(names):
             indices.setdefault(name, []).append(i)
-        first = [items[of[0]] for of in indices.values()]
+        first = {name: items[of[0]] for name, of in indices.items()}
+        died: list[str] = []
+        for name, result, error in self._outcomes(function, first):
+            if isinstance(error, distributed.KilledWorker):
+                died.append(name)
+                continue
+            if error is not None:
+                raise error
+            yield from ((i, result) for i in indices[name])
+        # What waited on a worker that another task killed is blamed with it: each once more, and alone.
+        for name in died:
+            ((_, result, error),) = self._outcomes(function, {f"{name}-alone-{call}": first[name]})
+            if isinstance(error, distributed.KilledWorker):
+                result = _lost(first[name], lost, error)
+            elif error is not None:
+                raise error
+            yield from ((i, result) for i in indices[name])
+
+    def _outcomes(
+        self, function: Callable[[Item], Result], items: Mapping[str, Item]
+    ) -> Iterator[tuple[str, Any, Exception | None]]:
+        """Yield the name of each task and its result or its error, as they come."""
         futures = self._client.map(
-            _with_one_thread, [function] * len(first), first, key=list(indices), pure=False, batch_size=1000
-        )
-        arriving = distributed.as_completed(futures, loop=self._client.loop)
+            _with_one_thread, [function] * len(items), list(items.values()), key=list(items), pure=False,
+            batch_size=1000,
+        )  # fmt: skip
+        arriving = _require_distributed().as_completed(futures, loop=self._client.loop)
         del futures
         for batch in arriving.batches():
-            finished = [future for future in batch if future.status == "finished"]
-            # One question for all of them: each alone takes milliseconds.
-            results = dict(zip((one.key for one in finished), self._client.gather(finished), strict=True))
+            # One question for all of them: each alone takes milliseconds. Those that failed are None here.
+            results = self._client.gather({future.key: future for future in batch}, errors="skip")
             for future in batch:
-                for i in indices[future.key]:
-                    yield i, results[future.key] if future.key in results else _failed(future, items[i], lost)
+                finished = future.status == "finished"
+                yield future.key, results[future.key], None if finished else future.exception()
                 future.release()
 
 
@@ -261,14 +282,12 @@ def _with_one_thread(function: Callable[[Item], Result], item: Item) -> Result:
     return function(item)
 
 
-def _failed(future: Any, item: Item, lost: Callable[[Item], Result] | None) -> Result:
-    """Raise the error of a task, or return what stands for one whose workers died."""
-    error = future.exception()
-    if not isinstance(error, _require_distributed().KilledWorker):
-        raise error
+def _lost(item: Item, lost: Callable[[Item], Result] | None, error: Exception) -> Result:
+    """Return what stands for an item whose workers died, or raise."""
     if lost is None:
         raise WorkersLostError(
-            f"all workers that took a task died, {MOST_DEATHS} of them: of too little memory, most often"
+            f"all workers that took a task died, {MOST_DEATHS} of them while it was alone: of too little memory, most "
+            "often"
         ) from error
     return lost(item)
 

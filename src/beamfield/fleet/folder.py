@@ -19,6 +19,8 @@ from beamfield.io.files.atomic import atomic_file
 
 # Whose uploads appear when they are complete. Elsewhere a file is uploaded under another name, and renamed.
 _OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory"}
+# Shorter values of options, as "us" or "1", say nothing, and stand in many words.
+SHORTEST_SECRET = 4
 _SCHEME = re.compile(r"^[a-zA-Z][a-zA-Z0-9+.-]+://")
 
 
@@ -100,9 +102,9 @@ class Folder:
     def _hidden(self, text: str) -> str:
         """Return a text without what is secret in the address and the options."""
         parts = urlsplit(self.address)
-        secret = [self.address, parts.username, parts.password, parts.query, *map(str, self.options.values())]
-        for one in filter(None, secret):
-            text = text.replace(one, "***")
+        secret = [self.address, parts.username, parts.password, parts.query, *_texts(self.options)]
+        for one in secret:
+            text = text.replace(one, "***") if one and len(one) >= SHORTEST_SECRET else text
         return text
 
     def exists(self, name: str) -> bool:
@@ -168,6 +170,15 @@ class Folder:
         """Write bytes to a file, whole or not at all."""
         with self.writing(name) as part:
             part.write_bytes(content)
+
+
+def _texts(options: Any) -> Iterator[str]:
+    """Yield all texts in options."""
+    if isinstance(options, Mapping):
+        for value in options.values():
+            yield from _texts(value)
+    elif isinstance(options, str):
+        yield options
 
 
 def is_address(path: str) -> bool:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import datetime
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
+from beamfield.arguments import check_fields, require
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
+from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.sensors import RangeFinder
 from beamfield.short_repr import short_repr
 
@@ -34,6 +38,13 @@ class ShardFile:
     rows: int
     size: int
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        datetime.date.fromisoformat(self.day)
+        # Files of old records are removed: only such as a scan writes.
+        inside = self.path.startswith("beams/") and ".." not in self.path.split("/") and "\\" not in self.path
+        require(inside, "path", "a file in beams/", self.path)
+
 
 @dataclass(frozen=True)
 class MapInfo:
@@ -56,6 +67,12 @@ class MapInfo:
     shape: tuple[int, int]
     content: str
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        rows, cols = self.shape
+        require(rows > 0 < cols and rows * cols <= MAX_PIXELS, "shape", f"1 to {MAX_PIXELS} cells", self.shape)
+        require(re.fullmatch("[0-9a-f]{64}", self.content), "content", "a hash", self.content)
+
 
 @dataclass(frozen=True)
 class OdometryErrors:
@@ -74,6 +91,12 @@ class OdometryErrors:
     names: tuple[str, ...]
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        n = len(self.names)
+        square = len(self.covariance) == n and all(len(row) == n for row in self.covariance)
+        require(len(self.values) == n and square, "covariance", f"{n} values and a matrix of that size", self)
 
     def estimate(self, name: str) -> tuple[float, float] | None:
         """Return the value and the standard deviation of one error; None if the drive does not show it."""
@@ -152,6 +175,13 @@ class RunRecord:
 
     __repr__ = short_repr
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(self.status in ("used", "left out"), "status", "'used' or 'left out'", self.status)
+        if self.is_used:
+            _ = self.finder
+            require(self.map_info is not None, "map_info", "a map", None)
+
     @property
     def is_used(self) -> bool:
         """Whether its beams are used."""
@@ -202,11 +232,6 @@ def record_from_json(content: bytes, path: str) -> RunRecord:
             given = values["odometry"]
             covariance = tuple(tuple(row) for row in given["covariance"])
             values["odometry"] = OdometryErrors(tuple(given["names"]), tuple(given["values"]), covariance)
-        record = RunRecord(**values)
+        return RunRecord(**values)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise FormatError(path, f"expected the record of a run, got something else: {error}") from error
-    for file in record.files:
-        # Files of old records are removed: only such as a scan writes.
-        if not file.path.startswith("beams/") or ".." in file.path.split("/") or "\\" in file.path:
-            raise FormatError(path, f"expected a file in beams/, got {file.path!r}")
-    return record

@@ -1,0 +1,137 @@
+"""The same bits wherever a fleet's work is done, and whatever happens to those who do it."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import distributed
+import numpy as np
+import pytest
+
+from beamfield.errors import InvalidInputError
+from beamfield.fleet.engine import Engine, WorkersLostError
+from beamfield.fleet.scan import scan_fleet
+from beamfield.fleet.shard import Shard
+from beamfield.kernels.threads import n_threads
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+from tests.fleet.small_fleet import write_small_fleet
+
+KILLS = 2
+
+
+def draw(seed: int) -> np.ndarray:
+    """Sums of these depend on the order in which they are added up."""
+    return np.random.default_rng(seed).normal(size=3) * 10.0 ** (seed % 7)
+
+
+def add(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a + b
+
+
+def moments_of(shard: Shard) -> np.ndarray:
+    time.sleep(0.1)
+    ranges = shard.read(["range"])["range"].astype(np.float64)
+    return np.array([ranges.sum(), np.sqrt(ranges).sum(), n_threads()])
+
+
+def lost(number: int) -> int:
+    return -number
+
+
+def in_pairs(values: list[np.ndarray]) -> np.ndarray:
+    while len(values) > 1:
+        values = [add(*values[i : i + 2]) if i + 1 < len(values) else values[i] for i in range(0, len(values), 2)]
+    return values[0]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 64, 700, 1000])
+def test_items_are_combined_in_pairs(n: int):
+    with Engine("serial") as engine:
+        np.testing.assert_array_equal(engine.reduce(draw, list(range(n)), add), in_pairs(list(map(draw, range(n)))))
+
+
+def test_progress_counts_items():
+    told: list[tuple[int, int]] = []
+    with Engine("serial") as engine:
+        engine.map(abs, [1, 2, 3], progress=lambda done, n: told.append((done, n)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
+def test_killed_workers_change_no_bit_of_shards_and_sums(tmp_path: Path, drive: SensorLog, office: OccupancyGrid):
+    manifest = write_small_fleet(tmp_path, drive, office)
+    with Engine("serial") as engine:
+        alone = scan_fleet(manifest, str(tmp_path / "alone"), engine)
+        sums = engine.reduce(moments_of, alone.catalogue.shards() * 3, add)
+    kills: list[int] = []
+    done = threading.Event()
+
+    def kill_now_and_then(engine: Engine) -> None:
+        chance = random.Random(5)
+        while len(kills) < KILLS and not done.wait(chance.uniform(0.1, 0.7)):
+            pids = [nanny.pid for nanny in engine.cluster.workers.values() if nanny.pid]
+            if pids:
+                kills.append(chance.choice(pids))
+                os.kill(kills[-1], signal.SIGKILL)
+
+    with Engine("processes", 2) as engine:
+        killer = threading.Thread(target=kill_now_and_then, args=(engine,))
+        killer.start()
+        try:
+            scanned = scan_fleet(manifest, str(tmp_path / "killed"), engine)
+            again = engine.reduce(moments_of, scanned.catalogue.shards() * 3, add)
+        finally:
+            done.set()
+            killer.join()
+        many = engine.reduce(draw, list(range(1000)), add)
+        with pytest.raises(ZeroDivisionError):
+            engine.map(divmod_by_zero, [1])
+    assert len(kills) == KILLS
+    assert contents(tmp_path / "killed") == contents(tmp_path / "alone")
+    np.testing.assert_array_equal(again[:2], sums[:2])
+    assert again[2] == 12.0, "a worker computes with one thread"
+    np.testing.assert_array_equal(many, in_pairs(list(map(draw, range(1000)))))
+
+
+def divmod_by_zero(number: int) -> tuple[int, int]:
+    return divmod(number, 0)
+
+
+class KilledByThree(Engine):
+    """An engine whose workers die of the item 3, and of what is beside it."""
+
+    def _outcomes(self, function, items):
+        died = distributed.KilledWorker("task", None, 2)
+        for name, item in items.items():
+            yield (name, None, died) if 3 in items.values() else (name, function(item), None)
+
+
+def test_only_what_kills_workers_alone_is_lost():
+    engine = KilledByThree("serial")
+    engine._client = "some"
+    assert engine.map(abs, [-1, -2, 3, -4, 3], lost=lost) == [1, 2, -3, 4, -3]
+    with pytest.raises(WorkersLostError, match="too little memory"):
+        engine.map(abs, [1, 3])
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_what_is_no_scheduler_is_said_at_once():
+    for address in ("rubbish", "tcp://host", "tcp://host:port"):
+        with pytest.raises(InvalidInputError, match="expected serial, processes or an address as tcp://host:8786"):
+            Engine(address)
+    with pytest.raises(OSError, match="no Dask scheduler answers"):
+        Engine("tcp://127.0.0.1:1")
+    with pytest.raises(InvalidInputError, match="a scheduler has workers of its own"):
+        Engine("tcp://127.0.0.1:1", workers=2)
+    with Engine("serial") as engine, pytest.raises(InvalidInputError, match="expected at least one"):
+        engine.reduce(abs, [], max)

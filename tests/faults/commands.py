@@ -69,6 +69,7 @@ class Command:
 
 
 _LOG = "{world}/log.carmen --map {world}/map.yaml --quiet"
+_FLEET = "--robots 2 --sites 1 --days 1 --duration 25 --scan-rate 3 --beams 45 --width 26 --height 20"
 COMMANDS = (
     Command("translate --out", "translate {world}/nav2.yaml --to beluga --out {out}/beluga.yaml", 36),
     Command("translate --patch", "translate {world}/beluga.yaml --to nav2 --patch {out}/nav2.yaml", 36,
@@ -88,6 +89,8 @@ COMMANDS = (
     Command("calibrate", f"calibrate {_LOG} --no-refine --out {{out}}/c", 4),
     Command("calibrate --stack --patch", f"calibrate {_LOG} --no-refine --out {{out}}/c --stack nav2 "
             "--patch {out}/nav2.yaml", 3, {"nav2.yaml": NAV2}),
+    Command("fleet simulate", f"fleet simulate --out {{out}}/fleet {_FLEET} --workers 1 --quiet", 5),
+    Command("fleet report", "fleet report {world}/catalogue --out {out}/report --scheduler serial --quiet", 3),
     Command("demo", "demo --out {out}/demo --duration 90 --quiet", 2, in_steps=True),
 )  # fmt: skip
 QUICK = COMMANDS[:2]
@@ -103,6 +106,10 @@ def make_world(folder: Path, *, logs: bool) -> None:
     words = ["simulate", "--out", str(folder), "--seed", "4", "--duration", "90", "--scan-rate", "3"]
     if main([*words, "--beams", "31", "--quiet"]) != 0:
         raise RuntimeError("the world could not be simulated")
+    fleet = ["simulate", "--out", str(folder / "fleet"), *_FLEET.split(), "--workers", "1"]
+    scan = ["scan", str(folder / "fleet"), "--out", str(folder / "catalogue"), "--scheduler", "serial"]
+    if any(main(["fleet", *one, "--quiet"]) != 0 for one in (fleet, scan)):
+        raise RuntimeError("the fleet could not be simulated and scanned")
     rng = np.random.default_rng(4)
     landmarks = LandmarkMap([[0.0, 0.0], [9.0, 1.0], [4.0, 7.0]], ids=[4, 9, 2])
     model = LandmarkModel(landmarks, LandmarkParameters(0.1, 0.02), correspondence="known")

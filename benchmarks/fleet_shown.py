@@ -133,14 +133,11 @@ def compare(fleet: Path, report: Path) -> None:
     healthy = {one["robot"] for one in truth["robots"] if one["fault"] is None}
     flagged = [one["robot"] for one in said["robots"] if one["robot"] in healthy and one["light"] != "green"]
     used = sum(one["status"] == "used" for one in said["runs"])
-    print(
-        f"{used} of {len(said['runs'])} runs used; lights: {', '.join(f'{lights.count(x)} {x}' for x in set(lights))}\n"
-    )
+    counted = ", ".join(f"{lights.count(light)} {light}" for light in LIGHTS)
+    print(f"{used} of {len(said['runs'])} runs used; lights: {counted}\n")
     print_table(list(fault_rows(truth, said)))
     alarms = list(false_alarms(truth, said))
-    print(
-        f"\nfalse alarms: {len(alarms)}; healthy robots that are not green: {len(flagged)} of {len(healthy)} {flagged}"
-    )
+    print(f"\nfalse alarms: {len(alarms)}; healthy robots that are not green: {len(flagged)} of {len(healthy)}")
     print("".join(f"  {line}\n" for line in alarms))
     print_table(list(place_rows(truth, said, pq.read_table(report / "squares.parquet").to_pylist())))
 

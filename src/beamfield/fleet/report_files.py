@@ -112,68 +112,61 @@ def report_as_dict(report: FleetReport) -> dict[str, Any]:
 
 
 def report_tables(report: FleetReport) -> dict[str, list[dict[str, Any]]]:
-    """Return tables by name, row by row: robots, faults, series, parameters, differences, places and squares.
+    """Return the tables by name, row by row, with the columns of `TABLES`.
 
     Parameters
     ----------
     report
         Result of `judge_fleet`.
     """
-    return {
+    groups = [
+        (hierarchy.limits.max_range, group)
+        for hierarchy in report.hierarchies
+        for group in (hierarchy.fleet, *hierarchy.sites, *hierarchy.robots)
+    ]
+    rows: dict[str, list[dict[str, Any]]] = {
         "robots": [
-            {
-                "robot": one.robot, "site": one.site, "light": one.light, "urgency": one.urgency, "runs": one.runs,
-                "left_out": one.left_out, "why": " ".join(finding.text for finding in one.findings),
-                "do": " ".join(finding.do for finding in one.findings),
-            }
+            _row("robots", one, why=" ".join(f.text for f in one.findings), do=" ".join(f.do for f in one.findings))
             for one in report.states
         ],
-        "faults": [_flat(drift) for drift in report.drifts],
+        "faults": [_row("faults", one, **_sector(one.bearings)) for one in report.drifts],
         "series": [
-            {
-                "robot": one.robot, "site": one.site, "fault": one.fault, "cause": one.cause, "unit": one.unit,
-                "from_bearing": one.bearings[0] if one.bearings else None,
-                "to_bearing": one.bearings[1] if one.bearings else None,
-                "day": day, "value": value, "standard_error": error, "contrast": contrast,
-            }
+            _row("series", one, **_sector(one.bearings), day=day, value=value, standard_error=error, contrast=contrast)
             for one in report.series
             for day, value, error, contrast in zip(
                 one.days, one.values.tolist(), one.standard_errors.tolist(), one.contrasts.tolist(), strict=True
             )
         ],
         "parameters": [
-            {
-                "site": group.site, "robot": group.robot, "max_range": hierarchy.limits.max_range, "parameter": name,
-                "value": getattr(group.parameters, name), "low": low, "high": high,
-                "shrinkage": group.shrinkage.get(name),
-            }
-            for hierarchy in report.hierarchies
-            for group in (hierarchy.fleet, *hierarchy.sites, *hierarchy.robots)
+            _row("parameters", group, max_range=max_range, parameter=name, value=getattr(group.parameters, name),
+                 low=low, high=high, shrinkage=group.shrinkage.get(name))
+            for max_range, group in groups
             for name, (low, high) in group.intervals.items()
         ],
-        "differences": [_flat(one) for one in report.differences],
+        "differences": [_row("differences", one) for one in report.differences],
         "places": [
-            {"site": stale.site, "map": stale.map_hash, **_flat(replace(place, corners=np.zeros((0, 2))))}
+            _row("places", place, site=stale.site, map=stale.map_hash)
             for stale in report.stale_maps
             for place in stale.places
         ],
-        "squares": [
-            {"site": stale.site, "map": stale.map_hash, "side": stale.side, **dict(zip(names, values, strict=True))}
-            for stale in report.stale_maps
-            for names in [[*vars(stale.squares), "disagreement"]]
-            for values in zip(*(getattr(stale.squares, name).tolist() for name in names), strict=True)
-        ],
     }  # fmt: skip
+    columns = TABLES["squares"].split()[3:]
+    rows["squares"] = [
+        {"site": one.site, "map": one.map_hash, "side": one.side, **dict(zip(columns, values, strict=True))}
+        for one in report.stale_maps
+        for values in zip(*(getattr(one.squares, name).tolist() for name in columns), strict=True)
+    ]
+    return rows
 
 
-def _flat(row: Any) -> dict[str, Any]:
-    """Return the fields of a row; a pair of bearings as two columns."""
-    values = dict(vars(row))
-    values.pop("corners", None)
-    if "bearings" in values:
-        low, high = values.pop("bearings") or (None, None)
-        values |= {"from_bearing": low, "to_bearing": high}
-    return values
+def _row(table: str, one: object, **rest: Any) -> dict[str, Any]:
+    """Return the columns of a table: attributes of an object, and what it does not have."""
+    return {name: rest[name] if name in rest else getattr(one, name) for name in TABLES[table].split()}
+
+
+def _sector(bearings: tuple[float, float] | None) -> dict[str, float | None]:
+    low, high = bearings or (None, None)
+    return {"from_bearing": low, "to_bearing": high}
 
 
 def disagreement_map(stale: StaleMap) -> OccupancyGrid:

@@ -26,6 +26,7 @@ from beamfield.detection_log import DetectionLog
 from beamfield.detections import Detections
 from beamfield.io.landmarks.landmark_files import write_landmarks
 from beamfield.io.landmarks.line_files import write_line_map
+from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map import write_map
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
@@ -35,7 +36,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.line import LineModel, LineParameters
-from beamfield.sensors import RangeFinder, Scan, SensorLog
+from beamfield.sensors import RangeFinder, Scan, ScanLog, SensorLog
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from tests.io.mini_bag import MiniBag, quaternion
 from tests.io.test_fiducial_detections import CameraBag
@@ -50,6 +51,8 @@ COMMAND = re.compile(r"^(?: {4}|\$ )?(beamfield [a-z].*?)(?:\s+#.*)?$", re.MULTI
 DEEP = {
     "beamfield.calibration.pose_windows",
     "beamfield.features.feature",
+    "beamfield.fleet.engine",
+    "beamfield.fleet.scan",
     "beamfield.io.bags.fiducial_detections",
     "beamfield.features.map_features",
     "beamfield.localization.information",
@@ -58,6 +61,8 @@ DEEP = {
     "beamfield.models.marker",
     "beamfield.simulation.sonar",
 }
+# What a document needs besides beamfield; without, its Python does not run.
+NEEDS = {"fleet": ("distributed", "pyarrow", "fsspec", "polars", "duckdb", "pandas")}
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
 
@@ -181,6 +186,14 @@ def localization(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "log": world.log[:20]}
 
 
+def fleet(world: World) -> dict[str, Any]:
+    Path("fleet").mkdir()
+    write_map(world.grid, "fleet/room.yaml")
+    write_carmen("fleet/run.log", ScanLog({"FLASER": world.log}, source="run.log"))
+    Path("fleet.csv").write_text("log,map,robot,site\nfleet/run.log,fleet/room.yaml,ann,hall\n")
+    return {}
+
+
 def raycasting(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "poses": world.particles, "finder": world.finder, "origins": world.particles}
 
@@ -206,6 +219,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "calibrate_stack": calibrate_stack,
     "changed_places": changed_places,
     "features": features,
+    "fleet": fleet,
     "in_context": calibrate_stack,
     "landmark_learning": landmark_learning,
     "landmarks": landmarks,
@@ -266,6 +280,8 @@ def test_documents_and_examples_come_in_by_the_front_door(path: Path):
 
 @pytest.mark.parametrize("path", WITH_PYTHON, ids=lambda path: path.stem)
 def test_the_python_of_a_document_runs(path: Path, world: World, tmp_path, monkeypatch):
+    for package in NEEDS.get(path.stem, ()):
+        pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     names = STAND_INS[path.stem](world) if path.stem in STAND_INS else {}
     for block in blocks_of(path):

@@ -67,6 +67,8 @@ _NAMES = {
     "scan_fit.reference": ("calibrate_scan_fit",),
     "scan_fit.scan_fit": ("judge_scan", "judge_log"),
     "scan_fit.changed_places": ("find_changed_places",),
+    # Many robots
+    "fleet.catalogue": ("open_catalogue",),
     # Where the robot is; more in `localization`
     "localization.likelihood_map": ("likelihood_map",),
     "localization.alignment": ("align",),

@@ -20,6 +20,7 @@ from beamfield import (
     stacks as stacks,
 )
 from beamfield.explorer.widget import explore as explore
+from beamfield.fleet.catalogue import open_catalogue as open_catalogue
 from beamfield.io.read_map import read_map as read_map
 from beamfield.io.read_log import read_log as read_log
 from beamfield.io.trajectory import read_trajectory as read_trajectory, attach_poses as attach_poses

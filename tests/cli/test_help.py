@@ -22,7 +22,7 @@ from beamfield.io.read_log import SUPPORTED
 
 def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
     """Return the help of a command on one line."""
-    assert main([command, "--help"]) == 0
+    assert main([*command.split(), "--help"]) == 0
     return " ".join(capsys.readouterr().out.split())
 
 
@@ -44,8 +44,17 @@ def test_help_names_every_format_that_the_reader_names():
 
 
 def commands() -> dict[str, argparse.ArgumentParser]:
-    """Return the parser of every command."""
-    return next(action for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction)).choices
+    """Return the parser of every command, those of a group by both words."""
+    found: dict[str, argparse.ArgumentParser] = {}
+    for name, command in inner_commands(build_parser()).items():
+        inner = {f"{name} {word}": parser for word, parser in inner_commands(command).items()}
+        found |= inner or {name: command}
+    return found
+
+
+def inner_commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    groups = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return {name: command for group in groups for name, command in group.choices.items()}
 
 
 ALL = tuple(commands())
@@ -115,9 +124,9 @@ def test_switches_are_spelt_alike():
             assert tuple(option.choices) == ("auto", "on", "off"), command
 
 
-@pytest.mark.parametrize("command", ALL)
+@pytest.mark.parametrize("command", [*ALL, "fleet"])
 def test_the_examples_of_a_command_are_ones(command, capsys):
-    assert main([command, "--help"]) == 0
+    assert main([*command.split(), "--help"]) == 0
     lines = re.findall(r"^  (beamfield .*)$", capsys.readouterr().out, re.M)
     assert 2 <= len(lines) <= 3
     for line in lines:

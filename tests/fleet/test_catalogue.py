@@ -17,26 +17,15 @@ import pytest
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.fleet.beam_schema import beam_schema
 from beamfield.fleet.catalogue import create_catalogue, open_catalogue
-from beamfield.fleet.engine import Engine
 from beamfield.fleet.run_findings import run_findings
 from beamfield.fleet.run_record import MapInfo, RunRecord
-from beamfield.fleet.scan import scan_fleet
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import SensorLog
-from tests.fleet.small_fleet import NOON, write_small_fleet
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory, drive: SensorLog, office: OccupancyGrid) -> Path:
-    folder = tmp_path_factory.mktemp("whole")
-    with Engine("serial") as engine:
-        scan_fleet(write_small_fleet(folder, drive, office), str(folder / "catalogue"), engine)
-    return folder / "catalogue"
+from tests.fleet.small_fleet import NOON
 
 
 @pytest.fixture
-def place(whole: Path, tmp_path: Path) -> Path:
-    shutil.copytree(whole, tmp_path / "catalogue")
+def place(world: Path, tmp_path: Path) -> Path:
+    shutil.copytree(world / "catalogue", tmp_path / "catalogue")
     return tmp_path / "catalogue"
 
 

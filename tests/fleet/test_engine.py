@@ -16,12 +16,9 @@ import pytest
 
 from beamfield.errors import InvalidInputError
 from beamfield.fleet.engine import Engine, WorkersLostError
-from beamfield.fleet.scan import scan_fleet
+from beamfield.fleet.scan import FleetScan, scan_fleet
 from beamfield.fleet.shard import Shard
 from beamfield.kernels.threads import n_threads
-from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import SensorLog
-from tests.fleet.small_fleet import write_small_fleet
 
 KILLS = 2
 
@@ -65,11 +62,9 @@ def test_progress_counts_items():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
-def test_killed_workers_change_no_bit_of_shards_and_sums(tmp_path: Path, drive: SensorLog, office: OccupancyGrid):
-    manifest = write_small_fleet(tmp_path, drive, office)
+def test_killed_workers_change_no_bit_of_shards_and_sums(scanned: FleetScan, world: Path, tmp_path: Path):
     with Engine("serial") as engine:
-        alone = scan_fleet(manifest, str(tmp_path / "alone"), engine)
-        sums = engine.reduce(moments_of, alone.catalogue.shards() * 3, add)
+        sums = engine.reduce(moments_of, scanned.catalogue.shards() * 3, add)
     kills: list[int] = []
     done = threading.Event()
 
@@ -85,8 +80,8 @@ def test_killed_workers_change_no_bit_of_shards_and_sums(tmp_path: Path, drive: 
         killer = threading.Thread(target=kill_now_and_then, args=(engine,))
         killer.start()
         try:
-            scanned = scan_fleet(manifest, str(tmp_path / "killed"), engine)
-            again = engine.reduce(moments_of, scanned.catalogue.shards() * 3, add)
+            killed = scan_fleet(world / "fleet.csv", str(tmp_path / "killed"), engine)
+            again = engine.reduce(moments_of, killed.catalogue.shards() * 3, add)
         finally:
             done.set()
             killer.join()
@@ -94,7 +89,7 @@ def test_killed_workers_change_no_bit_of_shards_and_sums(tmp_path: Path, drive: 
         with pytest.raises(ZeroDivisionError):
             engine.map(divmod_by_zero, [1])
     assert len(kills) == KILLS
-    assert contents(tmp_path / "killed") == contents(tmp_path / "alone")
+    assert contents(tmp_path / "killed") == contents(world / "catalogue")
     np.testing.assert_array_equal(again[:2], sums[:2])
     assert again[2] == 12.0, "a worker computes with one thread"
     np.testing.assert_array_equal(many, in_pairs(list(map(draw, range(1000)))))

@@ -20,12 +20,8 @@ from moto.server import ThreadedMotoServer
 from beamfield.cli.main import main
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.fleet.catalogue import open_catalogue
-from beamfield.fleet.engine import Engine
 from beamfield.fleet.folder import Folder
-from beamfield.fleet.scan import scan_fleet
-from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import SensorLog
-from tests.fleet.small_fleet import write_small_fleet
+from beamfield.fleet.scan import FleetScan
 
 KEY, SECRET, PASSWORD = "AKIAEXAMPLE", "wJalrSECRETexample", "hunter2-password"
 
@@ -55,37 +51,36 @@ def bucket(endpoint: str, monkeypatch) -> Iterator[str]:
 
 
 def test_logs_in_a_store_are_scanned_into_a_store_and_no_secret_is_told(
-    bucket: str, endpoint: str, tmp_path: Path, drive: SensorLog, office: OccupancyGrid, capsys
+    bucket: str, endpoint: str, tmp_path: Path, scanned: FleetScan, world: Path, capsys
 ):
-    manifest = write_small_fleet(tmp_path, drive, office)
-    with Engine("serial") as engine:
-        local = scan_fleet(manifest, str(tmp_path / "local"), engine)
     store = s3fs.S3FileSystem()
-    for name in ("run0.log", "run1.log", "run2.log", "office.yaml", "office.pgm"):
-        store.put_file(str(tmp_path / name), f"{bucket}/raw/{name}")
-    text = manifest.read_text().replace("office.yaml", f"s3://{bucket}/raw/office.yaml")
-    for i in range(3):
-        text = text.replace(f"run{i}.log", f"s3://{bucket}/raw/run{i}.log")
-    # Of run3 the log stays here, and two more cannot be had.
-    text += f"s3://{KEY}:{PASSWORD}@{bucket}/raw/a.log?token={SECRET},office.yaml,cid,hall\n"
-    text += f"s3://{bucket}/raw/none.log,office.yaml,cid,hall\n"
-    manifest.write_text(text)
+    for name in ("run0.log", "office.yaml", "office.pgm"):
+        store.put_file(str(world / name), f"{bucket}/raw/{name}")
+    manifest = tmp_path / "fleet.csv"
+    manifest.write_text(
+        "log,map,robot,site\n"
+        f"s3://{bucket}/raw/run0.log,s3://{bucket}/raw/office.yaml,ann,hall\n"
+        f"{world / 'run3.log'},{world / 'office.yaml'},bob,hall\n"
+        f"s3://{KEY}:{PASSWORD}@{bucket}/raw/a.log?token={SECRET},{world / 'office.yaml'},cid,hall\n"
+        f"s3://{bucket}/raw/none.log,{world / 'office.yaml'},cid,hall\n"
+    )
     words = ["fleet", "scan", str(manifest), "--out", f"s3://{bucket}/catalogue", "--scheduler", "serial", "--json"]
     assert main(words) == 0
     told = capsys.readouterr()
     document = json.loads(told.out)
-    assert [run["status"] for run in document["runs"]] == ["used"] * 4 + ["left out"] * 2
-    assert document["runs"][5]["reason"] == f"s3://{bucket}/raw/none.log: No such file or directory"
+    assert [run["status"] for run in document["runs"]] == ["used"] * 2 + ["left out"] * 2
+    assert document["runs"][3]["reason"] == f"s3://{bucket}/raw/none.log: No such file or directory"
     options = {"key": KEY, "secret": SECRET, "client_kwargs": {"endpoint_url": endpoint}}
     catalogue = open_catalogue(f"s3://{bucket}/catalogue", options)
-    for ours, theirs in zip(catalogue.shards(), local.catalogue.shards(), strict=True):
+    for ours, i in zip(catalogue.shards(), (0, 3), strict=True):
+        theirs = scanned.catalogue.shards(runs=[scanned.records[i].run])[0]
         assert ours.address == f"s3://{bucket}/catalogue/{ours.path}"
         np.testing.assert_array_equal(ours.read(["range"])["range"], theirs.read(["range"])["range"])
-    assert catalogue.dataset().count_rows() == sum(record.beams for record in local.records)
-    np.testing.assert_array_equal(catalogue.grid(catalogue.used[0]).occupied, office.occupied)
-    # Scanned again, nothing is read; what is new in the store takes its place.
+    assert catalogue.dataset().count_rows() == sum(shard.rows for shard in catalogue.shards())
+    assert catalogue.grid(catalogue.used[0]).shape == scanned.catalogue.grid(scanned.records[0]).shape
+    # Scanned again, only what could not be read is.
     assert main(words) == 0
-    assert json.loads(capsys.readouterr().out)["scanned"] == [run["run"] for run in document["runs"][4:]]
+    assert json.loads(capsys.readouterr().out)["scanned"] == [run["run"] for run in document["runs"][2:]]
     everything = [told.out, told.err, repr(catalogue), repr(catalogue.shards()), repr(catalogue.runs)]
     everything += [store.cat(path).decode("latin-1") for path in store.find(f"{bucket}/catalogue")]
     for secret in (SECRET, PASSWORD, KEY):

@@ -25,27 +25,14 @@ from beamfield.fleet.scan import FleetScan, scan_fleet
 from beamfield.geometry import compose
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
-from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
-from tests.fleet.small_fleet import NOON, part_of, write_log, write_small_fleet
-
-
-@pytest.fixture(scope="module")
-def world(tmp_path_factory, drive: SensorLog, office: OccupancyGrid) -> Path:
-    folder = tmp_path_factory.mktemp("fleet")
-    write_small_fleet(folder, drive, office)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def scanned(world: Path) -> FleetScan:
-    return scan(world / "fleet.csv", world / "catalogue")
+from tests.fleet.small_fleet import NOON, part_of, write_log
 
 
 @pytest.fixture
-def own(scanned: FleetScan, tmp_path: Path) -> Path:
+def own(world: Path, tmp_path: Path) -> Path:
     """The logs and their catalogue, for a test of its own."""
-    shutil.copytree(Path(scanned.catalogue.folder.path()).parent, tmp_path / "own")
+    shutil.copytree(world, tmp_path / "own")
     return tmp_path / "own"
 
 

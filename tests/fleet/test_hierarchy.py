@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.fleet_beams import memory_catalogue, memory_shard
 
 from beamfield.errors import InvalidInputError
+from beamfield.fleet.engine import Engine
 from beamfield.fleet.hierarchy import partial_pooling, pool
 from beamfield.fleet.learning import learn
 from beamfield.models.beam_parameters import BeamParameters
-from tests.fleet.beams import SerialEngine, memory_catalogue, memory_shard
 
+SERIAL = Engine("serial")
 TRUTH = BeamParameters(0.7, 0.1, 0.1, 0.1, 0.05, 0.5, 0.02)
 
 
@@ -63,7 +65,7 @@ def test_a_robot_with_few_beams_borrows_and_one_with_many_keeps_its_own():
     other = BeamParameters(0.6, 0.1, 0.2, 0.1, 0.08, 0.5, 0.02)
     shards = [memory_shard(rng, TRUTH, robot=f"r{k}", n_scans=60) for k in range(3)]
     shards += [memory_shard(rng, other, robot="many", n_scans=300), memory_shard(rng, other, robot="few", n_scans=12)]
-    fit = learn(memory_catalogue(shards), SerialEngine(), by="robot")
+    fit = learn(memory_catalogue(shards), SERIAL, by="robot")
     (hierarchy,) = pool(fit)
     few, many = hierarchy.robots[0], hierarchy.robots[1]
     assert (few.robot, many.robot) == ("few", "many")
@@ -77,4 +79,4 @@ def test_a_robot_with_few_beams_borrows_and_one_with_many_keeps_its_own():
     low, high = many.intervals["z_max"]
     assert low < 0.2 < high < 0.23
     with pytest.raises(InvalidInputError, match="expected one by robot"):
-        pool(learn(memory_catalogue(shards[:1]), SerialEngine()))
+        pool(learn(memory_catalogue(shards[:1]), SERIAL))

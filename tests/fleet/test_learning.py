@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.fleet_beams import MemoryCatalogue, memory_catalogue, memory_shard
 
 from beamfield.calibration.intrinsic.block_intervals import block_intervals
 from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
@@ -17,11 +18,12 @@ from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, thet
 from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.fleet import learning, shard_passes
+from beamfield.fleet.engine import Engine
 from beamfield.fleet.learning import learn, sensor_limits
 from beamfield.fleet.shard_passes import Part, SensorLimits, ShardedLikelihood, metres
 from beamfield.models.beam_parameters import BeamParameters
-from tests.fleet.beams import MemoryCatalogue, SerialEngine, memory_catalogue, memory_shard
 
+SERIAL = Engine("serial")
 TRUTH = BeamParameters(0.7, 0.1, 0.1, 0.1, 0.05, 0.5, 0.02)
 # A wide hit that is cut at both ends, and a blind zone.
 WIDE = BeamParameters(0.6, 0.2, 0.1, 0.1, 0.4, 0.8, -0.05)
@@ -52,7 +54,7 @@ def test_a_fleet_learns_what_one_process_learns_from_the_same_beams(truth, min_r
     catalogue = fleet_of(truth, n_scans=60, min_range=min_range)
     z, expected, _ = beams_to_learn_from(catalogue)
     alone = learn_intrinsic_parameters(z, expected, 8.1, min_range=min_range, fit_offset=True)
-    (fit,) = learn(catalogue, SerialEngine()).fits
+    (fit,) = learn(catalogue, SERIAL).fits
     assert fit.converged
     assert fit.n_beams == len(z)
     assert fit.first != fit.parameters
@@ -69,7 +71,7 @@ def test_sums_over_shards_are_those_of_all_beams(truth, monkeypatch):
     theta = theta_of(truth) * 1.1
     problem = learning_problem(8.1, fit_offset=True, fit_sigma_slope=True)
     alone = IntrinsicLikelihood(z, expected, 8.1)
-    sharded = ShardedLikelihood(parts_of(catalogue), SerialEngine(), theta)
+    sharded = ShardedLikelihood(parts_of(catalogue), SERIAL, theta)
     for one, other in zip(alone.derivatives(theta), sharded.at_start, strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-12 * np.abs(one).max())
     of_alone = alone.expected_statistics(theta, slope_is_free=True)
@@ -81,7 +83,7 @@ def test_sums_over_shards_are_those_of_all_beams(truth, monkeypatch):
 def test_intervals_are_those_of_blocks_of_time(monkeypatch):
     monkeypatch.setattr(shard_passes, "BATCH_ROWS", 777)  # blocks straddle batches
     catalogue = fleet_of(TRUTH, n_shards=1, n_scans=100)
-    (fit,) = learn(catalogue, SerialEngine()).fits
+    (fit,) = learn(catalogue, SERIAL).fits
     z, expected, stamps = beams_to_learn_from(catalogue)
     alone = block_intervals(z, expected, stamps, 8.1, fit.parameters, fit_offset=True, block_s=20.0)
     assert fit.intervals.n_blocks == alone.n_blocks
@@ -98,18 +100,18 @@ def test_each_robot_and_each_kind_of_sensor_is_learned_apart():
     far = memory_shard(rng, narrow, robot="c", site="south", max_range=20.0)
     near, distant = memory_catalogue(shards), memory_catalogue([far], max_range=20.0)
     catalogue = MemoryCatalogue((*near.used, *distant.used), (*near.all_shards, *distant.all_shards))
-    by_limits = learn(catalogue, SerialEngine()).fits
+    by_limits = learn(catalogue, SERIAL).fits
     assert [fit.limits for fit in by_limits] == [SensorLimits(8.1, 0.0), SensorLimits(20.0, 0.0)]
     assert [fit.n_shards for fit in by_limits] == [2, 1]
     heard = []
-    learn(catalogue, SerialEngine(), by="site", first_answer=lambda site, _: heard.append(site))
+    learn(catalogue, SERIAL, by="site", first_answer=lambda site, _: heard.append(site))
     assert heard == ["north", "south"]
 
 
 def test_a_thinned_fit_uses_fewer_beams_and_agrees_within_its_intervals():
     catalogue = fleet_of(TRUTH, n_scans=120)
-    (thin,) = learn(catalogue, SerialEngine(), thin=7).fits
-    (whole,) = learn(catalogue, SerialEngine()).fits
+    (thin,) = learn(catalogue, SERIAL, thin=7).fits
+    (whole,) = learn(catalogue, SERIAL).fits
     assert thin.n_beams == pytest.approx(whole.n_beams / 7, rel=0.05)
     for name, error in thin.intervals.standard_errors.items():
         assert abs(getattr(thin.parameters, name) - getattr(whole.parameters, name)) < 4.0 * error, name
@@ -135,7 +137,7 @@ def test_memory_does_not_grow_with_the_beams(monkeypatch):
     def peak(n_batches: int) -> int:
         part = Part(Endless(n_batches), SensorLimits(8.1, 0.0), 0.0, 1e12)
         tracemalloc.start()
-        likelihood = ShardedLikelihood([part], SerialEngine(), theta)
+        likelihood = ShardedLikelihood([part], SERIAL, theta)
         likelihood.expected_statistics(theta)
         assert likelihood.n_beams > 7000 * n_batches
         used = tracemalloc.get_traced_memory()[1]
@@ -149,8 +151,8 @@ def test_memory_does_not_grow_with_the_beams(monkeypatch):
 def test_too_few_beams_are_named():
     catalogue = memory_catalogue([memory_shard(np.random.default_rng(0), TRUTH, n_scans=1, n_beams=10)])
     with pytest.raises(TooLittleDataError, match=r"nothing to learn from: .* need 20"):
-        learn(catalogue, SerialEngine())
+        learn(catalogue, SERIAL)
     with pytest.raises(InvalidInputError, match="by: expected one of fleet, site, robot"):
-        learn(catalogue, SerialEngine(), by="day")
+        learn(catalogue, SERIAL, by="day")
     with pytest.raises(InvalidInputError, match="thin"):
-        learn(catalogue, SerialEngine(), thin=0)
+        learn(catalogue, SERIAL, thin=0)

@@ -201,7 +201,7 @@ def _groups(catalogue: Catalogue, by: By, thin: int) -> list[_Group]:
         record = records[shard.run]
         limits = sensor_limits(record)
         key = (shard.site if by != "fleet" else "", shard.robot if by == "robot" else "", limits)
-        part = Part(shard, limits, record.first_stamp, _block_length(record), thin)
+        part = Part(shard, limits, record.first_stamp, block_length(record), thin)
         parts.setdefault(key, []).append(part)
     return [
         _Group(site if by != "fleet" else None, robot if by == "robot" else None, limits, tuple(members))
@@ -209,7 +209,8 @@ def _groups(catalogue: Catalogue, by: By, thin: int) -> list[_Group]:
     ]
 
 
-def _block_length(record: RunRecord) -> float:
+def block_length(record: RunRecord) -> float:
+    """Return the length of the blocks of time of a run, seconds."""
     duration = max(record.last_stamp - record.first_stamp, 1e-3)
     return max(min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS), duration / MOST_BLOCKS_OF_A_RUN)
 

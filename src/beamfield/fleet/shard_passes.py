@@ -18,8 +18,8 @@ from beamfield.calibration.intrinsic.likelihood import (
     cut,
     mixture_of,
 )
-from beamfield.fleet.catalogue import Shard
 from beamfield.fleet.engine import Engine
+from beamfield.fleet.shard import Shard
 from beamfield.geometry import FloatArray
 from beamfield.kernels import intrinsics as kernels
 
@@ -225,7 +225,7 @@ def _blocks(part: Part, theta: FloatArray) -> tuple[FloatArray, FloatArray, Floa
             _, gradient, of_block = likelihood.derivatives(theta)
             hessian += of_block
             added = np.concatenate([[likelihood.n_beams], gradient])
-            sums[int(block)] = sums.get(int(block), 0.0) + added
+            sums[int(block)] = sums.get(int(block), np.zeros(1)) + added
     table = np.array([sums[block] for block in sorted(sums)]).reshape(-1, 1 + N_PARAMETERS)
     return table[:, 0], table[:, 1:], hessian
 

@@ -1,9 +1,9 @@
-"""A catalogue in memory, with beams drawn from known parameters."""
+"""A fleet's catalogue in memory, with beams drawn from known parameters."""
 
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,20 +49,6 @@ class MemoryCatalogue:
 
     def shards(self, **where: Any) -> tuple[MemoryShard, ...]:
         return tuple(s for s in self.all_shards if all(getattr(s, name) == value for name, value in where.items()))
-
-
-class SerialEngine:
-    """What `Engine("serial")` does, written down once more."""
-
-    def map(self, function: Callable[[Any], Any], items: Sequence[Any], **_: Any) -> list[Any]:
-        return [function(item) for item in items]
-
-    def reduce(self, function: Any, items: Sequence[Any], combine: Any, **_: Any) -> Any:
-        results = self.map(function, items)
-        while len(results) > 1:
-            pairs = [combine(a, b) for a, b in zip(results[::2], results[1::2], strict=False)]
-            results = pairs + results[len(pairs) * 2 :]
-        return results[0]
 
 
 def memory_shard(

@@ -21,7 +21,7 @@ from beamfield.fleet.beam_schema import beam_schema, require_pyarrow
 from beamfield.fleet.catalogue import Catalogue, create_catalogue, open_catalogue
 from beamfield.fleet.engine import Engine
 from beamfield.fleet.learning import learn
-from beamfield.fleet.run_record import RunRecord, ShardFile
+from beamfield.fleet.run_record import MapInfo, RunRecord, ShardFile
 from beamfield.fleet.scan import scan_fleet
 from beamfield.fleet.simulated import FleetSize, plan_fleet
 from beamfield.fleet.simulated_files import write_fleet
@@ -76,6 +76,7 @@ def simulated_catalogue(folder: Path, n_beams: int) -> Catalogue:
             files=(ShardFile(name, day.isoformat(), rows, path.stat().st_size),),
             sensor={"mounts": [[0.0, 0.0, 0.0]] * BEAMS, "max_range": MAX_RANGE, "min_range": 0.0,
                     "opening_angle": 0.0, "name": ""},
+            map_info=MapInfo(0.05, (0.0, 0.0, 0.0), (1, 1), "0" * 64),
         )  # fmt: skip
         (folder / f"runs/{run}.json").write_bytes(record.to_json())
     return catalogue

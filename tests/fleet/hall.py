@@ -26,6 +26,7 @@ TRUTH = BeamParameters(0.9, 0.02, 0.03, 0.05, 0.02, 0.5)
 FINDER = RangeFinder.from_bearings(np.linspace(-3.0, 3.0, 60), 10.0)
 MAPPED_BOX, NEW_BOX, TROLLEY, PHANTOM = ((1.0, 1.0), (5.0, 3.0), (2.0, 4.5), (6.5, 1.5))
 ORIGIN = np.array([3.0, -2.0, 0.4])
+SITE = "hall/<1>"
 FIRST_DAY = datetime.date(2026, 3, 1)
 SINCE, DAYS, ROBOTS = 2, 6, 3
 
@@ -105,9 +106,9 @@ def stale_hall() -> StaleMap:
                 "expected_range": beams.expected_ranges.astype(np.float32),
             }  # fmt: skip
             date = FIRST_DAY + datetime.timedelta(days=day)
-            shards.append(MemoryShard("hall", f"r{robot}", date, f"r{robot}-{day}", columns))
+            shards.append(MemoryShard(SITE, f"r{robot}", date, f"r{robot}-{day}", columns))
     sensor = {"mounts": FINDER.mounts.tolist(), "max_range": 10.0, "min_range": 0.0, "opening_angle": 0.0}
-    known = MapInfo(0.05, (0.0, 0.0, 0.0), grid.shape, "0123456789abcdef")
+    known = MapInfo(0.05, (0.0, 0.0, 0.0), grid.shape, "0123456789abcdef" * 4)
     records = tuple(
         RunRecord(run=one.run, robot=one.robot, site=one.site, key="", log="", map="", poses="", log_sensor="",
                   log_hash="", status="used", sensor=sensor, map_info=known)

@@ -18,10 +18,10 @@ from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.report_files import TABLES, report_as_dict, report_tables, write_fleet_report
 from beamfield.fleet.robot_state import robot_states
-from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.run_record import MapInfo, RunRecord
 from beamfield.fleet.shard_passes import SensorLimits
 from beamfield.models.beam_parameters import BeamParameters
-from tests.fleet.hall import stale_hall
+from tests.fleet.hall import SITE, stale_hall
 
 FIRST = datetime.date(2026, 3, 2)
 DAYS = tuple(FIRST + datetime.timedelta(days=day) for day in range(6))
@@ -31,16 +31,18 @@ LIMITS = SensorLimits(12.0, 0.0)
 
 def record(robot: str, day: int, *, reason: str = "") -> RunRecord:
     stamp = datetime.datetime(2026, 3, 2 + day, 8, tzinfo=datetime.UTC).timestamp()
+    sensor = {"mounts": [[0.0, 0.0, 0.0]], "max_range": 12.0, "min_range": 0.0, "opening_angle": 0.0, "name": ""}
     return RunRecord(
-        run=f"{robot}-{day}", robot=robot, site="hall", key="", log="", map="", poses="", log_sensor="", log_hash="",
+        run=f"{robot}-{day}", robot=robot, site=SITE, key="", log="", map="", poses="", log_sensor="", log_hash="",
         status="left out" if reason else "used", reason=reason, first_stamp=math.nan if reason else stamp,
-        last_stamp=math.nan if reason else stamp + 60.0, beams=1000,
+        last_stamp=math.nan if reason else stamp + 60.0, beams=1000, sensor=sensor,
+        map_info=MapInfo(0.05, (0.0, 0.0, 0.0), (10, 10), "0123456789abcdef" * 4),
     )  # fmt: skip
 
 
 def drift(robot: str, fault: str, size: float, *, alarm: bool = True, **rest: object) -> Drift:
     known = {"since": DAYS[3], "unit": "m", "bearings": None, "cause": ""} | rest
-    return Drift(robot, "hall", fault, size=size, low=size - 0.001, high=size + 0.001, before=0.0, after=size,
+    return Drift(robot, SITE, fault, size=size, low=size - 0.001, high=size + 0.001, before=0.0, after=size,
                  p_value=1e-9, q_value=1e-8, alarm=alarm, **known)  # fmt: skip
 
 
@@ -59,7 +61,7 @@ RECORDS = (
 
 def series(robot: str, sector: tuple[float, float], level: float) -> DailySeries:
     values = np.where(np.arange(6) >= 3, level, 0.02)
-    return DailySeries(robot, "hall", "dirty-lens", "share", DAYS, values, np.full(6, 0.01), np.log(values),
+    return DailySeries(robot, SITE, "dirty-lens", "share", DAYS, values, np.full(6, 0.01), np.log(values),
                        np.full(6, 0.1), sector, "max")  # fmt: skip
 
 
@@ -68,8 +70,8 @@ def report() -> FleetReport:
     sectors = [series("r4", (0.4, 0.7), 0.1), series("r4", (0.7, 1.0), 0.3), series("r2", (0.7, 1.0), 0.02),
                series("r4", (-1.0, -0.7), 0.9)]  # fmt: skip
     intervals = {"z_short": (0.08, 0.12), "sigma_hit": (0.019, 0.021)}
-    pooled = [Pooled("hall", f"r{i}", PARAMETERS, intervals, dict.fromkeys(intervals, 0.25)) for i in (2, 4)]
-    own = tuple(SimpleNamespace(robot=one.robot, limits=LIMITS, parameters=PARAMETERS) for one in pooled)
+    pooled = [Pooled(SITE, f"r{i}", PARAMETERS, intervals, dict.fromkeys(intervals, 0.25)) for i in (2, 4)]
+    own = tuple(SimpleNamespace(robot=one.robot, site=SITE, limits=LIMITS, parameters=PARAMETERS) for one in pooled)
     whole = Pooled(None, None, PARAMETERS, intervals, {})
     hierarchy = Hierarchy(LIMITS, whole, (), tuple(pooled), {}, {})
     return FleetReport(
@@ -97,16 +99,19 @@ def test_the_light_is_that_of_the_worst_fault_and_robots_are_ranked():
 
 def test_all_files_say_the_same(report, tmp_path):
     names = write_fleet_report(tmp_path, report)
-    assert {"fleet_report.html", "fleet_report.json", "maps/hall-01234567.geojson", "maps/hall-01234567.pgm"} <= {
-        *names
-    }
+    assert {
+        "fleet_report.html",
+        "fleet_report.json",
+        "maps/hall%2F%3C1%3E-01234567.geojson",
+        "maps/hall%2F%3C1%3E-01234567.pgm",
+    } <= {*names}
     page = (tmp_path / "fleet_report.html").read_text()
     assert page.endswith("</html>\n")
     assert "r&lt;1&gt;" in page
     assert "<1>" not in page
     assert "<still>" not in page
     assert "2 of 6 robots need attention now: r4, r&lt;1&gt;." in page
-    assert f"The map of hall is out of date at {len(report.stale_maps[0].lasting)} places." in page
+    assert f"The map of hall/&lt;1&gt; is out of date at {len(report.stale_maps[0].lasting)} places." in page
     # One curve, of the worst sector that the alarm covers, beside the picture of the parameters: r2 has no series.
     assert page.count('role="img"') == 2
     assert "r4, dirty lens over the days" in page

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from beamfield.fleet.report_files import disagreement_map, places_as_geojson
-from tests.fleet.hall import DAYS, FIRST_DAY, MAPPED_BOX, NEW_BOX, PHANTOM, ROBOTS, SINCE, in_map, stale_hall
+from tests.fleet.hall import DAYS, FIRST_DAY, MAPPED_BOX, NEW_BOX, PHANTOM, ROBOTS, SINCE, SITE, in_map, stale_hall
 
 
 def test_what_is_new_or_gone_for_good_is_found_since_its_day_and_nothing_else():
     stale = stale_hall()
-    assert (stale.site, stale.not_asked) == ("hall", ())
+    assert (stale.site, stale.not_asked) == (SITE, ())
     assert (stale.runs, stale.robots, stale.days) == (ROBOTS * DAYS, ROBOTS, DAYS)
     day = FIRST_DAY + datetime.timedelta(days=SINCE)
     assert {place.kind for place in stale.lasting} == {"new obstacle", "missing wall"}

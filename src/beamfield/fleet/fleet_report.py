@@ -59,8 +59,8 @@ class FleetReport:
     @property
     def alarms(self) -> tuple[Drift, ...]:
         """The drifts that count, those of the most urgent robots first."""
-        order = [state.robot for state in self.states]
-        return tuple(sorted((d for d in self.drifts if d.alarm), key=lambda drift: order.index(drift.robot)))
+        order = [(state.robot, state.site) for state in self.states]
+        return tuple(sorted((d for d in self.drifts if d.alarm), key=lambda d: order.index((d.robot, d.site))))
 
     @property
     def sites(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Mapping, Sequence
+from urllib.parse import quote
 
 import numpy as np
 from matplotlib import patheffects
@@ -15,6 +16,7 @@ from beamfield.fleet.daily import DailySeries, Fault
 from beamfield.fleet.drift import Drift
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
+from beamfield.fleet.robot_state import RobotState
 from beamfield.fleet.stale_map import StaleMap
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
@@ -118,7 +120,7 @@ def _date_axis(axes: Axes, days: Sequence[datetime.date]) -> None:
     axes.set_xticks([days[i].toordinal() for i in ticks], [f"{days[i].day} {days[i]:%b}" for i in ticks])
 
 
-def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], order: Sequence[str]) -> ReportFigure:
+def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], states: Sequence[RobotState]) -> ReportFigure:
     """Draw each robot's own estimate and the pooled one, parameter by parameter.
 
     Parameters
@@ -127,14 +129,15 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], order: Seq
         By robots.
     hierarchies
         What pooling made of it.
-    order
-        Names of the robots, those to be drawn first.
+    states
+        The robots, the most urgent first.
     """
     panels = []
-    own = {(one.robot, one.limits): one.parameters for one in fit.fits}
+    own = {(one.robot, one.site, one.limits): one.parameters for one in fit.fits}
+    order = [(state.robot, state.site) for state in states]
     for number, hierarchy in enumerate(hierarchies):
         names = list(hierarchy.robots[0].shrinkage) if hierarchy.robots else []
-        robots = sorted(hierarchy.robots, key=lambda one: order.index(str(one.robot)))[:MOST_ROBOTS]
+        robots = sorted(hierarchy.robots, key=lambda one: order.index((str(one.robot), str(one.site))))[:MOST_ROBOTS]
         robots.sort(key=lambda one: (str(one.site), str(one.robot)))
         n_rows = -(-len(names) // 3)
         if not names:
@@ -143,7 +146,7 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], order: Seq
         for place, name in enumerate(names, start=1):
             axes = figure.add_subplot(n_rows, 3, place)
             style(axes, title=name, grid="x")
-            _dots(axes, name, robots, [own[one.robot, hierarchy.limits] for one in robots])
+            _dots(axes, name, robots, [own[one.robot, one.site, hierarchy.limits] for one in robots])
             axes.axvline(getattr(hierarchy.fleet.parameters, name), color=QUIET, linewidth=1.0, zorder=1)
             axes.set_yticks(range(len(robots)), [str(one.robot) for one in robots] if place % 3 == 1 else [])
             axes.tick_params(axis="y", labelsize=7)
@@ -176,7 +179,10 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
         Result of `find_stale_places`.
     """
     squares, listed = stale.squares, stale.lasting[:MOST_PLACES]
-    name, title = f"map-{stale.site}-{stale.map_hash[:8]}", f"{stale.site}: where the map is out of date"
+    name, title = (
+        f"map-{quote(stale.site, safe='')}-{stale.map_hash[:8]}",
+        f"{stale.site}: where the map is out of date",
+    )
     if not len(squares.x):
         return ReportFigure(name, title, (), "No beams.", "")
     corners = np.column_stack([squares.x, squares.y])

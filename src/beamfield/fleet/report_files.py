@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def write_fleet_report(folder: Path, report: FleetReport) -> list[str]:
         pq.write_table(pa.Table.from_pylist(rows, _schema(pa, name)), folder / f"{name}.parquet", compression="zstd")
     (folder / "maps").mkdir()
     for stale in report.stale_maps:
-        name = f"{stale.site}-{stale.map_hash[:8]}"
+        name = f"{quote(stale.site, safe='')}-{stale.map_hash[:8]}"
         write_map(disagreement_map(stale), folder / f"maps/{name}.yaml", mode="raw")
         text = json.dumps(places_as_geojson(stale), indent=1, allow_nan=False) + "\n"
         (folder / f"maps/{name}.geojson").write_text(text, encoding="utf-8")

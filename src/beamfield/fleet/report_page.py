@@ -37,7 +37,7 @@ def render_fleet_page(report: FleetReport) -> str:
         Result of `judge_fleet`.
     """
     drift = drift_figure(report.series, report.alarms)
-    parameters = parameter_figure(report.fit, report.hierarchies, [state.robot for state in report.states])
+    parameters = parameter_figure(report.fit, report.hierarchies, report.states)
     maps = [stale_figure(stale) for stale in report.stale_maps]
     title = f"Fleet report: {_count(report.states, 'robot')} at {_count(report.sites, 'site')}"
     contents = [

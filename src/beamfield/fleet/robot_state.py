@@ -32,7 +32,7 @@ class RobotState:
     Parameters
     ----------
     robot, site
-        Its name, and its site; several sites are joined by commas.
+        Its name, and its site. Robots of one name at two sites are two robots.
     light
         "red": a fault to see to now; "amber": one to watch, or many runs that cannot be used; "green": nothing found;
         "grey": no run could be used, so nothing is known.
@@ -66,16 +66,17 @@ def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple
         What robots show; see `find_drift`.
     """
     states = []
-    for robot in sorted({record.robot for record in records}):
-        mine = [record for record in records if record.robot == robot]
+    for robot, site in sorted({(record.robot, record.site) for record in records}):
+        mine = [record for record in records if (record.robot, record.site) == (robot, site)]
         used = sum(record.is_used for record in mine)
-        alarms = sorted((d for d in drifts if d.robot == robot and d.alarm), key=_urgency, reverse=True)
+        alarms = sorted(
+            (d for d in drifts if (d.robot, d.site) == (robot, site) and d.alarm), key=_urgency, reverse=True
+        )
         findings = (*map(_fault, alarms), *_runs_left_out(mine))
         urgency = max(map(_urgency, alarms), default=0.0)
         light: Light = "grey" if used == 0 else "red" if urgency >= 1.0 else "amber" if findings else "green"
-        site = ", ".join(sorted({record.site for record in mine}))
         states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
-    return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot)))
+    return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot, state.site)))
 
 
 def _urgency(drift: Drift) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,7 @@ from beamfield.fleet.fleet_report import FleetReport
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.report_files import TABLES, report_as_dict, report_tables, write_fleet_report
-from beamfield.fleet.robot_state import robot_states
+from beamfield.fleet.robot_state import robot_states, site_findings
 from beamfield.fleet.run_record import MapInfo, RunRecord
 from beamfield.fleet.shard_passes import SensorLimits
 from beamfield.models.beam_parameters import BeamParameters
@@ -94,6 +95,16 @@ def test_the_light_is_that_of_the_worst_fault_and_robots_are_ranked():
     assert found["r6"][0].name == "runs-left-out"
     assert "3 of 6 runs" in found["r6"][0].text
     assert found["r3"] == ()
+    # Half of the runs of r6 are left out, but as many of its site's others: it is the site.
+    elsewhere = tuple(replace(one, robot=f"{one.robot}b") for one in RECORDS if one.robot in ("r5", "r6"))
+    mixed = (*(one for one in RECORDS if one.robot in ("r5", "r6")), *elsewhere)
+    assert [(one.robot, one.light) for one in robot_states(mixed, ())] == [
+        ("r6", "green"), ("r6b", "green"), ("r5", "grey"), ("r5b", "grey"),
+    ]  # fmt: skip
+    (site,) = site_findings(mixed)
+    assert "10 of 16 runs" in site.text
+    assert "robot stood <still>" in site.text
+    assert site_findings(RECORDS[:29]) == ()
     assert not any(one.text.startswith("r") for all_of in found.values() for one in all_of)
 
 

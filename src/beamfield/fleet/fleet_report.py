@@ -14,7 +14,7 @@ from beamfield.fleet.drift import Drift, find_drift
 from beamfield.fleet.engine import Engine
 from beamfield.fleet.hierarchy import Hierarchy, pool
 from beamfield.fleet.learning import FleetFit, learn
-from beamfield.fleet.robot_state import RobotState, robot_states
+from beamfield.fleet.robot_state import RobotState, robot_states, site_findings
 from beamfield.fleet.run_findings import run_findings
 from beamfield.fleet.run_record import RunRecord
 from beamfield.fleet.stale_map import StaleMap, find_stale_places
@@ -41,7 +41,7 @@ class FleetReport:
     states
         Traffic lights, the most urgent robot first.
     findings
-        What to know of the runs' times before days are compared.
+        What to know of sites with many runs that cannot be used, and of the runs' times.
     """
 
     records: tuple[RunRecord, ...]
@@ -100,5 +100,5 @@ def judge_fleet(catalogue: Catalogue, engine: Engine, *, progress: StageProgress
     records = catalogue.runs
     return FleetReport(
         records, fit, pool(fit), compare_robots(fit), series, drifts, stale, robot_states(records, drifts),
-        run_findings(records),
+        (*site_findings(records), *run_findings(records)),
     )  # fmt: skip

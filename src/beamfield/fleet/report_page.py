@@ -87,6 +87,8 @@ def _verdict(report: FleetReport) -> tuple[Level, str, str]:
         sentences.append(f"The map of {', '.join(stale)} is out of date at {_count(range(places), 'place')}.")
     if lights["grey"]:
         sentences.append(f"Of {_count(range(lights['grey']), 'robot')} nothing is known: no run could be used.")
+    if report.findings:
+        sentences.append(f"Read the {_count(report.findings, 'warning')} about runs.")
     if not sentences:
         return "good", "No robot shows a fault, and the maps are as the robots see them.", "All well"
     level: Level = "bad" if lights["red"] else "care"

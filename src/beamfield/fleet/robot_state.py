@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,8 +22,8 @@ LIGHTS: tuple[Light, ...] = ("red", "amber", "green", "grey")
 SERIOUS: Mapping[Fault, float] = {
     "dirty-lens": 0.05, "turned-mount": math.radians(0.5), "range-bias": 0.02, "wheel-scale": 0.01,
 }  # fmt: skip
-# A robot with so large a share of runs that cannot be used needs a look.
-MANY_LEFT_OUT = 1 / 3
+# A robot with so large a share of runs that cannot be used needs a look, and a site.
+MANY_LEFT_OUT, MANY_AT_A_SITE = 1 / 3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,8 @@ def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple
         alarms = sorted(
             (d for d in drifts if (d.robot, d.site) == (robot, site) and d.alarm), key=_urgency, reverse=True
         )
-        findings = (*map(_fault, alarms), *_runs_left_out(mine))
+        others = [record for record in records if record.site == site and record.robot != robot]
+        findings = (*map(_fault, alarms), *_runs_left_out(mine, others))
         urgency = max(map(_urgency, alarms), default=0.0)
         light: Light = "grey" if used == 0 else "red" if urgency >= 1.0 else "amber" if findings else "green"
         states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
@@ -140,15 +142,52 @@ def _side(degrees: float) -> str:
     return f"{abs(degrees):.0f} degrees {'left' if degrees > 0 else 'right'} of straight ahead"
 
 
-def _runs_left_out(records: Sequence[RunRecord]) -> Iterator[Finding]:
-    left_out = [record for record in records if not record.is_used]
-    if len(left_out) >= MANY_LEFT_OUT * len(records) and left_out:
-        reason, _ = Counter(record.reason for record in left_out).most_common(1)[0]
+def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> Iterator[Finding]:
+    """Yield what to say of a robot with more runs that cannot be used than the others at its site have."""
+    share = _share_left_out(mine)
+    if share >= MANY_LEFT_OUT and share > 2.0 * _share_left_out(others):
+        left_out, reason = _left_out(mine)
         yield Finding(
             "runs-left-out",
             "warning",
-            f"{len(left_out)} of {len(records)} runs cannot be used; most often: {reason}",
-            {"left_out": float(len(left_out)), "runs": float(len(records))},
+            f"{left_out} of {len(mine)} runs cannot be used; most often: {reason}",
+            {"left_out": float(left_out), "runs": float(len(mine))},
             why="What these runs would show is not known.",
             do="Look at how this robot records, and at the list of runs that were left out.",
         )
+
+
+def site_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
+    """Return what to know of sites many of whose runs cannot be used, whatever the robot.
+
+    Parameters
+    ----------
+    records
+        All runs of the fleet.
+    """
+    found = []
+    for site in sorted({record.site for record in records}):
+        mine = [record for record in records if record.site == site]
+        if _share_left_out(mine) >= MANY_AT_A_SITE and len({one.robot for one in mine if not one.is_used}) > 1:
+            left_out, reason = _left_out(mine)
+            found.append(Finding(
+                "site-runs-left-out",
+                "warning",
+                f"{site}: {left_out} of {len(mine)} runs, of several robots, cannot be used; most often: {reason}",
+                {"left_out": float(left_out), "runs": float(len(mine))},
+                why="Where a map is far out of date no trajectory fits it, and these runs tell nothing more.",
+                do="See whether it is the map of this site, and map the places again that are listed for it.",
+            ))  # fmt: skip
+    return tuple(found)
+
+
+def _share_left_out(records: Sequence[RunRecord]) -> float:
+    return sum(not record.is_used for record in records) / len(records) if records else 0.0
+
+
+def _left_out(records: Sequence[RunRecord]) -> tuple[int, str]:
+    """Return how many runs are left out, and the most frequent reason; numbers in it do not make another."""
+    reasons = [record.reason for record in records if not record.is_used]
+    kinds = Counter(re.sub(r"[0-9].*", "", reason) for reason in reasons)
+    most, _ = kinds.most_common(1)[0]
+    return len(reasons), next(reason for reason in reasons if reason.startswith(most))

@@ -67,7 +67,8 @@ class Trial:
         self.folder.mkdir()
         self.old = {name: text.encode() for name, text in self.command.mine.items()}
         if with_old:
-            self.old |= {name: f"old {name}\n".encode() * 50 for name in self.expected.files if name not in self.old}
+            replaced = () if self.command.resumes else self.expected.files
+            self.old |= {name: f"old {name}\n".encode() * 50 for name in replaced if name not in self.old}
             self.old["thesis.tex"] = THESIS
         for name, content in self.old.items():
             path = self.folder / name

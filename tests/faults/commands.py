@@ -55,7 +55,9 @@ class Command:
     mine
         Files in the folder that the user had before, by name; the command changes them.
     in_steps
-        Whether it is several commands: what the first wrote stays if the next one fails.
+        Whether it is several steps: what the first wrote stays if the next one fails.
+    resumes
+        Whether it goes on with what an earlier run wrote, in a folder of its own.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Command:
     kills: int
     mine: Mapping[str, str] = field(default_factory=dict)
     in_steps: bool = False
+    resumes: bool = False
 
     def typed(self, out: Path, world: Path) -> list[str]:
         return [word.format(out=out, world=world) for word in self.words.split()]
@@ -91,6 +94,8 @@ COMMANDS = (
             "--patch {out}/nav2.yaml", 3, {"nav2.yaml": NAV2}),
     Command("fleet simulate", f"fleet simulate --out {{out}}/fleet {_FLEET} --workers 1 --quiet", 5),
     Command("fleet report", "fleet report {world}/catalogue --out {out}/report --scheduler serial --quiet", 3),
+    Command("fleet scan", "fleet scan {world}/fleet.csv --out {out}/catalogue --scheduler serial --quiet", 12,
+            in_steps=True, resumes=True),
     Command("demo", "demo --out {out}/demo --duration 90 --quiet", 2, in_steps=True),
 )  # fmt: skip
 QUICK = COMMANDS[:2]
@@ -106,10 +111,10 @@ def make_world(folder: Path, *, logs: bool) -> None:
     words = ["simulate", "--out", str(folder), "--seed", "4", "--duration", "90", "--scan-rate", "3"]
     if main([*words, "--beams", "31", "--quiet"]) != 0:
         raise RuntimeError("the world could not be simulated")
-    fleet = ["simulate", "--out", str(folder / "fleet"), *_FLEET.split(), "--workers", "1"]
-    scan = ["scan", str(folder / "fleet"), "--out", str(folder / "catalogue"), "--scheduler", "serial"]
-    if any(main(["fleet", *one, "--quiet"]) != 0 for one in (fleet, scan)):
-        raise RuntimeError("the fleet could not be simulated and scanned")
+    (folder / "fleet.csv").write_text("log,map,robot,site\nlog.carmen,map.yaml,ann,hall\n")
+    words = ["fleet", "scan", str(folder / "fleet.csv"), "--out", str(folder / "catalogue"), "--scheduler", "serial"]
+    if main([*words, "--quiet"]) != 0:
+        raise RuntimeError("the world could not be scanned")
     rng = np.random.default_rng(4)
     landmarks = LandmarkMap([[0.0, 0.0], [9.0, 1.0], [4.0, 7.0]], ids=[4, 9, 2])
     model = LandmarkModel(landmarks, LandmarkParameters(0.1, 0.02), correspondence="known")

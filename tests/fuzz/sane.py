@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from beamfield.detection_log import DetectionLog
+from beamfield.fleet.manifest import ManifestRow
+from beamfield.fleet.run_record import RunRecord, record_from_json
 from beamfield.io.bags.fiducial_detections import FiducialDetections
 from beamfield.io.trajectory import IndexedTrack
 from beamfield.maps.landmarks import LandmarkMap
@@ -21,6 +23,30 @@ from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.sensors import ScanLog, Track, usable_ranges
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.registry import STACKS
+
+
+def manifest(result: Any) -> None:
+    assert result
+    for row in result:
+        assert isinstance(row, ManifestRow)
+        texts = (row.log, row.map, row.robot, row.site, row.poses, row.sensor)
+        assert all(isinstance(text, str) for text in texts)
+        assert all(texts[:4])
+        assert (row.robot + row.site).isprintable()
+        assert row.start is None or np.isfinite(row.start).all()
+        assert row.resolve(row.log)
+
+
+def run_record(result: Any) -> None:
+    assert isinstance(result, RunRecord)
+    assert result.status in ("used", "left out")
+    assert record_from_json(result.to_json(), "again").to_json() == result.to_json()
+    if result.is_used:
+        assert result.finder.n_beams == len(result.mounts)
+        assert result.map_info is not None
+    for file in result.files:
+        assert file.path.startswith("beams/")
+        assert ".." not in file.path.split("/")
 
 
 def grid(result: Any) -> None:

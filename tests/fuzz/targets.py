@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from beamfield.fleet.manifest import read_manifest
+from beamfield.fleet.run_record import record_from_json
 from beamfield.io.bags.fiducial_detections import read_camera, read_camera_images, read_fiducials
 from beamfield.io.bags.reader import read_bag_map
 from beamfield.io.landmarks.landmark_files import read_landmarks
@@ -27,7 +29,7 @@ from beamfield.stacks.files.typed_values import checked_values
 from tests.fuzz import sane
 from tests.fuzz.case import Case
 from tests.fuzz.commands import calibrate_and_patch, check_patch, run_command, translate_and_patch
-from tests.fuzz.seeds import bags, landmarks, logs, maps, parameters
+from tests.fuzz.seeds import bags, fleets, landmarks, logs, maps, parameters
 
 
 @dataclass(frozen=True)
@@ -155,6 +157,8 @@ TARGETS: tuple[Target, ...] = (
     Target("stack_yaml", parameters.stack_yamls, _parameters, sane.stack_file, weight=2.0),
     Target("launch", parameters.launch_files, _parameters, sane.stack_file),
     Target("ini", parameters.ini_files, _parameters, sane.stack_file),
+    Target("manifest", fleets.manifests, read_manifest, sane.manifest),
+    Target("run_record", fleets.records, lambda path: record_from_json(path.read_bytes(), str(path)), sane.run_record),
     *_bag_targets(),
     Target("ros2_folder", bags.folder_bags, read_log, sane.log, weight=2.0),
     Target("translate_patch", parameters.patched_files, translate_and_patch, check_patch, writes=True, weight=2.0),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,6 +39,15 @@ def median_errors(truth: np.ndarray, poses: np.ndarray) -> tuple[float, float]:
     return float(np.median(np.hypot(error[:, 0], error[:, 1]))), float(np.median(np.abs(error[:, 2])))
 
 
+def every_third(pairs: Any) -> Any:
+    """Return fewer pairs, from the whole of the log: enough for medians."""
+    rows = slice(None, None, 3)
+    return replace(
+        pairs, onto=pairs.onto[rows], scans=pairs.scans[rows], truth=pairs.truth[rows], starts=pairs.starts[rows],
+        corrected=None, numbers=None,
+    )  # fmt: skip
+
+
 def test_intel_aligns_three_times_better_than_its_odometry(data: Path, benchmark: ModuleType) -> None:
     pairs = benchmark.intel_pairs(data)
     assert len(pairs.truth) > 190
@@ -49,8 +60,8 @@ def test_intel_aligns_three_times_better_than_its_odometry(data: Path, benchmark
 
 
 def test_fr079_aligns_from_perturbed_poses(data: Path, benchmark: ModuleType) -> None:
-    pairs = benchmark.fr079_pairs(data)
-    assert len(pairs.truth) > 950
+    pairs = every_third(benchmark.fr079_pairs(data))
+    assert len(pairs.truth) > 310
     results = benchmark.align_all(pairs)
     translation, rotation = median_errors(pairs.truth, np.array([result.pose for result in results]))
     start_translation, start_rotation = median_errors(pairs.truth, pairs.starts)
@@ -59,8 +70,8 @@ def test_fr079_aligns_from_perturbed_poses(data: Path, benchmark: ModuleType) ->
 
 
 def test_killian_aligns_though_nothing_was_chosen_on_it(data: Path, benchmark: ModuleType) -> None:
-    pairs = benchmark.killian_pairs(data)
-    assert len(pairs.truth) > 550
+    pairs = every_third(benchmark.killian_pairs(data))
+    assert len(pairs.truth) > 180
     results = benchmark.align_all(pairs)
     translation, rotation = median_errors(pairs.truth, np.array([result.pose for result in results]))
     assert translation < 0.025
@@ -76,17 +87,17 @@ def test_two_halves_of_a_scan_agree_as_their_covariances_say(data: Path, log: st
     covariance = load("alignment_covariance")
     pairs = getattr(covariance, f"{log}_pairs")(data)
     found = [
-        covariance.align_halves(*pair) for pair in list(zip(pairs.scans, pairs.onto, pairs.starts, strict=True))[:200]
+        covariance.align_halves(*pair) for pair in list(zip(pairs.scans, pairs.onto, pairs.starts, strict=True))[:120]
     ]
     halves = [half for half in found if half is not None]
-    assert len(halves) > 80
+    assert len(halves) > 50
     difference = np.array([even.pose - odd.pose for even, odd in halves])
     sums = np.array([even.covariance + odd.covariance for even, odd in halves])
     squares = np.einsum("ni,ni->n", difference, np.linalg.solve(sums, difference[..., None])[..., 0])
     # Both means and tails: wrong optima, which no covariance covers, do not count.
     near = covariance.are_near(difference)
     assert near.mean() > 0.85
-    # Of a hundred pairs, the mean has a standard error of 0.2: 2.3 on Intel, 2.9 on FR079.
+    # Of sixty pairs, the mean has a standard error of 0.3: it is about 2.3 on Intel, 2.9 on FR079.
     assert 1.5 < squares[near].mean() < 4.0
     assert np.mean(squares[near] < 7.815) > 0.88
 

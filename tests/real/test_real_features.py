@@ -19,7 +19,7 @@ pytestmark = pytest.mark.real
     [
         ("Intel", 100, 0.85, 0.92, 0.50, 0.70, 2.0),
         ("Belgioioso", 60, 0.63, 0.82, 0.38, 0.47, 1.5),
-        ("TurtleBot 4, straight on", None, 0.64, 0.88, 0.54, 0.60, 2.2),
+        ("TurtleBot 4, straight on", 60, 0.64, 0.88, 0.54, 0.60, 2.2),
     ],
     ids=["Intel", "Belgioioso", "TurtleBot 4"],
 )

@@ -67,10 +67,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
     findings = run_findings(done.catalogue.runs)
     notes = [f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in findings]
     place = done.catalogue.folder.shown
-    used = sum(record.is_used for record in done.records)
+    used, runs = sum(record.is_used for record in done.records), done.catalogue.used
     line = (
         f"{used} of {len(done.records)} logs used, {len(done.scanned)} scanned now; the catalogue {place} has "
-        f"{sum(record.beams for record in done.catalogue.used):,} beams of {len(done.catalogue.used)} runs"
+        f"{sum(record.beams for record in runs):,} beams of {len(runs)} run{'s' * (len(runs) != 1)}"
     )
     return Outcome(
         line, _text(done), _document(done, findings), notes, [place], 0 if used else 3,

@@ -69,6 +69,7 @@ class MapInfo:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        require(np.isfinite([self.resolution, *self.origin]).all(), "origin", "finite numbers", self.origin)
         rows, cols = self.shape
         require(rows > 0 < cols and rows * cols <= MAX_PIXELS, "shape", f"1 to {MAX_PIXELS} cells", self.shape)
         require(re.fullmatch("[0-9a-f]{64}", self.content), "content", "a hash", self.content)
@@ -97,6 +98,7 @@ class OdometryErrors:
         n = len(self.names)
         square = len(self.covariance) == n and all(len(row) == n for row in self.covariance)
         require(len(self.values) == n and square, "covariance", f"{n} values and a matrix of that size", self)
+        require(np.isfinite([self.values, *self.covariance]).all(), "covariance", "finite numbers", self)
 
     def estimate(self, name: str) -> tuple[float, float] | None:
         """Return the value and the standard deviation of one error; None if the drive does not show it."""
@@ -178,6 +180,8 @@ class RunRecord:
     def __post_init__(self) -> None:
         check_fields(self)
         require(self.status in ("used", "left out"), "status", "'used' or 'left out'", self.status)
+        require(0.0 <= self.share_trusted <= 1.0, "share_trusted", "a share", self.share_trusted)
+        require(self.is_used == bool(self.sensor), "sensor", "one of runs that are used", self.sensor)
         if self.is_used:
             _ = self.finder
             require(self.map_info is not None, "map_info", "a map", None)
@@ -233,5 +237,5 @@ def record_from_json(content: bytes, path: str) -> RunRecord:
             covariance = tuple(tuple(row) for row in given["covariance"])
             values["odometry"] = OdometryErrors(tuple(given["names"]), tuple(given["values"]), covariance)
         return RunRecord(**values)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise FormatError(path, f"expected the record of a run, got something else: {error}") from error

@@ -29,16 +29,17 @@ UNITS: dict[Fault, str] = {"dirty-lens": "share", "turned-mount": "rad", "range-
 _ODOMETRY: dict[Fault, str] = {"turned-mount": "yaw", "wheel-scale": "distance_scale"}
 CAUSES = ("max", "short")
 
-# Of bearings, all around: a smear or a scratch covers 10 to 40 degrees.
+# Of bearings, all around; a series is about two neighbours, 30 degrees, as a smear covers 10 to 40.
 N_SECTORS = 24
 _EDGES = np.linspace(-np.pi, np.pi, N_SECTORS + 1)
+_WIDTH = 2.0 * np.pi / N_SECTORS
 # A reading so many sigma_hit before the wall is short.
 _SHORT_SIGMAS = 4.0
 # Residuals up to so many sigma_hit, or metres, are those of hits: a biased sensor's too.
 _HIT_SIGMAS, _HIT_WINDOW = 6.0, 0.3
-# Fewer hits of a block, or beams of a sector and day, tell nothing.
+# Fewer hits of a block, or beams of 15 degrees and a day, tell nothing.
 _FEWEST_HITS = 50
-_FEWEST_BEAMS = 200
+_FEWEST_BEAMS = 100
 # A day with less of this share of a robot's usual beams, or with so many times its usual error, is no day's work.
 _LEAST_SHARE, _LARGEST_ERROR = 0.25, 3.0
 
@@ -67,7 +68,8 @@ class DailySeries:
     contrast_errors
         Standard errors of the contrasts, shape (d,), by blocks of time; for shares at least binomial ones.
     bearings
-        (from, to) of the sector, radians in the robot frame; None for the other faults.
+        (from, to) of the sector of 30 degrees, radians in the robot frame, from -pi on; None for the other faults.
+        Neighbouring sectors overlap by half.
     cause
         "max" (no return) or "short" (before the wall) for a dirty lens, else "".
     """
@@ -193,7 +195,9 @@ def _lens_series(robot: str, site: str, days: dict[datetime.date, _Sums]) -> lis
     worked = _worked(n.sum(axis=(1, 2)))
     dates = [day for day, is_work in zip(dates, worked, strict=True) if is_work]
     n, k, squares = n[worked], k[worked], squares[worked]
-    seen = (n[:, :, 0] >= _FEWEST_BEAMS).all(axis=0)  # (s,) sectors that the robot sees every day
+    seen = (n[:, :, 0] >= _FEWEST_BEAMS).all(axis=0)  # (s,) every day
+    seen &= np.roll(seen, -1)
+    n, k, squares = (column + np.roll(column, -1, axis=1) for column in (n, k, squares))
     if np.count_nonzero(seen) < 3:
         return []
     odds = np.log((k + 0.5) / (n - k + 0.5))
@@ -207,7 +211,7 @@ def _lens_series(robot: str, site: str, days: dict[datetime.date, _Sums]) -> lis
             standard_errors=np.sqrt(squares[:, j, c]) / n[:, j, 0],
             contrasts=contrasts[:, j, c],
             contrast_errors=errors[:, j, c],
-            bearings=(float(_EDGES[j]), float(_EDGES[j + 1])),
+            bearings=(float(_EDGES[j]), float(_EDGES[j]) + 2.0 * _WIDTH),
             cause=cause,
         )
         for c, cause in enumerate(CAUSES)

@@ -52,7 +52,7 @@ class Drift:
         "share", "rad", "m" or "1".
     bearings
         (from, to) of the dirty sector, radians in the robot frame, `to` beyond pi where it spans the back; None for
-        other faults. `before` and `after` are those of its worst 15 degrees.
+        other faults. `before` and `after` are those of its worst 30 degrees.
     cause
         "max" (no return) or "short" (before the wall) for a dirty lens, else "".
     p_value
@@ -271,20 +271,21 @@ def _groups(family: list[DailySeries], key: Callable[[DailySeries], Hashable]) -
 
 
 def _around(worst: Sector | None, beside: set[Sector | None]) -> Sector | None:
-    """Return the sector that the worst and those beside it make up, without a gap."""
+    """Return what the worst sector and those beside it that overlap cover; of the outer ones, their inner half."""
     if worst is None:
         return None
-    width, turn = worst[1] - worst[0], 2.0 * math.pi
+    half, turn = 0.5 * (worst[1] - worst[0]), 2.0 * math.pi
     centres = [0.5 * (sector[0] + sector[1]) for sector in beside if sector is not None]
-    low, high = worst
-    for step in (-1.0, 1.0):
-        reached = 0.5 * (worst[0] + worst[1])
-        while high - low < turn - 1.5 * width and any(
-            abs(math.remainder(reached + step * width - centre, turn)) < 0.1 * width for centre in centres
+    reached = []
+    for step in (-half, half):
+        n = 0
+        while n * half < math.pi - half and any(
+            abs(math.remainder(worst[0] + half + (n + 1) * step - centre, turn)) < 0.1 * half for centre in centres
         ):
-            reached += step * width
-            low, high = min(low, reached - 0.5 * width), max(high, reached + 0.5 * width)
-    return (low + turn, high + turn) if low < -math.pi - 0.1 * width else (low, high)
+            n += 1
+        reached.append(max(n - 1, 0) * half)
+    low, high = worst[0] - reached[0], worst[1] + reached[1]
+    return (low + turn, high + turn) if low < -math.pi - 0.1 * half else (low, high)
 
 
 def _row(

@@ -36,8 +36,8 @@ def record(robot: str, day: int, *, reason: str = "") -> RunRecord:
     return RunRecord(
         run=f"{robot}-{day}", robot=robot, site=SITE, key="", log="", map="", poses="", log_sensor="", log_hash="",
         status="left out" if reason else "used", reason=reason, first_stamp=math.nan if reason else stamp,
-        last_stamp=math.nan if reason else stamp + 60.0, beams=1000, sensor=sensor,
-        map_info=MapInfo(0.05, (0.0, 0.0, 0.0), (10, 10), "0123456789abcdef" * 4),
+        last_stamp=math.nan if reason else stamp + 60.0, beams=1000, sensor={} if reason else sensor,
+        map_info=None if reason else MapInfo(0.05, (0.0, 0.0, 0.0), (10, 10), "0123456789abcdef" * 4),
     )  # fmt: skip
 
 

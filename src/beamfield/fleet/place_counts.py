@@ -17,7 +17,6 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.scan_fit.changed_places import SIDE, Reading
 from beamfield.scan_fit.place_beams import MOST_BEAMS, judge_table
 from beamfield.scan_fit.place_tallies import Lattice, tally_short, tally_walls
-from beamfield.scan_fit.place_visits import Tally
 
 READINGS: tuple[Reading, ...] = ("short", "beyond", "no return")
 # Poses may be off by so much, metres; a quarter of it in radians.
@@ -40,8 +39,27 @@ class CountJob(NamedTuple):
         return self.record.map_info.content
 
 
-def count_places(job: CountJob) -> tuple[Tally, ...]:
-    """Return what the beams of a run say about each square of the map, for each of `READINGS`.
+class RunCounts(NamedTuple):
+    """What the beams of a run say about squares; arrays of int32, as there may be many runs.
+
+    Parameters
+    ----------
+    crossed
+        (3, m) the squares that beams crossed or ended in, how many did, and how many short readings end there.
+    tested
+        (4, n) the squares whose walls beams tested, how many did, and how many of these went beyond, or had no return.
+    """
+
+    crossed: NDArray[np.int32]
+    tested: NDArray[np.int32]
+
+    def rows(self, reading: Reading) -> NDArray[np.int32]:
+        """Return squares, beams with the chance to tell, and those that differ, (3, ...)."""
+        return self.crossed if reading == "short" else self.tested[[0, 1, READINGS.index(reading) + 1]]
+
+
+def count_places(job: CountJob) -> RunCounts:
+    """Return what the beams of a run say about each square of the map.
 
     Parameters
     ----------
@@ -66,11 +84,16 @@ def count_places(job: CountJob) -> tuple[Tally, ...]:
         reference_error=REFERENCE_ERROR, longest_error=lattice.side,
     )  # fmt: skip
     every: NDArray[np.int32] = np.arange(lattice.rows * lattice.cols, dtype=np.int32).reshape(lattice.shape)
-    return (
+    short, through, silent = (
         tally_short(beams, lattice, every),
         tally_walls(beams, lattice, every, beams.through),
         tally_walls(beams, lattice, every, beams.silent),
     )
+    # Both of the latter count the same beams.
+    tested = np.stack([through.place, through.beams, through.readings, silent.readings])
+    return RunCounts(
+        np.stack([short.place, short.beams, short.readings]).astype(np.int32), tested.astype(np.int32)
+    )  # fmt: skip
 
 
 # The map of the last job: jobs come site by site.

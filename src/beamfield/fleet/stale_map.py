@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -19,17 +20,15 @@ from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.place_counts import READINGS, CountJob, count_places
 from beamfield.fleet.place_votes import PlaceTest, judge_places
 from beamfield.fleet.run_record import RunRecord
-from beamfield.fleet.shard import Shard
+from beamfield.fleet.site_runs import SiteRuns, SquareRates
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.scan_fit.changed_places import LASTING, NEIGHBOURS, SHORT_SHARE, SIDE, WALL_SHARE, Kind, Reading
+from beamfield.scan_fit.changed_places import LASTING, NEIGHBOURS, SIDE, Kind, Reading
 from beamfield.scan_fit.place_tallies import Lattice
 from beamfield.scan_fit.place_visits import MOST_PASSING, Tally, Visits
 from beamfield.short_repr import short_repr
 
-# Share of a run's beams at a square that must differ, for the run to count as one that differs there.
-LEAST_SHARES: dict[Reading, float] = {"short": SHORT_SHARE, "beyond": WALL_SHARE, "no return": WALL_SHARE}
 # What differs for good does so in at least half of the runs since then.
 LEAST_RUNS = 0.5
 
@@ -82,41 +81,6 @@ class StalePlace:
     corners: FloatArray
 
     __repr__ = short_repr
-
-
-@dataclass(frozen=True, eq=False)
-class SquareRates:
-    """Rates per square of the map, over all runs; only squares that were seen.
-
-    Parameters
-    ----------
-    x, y
-        (m,) lower left corner of each square, metres.
-    crossed, short
-        Beams that crossed the square or ended there, and short readings that end there.
-    tested, beyond, no_return
-        Beams that tested a mapped surface in the square; those that went beyond it, and those without return.
-    runs, robots
-        That saw the square.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    crossed: NDArray[np.int64]
-    short: NDArray[np.int64]
-    tested: NDArray[np.int64]
-    beyond: NDArray[np.int64]
-    no_return: NDArray[np.int64]
-    runs: NDArray[np.int64]
-    robots: NDArray[np.int64]
-
-    __repr__ = short_repr
-
-    @property
-    def disagreement(self) -> FloatArray:
-        """(m,) the larger one of the share of short readings and that of tested beams which differ."""
-        walls = (self.beyond + self.no_return) / np.maximum(self.tested, 1)
-        return np.asarray(np.maximum(self.short / np.maximum(self.crossed, 1), walls))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,15 +176,28 @@ def find_stale_places(
     show. Probabilistic Robotics, section 6.3.1: unexpected objects make ranges shorter.
     """
     require(0.0 < false_discoveries < 1.0, "false_discoveries", "a share between 0 and 1", false_discoveries)
-    jobs = _jobs(catalogue, fit)
-    counts = engine.map(count_places, jobs, progress=progress)
-    found = []
-    for site, map_hash in dict.fromkeys((job.shard.site, job.map_hash) for job in jobs):
-        mine = [i for i, job in enumerate(jobs) if (job.shard.site, job.map_hash) == (site, map_hash)]
-        grid = catalogue.grid(jobs[mine[0]].record)
-        runs = _Runs.of([jobs[i].shard for i in mine], [counts[i] for i in mine], Lattice.over(grid, SIDE))
+    jobs, found = _jobs(catalogue, fit), list[StaleMap]()
+    # One site at a time: that much is in memory.
+    for (site, map_hash), some in groupby(jobs, key=lambda job: (job.shard.site, job.map_hash)):
+        mine, before = list(some), sum(one.runs for one in found)
+        counts = engine.map(
+            count_places,
+            mine,
+            progress=None if progress is None else lambda n, _, of=before: progress(of + n, len(jobs)),
+        )
+        grid = catalogue.grid(mine[0].record)
+        runs = SiteRuns.of([job.shard for job in mine], counts, Lattice.over(grid, SIDE))
         found.append(_stale_map(site, map_hash, grid, runs, false_discoveries))
     return tuple(found)
+
+
+def _later(progress: Progress, before: int, total: int) -> Progress:
+    """Return a progress that counts on from what was done before."""
+
+    def show(done: int, _total: int) -> None:
+        progress(before + done, total)
+
+    return show
 
 
 def _jobs(catalogue: Catalogue, fit: FleetFit) -> list[CountJob]:
@@ -245,44 +222,7 @@ def _parameters(fit: FleetFit, record: RunRecord) -> BeamParameters | None:
     return None
 
 
-class _Runs(NamedTuple):
-    """What the runs at one site saw: a `visit` of a tally is the number of a run."""
-
-    lattice: Lattice
-    tallies: tuple[Tally, ...]
-    robots: tuple[str, ...]
-    days: tuple[datetime.date, ...]
-    robot: NDArray[np.int64]
-    day: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, shards: list[Shard], counts: list[tuple[Tally, ...]], lattice: Lattice) -> _Runs:
-        """Put the tallies of runs together."""
-        tallies = tuple(
-            Tally(*(
-                np.concatenate([np.full_like(one.visit, run) if name == "visit" else getattr(one, name)
-                                for run, one in enumerate(tally)])
-                for name in Tally._fields
-            ))
-            for tally in zip(*counts, strict=True)
-        )  # fmt: skip
-        robots, robot = np.unique([shard.robot for shard in shards], return_inverse=True)
-        days, day = np.unique([shard.day.toordinal() for shard in shards], return_inverse=True)
-        dates = tuple(datetime.date.fromordinal(number) for number in days.tolist())
-        return cls(lattice, tallies, tuple(robots.tolist()), dates, robot.reshape(-1), day.reshape(-1))
-
-    def without(self, robots: NDArray[np.int64]) -> _Runs:
-        """Return what the other robots saw."""
-        kept = (~np.isin(self.robot[tally.visit], robots) for tally in self.tallies)
-        tallies = (Tally(*(column[rows] for column in tally)) for tally, rows in zip(self.tallies, kept, strict=True))
-        return self._replace(tallies=tuple(tallies))
-
-    def visits(self) -> list[Visits]:
-        """Return at which squares runs differ, for each of `READINGS`."""
-        return [tally.visits(LEAST_SHARES[reading]) for reading, tally in zip(READINGS, self.tallies, strict=True)]
-
-
-def _stale_map(site: str, map_hash: str, grid: OccupancyGrid, runs: _Runs, false_discoveries: float) -> StaleMap:
+def _stale_map(site: str, map_hash: str, grid: OccupancyGrid, runs: SiteRuns, false_discoveries: float) -> StaleMap:
     not_asked = _not_asked(runs)
     runs = runs.without(not_asked)
     n = runs.lattice.rows * runs.lattice.cols
@@ -304,12 +244,12 @@ def _stale_map(site: str, map_hash: str, grid: OccupancyGrid, runs: _Runs, false
     ]
     places.sort(key=lambda place: (place.kind == "undecided", -place.readings))
     return StaleMap(
-        site, map_hash, grid, runs.lattice.side, tuple(places), _rates(runs), len(runs.robot), len(runs.robots),
+        site, map_hash, grid, runs.lattice.side, tuple(places), runs.rates(), len(runs.robot), len(runs.robots),
         len(runs.days), tuple(runs.robots[i] for i in not_asked),
     )  # fmt: skip
 
 
-def _not_asked(runs: _Runs) -> NDArray[np.int64]:
+def _not_asked(runs: SiteRuns) -> NDArray[np.int64]:
     """Return the robots for whom more than the share of passing people differs everywhere."""
     windows = [one.in_windows(runs.lattice.cols) for one in runs.visits()]
     robot = np.concatenate([runs.robot[one.visit] for one in windows])
@@ -322,7 +262,7 @@ class _Found(NamedTuple):
     """Readings of one kind, in which runs squares differ, and the chances of windows."""
 
     reading: Reading
-    runs: _Runs
+    runs: SiteRuns
     tally: Tally
     visits: Visits
     test: PlaceTest
@@ -379,22 +319,3 @@ def _place(found: _Found, squares: NDArray[np.int64], visits: Visits, window: in
         q_value=float(found.q_value[window]),
         corners=corners,
     )
-
-
-def _rates(runs: _Runs) -> SquareRates:
-    """Sum beams over all runs."""
-    short, beyond, silent = runs.tallies
-    n = runs.lattice.rows * runs.lattice.cols
-
-    def total(tally: Tally, what: str) -> NDArray[np.int64]:
-        return np.asarray(np.bincount(tally.place, getattr(tally, what), n)[seen].astype(np.int64))
-
-    both = np.unique(np.column_stack([np.concatenate([t.place for t in runs.tallies]),
-                                      np.concatenate([t.visit for t in runs.tallies])]), axis=0)  # fmt: skip
-    seen = np.unique(both[:, 0])
-    robots = np.unique(np.column_stack([both[:, 0], runs.robot[both[:, 1]]]), axis=0)[:, 0]
-    x, y = runs.lattice.corners(seen).T
-    return SquareRates(
-        x, y, total(short, "beams"), total(short, "readings"), total(beyond, "beams"), total(beyond, "readings"),
-        total(silent, "readings"), np.bincount(both[:, 0], minlength=n)[seen], np.bincount(robots, minlength=n)[seen],
-    )  # fmt: skip

@@ -36,7 +36,7 @@ OPTIONS: tuple[tuple[str, Any, Any, str, str], ...] = (
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
     parser = add_command(subparsers, run, "simulate", __doc__)
-    options.add_out(parser, "beamfield_fleet", metavar="DIR", what="output folder")
+    options.add_out(parser, "beamfield_simulated_fleet", metavar="DIR", what="output folder")
     options.add_seed(parser, 1)
     for name, kind, default, metavar, what in OPTIONS:
         parser.add_argument(f"--{name}", type=kind, default=default, metavar=metavar,

@@ -180,11 +180,8 @@ def find_stale_places(
     # One site at a time: that much is in memory.
     for (site, map_hash), some in groupby(jobs, key=lambda job: (job.shard.site, job.map_hash)):
         mine, before = list(some), sum(one.runs for one in found)
-        counts = engine.map(
-            count_places,
-            mine,
-            progress=None if progress is None else lambda n, _, of=before: progress(of + n, len(jobs)),
-        )
+        show = None if progress is None else _later(progress, before, len(jobs))
+        counts = engine.map(count_places, mine, progress=show)
         grid = catalogue.grid(mine[0].record)
         runs = SiteRuns.of([job.shard for job in mine], counts, Lattice.over(grid, SIDE))
         found.append(_stale_map(site, map_hash, grid, runs, false_discoveries))

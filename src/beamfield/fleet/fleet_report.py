@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
+from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.comparison import Difference, compare_robots
@@ -99,6 +101,15 @@ def judge_fleet(catalogue: Catalogue, engine: Engine, *, progress: StageProgress
     )
     records = catalogue.runs
     return FleetReport(
-        records, fit, pool(fit), compare_robots(fit), series, drifts, stale, robot_states(records, drifts),
+        records, fit, _pooled(fit), compare_robots(fit), series, drifts, stale, robot_states(records, drifts),
         (*site_findings(records), *run_findings(records)),
     )  # fmt: skip
+
+
+def _pooled(fit: FleetFit) -> tuple[Hierarchy, ...]:
+    """Pool the robots of each kind of sensor; those whose beams do not suffice are left out."""
+    found: list[Hierarchy] = []
+    for limits in sorted({one.limits for one in fit.fits}):
+        with suppress(TooLittleDataError):
+            found += pool(replace(fit, fits=tuple(one for one in fit.fits if one.limits == limits)))
+    return tuple(found)

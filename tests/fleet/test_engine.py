@@ -18,7 +18,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.fleet.engine import Engine, WorkersLostError
 from beamfield.fleet.scan import FleetScan, scan_fleet
 from beamfield.fleet.shard import Shard
-from beamfield.kernels.threads import n_threads
+from beamfield.kernels.threads import n_threads, set_threads
 
 KILLS = 2
 
@@ -130,3 +130,15 @@ def test_what_is_no_scheduler_is_said_at_once():
         Engine("tcp://127.0.0.1:1", workers=2)
     with Engine("serial") as engine, pytest.raises(InvalidInputError, match="expected at least one"):
         engine.reduce(abs, [], max)
+
+
+def test_a_scheduler_of_ones_own_is_asked_at_its_address():
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp", dashboard_address=None, silence_logs=50,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+    )  # fmt: skip
+    # Its workers are threads of this process.
+    with cluster, set_threads(None), Engine(cluster.scheduler_address) as engine:
+        np.testing.assert_array_equal(engine.reduce(draw, list(range(300)), add), in_pairs(list(map(draw, range(300)))))
+        assert engine.map(abs, [-1, -2, -2], key=str) == [1, 2, 2]
+        set_threads(None)

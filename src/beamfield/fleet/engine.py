@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -313,13 +314,15 @@ def _local_cluster(distributed: Any, workers: int) -> Any:
 
     settings = {
         "distributed.scheduler.allowed-failures": MOST_DEATHS - 1,
-        # What a worker has to say about a task that failed, its caller says.
-        "distributed.logging.distributed": "critical",
+        # Pages about the work, which any user of the machine could read.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
     }
     with dask.config.set(settings):
         return distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, security=True,
-            silence_logs=50,
+            n_workers=workers, threads_per_worker=1, processes=True, security=True, silence_logs=logging.CRITICAL,
+            # Any port, for two scans at once.
+            dashboard_address=None, scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
         )  # fmt: skip
 
 

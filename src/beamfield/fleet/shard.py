@@ -110,7 +110,7 @@ class Shard:
                     yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in columns}
         except FileNotFoundError:
             raise FormatError(self.address, "the run's record names this file, but it is not there") from None
-        except (pa.ArrowException, OSError) as error:
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
             raise FormatError(self.address, f"damaged, or no Parquet: {error}") from error
 
     def _fragment(self, pa: Any) -> Any:

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.fleet.run_record import OdometryErrors, RunRecord
+from beamfield.fleet.run_record import MapInfo, OdometryErrors, RunRecord
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 
 FIRST_DAY = datetime.date(2026, 3, 1)
+# What the record of a run says of files that there are not.
+_WITHOUT_LOGS = ("key", "log", "map", "poses", "log_sensor", "log_hash")
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +90,17 @@ def memory_catalogue(shards: Sequence[MemoryShard], odometry: Mapping[str, Odome
     """Return the catalogue of shards, and of the systematic errors of odometry by run."""
     records = tuple(
         RunRecord(
-            shard.run, shard.robot, shard.site, "", "", "", "", "", "used",
+            **dict.fromkeys(_WITHOUT_LOGS, ""),
+            run=shard.run,
+            robot=shard.robot,
+            site=shard.site,
+            status="used",
             first_stamp=float(shard.columns["stamp"][0]),
             last_stamp=float(shard.columns["stamp"][-1]),
             sensor={"mounts": [[0.0, 0.0, 0.0]], "max_range": max_range, "min_range": min_range, "opening_angle": 0.0},
+            map_info=MapInfo(0.05, (0.0, 0.0, 0.0), (1, 1), 64 * "0"),
             odometry=(odometry or {}).get(shard.run),
         )
         for shard in shards
-    )  # fmt: skip
+    )
     return MemoryCatalogue(records, tuple(shards))

@@ -101,7 +101,7 @@ def test_tails_are_those_of_student_also_within_sites():
             unlike_others(
                 rng.normal(size=24) + np.arange(24) % 3, np.full(24, 1e-4), [f"s{k % 3}" for k in range(24)]
             ).p_values
-            for _ in range(200)
+            for _ in range(120)
         ]
     )
     assert 0.3 < np.mean(p < 0.05) / 0.05 < 1.1

@@ -40,7 +40,7 @@ def test_intervals_hold_the_truth_and_pooling_errs_less(between_sites):
     sites = [f"site {k}" for k in np.arange(24) % 3]
     held = {"robots": [], "sites": [], "fleet": []}
     own, pooled, spread = [], [], []
-    for _ in range(150):
+    for _ in range(80):
         of_sites = 1.0 + between_sites * rng.normal(size=3)
         truth = of_sites[np.arange(24) % 3] + 0.2 * rng.normal(size=24)
         variances = rng.choice([0.05, 0.2, 0.6], 24) ** 2

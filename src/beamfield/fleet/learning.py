@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -164,11 +163,11 @@ def learn(
     if by not in LEVELS:
         raise InvalidInputError(f"by: expected one of {', '.join(LEVELS)}, got {by!r}")
     as_count(thin, "thin", least=1)
-    groups = _groups(catalogue, by, thin)
+    groups = _groups(catalogue, by, thin, fit_offset)
     if by == "robot":
-        outcomes = engine.map(partial(_fit_here, fit_offset=fit_offset), groups)
+        outcomes = engine.map(_fit_here, groups)
     else:
-        outcomes = [_fit(group, engine, fit_offset, first_answer) for group in groups]
+        outcomes = [_fit(group, engine, first_answer) for group in groups]
     fits = tuple(item for item in outcomes if isinstance(item, GroupFit))
     left_out = tuple(
         (group.site, group.robot, item)
@@ -187,6 +186,7 @@ class _Group:
     robot: str | None
     limits: SensorLimits
     parts: tuple[Part, ...]
+    fit_offset: bool
 
 
 def sensor_limits(record: RunRecord) -> SensorLimits:
@@ -194,7 +194,7 @@ def sensor_limits(record: RunRecord) -> SensorLimits:
     return SensorLimits(*(float(record.sensor[name]) for name in ("max_range", "min_range", "opening_angle")))
 
 
-def _groups(catalogue: Catalogue, by: By, thin: int) -> list[_Group]:
+def _groups(catalogue: Catalogue, by: By, thin: int, fit_offset: bool) -> list[_Group]:
     records = {record.run: record for record in catalogue.used}
     parts: dict[tuple[str, str, SensorLimits], list[Part]] = {}
     for shard in catalogue.shards():
@@ -204,7 +204,7 @@ def _groups(catalogue: Catalogue, by: By, thin: int) -> list[_Group]:
         part = Part(shard, limits, record.first_stamp, block_length(record), thin)
         parts.setdefault(key, []).append(part)
     return [
-        _Group(site if by != "fleet" else None, robot if by == "robot" else None, limits, tuple(members))
+        _Group(site if by != "fleet" else None, robot if by == "robot" else None, limits, tuple(members), fit_offset)
         for (site, robot, limits), members in sorted(parts.items(), key=lambda item: item[0])
     ]
 
@@ -215,22 +215,21 @@ def block_length(record: RunRecord) -> float:
     return max(min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS), duration / MOST_BLOCKS_OF_A_RUN)
 
 
-def _fit_here(group: _Group, fit_offset: bool) -> GroupFit | str:
+def _fit_here(group: _Group) -> GroupFit | str:
     with Engine("serial") as engine:
-        return _fit(group, engine, fit_offset, None)
+        return _fit(group, engine, None)
 
 
 def _fit(
     group: _Group,
     engine: Engine,
-    fit_offset: bool,
     first_answer: Callable[[str | None, BeamParameters], None] | None,
 ) -> GroupFit | str:
     """Return the fit of a group, or why there is none."""
     limits = group.limits
-    problem = learning_problem(limits.max_range, min_range=limits.min_range, fit_offset=fit_offset)
+    problem = learning_problem(limits.max_range, min_range=limits.min_range, fit_offset=group.fit_offset)
     try:
-        first = _from_sample(group, engine, fit_offset)
+        first = _from_sample(group, engine)
     except TooLittleDataError as error:
         return str(error)
     if first_answer is not None:
@@ -265,7 +264,7 @@ def _fit(
     )
 
 
-def _from_sample(group: _Group, engine: Engine, fit_offset: bool) -> BeamParameters:
+def _from_sample(group: _Group, engine: Engine) -> BeamParameters:
     rows = sum(part.shard.rows for part in group.parts) // group.parts[0].thin
     fewer = max(1, rows // SAMPLE_BEAMS)
     parts = [replace(part, thin=part.thin * fewer) for part in group.parts]
@@ -273,7 +272,7 @@ def _from_sample(group: _Group, engine: Engine, fit_offset: bool) -> BeamParamet
     ranges, expected = (np.concatenate([sample[i] for sample in samples]) for i in range(2))
     limits = group.limits
     return learn_intrinsic_parameters(
-        ranges, expected, limits.max_range, min_range=limits.min_range, fit_offset=fit_offset
+        ranges, expected, limits.max_range, min_range=limits.min_range, fit_offset=group.fit_offset
     ).parameters
 
 

@@ -76,7 +76,7 @@ def test_pages_are_not_given_to_other_hosts(client, path):
         (b"null", 400, "object"),
         (b'{"name": "scan", "i": NaN}', 400, "i:"),
         (b'{"name": "scan", "i": 1e999, "set": 0, "pose": [0, 0, 0]}', 400, "i:"),
-        (b'{"name": "file", "set": 0, "i": 0, "pose": [0,0,0], "parameters": {"../../etc": 1}}', 400, "names"),
+        (b'{"name": "file", "set": 0, "i": 0, "pose": [0,0,0], "parameters": {"0": {"../../etc": 1}}}', 400, "names"),
     ],
 )
 def test_malformed_messages_are_refused(client, body, status, words):

@@ -7,7 +7,7 @@ from beamfield.explorer.widget import answered, explore
 
 
 def test_a_message_of_the_notebook_is_answered(session):
-    answer = answered(session, {"id": 7, "message": {"name": "scan", "i": 0, "pose": [0.0, 0.3, 0.0], "set": 0}})
+    answer = answered(session, {"id": 7, "message": {"name": "scan", "i": 0, "pose": [0.0, 0.3, 0.0], "shown": [0]}})
     assert answer["id"] == 7
     assert len(answer["answer"]["scores"]) == 3
     assert "object" in answered(session, {"id": 8})["error"]
@@ -36,8 +36,10 @@ def test_a_log_is_learned_from_and_its_scans_judged(drive, office):
     session, why = open_session(drive, office, progress=lambda stage, *_: stages.append(stage))
     assert why is None
     assert [one.label for one in session.sets[:2]] == ["beam model, fitted", "likelihood field, fitted"]
-    assert set(session.numbers) == {"log likelihood of a beam", "p-value", "probability of being lost"}
+    assert set(session.numbers) == {"log likelihood of a reading", "p-value", "probability of being lost"}
     assert "judging scans" in stages
-    first = session.answer({"name": "judge", "set": 0, "i": 0, "pose": [0.0, 0.0, 0.0]})
-    typical = session.answer({"name": "judge", "set": 2, "i": 0, "pose": [0.0, 0.0, 0.0]})
-    assert first["now"] > typical["now"]
+    first, typical = (session.answer({"name": "judge", "set": number}) for number in (0, 2))
+    assert first["held_out"]
+    assert first["now"]["reading"] > typical["now"]["reading"]
+    learned, usual = (session.answer({"name": "judge", "set": number})["now"]["pose"] for number in (1, 3))
+    assert learned > usual + 0.5

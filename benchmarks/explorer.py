@@ -1,25 +1,33 @@
 """How long the explorer's answers take: ``python benchmarks/explorer.py``.
 
 Processor time of one thread, the median of several calls, on a simulated office and, where the shared data lie beside
-the checkout, on Wean Hall. Poses differ from call to call, as while the robot is dragged.
+the checkout, on Wean Hall. Poses differ from call to call, as while the robot is dragged. Where Playwright and Chromium
+are installed, the robot is dragged in the page, too: wall time from a movement of the pointer to the new scores, while
+heat maps are computed.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import shutil
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import uvicorn
 
 import beamfield as bf
 from beamfield.explorer.parameter_set import typical_sets
+from beamfield.explorer.server import explorer_app, listening_socket, new_token, page_address
 from beamfield.explorer.session import Session
 from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.kernels.threads import set_threads
 
 ROUNDS = 7
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 WEAN = Path(__file__).parents[2] / "shared" / "data" / "wean_hall"
 
 
@@ -68,11 +76,62 @@ def measure(name: str, session: Session) -> None:
         print(f"| {one.label} | {' | '.join(f'{cell:.1f} ms' for cell in cells)} |")
 
 
+# Notes when the pointer moved, and when the first score was written next.
+WATCH = """() => {
+  window.waits = [];
+  let moved = null;
+  document.addEventListener("pointermove", () => { moved ??= performance.now(); }, true);
+  new MutationObserver(() => { if (moved !== null) window.waits.push(performance.now() - moved); moved = null; })
+    .observe(document.querySelector("tbody td"), { childList: true, characterData: true, subtree: true });
+}"""
+
+
+def drag(name: str, session: Session, *, heat: bool) -> None:
+    """Print how long scores take to follow the pointer."""
+    from playwright.sync_api import sync_playwright
+
+    token = new_token()
+    with listening_socket(0) as listening, sync_playwright() as playwright:
+        port = listening.getsockname()[1]
+        app = explorer_app(session, token, port)
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", lifespan="off", ws="none"))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
+        thread.start()
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1300, "height": 850})
+        page.goto(page_address(port, token))
+        page.wait_for_timeout(4000)
+        if not heat:
+            page.get_by_role("button", name="Heat map").click()
+        canvas = page.locator(".map canvas").first
+        box = canvas.bounding_box() or {"x": 0.0, "y": 0.0}
+        x, y = map(float, (canvas.get_attribute("data-robot") or "0 0").split())
+        page.evaluate(WATCH)
+        page.mouse.move(box["x"] + x, box["y"] + y)
+        page.mouse.down()
+        for k in range(120):
+            page.mouse.move(box["x"] + x + k % 40, box["y"] + y + k % 30)
+            page.wait_for_timeout(30)
+        waits = np.array(page.evaluate("window.waits"))
+        browser.close()
+        server.should_exit = True
+        thread.join(timeout=20)
+    print(f"{name}, dragged in the page {'with' if heat else 'without'} heat maps: scores after "
+          f"{np.median(waits):.0f} ms, 95 % within {np.percentile(waits, 95):.0f} ms ({len(waits)} movements)")  # fmt: skip
+
+
 def main() -> int:
     set_threads(1)
-    measure("Office, simulated", office())
+    sessions = {"Office, simulated": office()}
     if WEAN.is_dir():
-        measure("Wean Hall", wean())
+        sessions["Wean Hall"] = wean()
+    for name, session in sessions.items():
+        measure(name, session)
+    if CHROMIUM is not None and importlib.util.find_spec("playwright") is not None:
+        print()
+        for name, session in sessions.items():
+            drag(name, session, heat=False)
+            drag(name, session, heat=True)
     return 0
 
 

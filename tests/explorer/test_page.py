@@ -226,7 +226,7 @@ def test_a_run_that_was_given_is_shown_with_its_particles(opened, serve, grid, l
     assert pose(page)[1] == pytest.approx(0.6)
     page.get_by_role("button", name="Heat map").click()
     assert particles_drawn(page) > 50
-    page.get_by_role("button", name="Run shown").click()
+    page.get_by_role("button", name="Recorded run").click()
     assert particles_drawn(page) == 0
     assert "filter: position error [m]" in page.get_by_label("Curve of the timeline").text_content()
     page.get_by_role("button", name="Reference").click()

@@ -40,6 +40,7 @@ def test_the_start_has_the_map_and_the_log(session, log):
     start = ask(session, "start")
     assert (start["map"]["width_m"], start["map"]["height_m"]) == (10.0, 6.0)
     assert start["map"]["origin"] == [-1.0, -2.0, 0.0]
+    assert_allclose(start["map"]["free"], [-0.9, 8.9, -1.9, 3.9])
     assert_allclose(start["times"], log.stamps)
     assert start["poses"][-1] is None
     assert_allclose(start["poses"][:-1], log.poses[:-1])

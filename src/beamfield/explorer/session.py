@@ -127,6 +127,7 @@ class Session:
                 "width_m": cols * self.grid.resolution,
                 "height_m": rows * self.grid.resolution,
                 "origin": self.grid.origin,
+                "free": self._extent,
             },
             "times": log.stamps - log.stamps[0],
             "poses": [pose if ok else None for pose, ok in zip(log.poses.tolist(), known.tolist(), strict=True)],
@@ -156,6 +157,14 @@ class Session:
         pixels[self.grid.free] = (255, 255)
         pixels[self.grid.occupied] = (0, 255)
         return _png(Image.fromarray(pixels[::-step, ::step], "LA"))
+
+    @property
+    def _extent(self) -> list[float]:
+        """The least and the largest x, then y, of the free cells; of all cells if none is free."""
+        rows, cols = np.nonzero(self.grid.free if self.grid.free.any() else np.ones(self.grid.shape, np.bool_))
+        corners = np.array([[c, r] for c in (cols.min(), cols.max() + 1) for r in (rows.min(), rows.max() + 1)])
+        x, y = self.grid.to_map(corners.astype(np.float64)).T
+        return [float(value) for value in (x.min(), x.max(), y.min(), y.max())]
 
     def _first_pose(self) -> list[float]:
         known = self.log.poses[np.isfinite(self.log.poses).all(axis=1)]

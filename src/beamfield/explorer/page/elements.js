@@ -42,7 +42,7 @@ export function build(root, hasPlace) {
     views: [view("A"), view("B")],
     heat: button("Heat map", "How likely the scan is at places around the robot (h)", true),
     building: button("Whole building", "How likely the scan is over the whole map"),
-    recorded: button("Run shown", "Show or hide the filter's run that was given", true),
+    recorded: button("Recorded run", "Show or hide the filter's run that was given", true),
     filter: button("Run filter", "Run a particle filter with model A from this scan and pose on", false),
     reference: button("Reference", "Put the robot back to its reference pose (r)"),
     fit: button("Fit", "Show all of the robot's way"),
@@ -54,7 +54,7 @@ export function build(root, hasPlace) {
     reset: button("Reset", "Set the values back to those of the set"),
     resetTo: make("select", { "aria-label": "Set the values to those of another set" }),
     download: button("Download file", "Save the values as a parameter file"),
-    density: make("canvas", { className: "plot", role: "img", "aria-label": "Density of one reading" }),
+    density: make("canvas", { className: "plot empty", role: "img", "aria-label": "Density of one reading" }),
     densityText: make("p", { className: "note", textContent: "Point at a reading on the map: the density of its range, what was measured, and its causes." }),
     play: button("Play", "Go through the log (space)"),
     scan: make("input", { type: "range", className: "scan", min: 0, step: 1, value: 0, "aria-label": "Scan" }),
@@ -72,7 +72,7 @@ export function build(root, hasPlace) {
     column("over ref.", "nats more than at the reference pose: where it is positive, the model would draw a filter there"),
     column("pose score", "how well this scan tells the reference pose from others: log of the posterior's density over the prior's, nats; 0 says nothing, negative is sure of a wrong pose"),
   )), page.scores);
-  root.replaceChildren(
+  root.replaceChildren(make("div", { className: "layout" },
     make("header", { className: "head" }, make("h1", { textContent: "beamfield explorer" }), page.pose, page.copy, page.trouble, page.said),
     make("section", { className: "map", "aria-label": "Map" },
       make("div", { className: "tools" }, page.heat, page.building, page.recorded, page.filter, page.reference, page.fit),
@@ -85,6 +85,6 @@ export function build(root, hasPlace) {
         make("div", { className: "row beside" }, make("span", { textContent: "Beside it", "aria-hidden": "true" }), page.beside), page.verdict),
       section("parameters", "Parameters of the chosen model", page.sliders, page.judged,
         make("div", { className: "row" }, page.reset, page.resetTo, page.download))),
-  );
+  ));
   return page;
 }

@@ -258,12 +258,12 @@ class Explorer {
     this.draw();
   }
 
-  // Show where the robot went, or all of the map.
+  // Show where the robot went, or all that is free of the map.
   fit(whole = this.start.poses.every((pose) => pose === null)) {
     const { clientWidth, clientHeight } = this.page.views[0].canvas, { map, poses } = this.start, known = poses.filter(Boolean);
-    const xs = whole ? [map.origin[0], map.origin[0] + map.width_m] : known.map((pose) => pose[0]);
-    const ys = whole ? [map.origin[1], map.origin[1] + map.height_m] : known.map((pose) => pose[1]);
-    const margin = whole ? 0 : 5, low = [xs, ys].map((v) => Math.min(...v) - margin), high = [xs, ys].map((v) => Math.max(...v) + margin);
+    const xs = whole ? map.free.slice(0, 2) : known.map((pose) => pose[0]);
+    const ys = whole ? map.free.slice(2) : known.map((pose) => pose[1]);
+    const margin = whole ? 2 : 5, low = [xs, ys].map((v) => Math.min(...v) - margin), high = [xs, ys].map((v) => Math.max(...v) + margin);
     Object.assign(this.view, { x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2,
       scale: Math.max(1, Math.min(120, clientWidth / (high[0] - low[0]), clientHeight / (high[1] - low[1]))) });
   }

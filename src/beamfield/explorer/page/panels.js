@@ -128,6 +128,7 @@ export class Panels {
   showDensity(beam, densities) {
     const { explorer, page } = this, words = densityWords(beam, densities, explorer.other === null ? null : "AB");
     this.density = densities;
+    page.density.classList.remove("empty");
     page.densityText.textContent = words;
     page.density.setAttribute("aria-label", `Density of the range. ${words}`);
     this.drawDensity();

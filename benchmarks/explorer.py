@@ -116,8 +116,9 @@ def drag(name: str, session: Session, *, heat: bool) -> None:
         browser.close()
         server.should_exit = True
         thread.join(timeout=20)
-    print(f"{name}, dragged in the page {'with' if heat else 'without'} heat maps: scores after "
-          f"{np.median(waits):.0f} ms, 95 % within {np.percentile(waits, 95):.0f} ms ({len(waits)} movements)")  # fmt: skip
+    after, within = np.median(waits), np.percentile(waits, 95)
+    print(f"{name}, dragged in the page {'with' if heat else 'without'} heat maps: scores after {after:.0f} ms, "
+          f"95 % within {within:.0f} ms ({len(waits)} movements)")  # fmt: skip
 
 
 def main() -> int:

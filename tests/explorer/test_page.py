@@ -203,10 +203,11 @@ def test_two_models_are_compared_at_the_same_moment_and_along_the_log(opened):
     page.mouse.move(*place(page, "robot", 1))
     drag(page, place(page, "robot", 1), 30, -30)
     assert place(page, "robot", 0)[1] == pytest.approx(place(page, "robot", 1)[1])
-    # What is beside changes places with what is chosen.
-    page.get_by_role("radio", name="typical likelihood field").check()
+    # What is beside changes places with what is chosen; by keys, too, which keep the focus.
+    page.get_by_role("radio", name="typical beam model").press("ArrowDown")
     assert other.locator("figcaption").text_content() == "B: typical beam model"
-    # Two beam models are compared by their readings, too, once a slider has moved one of them.
+    page.keyboard.press("ArrowDown")
+    assert one.locator("figcaption").text_content().startswith("A: nav2's default")
     page.get_by_label("Beside it").select_option(label="nothing")
     sync_api.expect(other).to_be_hidden()
 

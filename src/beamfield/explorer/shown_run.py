@@ -75,7 +75,7 @@ def read_shown_run(path: Path, log: SensorLog, grid: OccupancyGrid) -> ShownRun:
             f"the run is of another log: its poses are from {_span(run.track.stamps)}, the scans from "
             f"{_span(log.stamps)}",
         )
-    numbers = {AGREEMENT: _agreement(log, grid, poses)}
+    numbers = {AGREEMENT: scan_agreement(log, grid, poses, most=len(log))}
     if log.has_poses:
         numbers["filter: position error [m]"] = np.hypot(*(poses - log.poses)[:, :2].T)
     return ShownRun(poses, _by_scan(path, run, log), numbers, find_lost_robot(log, grid, poses))
@@ -112,16 +112,6 @@ def run_from(log: SensorLog, grid: OccupancyGrid, model: Any, i: int, pose: tupl
     poses = np.full((len(log), 3), np.nan)
     poses[i:] = found.poses
     return ShownRun(poses, particles)
-
-
-def _agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
-    """Return the shares (t,) by which `find_lost_robot` judges, of every scan."""
-    shares = np.full(len(log), np.nan)
-    for i in range(len(log)):
-        found = scan_agreement(log[i : i + 1], grid, poses[i : i + 1])
-        if len(found):
-            shares[i] = found[0]
-    return shares
 
 
 def _by_scan(path: Path, run: FilterRun, log: SensorLog) -> dict[int, FloatArray]:

@@ -48,7 +48,7 @@ export function build(root, hasPlace) {
     fit: button("Fit", "Show all of the robot's way"),
     scores: make("tbody"),
     beside: make("select", { "aria-label": "Beside it" }),
-    verdict: make("p", { className: "verdict", "aria-live": "polite" }),
+    verdict: make("p", { className: "verdict" }),
     sliders: make("div", { className: "sliders" }),
     judged: make("p", { className: "note judged" }),
     reset: button("Reset", "Set the values back to those of the set"),

@@ -140,7 +140,7 @@ class Explorer {
     this.page.views[1].figure.hidden = this.other === null;
     this.comparison.restart();
     this.panels.listSliders();
-    this.panels.listModels();
+    this.panels.showModels();
     this.panels.listCurves(this.other === null ? null : POSE);
     this.panels.showLegends();
   }

@@ -14,6 +14,7 @@ export class Panels {
     const { explorer, page, start } = this;
     page.scan.max = start.times.length - 1;
     page.lost.textContent = start.run?.lost ?? "";
+    this.listModels();
     page.curve.addEventListener("change", () => { this.drawTimeline(); this.listWorst(); });
     page.line.addEventListener("click", (event) => explorer.toScan(nearestTime(start.times, event.offsetX / page.line.clientWidth * start.times.at(-1))));
     page.beside.addEventListener("change", () => explorer.choose(explorer.set, page.beside.value === "" ? null : Number(page.beside.value)));
@@ -21,17 +22,26 @@ export class Panels {
     page.resetTo.addEventListener("change", () => this.setValues(start.sets[Number(page.resetTo.value)].values));
   }
 
+  // Once: what has the focus must stay.
   listModels() {
     const { explorer, page, start } = this;
-    page.scores.replaceChildren(...start.sets.map((one, number) => {
-      const radio = make("input", { type: "radio", name: page.own, checked: number === explorer.set });
+    this.radios = start.sets.map((_, number) => {
+      const radio = make("input", { type: "radio", name: page.own });
       radio.addEventListener("change", () => explorer.choose(number, explorer.other));
-      const label = make("label", {}, radio, make("span", { textContent: one.label }));
+      return radio;
+    });
+    page.scores.replaceChildren(...start.sets.map((one, number) => {
+      const label = make("label", {}, this.radios[number], make("span", { textContent: one.label }));
       return make("tr", {}, make("th", { scope: "row" }, label), make("td"), make("td"), make("td"));
     }));
     page.beside.replaceChildren(new Option("nothing", ""), ...start.sets.map((one, number) => new Option(one.label, number)));
+  }
+
+  showModels() {
+    const { explorer, page, start } = this;
+    this.radios[explorer.set].checked = true;
     page.beside.value = explorer.other ?? "";
-    page.beside.options[explorer.set + 1].disabled = true;
+    for (const option of page.beside.options) option.disabled = option.value === String(explorer.set);
     page.views.forEach(({ caption, letter }, k) => {
       const set = [explorer.set, explorer.other][k];
       caption.textContent = explorer.other === null || set === null ? "" : `${letter}: ${start.sets[set].label}`;
@@ -50,7 +60,7 @@ export class Panels {
     });
     this.showValues();
     clearTimeout(this.saying);
-    this.saying = setTimeout(() => { page.said.textContent = `${page.pose.textContent}. ${said}`; }, 700);
+    this.saying = setTimeout(() => { page.said.textContent = `${page.pose.textContent}. ${said}. ${page.verdict.textContent}`; }, 700);
   }
 
   showPoseScores() {
@@ -158,7 +168,7 @@ export class Panels {
 
   // Where to look: the scans that fit worst, or those where two models differ most.
   listWorst() {
-    const { page, start } = this, curve = this.curve();
+    const { page } = this, curve = this.curve();
     page.worst.replaceChildren();
     if (!curve) return;
     const order = [...curve.values.entries()].filter(([, value]) => value !== null).sort((a, b) => a[1] - b[1]);
@@ -169,7 +179,6 @@ export class Panels {
       const high = /lost|error/.test(curve.name);
       this.list(`${high ? "Highest" : "Lowest"}:`, high ? order.toReversed() : order, WORST);
     }
-    if (!start.times.length) page.worst.replaceChildren();
   }
 
   list(title, order, n) {

@@ -6,7 +6,7 @@ import { Latest } from "./latest.js";
 import { MapView } from "./map_view.js";
 import { Panels } from "./panels.js";
 import { coloursOf, download, recoloured } from "./pictures.js";
-import { degrees, wrapped } from "./words.js";
+import { degrees, minus, wrapped } from "./words.js";
 
 const HEAT_WIDTH = 4, AROUND = 12; // metres: of the heat map, and of the map at first
 const FRAME_MS = 100; // between two scans while playing
@@ -66,7 +66,7 @@ class Explorer {
     const { page, start } = this, [x, y, heading] = this.pose;
     page.scan.value = this.i;
     page.when.textContent = `scan ${this.i + 1} of ${start.times.length}, ${start.times[this.i].toFixed(1)} s`;
-    page.pose.textContent = `x ${x.toFixed(2)} m, y ${y.toFixed(2)} m, heading ${degrees(heading).toFixed(1).replace("-", "−")}°`;
+    page.pose.textContent = `x ${minus(x.toFixed(2))} m, y ${minus(y.toFixed(2))} m, heading ${minus(degrees(heading).toFixed(1))}°`;
     page.reference.disabled = start.poses[this.i] === null;
     this.place?.write(this);
     const shown = this.other === null ? [this.set] : [this.set, this.other];

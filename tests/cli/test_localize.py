@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from beamfield.cli.film import Film
 from beamfield.cli.main import main
 from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
@@ -93,6 +94,17 @@ def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path
     assert b"/particles" in Path("way.rrd").read_bytes()
     with Image.open(out / "localization.png") as picture:
         assert len(np.unique(np.asarray(picture.convert("L")))) > 20
+
+
+def test_particles_are_kept_by_their_weights():
+    film = Film(3, 0)
+    poses = np.arange(2000.0)[:, None] * np.ones(3)
+    film.add_cloud(1, poses, np.where(np.arange(2000) < 1000, 0.001, 0.0))
+    ((stamp, kept),) = film.clouds(np.array([0.0, 0.5, 1.0]))
+    assert stamp == 0.5
+    assert 100 <= len(kept) <= 200
+    assert kept.max() < 1000.0
+    assert kept[:, 0].mean() == pytest.approx(500.0, abs=20.0)
 
 
 def test_json_has_what_the_docs_list(folder, capsys):

@@ -16,6 +16,7 @@ from beamfield.explorer.server import explorer_app, listening_socket, new_token,
 from beamfield.explorer.session import Session
 from beamfield.explorer.shown_run import ShownRun
 from beamfield.explorer.widget import RENDER, answered, component
+from beamfield.sensors import SensorLog
 
 uvicorn = pytest.importorskip("uvicorn")
 sync_api = pytest.importorskip("playwright.sync_api")
@@ -320,6 +321,21 @@ def test_the_widget_asks_by_messages_in_the_browser(browser, session):
     before = scores(page)
     page.locator(".map canvas").first.press("ArrowUp")
     sync_api.expect(page.locator("tbody td").first).not_to_have_text(before[0])
+    context.close()
+
+
+def test_an_error_stays_while_other_answers_come(browser, serve, grid, log):
+    still = SensorLog(log.finder, log.stamps, log.ranges, log.poses, np.full_like(log.poses, np.nan))
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(serve(Session(still, grid, typical_sets(grid, log.finder))))
+    page.get_by_role("button", name="Run filter").click()
+    trouble = page.locator(".trouble")
+    sync_api.expect(trouble).to_contain_text("no odometry")
+    page.locator(".map canvas").first.press("ArrowUp")
+    sync_api.expect(page.locator("tbody td:nth-child(3)").first).not_to_have_text("0.0")
+    assert "no odometry" in trouble.text_content()
+    sync_api.expect(page.get_by_role("button", name="Run filter")).to_be_enabled()
     context.close()
 
 

@@ -22,7 +22,7 @@ export async function mount(root, ask, place = null) {
 class Explorer {
   constructor(page, start, ask, place) {
     Object.assign(this, { page, start, place });
-    this.latest = new Latest(ask, (error) => { page.trouble.textContent = error ? error.message : ""; });
+    this.latest = new Latest(ask, (text) => { page.trouble.textContent = text; });
     const said = place?.read() ?? {};
     const within = (value, n, otherwise) => (Number.isInteger(value) && value >= 0 && value < n ? value : otherwise);
     this.i = within(said.i, start.times.length, 0);

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from beamfield.cli.film import Film
 from beamfield.cli.main import main
+from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map import write_map
 from beamfield.io.parameters.beam_model_file import beam_model_text
@@ -71,9 +73,17 @@ def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path
     assert "position error 0.0" in text
     assert "within 0.5 m of the reference from 0.0 s on" in text
     out = tmp_path / "beamfield_localization"
-    assert {path.name for path in out.iterdir()} == {"trajectory.tum", "localization.png", "localization.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "trajectory.tum", "particles.csv.gz", "localization.png", "localization.json",
+    }  # fmt: skip
     written = read_trajectory(out / "trajectory.tum")
     off = np.hypot(*(written.poses - drive.poses[:120])[:, :2].T)
+    cloud = read_run(out)
+    assert len(cloud.particles) == json.loads((out / "localization.json").read_text())["n_updates"]
+    means = [poses[:, :2].mean(axis=0) for poses in cloud.particles]
+    expected = np.column_stack([np.interp(cloud.stamps, written.stamps, written.poses[:, k]) for k in (0, 1)])
+    assert np.abs(means - expected).max() < 0.05
+    assert {len(poses) for poses in cloud.particles} <= set(range(100, 201))
     said = json.loads((out / "localization.json").read_text())
     assert said["errors"]["mean"] == pytest.approx(off.mean(), abs=1e-6)
     assert said["errors"]["mean"] < 0.1
@@ -84,6 +94,17 @@ def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path
     assert b"/particles" in Path("way.rrd").read_bytes()
     with Image.open(out / "localization.png") as picture:
         assert len(np.unique(np.asarray(picture.convert("L")))) > 20
+
+
+def test_particles_are_kept_by_their_weights():
+    film = Film(3, 0)
+    poses = np.arange(2000.0)[:, None] * np.ones(3)
+    film.add_cloud(1, poses, np.where(np.arange(2000) < 1000, 0.001, 0.0))
+    ((stamp, kept),) = film.clouds(np.array([0.0, 0.5, 1.0]))
+    assert stamp == 0.5
+    assert 100 <= len(kept) <= 200
+    assert kept.max() < 1000.0
+    assert kept[:, 0].mean() == pytest.approx(500.0, abs=20.0)
 
 
 def test_json_has_what_the_docs_list(folder, capsys):

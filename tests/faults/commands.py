@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -139,6 +140,8 @@ def is_complete(path: Path) -> bool:
         elif path.suffix == ".npz":
             with np.load(path) as arrays:
                 return all(arrays[name] is not None for name in arrays.files)
+        elif path.suffix == ".gz":
+            return gzip.decompress(content).endswith(b"\n")
     except Exception:
         return False
     endings = {

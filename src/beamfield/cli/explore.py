@@ -2,13 +2,14 @@
 
 Serves one page on the loopback address, for this user only, until Ctrl-C: the map, the scan at its pose with the cause
 of each reading, expected ranges, the scores of every model while the robot is dragged, heat maps of p(z | x, m),
-sliders for the parameters with the density of any beam, and a timeline of how well scans fit. Nothing is written; the
-page offers changed parameter files for download.
+sliders for the parameters with the density of any beam, two models side by side, a filter's run with its particles, and
+a timeline of how well scans fit. Nothing is written; the page offers changed parameter files for download.
 
 for example:
 
   beamfield explore run.bag --map map.yaml
   beamfield explore run.bag --map map.yaml --params nav2_params.yaml beamfield_calibration/nav2.yaml
+  beamfield explore run.bag --map map.yaml --run beamfield_localization
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--params", type=Path, nargs="+", default=[], metavar="FILE",
                         help="parameter files to compare: beam_model.yaml, likelihood_field.yaml, or of nav2, ROS 1 "
                         "amcl, Beluga, MRPT, F1TENTH")  # fmt: skip
+    parser.add_argument("--run", type=Path, metavar="DIR", dest="shown_run",
+                        help="a filter's run to show: what localize wrote, or any program's trajectory")  # fmt: skip
     parser.add_argument("--no-fit", action="store_true",
                         help="start at once: learn nothing from the log, and judge no scans")  # fmt: skip
     parser.add_argument("--port", type=index, default=0, metavar="N", help="port to serve on (default: any free one)")
@@ -62,7 +65,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         log, fitted = posed_log(
             sensor, grid, arguments, progress, path=arguments.log, start=options.start_of(arguments)
         )
-        session, why = open_session(log, grid, arguments.params, fit=not arguments.no_fit, progress=progress)
+        session, why = open_session(
+            log, grid, arguments.params, run=arguments.shown_run, fit=not arguments.no_fit, progress=progress
+        )
     notes = (*notes, *as_notes(fitted), *([f"nothing was learned from the log: {why}"] if why else []))
     for note in notes:
         complain(f"note: {note}")

@@ -32,18 +32,19 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
     if log.finder.opening_angle > 0.0:
         return None
     shares = scan_agreement(log, grid, poses)
-    if not len(shares) or float(np.median(shares)) >= LEAST_AGREEMENT:
+    if np.isnan(shares).all() or float(np.nanmedian(shares)) >= LEAST_AGREEMENT:
         return None
+    median = float(np.nanmedian(shares))
     odometry = log.odometry[np.isfinite(log.odometry).all(axis=1)]
     steps = np.abs(between(odometry[:-1], odometry[1:]))
     way, turn = float(np.hypot(*steps[:, :2].T).sum()), float(steps[:, 2].sum())
     return Finding(
         "robot-lost",
         "warning",
-        f"Where the filter takes the robot to be, {np.median(shares):.0%} of a scan's readings agree with the map "
+        f"Where the filter takes the robot to be, {median:.0%} of a scan's readings agree with the map "
         f"(median; expected {LEAST_AGREEMENT:.0%} or more). By its odometry it drove {way:.1f} m and "
         f"turned {np.degrees(turn):.0f} degrees.",
-        {"median_agreement": float(np.median(shares)), "way_m": way, "turn_rad": turn},
+        {"median_agreement": median, "way_m": way, "turn_rad": turn},
         why="The robot was most likely elsewhere: the start, the map or the odometry (its signs, or it stands still) "
         "is wrong; or most readings are of people.",
         do="Run beamfield trajectory on this log and map: it searches all starts, and odometry of the wrong sign.",

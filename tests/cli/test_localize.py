@@ -38,6 +38,10 @@ def folder(tmp_path_factory, office, drive, truth) -> Path:
         odometry = np.array(signs) * log.odometry
         wrong = replace(log, odometry=odometry)
         write_carmen(place / name, ScanLog({"FLASER": wrong}, Track(log.stamps, odometry)))
+    metres = [1000.0, 1000.0, 1.0]
+    write_carmen(place / "fast.log", ScanLog({"FLASER": replace(log, odometry=metres * log.odometry)}))
+    finder = replace(log.finder, max_range=1000.0 * log.finder.max_range)
+    write_carmen(place / "far.log", ScanLog({"FLASER": replace(log, finder=finder, ranges=1000.0 * log.ranges)}))
     write_map(draw_floor_plan(seed=8), place / "elsewhere.yaml")
     write_tum(place / "truth.tum", Track(log.stamps, log.poses))
     provenance = {"program": "test"}
@@ -191,6 +195,18 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
     (finding,) = (one for one in json.loads(said.out)["findings"] if one["name"] == "robot-lost")
     assert finding["values"]["median_agreement"] < 0.45
     assert (finding["values"]["way_m"] == 0.0) == (log == "still.log")
+
+
+def test_odometry_in_millimetres_is_no_robots(folder, capsys):
+    assert main(["localize", str(folder / "fast.log"), "--map", str(folder / "map.yaml")]) == 3
+    assert "steps of the odometry are longer than a robot drives" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["calibrate", "check", "evaluate", "localize", "map", "trajectory"])
+def test_readings_in_millimetres_are_refused_on_one_line(folder, capsys, command):
+    params = ("--params", str(folder / "nav2.yaml")) if command == "evaluate" else ()
+    assert main([command, str(folder / "far.log"), "--map", str(folder / "map.yaml"), "--quiet", *params]) == 1
+    assert "expected readings in metres, not millimetres" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsys):

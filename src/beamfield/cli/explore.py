@@ -20,10 +20,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import as_notes, posed_log
+from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.terminal import complain
+from beamfield.cli.wording import in_options
 from beamfield.errors import InvalidInputError, MissingDependencyError
 
 
@@ -62,15 +63,15 @@ def run(arguments: argparse.Namespace) -> Outcome:
         grid = options.read_walls(arguments)
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
-        log, fitted = posed_log(
+        log, _, more = posed_log(
             sensor, grid, arguments, progress, path=arguments.log, start=options.start_of(arguments)
         )
         session, why = open_session(
             log, grid, arguments.params, run=arguments.shown_run, fit=not arguments.no_fit, progress=progress
         )
-    notes = (*notes, *as_notes(fitted), *([f"nothing was learned from the log: {why}"] if why else []))
+    notes = (*notes, *more, *([f"nothing was learned from the log: {why}"] if why else []))
     for note in notes:
-        complain(f"note: {note}")
+        complain(f"note: {in_options(note)}")
     token = new_token()
     with listening_socket(arguments.port) as listening:
         port = listening.getsockname()[1]

@@ -94,6 +94,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.finding import worst_first
     from beamfield.io.files.atomic import check_folder_writable, check_writable
     from beamfield.localization.lost_robot import find_lost_robot
+    from beamfield.localization.trajectory_trust import time_gaps
 
     check_folder_writable(arguments.out)
     if arguments.animation is not None:
@@ -116,8 +117,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         except TooLittleDataError as error:
             raise FormatError(arguments.log, str(error)) from error
         lost = find_lost_robot(log, grid, found.poses)
-        if lost is not None:
-            found = replace(found, findings=worst_first((*found.findings, lost)))
+        seen = (*found.findings, *time_gaps(log.stamps), *([] if lost is None else [lost]))
+        found = replace(found, findings=worst_first(seen))
         errors = _judged(found, log)
         progress("drawing", 0, 1)
         document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
@@ -134,11 +135,16 @@ def _start(
 ) -> tuple[SensorLog, PoseBelief | None]:
     """Return the log from where the filter starts, and what it knows there; None: nothing."""
     from beamfield.localization.replay import PoseBelief, reference_start
+    from beamfield.maps.range_scale import require_metres
 
     if not sensor.has_odometry:
         raise FormatError(arguments.log, "no scan has odometry, which moves the particles")
     if not grid.free.any():
         raise FormatError(arguments.map, "the map has no free cell, so there is no place for the robot")
+    try:
+        require_metres(sensor, grid)
+    except InvalidInputError as error:
+        raise FormatError(arguments.log, str(error)) from error
     if arguments.start is not None:
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():

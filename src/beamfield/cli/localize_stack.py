@@ -42,6 +42,7 @@ def stack_filter(
     """Return what runs the filter that --params sets up over the log, and which filter that is, in words."""
     import numpy as np
 
+    from beamfield.calibration.reference_checks import jump_findings
     from beamfield.localization.scan_localizer import Localization
     from beamfield.stacks.files.filter_file import read_filter_settings
     from beamfield.stacks.files.parameter_file import read_stack_file
@@ -66,6 +67,7 @@ def stack_filter(
             film.add_cloud(i, poses, weights)
 
         found = replayed.run(log, start, np.random.default_rng(arguments.seed), watch=watch)
-        return Localization(**{item.name: getattr(found, item.name) for item in fields(found)})
+        findings = tuple(jump_findings(log))
+        return Localization(**{item.name: getattr(found, item.name) for item in fields(found)}, findings=findings)
 
     return run, which

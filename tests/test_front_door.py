@@ -12,7 +12,7 @@ import pytest
 
 import beamfield as bf
 
-both = pytest.mark.parametrize("package", [bf, bf.localization], ids=lambda package: package.__name__)
+both = pytest.mark.parametrize("package", [bf, bf.fleet, bf.localization], ids=lambda package: package.__name__)
 
 
 @both
@@ -39,8 +39,8 @@ def test_names_are_listed_and_others_are_missed_as_of_any_module(package):
         _ = package.BeamModle
 
 
-def test_no_name_is_offered_at_both_doors():
-    assert not set(bf.__all__) & set(bf.localization.__all__)
+def test_no_name_is_offered_at_two_doors():
+    assert not set(bf.__all__) & (set(bf.fleet.__all__) | set(bf.localization.__all__))
 
 
 def test_the_import_loads_nothing_and_a_name_what_it_needs():

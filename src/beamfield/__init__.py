@@ -67,7 +67,7 @@ _NAMES = {
     "scan_fit.reference": ("calibrate_scan_fit",),
     "scan_fit.scan_fit": ("judge_scan", "judge_log"),
     "scan_fit.changed_places": ("find_changed_places",),
-    # Many robots
+    # Many robots; more in `fleet`
     "fleet.catalogue": ("open_catalogue",),
     # Where the robot is; more in `localization`
     "localization.likelihood_map": ("likelihood_map",),
@@ -88,7 +88,7 @@ _NAMES = {
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = (
-    "calibration", "errors", "features", "figures", "geometry", "io", "landmark_noise", "localization", "maps",
+    "calibration", "errors", "features", "figures", "fleet", "geometry", "io", "landmark_noise", "localization", "maps",
     "models", "plot", "report", "scan_fit", "simulation", "stacks",
 )  # fmt: skip
 

@@ -7,6 +7,7 @@ from beamfield import (
     errors as errors,
     features as features,
     figures as figures,
+    fleet as fleet,
     geometry as geometry,
     io as io,
     landmark_noise as landmark_noise,

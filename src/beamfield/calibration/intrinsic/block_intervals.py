@@ -183,20 +183,57 @@ def block_intervals(
         fit_offset=fit_offset,
         fit_sigma_slope=fit_sigma_slope,
     )
-    n_blocks = int(blocks.max()) + 1
-    if n_blocks == 1:
-        return IntervalResult({}, {}, level, 1, _findings(1, length))
     theta = problem.apply(theta_of(parameters))
     gradients, hessian = _derivatives_of_blocks(z, expected, blocks, theta, problem)
-    jackknife = _Jackknife(problem, theta, gradients, hessian, np.bincount(blocks), level)
+    result, _ = intervals_of_blocks(problem, theta, gradients, hessian, np.bincount(blocks), length, level=level)
+    return result
+
+
+def intervals_of_blocks(
+    problem: LearningProblem,
+    theta: FloatArray,
+    gradients: FloatArray,
+    hessian: FloatArray,
+    sizes: NDArray[np.int64],
+    length: float,
+    *,
+    level: float = 0.95,
+) -> tuple[IntervalResult, FloatArray]:
+    """Return what `block_intervals` does from sums over the beams of each block, wherever they lie.
+
+    Parameters
+    ----------
+    problem, theta
+        What was learned, and the working vector (8,) at the maximum.
+    gradients
+        Gradient of each block's log-likelihood there, (b, 8).
+    hessian
+        Of the log-likelihood of all beams, (8, 8).
+    sizes
+        Beams of each block, (b,).
+    length
+        Of a block, seconds.
+    level
+        As `block_intervals`.
+
+    Returns
+    -------
+    The intervals, and the covariance (8, 8) of the working vector: 0 for what is held or sits on a bound, NaN if there
+    is one block only.
+    """
+    if len(sizes) == 1:
+        nothing = np.full((N_PARAMETERS, N_PARAMETERS), np.nan)
+        return IntervalResult({}, {}, level, 1, _findings(1, length)), nothing
+    jackknife = _Jackknife(problem, theta, gradients, hessian, sizes, level)
     learned = [name for name in _NAMES if problem.free[problem.position(name)]]
-    return IntervalResult(
+    intervals = IntervalResult(
         intervals={name: jackknife.interval(problem.position(name)) for name in learned},
         standard_errors={name: jackknife.standard_error(problem.position(name)) for name in learned},
         level=level,
-        n_blocks=n_blocks,
-        findings=_findings(n_blocks, length),
+        n_blocks=len(sizes),
+        findings=_findings(len(sizes), length),
     )
+    return intervals, jackknife.errors.robust
 
 
 def share_interval(share: float, variance: float, outside: float) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from beamfield.calibration.intrinsic.likelihood import (
     W_RAND,
     W_SHORT,
     ExpectedStatistics,
-    IntrinsicLikelihood,
+    LikelihoodPasses,
 )
 from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.geometry import FloatArray
@@ -58,7 +58,7 @@ class Climb:
 
 
 def climb(
-    likelihood: IntrinsicLikelihood,
+    likelihood: LikelihoodPasses,
     problem: LearningProblem,
     start: FloatArray,
     *,
@@ -115,6 +115,8 @@ def climb(
                 continue
             converged = True
             break
+    if converged:
+        climber.settle(tolerance)
     return Climb(
         climber.theta, climber.trace[-1], tuple(climber.trace), climber.em_steps, climber.newton_steps, converged
     )
@@ -125,7 +127,7 @@ class _Climber:
 
     def __init__(
         self,
-        likelihood: IntrinsicLikelihood,
+        likelihood: LikelihoodPasses,
         problem: LearningProblem,
         theta: FloatArray,
         known: tuple[float, FloatArray, FloatArray] | None,
@@ -167,13 +169,7 @@ class _Climber:
         """Take one Newton step; returns the gain it promised in nats per beam, None if the likelihood rejected it."""
         if self.derivatives is None:
             self.derivatives = self._derivatives(self.theta)
-        _, gradient, hessian = self.derivatives
-        x, gradient, hessian, lower, upper = _in_log_variance(self.theta, gradient, hessian, self.problem)
-        step = newton_step(
-            x, gradient, hessian, free=self.problem.free, lower=lower, upper=upper, summed=_WEIGHTS & self.problem.free
-        )
-        step *= min(1.0, 2.0 / max(abs(step[VARIANCE]), 1e-300))
-        slope = float(gradient @ step)
+        x, step, slope = self._newton_direction(self.derivatives)
         promised = slope / self.likelihood.n_beams
         if not np.isfinite(slope) or promised <= _ROUNDING * max(1.0, abs(self.trace[-1])):
             self.at_rest = True
@@ -190,6 +186,29 @@ class _Climber:
                 self.at_rest = True
                 return promised
         return None
+
+    def settle(self, tolerance: float) -> None:
+        """Take the Newton step that the last pass allows: the objective no longer tells, but the gradient does.
+
+        Climbs from different starts then end at the same numbers.
+        """
+        if self.derivatives is None:
+            return
+        x, step, slope = self._newton_direction(self.derivatives)
+        if 0.0 < slope < tolerance * self.likelihood.n_beams:
+            self.theta = self._valid(x + step)
+
+    def _newton_direction(
+        self, derivatives: tuple[float, FloatArray, FloatArray]
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Return the point, with log sigma^2 for sigma^2, a step from it, and what it promises in nats."""
+        _, gradient, hessian = derivatives
+        x, gradient, hessian, lower, upper = _in_log_variance(self.theta, gradient, hessian, self.problem)
+        step = newton_step(
+            x, gradient, hessian, free=self.problem.free, lower=lower, upper=upper, summed=_WEIGHTS & self.problem.free
+        )
+        step *= min(1.0, 2.0 / max(abs(step[VARIANCE]), 1e-300))
+        return x, step, float(gradient @ step)
 
     def _move(
         self,

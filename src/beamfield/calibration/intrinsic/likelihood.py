@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -51,6 +52,24 @@ class ExpectedStatistics:
     node_short: FloatArray
     sum_short_range: float
     cut_matters: bool
+
+
+class LikelihoodPasses(Protocol):
+    """What a climb asks of a set of beams, wherever they lie."""
+
+    @property
+    def n_beams(self) -> float:
+        """Number of beams, by weight."""
+
+    @property
+    def n_max(self) -> float:
+        """Readings at maximum range among them."""
+
+    def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
+        """Do the E-step, see `IntrinsicLikelihood`."""
+
+    def derivatives(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return the log-likelihood, its gradient and its Hessian, see `IntrinsicLikelihood`."""
 
 
 class IntrinsicLikelihood:
@@ -241,29 +260,10 @@ class IntrinsicLikelihood:
         return kernels.Beams(self.ranges, self.expected, self.weights)
 
     def _mixture(self, theta: FloatArray) -> kernels.Mixture:
-        w_hit, w_short, _, w_rand, v, q, b, rate = (float(value) for value in theta)
-        return kernels.Mixture(self.max_range, w_hit, w_short, w_rand, v, q, b, rate, self.min_range)
+        return mixture_of(theta, self.max_range, self.min_range)
 
     def _cut(self, theta: FloatArray) -> kernels.Bins:
-        capacity = 4096 + 2 * self.expected.size // kernels.BIN_BEAMS
-        while True:
-            bins = kernels.Bins(
-                np.empty(capacity, dtype=np.int64),
-                np.empty(capacity, dtype=np.int64),
-                np.empty(capacity),
-                np.empty(capacity),
-                np.empty(capacity, dtype=np.bool_),
-            )
-            n_bins = kernels.cut_into_bins(self.expected, self._mixture(theta), bins)
-            if n_bins <= capacity:
-                return kernels.Bins(
-                    bins.starts[:n_bins],
-                    bins.stops[:n_bins],
-                    bins.centres[:n_bins],
-                    bins.half_widths[:n_bins],
-                    bins.edge[:n_bins],
-                )
-            capacity = n_bins
+        return cut(self.expected, self._mixture(theta))
 
     def _over_bins(self, work: Callable[[int, int], None], bins: kernels.Bins) -> None:
         # Tasks of about equal numbers of beams: bins differ in size.
@@ -279,6 +279,35 @@ class IntrinsicLikelihood:
     @staticmethod
     def _node_ranges(bins: kernels.Bins) -> FloatArray:
         return np.asarray((bins.centres[:, None] + bins.half_widths[:, None] * kernels.NODES).reshape(-1))
+
+
+def mixture_of(theta: FloatArray, span: float, min_range: float) -> kernels.Mixture:
+    """Return a working vector (8,) as kernels take it, ranges counted from min_range up to `span`, metres."""
+    w_hit, w_short, _, w_rand, v, q, b, rate = (float(value) for value in theta)
+    return kernels.Mixture(span, w_hit, w_short, w_rand, v, q, b, rate, min_range)
+
+
+def cut(expected: FloatArray, mixture: kernels.Mixture) -> kernels.Bins:
+    """Cut expected ranges (n,), ascending, into the bins of `kernels.cut_into_bins`."""
+    capacity = 4096 + 2 * expected.size // kernels.BIN_BEAMS
+    while True:
+        bins = kernels.Bins(
+            np.empty(capacity, dtype=np.int64),
+            np.empty(capacity, dtype=np.int64),
+            np.empty(capacity),
+            np.empty(capacity),
+            np.empty(capacity, dtype=np.bool_),
+        )
+        n_bins = kernels.cut_into_bins(expected, mixture, bins)
+        if n_bins <= capacity:
+            return kernels.Bins(
+                bins.starts[:n_bins],
+                bins.stops[:n_bins],
+                bins.centres[:n_bins],
+                bins.half_widths[:n_bins],
+                bins.edge[:n_bins],
+            )
+        capacity = n_bins
 
 
 def theta_of(parameters: BeamParameters) -> FloatArray:

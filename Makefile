@@ -49,7 +49,9 @@ docs: $(STAMP)  ## Redraw the pictures and tables of the documentation
 
 site: $(STAMP)  ## Build the documentation site into site/; it works from file://
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
-	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --builder html docs site
+	version=$$($(BIN)/python -c 'import beamfield; print(beamfield.__version__)') && \
+	  $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --doctree-dir build/doctrees --builder html docs site/$$version && \
+	  $(BIN)/python docs/make_versions.py site
 
 wheel: $(STAMP)  ## Build the wheel into dist/
 	$(BIN)/python -m build --quiet --wheel

@@ -1,4 +1,4 @@
-"""How much beams may count, and what parameters learned in context gain (docs/in_context.md).
+"""How much beams may count, and what parameters learned in context gain (docs/evidence/in_context.md).
 
     python benchmarks/context.py coverage   what exponents learned from one log hold in others, and in blocks
     python benchmarks/context.py lattice    the same for single scans, by posteriors on a lattice of poses

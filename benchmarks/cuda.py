@@ -28,7 +28,7 @@ else:
     from tables import least_seconds, print_table
 
 SECTOR_BYTES = 32
-# Of a ray in that building; see docs/raycasting.md.
+# Of a ray in that building; see docs/evidence/raycasting.md.
 JUMPS_PER_RAY = 2.4
 COPIED_BYTES = 2**30
 

@@ -75,19 +75,20 @@ def main() -> None:
 def draw(path: Path) -> None:
     """Draw the features of one scan over it."""
     import matplotlib
-    from matplotlib.figure import Figure
+
+    from beamfield.report.drawing import legend, new_figure, style
 
     matplotlib.rcParams["svg.hashsalt"] = "beamfield"
     room, pose, noise = l_shaped_room(), np.array([2.6, 2.6, 0.3]), RangeNoise(0.01)
     exact, _ = room.cast(pose, FINDER)
     scan = Scan(exact + np.random.default_rng(3).normal(0.0, noise.sigma_range, len(exact)), FINDER)
-    figure = Figure(figsize=(8.0, 5.6), layout="constrained")
+    figure = new_figure(8.0, 5.6)
     ax = figure.subplots()
     draw_scan(scan, pose, ax, size=5.0)
     draw_features([feature for found in extract(scan, noise).values() for feature in found], pose, ax)
     ax.plot(*pose[:2], "k^", markersize=9, linestyle="none", label="robot")
-    ax.set_title("one scan of 720 beams in a simulated room, noise 1 cm")
-    ax.legend(loc="upper right", fontsize=9)
+    style(ax, title="A scan of 720 beams in a simulated room, noise 1 cm", x="x [m]", y="y [m]", grid="none")
+    legend(ax, loc="upper right")
     figure.savefig(path, metadata={"Date": None})
 
 

@@ -69,7 +69,7 @@ def agreement(replayed: ReplayedFilter, log: SensorLog, grid: OccupancyGrid, sta
               ) -> float:  # fmt: skip
     """Return the median agreement of one run."""
     found = replayed.run(log, start, np.random.default_rng(seed))
-    return float(np.median(scan_agreement(log, grid, found.poses)))
+    return float(np.nanmedian(scan_agreement(log, grid, found.poses)))
 
 
 def odometry_with(odometry: FloatArray, signs: FloatArray) -> FloatArray:

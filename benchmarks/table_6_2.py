@@ -1,4 +1,4 @@
-"""Compare Table 6.2 taken literally with exact EM, on beams drawn from the model: the tables of docs/learning.md.
+"""Compare Table 6.2 taken literally with exact EM, on beams drawn from the model (docs/evidence/learning.md).
 
 Run: python benchmarks/table_6_2.py
 """

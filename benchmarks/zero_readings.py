@@ -1,4 +1,4 @@
-"""How far readings of 0 among those of a sensor move lambda_short, in its standard errors: a table of docs/learning.md.
+"""How far readings of 0 among those of a sensor move lambda_short, in standard errors (docs/evidence/learning.md).
 
 Run: python benchmarks/zero_readings.py
 """

@@ -1,8 +1,10 @@
 """The documentation site: Sphinx over the same Markdown files that are read in the repository.
 
-`make site` builds it into site/; warnings are errors. The API reference is made from the front door's docstrings.
+`make site` builds it into site/; warnings are errors. The API reference is made from the front door's docstrings;
+notebooks run while the site is built.
 """
 
+import os
 import re
 import shutil
 from pathlib import Path
@@ -18,16 +20,22 @@ copyright = "the beamfield developers, Apache-2.0"  # noqa: A001  # Sphinx's nam
 version = release = beamfield.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
 ]
 exclude_patterns = ["make_*.py"]
+templates_path = ["templates"]
 suppress_warnings = ["myst.header"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
+# A notebook without a result, or with an assertion that fails, is no page.
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_in_temp = True
+nb_execution_timeout = 300
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 autodoc_typehints = "none"
@@ -38,17 +46,25 @@ autosummary_generate = True
 default_role = "py:obj"
 
 html_theme = "pydata_sphinx_theme"
-html_title = f"beamfield {release}"
+html_title = "beamfield"
 html_copy_source = False
 html_show_sourcelink = False
+html_context = {"default_mode": "auto"}
 html_theme_options = {
     "navbar_align": "left",
+    "navbar_persistent": ["search-button"],
+    "navbar_end": ["versions", "theme-switcher"],
     "header_links_before_dropdown": 6,
     "show_toc_level": 2,
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+# Real data beside the checkout for the notebook that asks for them.
+WEAN_HALL = HERE.parent.parent / "shared/data/wean_hall"
+if WEAN_HALL.is_dir():
+    os.environ.setdefault("WEAN_HALL", str(WEAN_HALL))
 
 GROUP = re.compile(r"\n    # (.+)\n")
 NAMES = re.compile(r'"([A-Za-z_]\w*)"')

@@ -193,12 +193,20 @@ def rows(subjects: dict[str, str], known: list[Definition], users: dict[str, lis
         found = [item for item in known if label in item.cites and tests_of(item, users)]
         found = [item for item in found if item.name] or found
         found.sort(key=lambda item: (_rank(item.module, label), len(item.cites)))
-        names = [item.shown for item in found[:3]]
-        tests = [tests_of(item, users)[0].relative_to(ROOT) for item in found[:3]]
+        n = max(3, subject.count(",") + 1)
+        if n > 3:
+            # Several subjects: the first of each package.
+            found = [item for i, item in enumerate(found) if _package(item) not in map(_package, found[:i])]
+        names = [item.shown for item in found[:n]]
+        tests = [tests_of(item, users)[0].relative_to(ROOT) for item in found[:n]]
         if label.startswith("Figure"):
             names, tests = [_command(label), *names[:2]], [GALLERY_TEST, *tests[:2]]
         names, tests = list(dict.fromkeys(names)), list(dict.fromkeys(tests))
         yield f"| {label} | {subject} | {', '.join(names)} | {', '.join(f'`{path}`' for path in tests)} |"
+
+
+def _package(item: Definition) -> str:
+    return item.module.partition(".")[0]
 
 
 def _command(figure: str) -> str:

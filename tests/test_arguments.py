@@ -102,6 +102,7 @@ FIELD = bf.LikelihoodFieldParameters(0.8, 0.1, 0.1)
 FINDER = RangeFinder.from_bearings([0.0, 1.0], 5.0)
 SCAN = Scan([1.0, 2.0], FINDER)
 LOG = bf.SensorLog(FINDER, [0.0], [[1.0, 2.0]], np.zeros((1, 3)), np.zeros((1, 3)))
+EMPTY_LOG = bf.SensorLog(FINDER, [0.0], [[np.nan, np.nan]], np.zeros((1, 3)), np.zeros((1, 3)))
 SEVERAL = bf.ScanLog({"/a": LOG, "/b": LOG}, source="run.bag")
 MODEL = BeamModel(GRID, BEAM)
 POSES = np.zeros((4, 3))
@@ -125,6 +126,8 @@ POSES = np.zeros((4, 3))
         (lambda: MODEL.responsibilities(POSES, SCAN), r"z: expected a Scan, .*: Scan\(ranges, finder\) makes one"),
         (lambda: bf.LikelihoodFieldModel(GRID, FIELD).log_likelihood(POSES, SCAN), "it comes before the poses"),
         (lambda: MODEL.log_likelihood(LOG, POSES), r"z: .*got a SensorLog: log\[i\] is one of its scans"),
+        (lambda: MODEL.log_likelihood(EMPTY_LOG, POSES), r"z: .*got a SensorLog: log\[i\] is one of its scans"),
+        (lambda: MODEL.responsibilities(LOG, POSES), r"z: .*got a SensorLog: log\[i\] is one of its scans"),
         (lambda: MODEL.expected(SCAN, FINDER), "poses: .*got a Scan: the scan comes first, then the poses"),
         (lambda: MODEL.sample(POSES, np.random.default_rng(0)), r"finder: .*sample\(poses, finder, rng\)"),
         (lambda: bf.RayCaster("map.yaml"), r"grid: .*: read_map\(path\) reads one"),

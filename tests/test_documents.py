@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -43,8 +45,10 @@ from tests.io.test_fiducial_detections import CameraBag
 from tests.sightings_file import write_sightings
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+DOCS = ROOT / "docs"
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.md"))
+DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((DOCS / "evidence").glob("*.md")), *NOTEBOOKS]
+PYTHON = re.compile(r"^```(?:python|\{code-cell\}[^\n]*)\n(?::tags:[^\n]*\n)?(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(?: {4}|\$ )?(beamfield [a-z].*?)(?:\s+#.*)?$", re.MULTILINE)
 
 # What docs and examples may import besides `import beamfield as bf`, because few programs need it.
@@ -57,6 +61,7 @@ DEEP = {
     "beamfield.localization.pose_posterior",
     "beamfield.maps.end_points",
     "beamfield.models.marker",
+    "beamfield.simulation.dependence",
     "beamfield.simulation.sonar",
 }
 # What a document needs besides beamfield; without, its Python does not run.
@@ -137,10 +142,11 @@ def features(world: World) -> dict[str, Any]:
         "pose": world.log.poses[10],
         "beam_model": world.model,
         "line_model": line_model,
-        "log": world.log,
-        "grid": world.grid,
-        "parameters": world.model.parameters,
     }
+
+
+def features_measured(world: World) -> dict[str, Any]:
+    return {"scan": world.scan, "log": world.log, "grid": world.grid, "parameters": world.model.parameters}
 
 
 def landmark_learning(world: World) -> dict[str, Any]:
@@ -184,6 +190,10 @@ def localization(world: World) -> dict[str, Any]:
     return {"grid": world.grid, "log": world.log[:20]}
 
 
+def range_table(world: World) -> dict[str, Any]:
+    return {"grid": world.grid, "poses": world.particles, "finder": world.finder}
+
+
 def fleet(world: World) -> dict[str, Any]:
     Path("fleet").mkdir()
     write_map(world.grid, "fleet/room.yaml")
@@ -216,6 +226,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "calibrate": calibrate,
     "calibrate_stack": calibrate_stack,
     "changed_places": changed_places,
+    "evidence/features": features_measured,
     "features": features,
     "fleet": fleet,
     "in_context": calibrate_stack,
@@ -225,6 +236,7 @@ STAND_INS: dict[str, Callable[[World], dict[str, Any]]] = {
     "lines": lines,
     "localization": localization,
     "marker": marker,
+    "range_table": range_table,
     "raycasting": raycasting,
     "scan_fit": scan_fit,
     "stacks": stacks,
@@ -242,6 +254,7 @@ class Block:
     def run(self, names: dict[str, Any]) -> None:
         # Blank lines in front, so that a traceback shows the line of the document.
         exec(compile("\n" * (self.line - 1) + self.text, str(self.path), "exec"), names)
+        plt.close("all")
 
 
 def blocks_of(path: Path) -> list[Block]:
@@ -252,6 +265,11 @@ def blocks_of(path: Path) -> list[Block]:
 def commands_of(path: Path) -> list[str]:
     """Return the command lines of a document, those that go on in the next line as one."""
     return COMMAND.findall(path.read_text(encoding="utf-8").replace("\\\n", " "))
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a document within docs, which tells a page from the evidence for it."""
+    return path.stem if path.parent in (ROOT, DOCS) else f"{path.parent.name}/{path.stem}"
 
 
 WITH_PYTHON = [path for path in DOCUMENTS if blocks_of(path)]
@@ -276,14 +294,41 @@ def test_documents_and_examples_come_in_by_the_front_door(path: Path):
     assert [name for name in re.findall(r"\bbf\.(\w+)", whole) if name not in bf.__all__] == []
 
 
-@pytest.mark.parametrize("path", WITH_PYTHON, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", WITH_PYTHON, ids=name_of)
 def test_the_python_of_a_document_runs(path: Path, world: World, tmp_path, monkeypatch):
-    for package in NEEDS.get(path.stem, ()):
+    for package in NEEDS.get(name_of(path), ()):
         pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
-    names = STAND_INS[path.stem](world) if path.stem in STAND_INS else {}
+    names = STAND_INS[name_of(path)](world) if name_of(path) in STAND_INS else {}
     for block in blocks_of(path):
         block.run(names)
+
+
+@pytest.mark.real
+def test_the_particle_filter_follows_the_robot_of_wean_hall(data: Path, monkeypatch):
+    monkeypatch.setenv("WEAN_HALL", str(data / "wean_hall"))
+    names: dict[str, Any] = {}
+    for block in blocks_of(DOCS / "notebooks/particle_filter.md"):
+        block.run(names)
+    assert len(names["log"]) == 713
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_checks_what_it_shows_and_says_where_the_book_is_not_literal(path: Path):
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("---\njupytext:\n")
+    assert f"{{nb-download}}`Download as a notebook <{path.stem}.ipynb>`" in text
+    assert sum(block.text.count("assert ") for block in blocks_of(path)) >= 2
+    assert ("## Where the book must not be taken literally" in text) == path.stem.startswith("chapter")
+
+
+def test_the_site_lists_its_versions_and_leads_to_the_newest(tmp_path: Path):
+    for version in ("0.9.0", "0.10.0"):
+        (tmp_path / version).mkdir()
+        (tmp_path / version / "index.html").touch()
+    runpy.run_path(str(DOCS / "make_versions.py"))["main"](tmp_path)
+    assert '["0.10.0", "0.9.0"]' in (tmp_path / "versions.js").read_text(encoding="utf-8")
+    assert 'url=0.10.0/index.html"' in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
 def test_the_filter_in_a_ros_node_weighs_its_particles(world: World):
@@ -308,7 +353,7 @@ def test_the_filter_in_a_ros_node_weighs_its_particles(world: World):
 def test_a_document_gets_nothing_that_it_does_not_use(name: str, world: World, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = STAND_INS[name](world)
-    text = "\n".join(block.text for path in WITH_PYTHON if path.stem == name for block in blocks_of(path))
+    text = "\n".join(block.text for path in WITH_PYTHON if name_of(path) == name for block in blocks_of(path))
     files = [path.name for path in tmp_path.iterdir() if path.suffix in {".yaml", ".csv", ".bag"}]
     assert given or files
     assert [word for word in given if not re.search(rf"\b{word}\b", text)] == []
@@ -331,7 +376,7 @@ def test_a_command_of_a_document_is_one(command: str, capsys):
         pytest.fail(f"{command}: {capsys.readouterr().err}")
 
 
-@pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*DOCUMENTS, ROOT / "CONTRIBUTING.md"], ids=name_of)
 def test_links_of_a_document_lead_to_files(path: Path):
     links = [link for link in LINK.findall(path.read_text(encoding="utf-8")) if "://" not in link]
     assert [link for link in links if not (path.parent / link).exists()] == []

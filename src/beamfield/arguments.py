@@ -80,11 +80,10 @@ def check_fields(instance: Any) -> None:
     InvalidInputError
         If one does not.
     """
-    hints = _hints(instance.__class__)
-    for item in fields(instance):
-        value = getattr(instance, item.name, item.default)
-        if value is not item.default:
-            _expect(item.name, value, hints[item.name])
+    for name, default, hint, test in _checks(instance.__class__):
+        value = getattr(instance, name, default)
+        if value is not default and not test(value):
+            _expect(name, value, hint)
 
 
 def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -233,6 +232,13 @@ def _blame(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str
                 _expect_each(name, value, hints[name])
             except InvalidInputError as named:
                 raise named from error
+
+
+@cache
+def _checks(cls: type) -> tuple[tuple[str, Any, Any, Callable[[Any], bool]], ...]:
+    """Return name, default, annotation and test of each field of a dataclass: found out once for a class."""
+    hints = _hints(cls)
+    return tuple((item.name, item.default, hints[item.name], _kind_of(hints[item.name]).test) for item in fields(cls))
 
 
 @cache

@@ -177,13 +177,15 @@ def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
     return result
 
 
-def indices_of_ids(map_ids: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int64]:
+def indices_of_ids(map_ids: NDArray[np.int64], order: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int64]:
     """Return where in a map each id is.
 
     Parameters
     ----------
     map_ids
         (N,) each id once, N >= 1.
+    order
+        (N,) the indices that sort them.
     ids
         Whole numbers, of any shape.
 
@@ -197,10 +199,8 @@ def indices_of_ids(map_ids: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int
         If the map has no such id; it is named.
     """
     wanted = np.asarray(ids, dtype=np.int64)
-    order = np.argsort(map_ids)
-    place = np.minimum(np.searchsorted(map_ids[order], wanted), len(map_ids) - 1)
-    found = order[place]
-    unknown = map_ids[found] != wanted
+    found = order.take(map_ids.searchsorted(wanted, sorter=order), mode="clip")
+    unknown = map_ids.take(found) != wanted
     if unknown.any():
         raise InvalidInputError(f"ids: expected ids of the map, got {wanted[unknown][0]}")
     return np.asarray(found)

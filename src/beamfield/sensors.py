@@ -139,7 +139,14 @@ class RangeFinder:
         InvalidInputError
             If the choice is neither indices that are there nor a mask of the right length.
         """
-        return replace(self, mounts=self.mounts[as_indices(beams, self.n_beams, "beams")])
+        return self._with_mounts(self.mounts[as_indices(beams, self.n_beams, "beams")])
+
+    def _with_mounts(self, mounts: FloatArray) -> RangeFinder:
+        """Return the finder with some of its own mounts, which need no check; models ask for it with each scan."""
+        other = object.__new__(RangeFinder)
+        other.__dict__.update(self.__dict__)
+        keep(other, mounts=mounts)
+        return other
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +207,10 @@ class Scan:
             If the choice is neither indices that are there nor a mask of the right length.
         """
         chosen = as_indices(beams, self.finder.n_beams, "beams")
-        return Scan(self.ranges[chosen], self.finder.subset(chosen), self.stamp)
+        other = object.__new__(Scan)
+        other.__dict__.update(self.__dict__)
+        keep(other, ranges=self.ranges[chosen], finder=self.finder._with_mounts(self.finder.mounts[chosen]))
+        return other
 
     def __getitem__(self, beams: slice | ArrayLike) -> Scan:
         """Return the scan with only these beams: a slice, indices or a mask."""

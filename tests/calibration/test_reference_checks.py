@@ -8,7 +8,8 @@ import pytest
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.opposite_beams import OppositeBeams, map_findings, opposite_beams
 from beamfield.calibration.reference_checks import pose_findings
-from beamfield.geometry import compose
+from beamfield.calibration.selection import select_scans
+from beamfield.geometry import between, compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, SensorLog
 
@@ -112,6 +113,17 @@ def test_a_reference_that_stands_still_while_the_odometry_moves_is_found():
     assert "reference-stands-still" in names(findings)
     finding = next(f for f in findings if f.name == "reference-stands-still")
     assert finding.values["first_s"] == pytest.approx(20.0, abs=5.1)
+
+
+def test_odometry_that_was_reset_takes_no_ground_from_the_reference():
+    log = drive()
+    odometry = log.odometry.copy()
+    odometry[200:] = between(odometry[200], odometry[200:])
+    reset = replace(log, odometry=odometry)
+    (finding,) = pose_findings(reset, room())
+    assert (finding.name, finding.values["count"]) == ("odometry-jumps", 1.0)
+    assert finding.values["first_s"] == pytest.approx(40.0)
+    assert "reference pose jumps" not in select_scans(reset, room()).dropped
 
 
 def test_a_reference_that_slides_sideways_is_found():

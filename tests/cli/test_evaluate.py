@@ -161,6 +161,24 @@ def test_every_program_s_filter_runs(world, tmp_path):
         assert tracking["runs"][0]["mean"] < 0.6
 
 
+def test_it_says_why_a_filter_cannot_follow(world, tmp_path, capsys):
+    lines = (world / "drive" / "log.carmen").read_text().splitlines()
+    turned = []
+    for line in lines:
+        words = line.split()
+        if words[0] == "FLASER":
+            words[-4] = str(-float(words[-4]))  # the odometry's heading
+        turned.append(" ".join(words))
+    log = world / "drive" / "turned.carmen"
+    log.write_text("\n".join(turned) + "\n")
+    (world / "none.yaml").write_text(SIGHTED + "    z_hit: 0.0\n    z_rand: 0.0\n")
+    given = ("--map", str(world / "drive" / "map.yaml"), "--params", str(world / "none.yaml"), "--seeds", "1")
+    assert main(["evaluate", str(log), *given, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    assert "none.yaml: one scan gives all 2000 particles" in said
+    assert "turned.carmen: Reference poses and odometry disagree in" in said
+
+
 def test_poses_must_go_with_the_logs(world, tmp_path, capsys):
     assert evaluate(world, tmp_path / "out", "--poses", "a.tum", "b.tum") == 2
     assert "--poses: expected one file for each LOG, got 2 for 1" in capsys.readouterr().err

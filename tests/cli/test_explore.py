@@ -30,7 +30,7 @@ def explore(world, *words):
 
 def test_it_prints_an_address_with_a_token_and_serves_it(world, served, capsys):
     testclient = pytest.importorskip("starlette.testclient")
-    assert explore(world, "--no-fit") == 0
+    assert explore(world, "--no-fit", "--run", str(world / "truth.tum")) == 0
     out, err = capsys.readouterr()
     address = next(word for word in err.split() if word.startswith("http://127.0.0.1:"))
     ((app, (host, port)),) = served
@@ -46,4 +46,7 @@ def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, t
     (tmp_path / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: high\n")
     assert explore(world, "--no-fit", "--params", str(tmp_path / "nav2.yaml")) == 1
     assert "nav2.yaml" in capsys.readouterr().err
+    (tmp_path / "trajectory.tum").write_text("9e9 0 0 0 0 0 0 1\n")
+    assert explore(world, "--no-fit", "--run", str(tmp_path)) == 1
+    assert "the run is of another log" in capsys.readouterr().err
     assert served == []

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from beamfield.cli.film import Film
 from beamfield.cli.main import main
+from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map import write_map
 from beamfield.io.parameters.beam_model_file import beam_model_text
@@ -36,6 +38,10 @@ def folder(tmp_path_factory, office, drive, truth) -> Path:
         odometry = np.array(signs) * log.odometry
         wrong = replace(log, odometry=odometry)
         write_carmen(place / name, ScanLog({"FLASER": wrong}, Track(log.stamps, odometry)))
+    metres = [1000.0, 1000.0, 1.0]
+    write_carmen(place / "fast.log", ScanLog({"FLASER": replace(log, odometry=metres * log.odometry)}))
+    finder = replace(log.finder, max_range=1000.0 * log.finder.max_range)
+    write_carmen(place / "far.log", ScanLog({"FLASER": replace(log, finder=finder, ranges=1000.0 * log.ranges)}))
     write_map(draw_floor_plan(seed=8), place / "elsewhere.yaml")
     write_tum(place / "truth.tum", Track(log.stamps, log.poses))
     provenance = {"program": "test"}
@@ -71,9 +77,17 @@ def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path
     assert "position error 0.0" in text
     assert "within 0.5 m of the reference from 0.0 s on" in text
     out = tmp_path / "beamfield_localization"
-    assert {path.name for path in out.iterdir()} == {"trajectory.tum", "localization.png", "localization.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "trajectory.tum", "particles.csv.gz", "localization.png", "localization.json",
+    }  # fmt: skip
     written = read_trajectory(out / "trajectory.tum")
     off = np.hypot(*(written.poses - drive.poses[:120])[:, :2].T)
+    cloud = read_run(out)
+    assert len(cloud.particles) == json.loads((out / "localization.json").read_text())["n_updates"]
+    means = [poses[:, :2].mean(axis=0) for poses in cloud.particles]
+    expected = np.column_stack([np.interp(cloud.stamps, written.stamps, written.poses[:, k]) for k in (0, 1)])
+    assert np.abs(means - expected).max() < 0.05
+    assert {len(poses) for poses in cloud.particles} <= set(range(100, 201))
     said = json.loads((out / "localization.json").read_text())
     assert said["errors"]["mean"] == pytest.approx(off.mean(), abs=1e-6)
     assert said["errors"]["mean"] < 0.1
@@ -84,6 +98,17 @@ def test_the_way_is_written_and_judged_by_the_reference(folder, capsys, tmp_path
     assert b"/particles" in Path("way.rrd").read_bytes()
     with Image.open(out / "localization.png") as picture:
         assert len(np.unique(np.asarray(picture.convert("L")))) > 20
+
+
+def test_particles_are_kept_by_their_weights():
+    film = Film(3, 0)
+    poses = np.arange(2000.0)[:, None] * np.ones(3)
+    film.add_cloud(1, poses, np.where(np.arange(2000) < 1000, 0.001, 0.0))
+    ((stamp, kept),) = film.clouds(np.array([0.0, 0.5, 1.0]))
+    assert stamp == 0.5
+    assert 100 <= len(kept) <= 200
+    assert kept.max() < 1000.0
+    assert kept[:, 0].mean() == pytest.approx(500.0, abs=20.0)
 
 
 def test_json_has_what_the_docs_list(folder, capsys):
@@ -170,6 +195,18 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
     (finding,) = (one for one in json.loads(said.out)["findings"] if one["name"] == "robot-lost")
     assert finding["values"]["median_agreement"] < 0.45
     assert (finding["values"]["way_m"] == 0.0) == (log == "still.log")
+
+
+def test_odometry_in_millimetres_is_no_robots(folder, capsys):
+    assert main(["localize", str(folder / "fast.log"), "--map", str(folder / "map.yaml")]) == 3
+    assert "steps of the odometry are longer than a robot drives" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["calibrate", "check", "evaluate", "localize", "map", "trajectory"])
+def test_readings_in_millimetres_are_refused_on_one_line(folder, capsys, command):
+    params = ("--params", str(folder / "nav2.yaml")) if command == "evaluate" else ()
+    assert main([command, str(folder / "far.log"), "--map", str(folder / "map.yaml"), "--quiet", *params]) == 1
+    assert "expected readings in metres, not millimetres" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsys):

@@ -1,5 +1,8 @@
 """The explorer's server answers its own page, and nobody else."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 
 from beamfield.explorer.requests import LARGEST_MESSAGE
@@ -30,6 +33,9 @@ def test_every_answer_has_the_policy(client):
     for path in (f"/?token={TOKEN}", "/", "/explorer.js", "/explorer.css", "/nothing"):
         answer = client.get(path)
         assert {name: answer.headers[name] for name in HEADERS} == HEADERS
+    policy = dict(part.split(maxsplit=1) for part in HEADERS["Content-Security-Policy"].split("; "))
+    assert {policy[name] for name in ("default-src", "base-uri", "form-action", "frame-ancestors")} == {"'none'"}
+    assert {policy[name] for name in ("script-src", "style-src", "connect-src")} == {"'self'"}
     assert "unsafe" not in HEADERS["Content-Security-Policy"]
     assert "http" not in HEADERS["Content-Security-Policy"]
 
@@ -76,7 +82,7 @@ def test_pages_are_not_given_to_other_hosts(client, path):
         (b"null", 400, "object"),
         (b'{"name": "scan", "i": NaN}', 400, "i:"),
         (b'{"name": "scan", "i": 1e999, "set": 0, "pose": [0, 0, 0]}', 400, "i:"),
-        (b'{"name": "file", "set": 0, "i": 0, "pose": [0,0,0], "parameters": {"../../etc": 1}}', 400, "names"),
+        (b'{"name": "file", "set": 0, "i": 0, "pose": [0,0,0], "parameters": {"0": {"../../etc": 1}}}', 400, "names"),
     ],
 )
 def test_malformed_messages_are_refused(client, body, status, words):
@@ -95,6 +101,25 @@ def test_no_other_file_is_given(client, path):
     assert answer.status_code in (403, 404) or answer.text.startswith("<!doctype html>")
     assert "import" not in answer.text
     assert "root:" not in answer.text
+
+
+def test_scores_do_not_wait_for_a_heat_map():
+    begun, scored = threading.Event(), threading.Event()
+
+    class Slow:
+        def answer(self, message):
+            if message["name"] == "scan":
+                scored.set()
+                return {}
+            begun.set()
+            return {"scored": scored.wait(5.0)}
+
+    client = testclient.TestClient(explorer_app(Slow(), TOKEN, PORT), base_url=ORIGIN)
+    with ThreadPoolExecutor() as pool, client:
+        heat = pool.submit(client.post, "/ask", json={"name": "heat"}, headers=OWN)
+        assert begun.wait(5.0)
+        client.post("/ask", json={"name": "scan"}, headers=OWN)
+        assert heat.result().json() == {"scored": True}
 
 
 def test_only_the_loopback_address_is_served():

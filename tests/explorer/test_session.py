@@ -8,9 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from beamfield.errors import InvalidInputError
+from beamfield.explorer.heat_maps import DEPTH
 from beamfield.explorer.parameter_set import read_set, typical_sets
 from beamfield.explorer.server import as_json
-from beamfield.explorer.session import DEPTH, HEAT_BEAMS, Session
+from beamfield.explorer.session import Session
 from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_density import beam_log_density
@@ -24,8 +25,10 @@ BEAM, FIELD, NAV2 = 0, 1, 2
 POSE = [1.2, 0.5, 0.2]
 
 
-def ask(session, name, **fields):
-    """Return the answer as the page gets it."""
+def ask(session, name, *, parameters=None, **fields):
+    """Return the answer as the page gets it; parameters are those of the chosen set."""
+    if parameters is not None:
+        fields["parameters"] = {str(fields["set"]): parameters}
     return json.loads(as_json(session.answer({"name": name, **fields})))
 
 
@@ -37,6 +40,7 @@ def test_the_start_has_the_map_and_the_log(session, log):
     start = ask(session, "start")
     assert (start["map"]["width_m"], start["map"]["height_m"]) == (10.0, 6.0)
     assert start["map"]["origin"] == [-1.0, -2.0, 0.0]
+    assert_allclose(start["map"]["free"], [-0.9, 8.9, -1.9, 3.9])
     assert_allclose(start["times"], log.stamps)
     assert start["poses"][-1] is None
     assert_allclose(start["poses"][:-1], log.poses[:-1])
@@ -46,7 +50,7 @@ def test_the_start_has_the_map_and_the_log(session, log):
 
 
 def test_scores_are_those_of_the_models(session, grid, log):
-    answer = ask(session, "scan", i=2, pose=POSE, set=BEAM)
+    answer = ask(session, "scan", i=2, pose=POSE, shown=[BEAM])
     beam = BeamModel(grid, typical_beam(), exponent=0.1)
     both = beam.log_likelihood(log[2], [POSE, log.poses[2]])
     assert answer["scores"][BEAM]["log"] == pytest.approx(both[0])
@@ -57,46 +61,65 @@ def test_scores_are_those_of_the_models(session, grid, log):
     assert answer["scores"][NAV2]["log"] == pytest.approx(float(nav2.log_likelihood(log[2], POSE)))
     assert_allclose(answer["expected"], beam.expected(POSE, log.finder), atol=1e-12)
     shares = beam.responsibilities(log[2], POSE)
-    assert_allclose([share for share in answer["shares"] if share], shares[shares.any(axis=1)])
+    assert_allclose([share for share in answer["shares"][str(BEAM)] if share], shares[shares.any(axis=1)])
 
 
 def test_without_a_reference_pose_there_is_nothing_to_compare_with(session):
-    assert ask(session, "scan", i=11, pose=POSE, set=FIELD)["scores"][FIELD]["over_reference"] is None
+    assert ask(session, "scan", i=11, pose=POSE, shown=[])["scores"][FIELD]["over_reference"] is None
 
 
 def test_a_weight_that_is_moved_scales_the_others(session):
-    values = ask(session, "scan", i=0, pose=POSE, set=BEAM, parameters={"z_hit": 0.4})["values"]
+    values = ask(session, "scan", i=0, pose=POSE, set=BEAM, shown=[], parameters={"z_hit": 0.4})["values"][BEAM]
     assert sum(values[name] for name in ("z_hit", "z_short", "z_max", "z_rand")) == pytest.approx(1.0)
     assert values["z_hit"] / values["z_short"] == pytest.approx(0.4 / 0.08)
 
 
 def test_the_field_says_which_readings_lie_at_obstacles(session, log, grid):
-    shares = ask(session, "scan", i=3, pose=log.poses[3].tolist(), set=FIELD)["shares"]
+    shares = ask(session, "scan", i=3, pose=log.poses[3].tolist(), shown=[FIELD, BEAM])["shares"][str(FIELD)]
     ends = LikelihoodFieldModel(grid, session.sets[FIELD].make(session.sets[FIELD].values).parameters)
     near = ends.distances_to_obstacles(log[3], log.poses[3])
     known = [k for k, share in enumerate(shares) if share is not None]
     assert np.corrcoef([shares[k][0] > 0.5 for k in known], np.nan_to_num(near)[known] < 0.3)[0, 1] > 0.9
 
 
-def test_a_heat_map_is_the_best_of_the_headings(session, grid, log):
-    words = {"i": 4, "pose": POSE, "set": BEAM, "places": 6, "headings": 5, "width_m": 1.2, "turn_deg": 50.0}
-    answer = ask(session, "heat", **words)
-    bytes_ = np.frombuffer(base64.b64decode(answer["heat"]), np.uint8).reshape(6, 6)
-    scan = log[4].subset(np.unique(np.round(np.linspace(0, 40, HEAT_BEAMS)).astype(int)))
+def test_a_heat_map_is_the_best_of_the_headings_and_holds_the_robots_own_pose(session, grid, log):
+    answer = ask(session, "heat", i=4, pose=POSE, set=BEAM, width_m=1.2)
+    assert answer["beams"] == [41, 41]
+    shade = np.frombuffer(base64.b64decode(answer["heat"]), np.uint8).reshape(60, 60)
+    steps = 1.2 * (np.arange(60) - 30) / 60
+    headings = POSE[2] + np.radians(np.arange(36) - 18.0)
     model = BeamModel(grid, typical_beam(), exponent=0.1)
-    x, y = POSE[0] + 1.2 * ((np.arange(6) + 0.5) / 6 - 0.5), POSE[1] + 1.2 * ((np.arange(6) + 0.5) / 6 - 0.5)
-    headings = POSE[2] + np.radians([-20.0, -10.0, 0.0, 10.0, 20.0])
-    log_values = np.array([[[model.log_likelihood(scan, [a, b, c]) for c in headings] for a in x] for b in y])
-    shade = 255.0 * np.clip(1.0 + (log_values.max(axis=2) - log_values.max()) / DEPTH, 0.0, 1.0)
-    assert_allclose(bytes_, shade, atol=1.0)
-    assert answer["best_log"] == pytest.approx(log_values.max())
-    assert float(model.log_likelihood(scan, answer["best"])) == pytest.approx(log_values.max())
+    poses = [[[[POSE[0] + x, POSE[1] + y, turn] for turn in headings] for x in steps[::10]] for y in steps[::10]]
+    values = model.log_likelihood(log[4], poses).max(axis=2)
+    own = float(model.log_likelihood(log[4], POSE))
+    best = own + answer["best_over_here"]
+    assert float(model.log_likelihood(log[4], answer["best"])) == pytest.approx(best)
+    assert best >= values.max()
+    assert_allclose(shade[::10, ::10], 255.0 * np.clip(1.0 + (values - best) / DEPTH, 0.0, 1.0), atol=1.0)
+    assert_allclose(np.array(answer["origin"][:2]) + 30.5 * answer["step_m"], POSE[:2])
+
+
+def test_while_the_robot_is_dragged_some_beams_stand_for_all(session, log):
+    words = {"i": 4, "pose": log.poses[4].tolist(), "width_m": 4.0}
+    dragged = ask(session, "heat", set=BEAM, dragged=True, **words)
+    at_rest = ask(session, "heat", set=BEAM, **words)
+    assert (dragged["beams"], at_rest["beams"]) == ([20, 41], [41, 41])
+    few, all_ = (np.frombuffer(base64.b64decode(one["heat"]), np.uint8).astype(float) for one in (dragged, at_rest))
+    seen = (few > 0) & (all_ > 0) & (all_ < 255)
+    # Not twice as wide, as half of the beams were without a scale.
+    assert np.mean(few > 0) == pytest.approx(np.mean(all_ > 0), rel=0.35)
+    assert np.median((255 - few[seen]) / (255 - all_[seen])) == pytest.approx(1.0, abs=0.25)
+    field = ask(session, "heat", set=FIELD, dragged=True, **words)
+    assert field["beams"] == [1, 1]
+    assert field["heat"] == ask(session, "heat", set=FIELD, **words)["heat"]
+    assert ask(session, "heat", set=NAV2, dragged=True, **words)["rows"] == 30
 
 
 def test_over_the_building_the_best_place_is_the_robots(session, log):
-    answer = ask(session, "building", i=5, set=FIELD, pose=POSE, parameters={"exponent": 1.0})
-    assert np.hypot(*(np.array(answer["best"])[:2] - log.poses[5, :2])) < 0.5
-    assert len(base64.b64decode(answer["heat"])) == answer["rows"] * answer["cols"]
+    for number in (BEAM, FIELD):
+        answer = ask(session, "building", i=5, set=number, pose=POSE)
+        assert np.hypot(*(np.array(answer["best"])[:2] - log.poses[5, :2])) < 0.5
+        assert len(base64.b64decode(answer["heat"])) == answer["rows"] * answer["cols"]
 
 
 def test_the_density_of_a_reading_is_that_of_the_beam_model(session, log):
@@ -110,17 +133,46 @@ def test_the_density_of_a_reading_is_that_of_the_beam_model(session, log):
     assert ask(session, "density", i=6, pose=POSE, set=FIELD, beam=20)["curves"] is None
 
 
-def test_better_values_are_better_over_the_log(session):
-    answer = ask(session, "judge", i=0, pose=POSE, set=BEAM, parameters={"sigma_hit": 0.05})
-    assert answer["now"] > answer["before"] + 0.2
-    assert answer["scans"] == 11
+def test_better_values_are_better_over_the_log(session, grid, log):
+    answer = ask(session, "judge", set=BEAM, parameters={"sigma_hit": 0.05})
+    assert answer["now"]["reading"] > answer["before"]["reading"] + 0.2
+    assert (answer["scans"], answer["held_out"]) == (11, False)
+    field = ask(session, "judge", set=FIELD, parameters={"sigma_hit": 1.5})
+    assert field["now"]["reading"] is None
+    # A constant factor of the likelihood, which says nothing of the pose, does not count as better.
+    assert field["now"]["pose"] < field["before"]["pose"] - 0.5
+    some = Session(log, grid, session.sets, held_out=np.array([2, 5, 11]))
+    assert ask(some, "judge", set=FIELD) | {"now": 0, "before": 0} == {
+        "now": 0, "before": 0, "scans": 2, "held_out": True,
+    }  # fmt: skip
+
+
+def test_scores_say_which_model_tells_the_pose(session, log):
+    scans = [2, 11, 7]
+    first, none, third = ask(session, "scores", scans=scans, sets=[BEAM, FIELD])["scores"]
+    assert none is None
+    scan, usable = log[2], np.isfinite(log[2].ranges)
+    expected = BeamModel(session.grid, typical_beam()).expected(log.poses[2], log.finder)
+    reading = beam_log_density(scan.ranges, expected, 8.0, typical_beam())[usable].mean()
+    assert first["reading"] == [pytest.approx(reading), None]
+    assert min(first["pose"] + third["pose"]) > 1.0
+    # All but deaf: it says nothing. Too sure of too much: it is punished.
+    deaf = ask(session, "scores", scans=[2], sets=[FIELD], set=FIELD, parameters={"exponent": 0.001})
+    assert abs(deaf["scores"][0]["pose"][0]) < 0.2
+    wrong = session.log.with_poses(log.poses + np.array([0.6, 0.0, 0.0]))
+    moved = Session(wrong, session.grid, session.sets)
+    sure = ask(moved, "scores", scans=[2], sets=[FIELD], set=FIELD, parameters={"exponent": 1.0})
+    assert sure["scores"][0]["pose"][0] < -3.0
 
 
 def test_a_filter_follows_the_robot(session, log):
-    answer = ask(session, "filter", i=0, pose=log.poses[0].tolist(), set=FIELD)
-    poses = np.array(answer["poses"], dtype=float)
-    assert np.hypot(*(poses - log.odometry)[:, :2].T).max() < 0.4
-    assert answer["particles"]
+    answer = ask(session, "filter", i=2, pose=log.poses[2].tolist(), set=FIELD)
+    assert answer["poses"][:2] == [None, None]
+    assert np.hypot(*(np.array(answer["poses"][2:]) - log.odometry[2:])[:, :2].T).max() < 0.4
+    last = max(answer["particles"], key=int)
+    cloud = np.array(answer["particles"][last])
+    assert cloud.shape == (200, 3)
+    assert np.hypot(*(cloud[:, :2].mean(axis=0) - log.odometry[int(last), :2])) < 0.4
 
 
 def test_files_hold_the_values_that_were_chosen(session, grid, log, tmp_path):
@@ -163,13 +215,21 @@ def test_a_users_file_keeps_what_was_not_moved(grid, log, tmp_path):
         ({"name": "scan", "i": 1, "pose": [1.0, 2.0], "set": 0}, "pose"),
         ({"name": "scan", "i": 1, "pose": [1.0, 2.0, float("nan")], "set": 0}, "pose"),
         ({"name": "scan", "i": 1, "pose": [1.0, 2.0, 1e300], "set": 0}, "pose"),
-        ({"name": "scan", "i": 1, "pose": POSE, "set": 3}, "set"),
-        ({"name": "scan", "i": 1, "pose": POSE, "set": 0, "parameters": []}, "parameters"),
-        ({"name": "scan", "i": 1, "pose": POSE, "set": 0, "parameters": {"__class__": 1}}, "expected names"),
-        ({"name": "scan", "i": 1, "pose": POSE, "set": 0, "parameters": {"sigma_hit": -1}}, "sigma_hit"),
-        ({"name": "scan", "i": 1, "pose": POSE, "set": 0, "parameters": {"sigma_hit": "1"}}, "sigma_hit"),
-        ({"name": "scan", "i": 1, "pose": POSE, "set": 1, "parameters": {"z_hit": 0, "z_rand": 0}}, "weight above 0"),
-        ({"name": "heat", "i": 1, "pose": POSE, "set": 0, "places": 10**9}, "places"),
+        ({"name": "file", "set": 3}, "set"),
+        ({"name": "scan", "i": 1, "pose": POSE, "shown": [0, 3]}, "shown"),
+        ({"name": "scan", "i": 1, "pose": POSE, "shown": [0, 1, 2]}, "at most 2"),
+        ({"name": "scores", "scans": list(range(12)) * 2, "sets": [0]}, "at most 20"),
+        ({"name": "scores", "scans": [0], "sets": 0}, "list"),
+        ({"name": "scan", "i": 1, "pose": POSE, "set": 0, "shown": [], "parameters": []}, "parameters"),
+        ({"name": "scan", "i": 1, "pose": POSE, "shown": [], "parameters": {"0": {"__class__": 1}}}, "expected names"),
+        ({"name": "scan", "i": 1, "pose": POSE, "shown": [], "parameters": {"0": {"sigma_hit": -1}}}, "sigma_hit"),
+        ({"name": "scan", "i": 1, "pose": POSE, "shown": [], "parameters": {"0": {"sigma_hit": "1"}}}, "sigma_hit"),
+        (
+            {"name": "scan", "i": 1, "pose": POSE, "shown": [], "parameters": {"1": {"z_hit": 0, "z_rand": 0}}},
+            "weight above 0",
+        ),
+        ({"name": "heat", "i": 1, "pose": POSE, "set": 0, "width_m": 1e9}, "width_m"),
+        ({"name": "heat", "i": 1, "pose": POSE, "set": 0, "width_m": 1.0, "dragged": 1}, "dragged"),
         ({"name": "density", "i": 1, "pose": POSE, "set": 0, "beam": 41}, "beam"),
     ],
 )
@@ -179,5 +239,5 @@ def test_what_the_page_cannot_send_is_refused(session, message, words):
 
 
 def test_a_pose_far_off_the_map_has_an_answer(session):
-    answer = ask(session, "scan", i=1, pose=[9e5, 0.0, 0.0], set=BEAM)
+    answer = ask(session, "scan", i=1, pose=[9e5, 0.0, 0.0], shown=[BEAM])
     assert all(value == 8.0 for value in answer["expected"])

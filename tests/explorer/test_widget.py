@@ -1,13 +1,16 @@
 """The explorer in a notebook, and how a session is opened."""
 
+import numpy as np
 import pytest
 
 from beamfield.explorer.open_session import open_session
 from beamfield.explorer.widget import answered, explore
+from beamfield.io.trajectory import write_tum
+from beamfield.sensors import Track
 
 
 def test_a_message_of_the_notebook_is_answered(session):
-    answer = answered(session, {"id": 7, "message": {"name": "scan", "i": 0, "pose": [0.0, 0.3, 0.0], "set": 0}})
+    answer = answered(session, {"id": 7, "message": {"name": "scan", "i": 0, "pose": [0.0, 0.3, 0.0], "shown": [0]}})
     assert answer["id"] == 7
     assert len(answer["answer"]["scores"]) == 3
     assert "object" in answered(session, {"id": 8})["error"]
@@ -31,13 +34,23 @@ def test_what_cannot_be_learned_is_said_and_the_rest_is_shown(log, grid):
     assert [one.kind for one in session.sets] == ["beam", "field", "stack"]
 
 
-def test_a_log_is_learned_from_and_its_scans_judged(drive, office):
+def test_a_log_is_learned_from_and_its_scans_judged(drive, office, tmp_path):
     stages = []
-    session, why = open_session(drive, office, progress=lambda stage, *_: stages.append(stage))
+    # A filter that loses its way after half of the log.
+    off = np.where(np.arange(len(drive)) < 240, 0.0, 3.0)[:, None] * np.array([1.0, 0.3, 0.5])
+    write_tum(tmp_path / "run.tum", Track(drive.stamps, drive.poses + off))
+    session, why = open_session(
+        drive, office, run=tmp_path / "run.tum", progress=lambda stage, *_: stages.append(stage)
+    )
     assert why is None
     assert [one.label for one in session.sets[:2]] == ["beam model, fitted", "likelihood field, fitted"]
-    assert set(session.numbers) == {"log likelihood of a beam", "p-value", "probability of being lost"}
+    assert {"log likelihood of a reading", "p-value", "probability of being lost"} < set(session.numbers)
+    lost = session.numbers["filter: probability of being lost"]
+    assert np.nanmedian(lost[:240]) < 0.1
+    assert np.nanmedian(lost[260:]) > 0.9
     assert "judging scans" in stages
-    first = session.answer({"name": "judge", "set": 0, "i": 0, "pose": [0.0, 0.0, 0.0]})
-    typical = session.answer({"name": "judge", "set": 2, "i": 0, "pose": [0.0, 0.0, 0.0]})
-    assert first["now"] > typical["now"]
+    first, typical = (session.answer({"name": "judge", "set": number}) for number in (0, 2))
+    assert first["held_out"]
+    assert first["now"]["reading"] > typical["now"]["reading"]
+    learned, usual = (session.answer({"name": "judge", "set": number})["now"]["pose"] for number in (1, 3))
+    assert learned > usual + 0.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -72,6 +73,7 @@ class Command:
 
 
 _LOG = "{world}/log.carmen --map {world}/map.yaml --quiet"
+_FLEET = "--robots 2 --sites 1 --days 1 --duration 25 --scan-rate 3 --beams 45 --width 26 --height 20"
 COMMANDS = (
     Command("translate --out", "translate {world}/nav2.yaml --to beluga --out {out}/beluga.yaml", 36),
     Command("translate --patch", "translate {world}/beluga.yaml --to nav2 --patch {out}/nav2.yaml", 36,
@@ -91,6 +93,8 @@ COMMANDS = (
     Command("calibrate", f"calibrate {_LOG} --no-refine --out {{out}}/c", 4),
     Command("calibrate --stack --patch", f"calibrate {_LOG} --no-refine --out {{out}}/c --stack nav2 "
             "--patch {out}/nav2.yaml", 3, {"nav2.yaml": NAV2}),
+    Command("fleet simulate", f"fleet simulate --out {{out}}/fleet {_FLEET} --workers 1 --quiet", 5),
+    Command("fleet report", "fleet report {world}/catalogue --out {out}/report --scheduler serial --quiet", 3),
     Command("fleet scan", "fleet scan {world}/fleet.csv --out {out}/catalogue --scheduler serial --quiet", 12,
             in_steps=True, resumes=True),
     Command("demo", "demo --out {out}/demo --duration 90 --quiet", 2, in_steps=True),
@@ -109,6 +113,9 @@ def make_world(folder: Path, *, logs: bool) -> None:
     if main([*words, "--beams", "31", "--quiet"]) != 0:
         raise RuntimeError("the world could not be simulated")
     (folder / "fleet.csv").write_text("log,map,robot,site\nlog.carmen,map.yaml,ann,hall\n")
+    words = ["fleet", "scan", str(folder / "fleet.csv"), "--out", str(folder / "catalogue"), "--scheduler", "serial"]
+    if main([*words, "--quiet"]) != 0:
+        raise RuntimeError("the world could not be scanned")
     rng = np.random.default_rng(4)
     landmarks = LandmarkMap([[0.0, 0.0], [9.0, 1.0], [4.0, 7.0]], ids=[4, 9, 2])
     model = LandmarkModel(landmarks, LandmarkParameters(0.1, 0.02), correspondence="known")
@@ -133,6 +140,8 @@ def is_complete(path: Path) -> bool:
         elif path.suffix == ".npz":
             with np.load(path) as arrays:
                 return all(arrays[name] is not None for name in arrays.files)
+        elif path.suffix == ".gz":
+            return gzip.decompress(content).endswith(b"\n")
     except Exception:
         return False
     endings = {

@@ -71,10 +71,12 @@ def test_a_damaged_or_foreign_file_of_beams_is_named(place: Path, damage: Callab
     assert message in str(error.value)
 
 
-def test_a_page_that_is_damaged_is_found_when_it_is_read(place: Path):
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7])
+def test_a_single_bit_that_is_wrong_is_found(place: Path, share: float):
     file = shard_file(place)
     content = bytearray(file.read_bytes())
-    content[len(content) // 4 : len(content) // 2] = bytes(len(content) // 4)
+    footer = int.from_bytes(content[-8:-4], "little")
+    content[int(share * (len(content) - footer))] ^= 1
     file.write_bytes(content)
     (shard, *_) = open_catalogue(str(place)).shards()
     with pytest.raises(FormatError, match="damaged, or no Parquet"):

@@ -11,6 +11,7 @@ from beamfield.detection_log import DetectionLog
 from beamfield.fleet.manifest import ManifestRow
 from beamfield.fleet.run_record import RunRecord, record_from_json
 from beamfield.io.bags.fiducial_detections import FiducialDetections
+from beamfield.io.filter_run import FilterRun
 from beamfield.io.trajectory import IndexedTrack
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
@@ -98,6 +99,14 @@ def track(result: Any) -> None:
     assert (np.abs(result.poses[:, 2]) <= np.pi).all()
     if isinstance(result, IndexedTrack):
         assert (np.diff(result.scan_indices) > 0).all()
+
+
+def filter_run(result: Any) -> None:
+    assert isinstance(result, FilterRun)
+    track(result.track)
+    assert len(result.stamps) == len(result.particles)
+    assert (np.diff(result.stamps) > 0.0).all()
+    assert all(np.isfinite(poses).all() and len(poses) > 0 for poses in result.particles)
 
 
 def landmarks(result: Any) -> None:

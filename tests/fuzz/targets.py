@@ -12,6 +12,7 @@ from beamfield.fleet.manifest import read_manifest
 from beamfield.fleet.run_record import record_from_json
 from beamfield.io.bags.fiducial_detections import read_camera, read_camera_images, read_fiducials
 from beamfield.io.bags.reader import read_bag_map
+from beamfield.io.filter_run import read_run
 from beamfield.io.landmarks.landmark_files import read_landmarks
 from beamfield.io.landmarks.line_files import read_line_map
 from beamfield.io.landmarks.sightings import read_sightings
@@ -148,6 +149,7 @@ TARGETS: tuple[Target, ...] = (
     Target("coreslam", logs.coreslam_logs, _with_options(read_log, LOG_OPTIONS), sane.log),
     Target("sonar", logs.sonar_logs, read_log, sane.log),
     Target("trajectory", logs.trajectories, read_trajectory, sane.track),
+    Target("filter_run", logs.filter_runs, read_run, sane.filter_run),
     Target("landmarks", landmarks.landmark_maps, read_landmarks, sane.landmarks),
     Target("lines", landmarks.line_maps, read_line_map, sane.lines),
     Target("sightings", landmarks.sightings, _sightings, sane.sightings),

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.logs.scan_stamps import resolve_stamps
+from beamfield.io.read_log import read_log
+from beamfield.sensors import ScanLog, SensorLog
 
 
 def resolve(columns, rule="file"):
@@ -34,6 +39,14 @@ def test_scans_are_numbered_where_all_stamps_are_lost():
     np.testing.assert_array_equal(found.seconds, np.arange(100))
     assert found.column is None
     assert "the stamps are lost (2 different values in 100 scans)" in found.notes[0]
+
+
+def test_scans_that_come_twice_keep_their_stamps(tmp_path: Path, drive: SensorLog):
+    twice = drive[np.repeat(np.arange(20), 2)]
+    write_carmen(tmp_path / "twice.log", ScanLog({"laser": twice}))
+    found = read_log(tmp_path / "twice.log")
+    np.testing.assert_allclose(found.only_sensor().stamps, twice.stamps, atol=1e-6)
+    assert any("20 of 40 scans repeat the one before" in note for note in found.notes)
 
 
 def test_stamps_that_are_no_numbers_are_lost():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,7 +35,9 @@ def test_no_beam_is_judged_at_a_pose_that_it_made(lone: SensorLog, office: Occup
         fits[log.ranges.tobytes()] = fit = made_up(log, np.ones(len(log), bool), heading=0.01 * len(fits))
         return fit
 
-    monkeypatch.setattr(fitted_poses, "find_course", lambda log, *_, **__: searched.append(log))
+    turned = np.tile([0.0, 0.0, 1.0], (len(lone), 1))
+    course = SimpleNamespace(odometry=turned)
+    monkeypatch.setattr(fitted_poses, "find_course", lambda log, *_, **__: searched.append(log) or course)
     monkeypatch.setattr(fitted_poses, "fit_course", made_up_once)
     crossed = cross_fit_poses(lone, office)
     assert searched == [lone], "half of the beams may not tell where the log begins"
@@ -43,6 +46,7 @@ def test_no_beam_is_judged_at_a_pose_that_it_made(lone: SensorLog, office: Occup
     for log, seen, made in ((crossed.judged, even, odd), (crossed.swapped, odd, even), (crossed.same, odd, odd)):
         np.testing.assert_array_equal(log.ranges, seen)
         np.testing.assert_array_equal(log.poses, fits[made.tobytes()].poses)
+        np.testing.assert_array_equal(log.odometry, turned, "what was found wrong with the odometry is put right")
     np.testing.assert_array_equal(crossed.log.poses, crossed.judged.poses)
 
 
@@ -84,7 +88,7 @@ def test_the_less_is_trusted_the_louder_it_is_said(
 def test_where_no_pose_is_trusted_none_is_returned(lone: SensorLog, office: OccupancyGrid, monkeypatch):
     for name in ("fit_trajectory", "fit_course"):
         monkeypatch.setattr(fitted_poses, name, lambda log, *_, **__: made_up(log, np.zeros(len(log), bool)))
-    monkeypatch.setattr(fitted_poses, "find_course", lambda *_, **__: None)
+    monkeypatch.setattr(fitted_poses, "find_course", lambda log, *_, **__: SimpleNamespace(odometry=log.odometry))
     for fit in (fit_poses, cross_fit_poses):
         with pytest.raises(TrajectoryNotFoundError, match="no pose of the fitted trajectory can be trusted"):
             fit(lone, office)

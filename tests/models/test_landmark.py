@@ -99,12 +99,12 @@ def test_the_sum_runs_over_all_landmarks_and_none():
             assert got[i, k] == pytest.approx(math.log(q), rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("sigmas", [(0.3, 0.2), (1e-6, 1e-7), (5.0, 3.0)])
+@pytest.mark.parametrize("sigmas", [(0.3, 0.2), (1e-6, 1e-7), (5.0, 3.0), (0.01, 0.5), (2.0, 0.01)])
 def test_nearest_finds_the_first_of_the_best_of_all_candidates_to_the_last_bit(sigmas):
     """Bounds leave out only what cannot win: two landmarks of one position, poses on landmarks, missing values."""
     rng = np.random.default_rng(5)
     positions = np.repeat(rng.uniform(0.0, 4.0, (15, 2)), 2, axis=0)
-    features = np.column_stack([rng.uniform(0.0, 5.0, 9), np.cos(angles := rng.uniform(-3.1, 3.1, 9)), np.sin(angles)])
+    features = np.column_stack([rng.uniform(-1.0, 5.0, 9), np.cos(angles := rng.uniform(-3.1, 3.1, 9)), np.sin(angles)])
     weights = np.tile(1.0 / np.array(sigmas), (9, 1))
     weights[3, 0] = weights[4, 1] = 0.0
     poses = np.column_stack([rng.uniform(0.0, 4.0, (60, 2)), rng.uniform(-9.0, 9.0, 60)])

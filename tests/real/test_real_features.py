@@ -13,7 +13,7 @@ from beamfield.features.sweep import RangeNoise
 pytestmark = pytest.mark.real
 
 
-# The levels are those of docs/features.md less three standard errors of the fewer pairs here.
+# The levels are those of docs/evidence/features.md less three standard errors of the fewer pairs here.
 @pytest.mark.parametrize(
     ("name", "n_pairs", "lines", "long_lines", "corners", "minima", "too_small"),
     [

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
 
 # Windows of odometry that the reference is compared with (seconds), and the least motion that can be judged (metres).
@@ -29,7 +30,28 @@ def pose_findings(log: SensorLog, grid: OccupancyGrid) -> list[Finding]:
     -------
     Findings; none if the path is plausible.
     """
-    return [*_inside_walls(log, grid), *_against_odometry(log)]
+    return [*_inside_walls(log, grid), *jump_findings(log), *_against_odometry(log)]
+
+
+def jump_findings(log: SensorLog) -> list[Finding]:
+    """Find steps of a log's odometry that no robot makes."""
+    known = np.isfinite(log.odometry).all(axis=1)
+    stamps = log.stamps[known]
+    times = stamps[1:][_jumps(log.odometry[known], stamps)] - log.stamps[:1]
+    n = len(times)
+    if n == 0:
+        return []
+    return [
+        Finding(
+            "odometry-jumps",
+            "warning",
+            f"The odometry jumps {'once' if n == 1 else f'{n} times'} farther than a robot drives or turns, first "
+            f"{times[0]:.1f} s after the first scan.",
+            {"count": float(n), "first_s": float(times[0])},
+            why="It was reset, or is not in metres; a filter that follows it gets lost.",
+            do="Look for a restart of the base at these times.",
+        )
+    ]
 
 
 def _inside_walls(log: SensorLog, grid: OccupancyGrid) -> list[Finding]:
@@ -58,6 +80,10 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
         return []
     stamps, poses, odometry = log.stamps[both], log.poses[both], log.odometry[both]
     starts, ends = _windows(stamps)
+    # What the odometry itself shows to be wrong says nothing about the reference.
+    jumps = np.concatenate([[0], np.cumsum(_jumps(odometry, stamps))])
+    steady = jumps[starts] == jumps[ends]
+    starts, ends = starts[steady], ends[steady]
     if len(starts) == 0:
         return []
     reference = between(poses[starts], poses[ends])
@@ -102,8 +128,8 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
                     "median_difference": float(np.median(slip[slides])),
                     "first_s": float(begin[slides][0]),
                 },
-                why="The reference slides, like a lost localizer's, or the odometry slips.",
-                do="Look at the log there. If the wheels slipped, go on; else localize again or cut this part out.",
+                why="The reference slides, like a lost localizer's, or the odometry slips or has a wrong sign.",
+                do="Look at the log there. If the odometry is wrong, go on; else localize again or cut this part out.",
             )
         )
     turns = turn_error > 0.2
@@ -120,6 +146,10 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
             )
         )
     return found
+
+
+def _jumps(odometry: FloatArray, stamps: FloatArray) -> NDArray[np.bool_]:
+    return odometry_jumps(between(odometry[:-1], odometry[1:]), np.maximum(np.diff(stamps), 0.0))
 
 
 def _windows(stamps: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -13,6 +13,8 @@ from beamfield.arguments import check_fields
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.range_scale import require_metres
+from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog, usable_ranges
 from beamfield.short_repr import short_repr
 
@@ -42,7 +44,7 @@ class SelectionOptions:
         headings.
     max_jump, max_jump_turn
         A step of the reference between neighbouring scans may differ from the odometry's by this much (metres,
-        radians); without odometry nothing is tested.
+        radians); without odometry, or where it jumps farther than a robot drives, nothing is tested.
     min_scans
         Fewer scans than this are too little data.
 
@@ -121,7 +123,7 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
     Raises
     ------
     InvalidInputError
-        If the log has no reference poses at all, or all of it lies off the map.
+        If the log has no reference poses at all, all of it lies off the map, or readings are longer than the map.
     TooLittleDataError
         If fewer than `options.min_scans` scans remain.
     """
@@ -130,6 +132,7 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
         raise InvalidInputError(
             f"{log.finder.name or 'log'}: no scan has a reference pose; give them with a pose file or topic"
         )
+    require_metres(log, grid)
     reason = np.full(len(log), -1, dtype=np.int8)
 
     def drop(mask: NDArray[np.bool_], name: str) -> None:
@@ -181,6 +184,8 @@ def _jumps(log: SensorLog, options: SelectionOptions) -> NDArray[np.bool_]:
         driven = between(log.odometry[:-1], log.odometry[1:])
         error = between(driven, step)
         bad = (np.hypot(error[:, 0], error[:, 1]) > options.max_jump) | (np.abs(error[:, 2]) > options.max_jump_turn)
+        # There it is the odometry that is wrong.
+        bad &= ~odometry_jumps(driven, np.diff(log.stamps))
     return _either_side(bad)
 
 
@@ -195,7 +200,8 @@ def _turns_fast(log: SensorLog, max_turn_rate: float) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore", divide="ignore"):
         turn = np.abs(between(track[:-1], track[1:])[:, 2])
         rate = turn / np.diff(log.stamps)
-        fast = (rate > max_turn_rate) & (turn > 0)
+        # Of a scan that comes twice, rounding alone turns: in no time.
+        fast = (rate > max_turn_rate) & (turn > 1e-9)
     return _either_side(fast)
 
 

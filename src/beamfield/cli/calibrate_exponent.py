@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from beamfield.sensors import SensorLog
 
 NAME = "independent_beams"
-# More than 30 beams add nothing to a beam model's posteriors, and each costs a ray: docs/in_context.md.
+# More than 30 beams add nothing to a beam model's posteriors, and each costs a ray: docs/evidence/in_context.md.
 N_BEAMS = 30
 
 

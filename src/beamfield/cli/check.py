@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import NAME, Start, as_document, as_notes, posed_log
+from beamfield.cli.fitted_poses import NAME, Start, as_document, posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index, positive
 from beamfield.cli.progress import StageProgress
@@ -204,8 +204,8 @@ def _sensor(
 ) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
     """Return the sensor with poses, its own or fitted to the map, and notes."""
     sensor, notes = options.read_sensor(arguments, path, poses)
-    sensor, fitted = posed_log(sensor, grid, arguments, progress, path=path, start=start)
-    return sensor, fitted, (*notes, *as_notes(fitted))
+    sensor, fitted, more = posed_log(sensor, grid, arguments, progress, path=path, start=start)
+    return sensor, fitted, (*notes, *more)
 
 
 def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StageProgress) -> BeamParameters:

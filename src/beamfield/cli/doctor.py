@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import as_notes, posed_log
+from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
 from beamfield.cli.progress import StageProgress
@@ -90,10 +90,10 @@ def _posed(
     """Return the log with poses, its own or fitted to the map; as it was, and why, if none can be fitted."""
     start = options.start_of(arguments)
     try:
-        log, fitted = posed_log(log, grid, arguments, progress, path=arguments.log, start=start)
+        log, _, notes = posed_log(log, grid, arguments, progress, path=arguments.log, start=start)
     except (FormatError, TooLittleDataError) as error:
         return log, (f"{error}; tests at the scans' poses are left out",)
-    return log, as_notes(fitted)
+    return log, notes
 
 
 def _read_map(arguments: argparse.Namespace) -> tuple[OccupancyGrid, MapFile]:

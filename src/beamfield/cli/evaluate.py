@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import as_notes, posed_log
+from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
 from beamfield.cli.progress import StageProgress
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from beamfield.report.evaluation import Evaluation, FindTrials
     from beamfield.sensors import SensorLog
     from beamfield.stacks.files.filter_file import FilterSettings
+    from beamfield.stacks.files.parameter_file import StackFile
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -78,17 +79,20 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.report.evaluation import evaluation_as_dict, evaluation_csv, evaluation_line, evaluation_tables
     from beamfield.report.evaluation_figure import evaluation_figure
+    from beamfield.stacks.files.filter_file import read_filter_settings
 
     _check(arguments)
     check_folder_writable(arguments.out)
     check_recordings(arguments)
-    settings, notes = _read_settings(arguments)
+    files, notes = _read_files(arguments)
+    settings = {name: read_filter_settings(file) for name, file in files.items()}
     with options.progress(arguments) as progress:
         progress("reading the map", 0, 1)
-        grid = options.read_grid(arguments)
+        grid = options.read_walls(arguments)
         filters = _filters(arguments, settings, grid, progress)
         progress("reading the logs", 0, 1)
         logs, more = _read_logs(arguments, grid, progress)
+        more += _errors(files, grid, next(iter(logs.values())))
         evaluation = _evaluate(arguments, filters, logs, progress)
         document = {
             "provenance": provenance(arguments),
@@ -122,20 +126,30 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError(f"--rerun, --mcap: expected one LOG, got {len(arguments.logs)}")
 
 
-def _read_settings(arguments: argparse.Namespace) -> tuple[dict[str, FilterSettings], list[str]]:
-    """Return what each parameter file sets up, by a short name, and what was noticed."""
-    from beamfield.stacks.files.filter_file import read_filter_settings
+def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], list[str]]:
+    """Return the parameter files by a short name, and what was noticed."""
     from beamfield.stacks.files.parameter_file import read_stack_file
 
-    settings: dict[str, FilterSettings] = {}
+    files: dict[str, StackFile] = {}
     notes: list[str] = []
     for name, path in _short_names(arguments.params).items():
-        file = read_stack_file(path, stack=arguments.stack, section=arguments.section)
-        settings[name] = read_filter_settings(file)
+        file = files[name] = read_stack_file(path, stack=arguments.stack, section=arguments.section)
         if not file.stack_is_certain:
             others = " or ".join(other for other in file.possible if other != file.stack)
             notes.append(f"{name} is taken for a file of {file.stack}; it may be one of {others}, see --stack")
-    return settings, notes
+    return files, notes
+
+
+def _errors(files: Mapping[str, StackFile], grid: OccupancyGrid, log: SensorLog) -> list[str]:
+    """Return what makes a parameter file useless, such as weights that are all zero."""
+    from beamfield.stacks.doctor.examine import examine
+
+    return [
+        f"{name}: {finding.full_text}"
+        for name, file in files.items()
+        for finding in examine(file, grid=grid, log=log)
+        if finding.severity == "error"
+    ]
 
 
 def _filters(
@@ -168,8 +182,8 @@ def _read_logs(
         if not sensor.has_odometry:
             raise FormatError(path, "the log has no odometry, by which a filter moves its particles")
         start = options.start_of(arguments)
-        logs[name], fitted = posed_log(sensor, grid, arguments, progress, path=path, start=start)
-        notes += [f"{name}: {note}" for note in (*log.notes, *as_notes(fitted))]
+        logs[name], _, more = posed_log(sensor, grid, arguments, progress, path=path, start=start)
+        notes += [f"{name}: {note}" for note in (*log.notes, *more)]
     return logs, notes
 
 

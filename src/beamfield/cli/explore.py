@@ -2,13 +2,14 @@
 
 Serves one page on the loopback address, for this user only, until Ctrl-C: the map, the scan at its pose with the cause
 of each reading, expected ranges, the scores of every model while the robot is dragged, heat maps of p(z | x, m),
-sliders for the parameters with the density of any beam, and a timeline of how well scans fit. Nothing is written; the
-page offers changed parameter files for download.
+sliders for the parameters with the density of any beam, two models side by side, a filter's run with its particles, and
+a timeline of how well scans fit. Nothing is written; the page offers changed parameter files for download.
 
 for example:
 
   beamfield explore run.bag --map map.yaml
   beamfield explore run.bag --map map.yaml --params nav2_params.yaml beamfield_calibration/nav2.yaml
+  beamfield explore run.bag --map map.yaml --run beamfield_localization
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from beamfield.cli import options
-from beamfield.cli.fitted_poses import as_notes, posed_log
+from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.terminal import complain
+from beamfield.cli.wording import in_options
 from beamfield.errors import InvalidInputError, MissingDependencyError
 
 
@@ -35,6 +37,8 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--params", type=Path, nargs="+", default=[], metavar="FILE",
                         help="parameter files to compare: beam_model.yaml, likelihood_field.yaml, or of nav2, ROS 1 "
                         "amcl, Beluga, MRPT, F1TENTH")  # fmt: skip
+    parser.add_argument("--run", type=Path, metavar="DIR", dest="shown_run",
+                        help="a filter's run to show: what localize wrote, or any program's trajectory")  # fmt: skip
     parser.add_argument("--no-fit", action="store_true",
                         help="start at once: learn nothing from the log, and judge no scans")  # fmt: skip
     parser.add_argument("--port", type=index, default=0, metavar="N", help="port to serve on (default: any free one)")
@@ -59,13 +63,15 @@ def run(arguments: argparse.Namespace) -> Outcome:
         grid = options.read_walls(arguments)
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
-        log, fitted = posed_log(
+        log, _, more = posed_log(
             sensor, grid, arguments, progress, path=arguments.log, start=options.start_of(arguments)
         )
-        session, why = open_session(log, grid, arguments.params, fit=not arguments.no_fit, progress=progress)
-    notes = (*notes, *as_notes(fitted), *([f"nothing was learned from the log: {why}"] if why else []))
+        session, why = open_session(
+            log, grid, arguments.params, run=arguments.shown_run, fit=not arguments.no_fit, progress=progress
+        )
+    notes = (*notes, *more, *([f"nothing was learned from the log: {why}"] if why else []))
     for note in notes:
-        complain(f"note: {note}")
+        complain(f"note: {in_options(note)}")
     token = new_token()
     with listening_socket(arguments.port) as listening:
         port = listening.getsockname()[1]

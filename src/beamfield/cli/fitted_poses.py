@@ -24,8 +24,8 @@ NO_POSE = "no scan has a reference pose"
 def posed_log(
     sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress, *, path: Path,
     start: Start = None,
-) -> tuple[SensorLog, FittedPoses | None]:  # fmt: skip
-    """Return a log with reference poses: its own, or else those fitted to the map.
+) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:  # fmt: skip
+    """Return a log with reference poses, its own or else fitted to the map, what was fitted, and notes on the poses.
 
     Parameters
     ----------
@@ -40,12 +40,18 @@ def posed_log(
     start
         See `options.start_of`.
     """
+    from beamfield.calibration.reference_checks import pose_findings
     from beamfield.localization.fitted_poses import fit_poses
+    from beamfield.maps.range_scale import require_metres
 
-    if has_poses(sensor, start):
-        return sensor, None
-    fitted = fit_in_map(fit_poses, sensor, grid, arguments, progress, path=path, start=start)
-    return fitted.log, fitted
+    if not has_poses(sensor, start):
+        fitted = fit_in_map(fit_poses, sensor, grid, arguments, progress, path=path, start=start)
+        return fitted.log, fitted, tuple(finding.full_text for finding in fitted.findings())
+    try:
+        require_metres(sensor, grid)
+    except InvalidInputError as error:
+        raise FormatError(path, str(error)) from error
+    return sensor, None, tuple(finding.full_text for finding in pose_findings(sensor, grid))
 
 
 def has_poses(sensor: SensorLog, start: Start) -> bool:
@@ -112,8 +118,3 @@ def as_document(fitted: FittedPoses | None) -> dict[str, Any] | None:
         "converged": fitted.fit.converged,
         "findings": plain(fitted.findings()),
     }
-
-
-def as_notes(fitted: FittedPoses | None) -> tuple[str, ...]:
-    """Return what a command says about fitted poses: where they come from, what that hides, what was found."""
-    return () if fitted is None else tuple(finding.full_text for finding in fitted.findings())

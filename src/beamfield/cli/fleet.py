@@ -6,17 +6,17 @@ beamfield[fleet].
 for example:
 
   beamfield fleet scan fleet.yaml --out catalogue
-  beamfield fleet scan logs --out s3://bucket/catalogue
+  beamfield fleet report catalogue --out report
 """
 
 from __future__ import annotations
 
 import argparse
 
-from beamfield.cli import fleet_scan
+from beamfield.cli import fleet_report, fleet_scan, fleet_simulate
 from beamfield.cli.parser import Parser, add_group
 
-COMMANDS = (fleet_scan,)
+COMMANDS = (fleet_scan, fleet_report, fleet_simulate)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:

@@ -1,9 +1,9 @@
 """Localize the robot of a log in a map with a particle filter.
 
-Run a particle filter over the scans and the odometry of a log, and write where the robot was (trajectory.tum), a
-picture of its way and of how sure the filter was (localization.png), and the numbers (localization.json), whole or not
-at all. Reference poses only judge the errors, but for the first, where the filter starts unless --start or --global say
-otherwise.
+Run a particle filter over the scans and the odometry of a log, and write where the robot was (trajectory.tum), up to
+200 particles of each update (particles.csv.gz), a picture of its way and of how sure the filter was (localization.png),
+and the numbers (localization.json), whole or not at all; beamfield explore --run shows them. Reference poses only judge
+the errors, but for the first, where the filter starts unless --start or --global say otherwise.
 
 With --params of nav2 or another stack, the robot's own filter runs instead of ours, emulated; evaluate compares
 several.
@@ -29,14 +29,15 @@ from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.provenance import provenance
-from beamfield.cli.recordings import add_recordings, check_recordings, wants_recording, write_recordings
+from beamfield.cli.recordings import add_recordings, check_recordings, write_recordings
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
+    from beamfield.cli.film import Film
     from beamfield.io.recordings.recording import Recording
     from beamfield.localization.particle_filter import Update
     from beamfield.localization.replay import PoseBelief, ReplayErrors
-    from beamfield.localization.scan_localizer import Localization, ScanLocalizer, Watch
+    from beamfield.localization.scan_localizer import Localization, ScanLocalizer
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
 
@@ -44,11 +45,9 @@ if TYPE_CHECKING:
 DEFAULTS = {"z_hit": 0.8, "z_short": 0.08, "z_max": 0.02, "z_rand": 0.1, "sigma_hit": 0.15, "lambda_short": 0.4}
 DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
-# Measured in docs/localization.md.
+# Measured in docs/evidence/localization.md.
 INDEPENDENT_BEAMS = 1.8
 PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
-# Particles kept for an animation, and pictures of it, at most.
-DRAWN_PARTICLES, FRAMES = 500, 150
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -91,9 +90,11 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, filter, judge, write."""
     # What imports numerical libraries is imported where it is used, so that --help answers at once.
+    from beamfield.cli.film import Film
     from beamfield.finding import worst_first
     from beamfield.io.files.atomic import check_folder_writable, check_writable
     from beamfield.localization.lost_robot import find_lost_robot
+    from beamfield.localization.trajectory_trust import time_gaps
 
     check_folder_writable(arguments.out)
     if arguments.animation is not None:
@@ -107,21 +108,17 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
         log, start = _start(sensor, grid, arguments)
-        localizer, which = _filter(log, grid, start, arguments)
-        film = _Film(len(log), all_updates=wants_recording(arguments))
-
-        def watch(i: int, update: Update) -> None:
-            progress("localizing", i, len(log))
-            film.add(i, update)
+        run_filter, which = _filter(log, grid, start, arguments)
+        film = Film(len(log), arguments.seed)
 
         progress("localizing", 0, len(log))
         try:
-            found = localizer(watch)
+            found = run_filter(film, lambda i: progress("localizing", i, len(log)))
         except TooLittleDataError as error:
             raise FormatError(arguments.log, str(error)) from error
         lost = find_lost_robot(log, grid, found.poses)
-        if lost is not None:
-            found = replace(found, findings=worst_first((*found.findings, lost)))
+        seen = (*found.findings, *time_gaps(log.stamps), *([] if lost is None else [lost]))
+        found = replace(found, findings=worst_first(seen))
         errors = _judged(found, log)
         progress("drawing", 0, 1)
         document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
@@ -138,11 +135,16 @@ def _start(
 ) -> tuple[SensorLog, PoseBelief | None]:
     """Return the log from where the filter starts, and what it knows there; None: nothing."""
     from beamfield.localization.replay import PoseBelief, reference_start
+    from beamfield.maps.range_scale import require_metres
 
     if not sensor.has_odometry:
         raise FormatError(arguments.log, "no scan has odometry, which moves the particles")
     if not grid.free.any():
         raise FormatError(arguments.map, "the map has no free cell, so there is no place for the robot")
+    try:
+        require_metres(sensor, grid)
+    except InvalidInputError as error:
+        raise FormatError(arguments.log, str(error)) from error
     if arguments.start is not None:
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():
@@ -154,19 +156,29 @@ def _start(
     return sensor[first:], belief
 
 
+Step = Callable[[int], None]
+
+
 def _filter(
     log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
-) -> tuple[Callable[[Watch], Localization], str]:
-    """Return what runs the filter over the log, and which filter that is, in words."""
+) -> tuple[Callable[[Film, Step], Localization], str]:
+    """Return what runs the filter over the log, keeping its particles, and which filter that is, in words."""
     import numpy as np
 
     from beamfield.cli.localize_stack import is_stack_file, stack_filter
 
     if is_stack_file(arguments.params):
-        run_stack, which = stack_filter(grid, arguments)
-        return lambda _: run_stack(log, start), which
+        return stack_filter(log, grid, start, arguments)
     localizer, rng = _localizer(log, grid, start, arguments), np.random.default_rng(arguments.seed)
-    return lambda watch: localizer.run(log, start, rng, watch=watch), "beamfield's own"
+
+    def run(film: Film, step: Step) -> Localization:
+        def watch(i: int, update: Update) -> None:
+            step(i)
+            film.add(i, update)
+
+        return localizer.run(log, start, rng, watch=watch)
+
+    return run, "beamfield's own"
 
 
 def _localizer(
@@ -233,30 +245,6 @@ def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict
     return {"n_beams": n_used, "exponent": arguments.exponent or min(1.0, worth / n_used)}
 
 
-class _Film:
-    """What is kept of updates to be looked at: a choice of particles, and how well the scans fitted."""
-
-    def __init__(self, n_scans: int, *, all_updates: bool) -> None:
-        self.particles: list[tuple[int, Any]] = []
-        self.log_evidence = [math.nan] * n_scans
-        self.effective = [math.nan] * n_scans
-        self._step = 1 if all_updates else max(1, n_scans // FRAMES)
-
-    def add(self, i: int, update: Update) -> None:
-        """Keep the update of scan i; not its particles if there is a picture of nearly the same time."""
-        self.log_evidence[i] = update.log_evidence
-        self.effective[i] = update.effective
-        if self.particles and i < self.particles[-1][0] + self._step:
-            return
-        poses = update.belief.poses
-        self.particles.append((i, poses[:: max(1, len(poses) // DRAWN_PARTICLES)].copy()))
-
-    @property
-    def frames(self) -> list[tuple[int, Any]]:
-        """The particles for an animation's pictures."""
-        return self.particles[:: max(1, len(self.particles) // FRAMES)]
-
-
 def _judged(found: Localization, log: SensorLog) -> ReplayErrors | None:
     from beamfield.localization.replay import judge_replay
 
@@ -309,7 +297,7 @@ def _write(
     found: Localization,
     log: SensorLog,
     grid: OccupancyGrid,
-    film: _Film,
+    film: Film,
     document: Mapping[str, Any],
     arguments: argparse.Namespace,
 ) -> list[Path]:
@@ -318,12 +306,14 @@ def _write(
     from beamfield.figures.gallery import save_figure
     from beamfield.figures.localization import animation, localization_figure
     from beamfield.io.files.atomic import atomic_folder, write_file
+    from beamfield.io.filter_run import PARTICLES, TRAJECTORY, write_particles
     from beamfield.io.trajectory import write_tum
     from beamfield.sensors import Track
 
     known = np.isfinite(found.poses).all(axis=1)
     with atomic_folder(arguments.out) as folder:
-        write_tum(folder / "trajectory.tum", Track(log.stamps[known], found.poses[known]))
+        write_tum(folder / TRAJECTORY, Track(log.stamps[known], found.poses[known]))
+        write_particles(folder / PARTICLES, film.clouds(log.stamps))
         save_figure(localization_figure(found, log, grid), folder / "localization.png")
         text = json.dumps(document, indent=1, allow_nan=False)
         (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
@@ -334,7 +324,7 @@ def _write(
     return [arguments.out, *recorded]
 
 
-def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: _Film) -> Recording:
+def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: Film) -> Recording:
     import numpy as np
 
     from beamfield.geometry import wrap_angle
@@ -343,7 +333,7 @@ def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: _
     covariances = np.full((len(log), 3, 3), np.nan)
     covariances[found.updates] = found.covariances
     paths = {"estimate": found.poses}
-    numbers = {"log evidence [nats]": np.array(film.log_evidence), "effective particles": np.array(film.effective)}
+    numbers = {"log evidence [nats]": film.log_evidence, "effective particles": film.effective}
     if log.has_poses:
         off = found.poses - log.poses
         paths["reference"] = log.poses

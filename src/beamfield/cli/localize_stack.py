@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from beamfield.errors import FormatError, InvalidInputError
 
 if TYPE_CHECKING:
+    from beamfield.cli.film import Film
+    from beamfield.geometry import FloatArray
     from beamfield.localization.replay import PoseBelief
     from beamfield.localization.scan_localizer import Localization
     from beamfield.maps.occupancy import OccupancyGrid
@@ -35,11 +37,12 @@ def is_stack_file(path: Path | None) -> bool:
 
 
 def stack_filter(
-    grid: OccupancyGrid, arguments: argparse.Namespace
-) -> tuple[Callable[[SensorLog, PoseBelief | None], Localization], str]:
-    """Return what runs the filter that --params sets up, and which filter that is, in words."""
+    log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
+) -> tuple[Callable[[Film, Callable[[int], None]], Localization], str]:
+    """Return what runs the filter that --params sets up over the log, and which filter that is, in words."""
     import numpy as np
 
+    from beamfield.calibration.reference_checks import jump_findings
     from beamfield.localization.scan_localizer import Localization
     from beamfield.stacks.files.filter_file import read_filter_settings
     from beamfield.stacks.files.parameter_file import read_stack_file
@@ -58,8 +61,13 @@ def stack_filter(
     if not file.stack_is_certain:
         which += f" (the file may be one of {' or '.join(name for name in file.possible if name != file.stack)})"
 
-    def run(log: SensorLog, start: PoseBelief | None) -> Localization:
-        found = replayed.run(log, start, np.random.default_rng(arguments.seed))
-        return Localization(**{item.name: getattr(found, item.name) for item in fields(found)})
+    def run(film: Film, step: Callable[[int], None]) -> Localization:
+        def watch(i: int, poses: FloatArray, weights: FloatArray) -> None:
+            step(i)
+            film.add_cloud(i, poses, weights)
+
+        found = replayed.run(log, start, np.random.default_rng(arguments.seed), watch=watch)
+        findings = tuple(jump_findings(log))
+        return Localization(**{item.name: getattr(found, item.name) for item in fields(found)}, findings=findings)
 
     return run, which

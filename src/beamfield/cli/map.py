@@ -56,7 +56,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Parse, read, build, write."""
     # The numerical libraries load here, so that --help answers at once.
-    from beamfield.cli.fitted_poses import NAME, as_document, as_notes
+    from beamfield.cli.fitted_poses import NAME, as_document
     from beamfield.cli.inspect_summary import map_facts, map_text
     from beamfield.io.maps.ros_map import write_map
     from beamfield.maps.mapping import build_map, share_of_hits_in_obstacles
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
-        sensor, fitted = _posed(sensor, arguments, progress)
+        sensor, fitted, more = _posed(sensor, arguments, progress)
         try:
             grid = build_map(
                 sensor,
@@ -86,8 +86,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     text = f"{map_text(facts)}\nsharpness: {100.0 * share:.1f} % of the hits end within one cell of an occupied one"
     picture = out.with_suffix(".pgm")
     document = {**facts, "scans": len(sensor), "share_of_hits_in_obstacles": share, NAME: as_document(fitted)}
-    notes = (*notes, *as_notes(fitted))
-    return Outcome(f"wrote {out} and {picture.name}", text, document, notes, [out, picture])
+    return Outcome(f"wrote {out} and {picture.name}", text, document, (*notes, *more), [out, picture])
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -106,12 +105,13 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _posed(
     sensor: SensorLog, arguments: argparse.Namespace, progress: StageProgress
-) -> tuple[SensorLog, FittedPoses | None]:
-    """Return the log with poses: its own, its odometry, or those fitted to a map."""
+) -> tuple[SensorLog, FittedPoses | None, tuple[str, ...]]:
+    """Return the log with poses: its own, its odometry, or those fitted to a map; and as `posed_log`."""
     from beamfield.cli.fitted_poses import posed_log
 
     if arguments.map is None:
-        return options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True), None
+        own = options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True)
+        return own, None, ()
     grid, start = options.read_walls(arguments), options.start_of(arguments)
     return posed_log(sensor, grid, arguments, progress, path=arguments.log, start=start)
 

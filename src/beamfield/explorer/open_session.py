@@ -8,18 +8,24 @@ from pathlib import Path
 import numpy as np
 
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
+from beamfield.calibration.context.exponent import ExponentLearning, learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
-from beamfield.errors import BeamfieldError
-from beamfield.explorer.parameter_set import fitted_sets, read_set, typical_sets
+from beamfield.errors import BeamfieldError, TooLittleDataError
+from beamfield.explorer.parameter_set import ParameterSet, fitted_sets, read_set, typical_sets
+from beamfield.explorer.reading import beam_parameters, reading_score
 from beamfield.explorer.session import Session
+from beamfield.explorer.shown_run import ShownRun, read_shown_run
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.scan_fit.reference import calibrate_scan_fit
-from beamfield.scan_fit.scan_fit import judge_log
-from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.scan_fit.scan_fit import ScanFits, judge_log
+from beamfield.sensors import SensorLog
 
+# Of a beam model that is fitted: more beams add nothing to its posteriors, and each costs a ray (docs/in_context.md).
+N_BEAMS = 30
 Progress = Callable[[str, int, int], None]
 
 
@@ -28,6 +34,7 @@ def open_session(
     grid: OccupancyGrid,
     files: Sequence[str | Path] = (),
     *,
+    run: str | Path | None = None,
     fit: bool = True,
     progress: Progress | None = None,
 ) -> tuple[Session, str | None]:
@@ -41,6 +48,8 @@ def open_session(
         The map.
     files
         Parameter files to compare: beam_model.yaml, likelihood_field.yaml, or another program's.
+    run
+        A filter's run: the folder that ``beamfield localize`` wrote, or a trajectory.
     fit
         Whether to learn a beam model and a likelihood field from the log, and to judge its scans: some seconds.
     progress
@@ -52,38 +61,54 @@ def open_session(
         If a file cannot be used.
     """
     report = progress or _silent
+    shown = None if run is None else read_shown_run(Path(run), log, grid)
     sets = [read_set(Path(file), grid, log.finder) for file in files]
     numbers: dict[str, FloatArray] = {}
-    why = None
+    held_out = why = None
     if fit:
         try:
-            beam = calibrate(log, grid, CalibrationOptions(refine=False), progress=report).parameters
+            learned = calibrate(log, grid, CalibrationOptions(refine=False), progress=report)
             report("learning the likelihood field", 0, 1)
             field = learn_field_parameters(log, grid)
-            sets += fitted_sets(beam, field, grid, log.finder)
-            numbers = _timeline(log, grid, beam, report)
+            report("learning how much beams count", 0, 1)
+            fitted = fitted_sets(learned.parameters, _exponent(log, grid, learned.parameters), field, grid, log.finder)
+            numbers = _timeline(log, grid, fitted[0], shown, report)
+            sets, held_out = [*sets, *fitted], np.unique(learned.table.scan[learned.held_out])
         except BeamfieldError as error:
             why = str(error)
-    return Session(log, grid, [*sets, *typical_sets(grid, log.finder)], numbers=numbers), why
+    sets = [*sets, *typical_sets(grid, log.finder, sets)]
+    return Session(log, grid, sets, numbers=numbers, run=shown, held_out=held_out), why
 
 
 def _silent(*_: object) -> None:
     pass
 
 
+def _exponent(log: SensorLog, grid: OccupancyGrid, parameters: BeamParameters) -> ExponentLearning | None:
+    """Return how much the beams of a beam model count, as calibrate learns it; None if the log is too short."""
+    try:
+        return learn_exponent(BeamModel(grid, parameters, n_beams=N_BEAMS), log, grid)
+    except TooLittleDataError:
+        return None
+
+
 def _timeline(
-    log: SensorLog, grid: OccupancyGrid, parameters: BeamParameters, report: Progress
+    log: SensorLog, grid: OccupancyGrid, learned: ParameterSet, run: ShownRun | None, report: Progress
 ) -> dict[str, FloatArray]:
-    """Return how well each scan fits at its reference pose."""
-    model = BeamModel(grid, parameters)
+    """Return how well each scan fits at its reference pose, and how likely a filter's run was lost."""
+    model = BeamModel(grid, beam_parameters(learned.values))
     reference = calibrate_scan_fit(model, log, progress=lambda done, total: report("scoring wrong poses", done, total))
-    fits = judge_log(
-        model, log, reference, is_own=True, progress=lambda done, total: report("judging scans", done, total)
-    )
-    each = np.full(len(log), np.nan)
+
+    def judged(posed: SensorLog) -> ScanFits:
+        return judge_log(
+            model, posed, reference, is_own=True, progress=lambda done, total: report("judging scans", done, total)
+        )
+
+    fits, each, caster = judged(log), np.full(len(log), np.nan), RayCaster(grid)
     for i in np.flatnonzero(np.isfinite(log.poses).all(axis=1)):
-        scan = log[int(i)]
-        n = np.isfinite(usable_ranges(scan.ranges, scan.finder)).sum()
-        if n:
-            each[i] = model.log_likelihood(scan, log.poses[i]) / n
-    return {"log likelihood of a beam": each, "p-value": fits.p_value, "probability of being lost": fits.lost}
+        score = reading_score(learned, learned.values, log[int(i)], log.poses[i], caster)
+        each[i] = np.nan if score is None else score
+    numbers = {"log likelihood of a reading": each, "p-value": fits.p_value, "probability of being lost": fits.lost}
+    if run is not None:
+        numbers["filter: probability of being lost"] = judged(log.with_poses(run.poses)).lost
+    return numbers

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from beamfield import __version__
+from beamfield.calibration.context.exponent import ExponentLearning
 from beamfield.calibration.field.learning import FieldLearning
 from beamfield.errors import InvalidInputError
 from beamfield.io.parameters.beam_model_file import beam_model_text, read_beam_model
@@ -83,21 +85,25 @@ class ParameterSet:
         For people: "nav2.yaml: nav2 likelihood_field_prob".
     kind
         "beam" and "field" are the chapter's models, "stack" is another program's.
+    family
+        Sets of one family have the same parameters: "beam", "field", or program and model.
     sliders
         What can be moved.
     values
         The same numbers, by name; `exponent` among them for the chapter's models.
-    make
-        Returns the model of given values.
+    make, make_for_filter
+        Return the model of given values: for one scan on its own, and for a filter.
     write
         Returns name and content of a file of given values.
     """
 
     label: str
     kind: Kind
+    family: str
     sliders: tuple[Slider, ...]
     values: Mapping[str, float]
     make: Callable[[Mapping[str, float]], Any] = field(repr=False)
+    make_for_filter: Callable[[Mapping[str, float]], Any] = field(repr=False)
     write: Callable[[Mapping[str, float]], tuple[str, str]] = field(repr=False)
 
     def checked(self, values: Mapping[str, Any]) -> dict[str, float]:
@@ -132,33 +138,67 @@ class ParameterSet:
         return values
 
 
-def typical_sets(grid: OccupancyGrid, finder: RangeFinder) -> list[ParameterSet]:
-    """Return what there is without a file: a typical beam model, its field, and the first program's default."""
+def with_common_ends(sets: Sequence[ParameterSet]) -> list[ParameterSet]:
+    """Return sets whose sliders take the values of every other set of their family."""
+    result = []
+    for one in sets:
+        family = [other.values for other in sets if other.family == one.family]
+        sliders = tuple(_holding(slider, [values[slider.name] for values in family]) for slider in one.sliders)
+        result.append(replace(one, sliders=sliders))
+    return result
+
+
+def typical_sets(grid: OccupancyGrid, finder: RangeFinder, beside: Sequence[ParameterSet] = ()) -> list[ParameterSet]:
+    """Return what there is without a file: a typical beam model, its field, and programs' defaults.
+
+    Parameters
+    ----------
+    grid, finder
+        The map and the sensor.
+    beside
+        Sets from files: there is a default of each of their models, or of the first program's if there are none.
+    """
     beam = BeamParameters(z_hit=0.8, z_short=0.08, z_max=0.02, z_rand=0.1, sigma_hit=0.15, lambda_short=0.4)
     field_parameters = LikelihoodFieldParameters(z_hit=0.8, z_rand=0.1, sigma_hit=0.15)
     counting = _Counting(in_filter=0.03, single=0.1, n_beams=None)
-    program, model = next(
-        (program, model)
+    first = next(
+        (program.name, model.name)
         for program in STACKS.values()
         for model in program.models.values()
         if model.weight.of_field and model.weight.is_product
     )
+    models = {f"{stack} {model}": (stack, model) for stack, program in STACKS.items() for model in program.models}
+    asked = {models[one.family]: None for one in beside if one.kind == "stack"} or {first: None}
     return [
         _chapter_set("typical beam model", "beam", beam, counting, grid, finder),
         _chapter_set("typical likelihood field", "field", field_parameters, counting, grid, finder),
-        _stack_set(f"{program.title}'s default", program.name, model.name, model.parameters(), grid, None),
+        *(_default_set(stack, model, grid) for stack, model in asked),
     ]
 
 
 def fitted_sets(
-    beam: BeamParameters, learned: FieldLearning, grid: OccupancyGrid, finder: RangeFinder
-) -> list[ParameterSet]:
-    """Return what was learned from a log: a beam model, and a likelihood field, whose exponents serve both."""
+    beam: BeamParameters, beams_count: ExponentLearning | None, learned: FieldLearning, grid: OccupancyGrid,
+    finder: RangeFinder,
+) -> list[ParameterSet]:  # fmt: skip
+    """Return what was learned from a log: a beam model, and a likelihood field.
+
+    Parameters
+    ----------
+    beam, beams_count
+        The beam model, and how much its beams count; None takes the field's exponents.
+    learned
+        The field, with exponents.
+    grid, finder
+        The map and the sensor.
+    """
     single = learned.exponent if learned.exponents is None else learned.exponents.single.value
-    counting = _Counting(learned.exponent, single, learned.n_beams)
+    field_counts = _Counting(learned.exponent, single, learned.n_beams)
+    beam_counts = field_counts if beams_count is None else _Counting(
+        beams_count.drive.value, beams_count.single.value, beams_count.n_beams
+    )  # fmt: skip
     return [
-        _chapter_set("beam model, fitted", "beam", beam, counting, grid, finder),
-        _chapter_set("likelihood field, fitted", "field", learned.parameters, counting, grid, finder),
+        _chapter_set("beam model, fitted", "beam", beam, beam_counts, grid, finder),
+        _chapter_set("likelihood field, fitted", "field", learned.parameters, field_counts, grid, finder),
     ]
 
 
@@ -181,14 +221,24 @@ def read_set(path: Path, grid: OccupancyGrid, finder: RangeFinder) -> ParameterS
     return _stack_set(label, file.stack, file.model, checked_values(file), grid, file)
 
 
+def _default_set(stack: str, model: str, grid: OccupancyGrid) -> ParameterSet:
+    label = f"{STACKS[stack].title}'s default {model}"
+    return _stack_set(label, stack, model, model_named(stack, model).parameters(), grid, None)
+
+
 def _sliders(values: Mapping[str, float], names: Mapping[str, str] | None = None) -> tuple[Slider, ...]:
     """Return a slider for each value, with ends that hold it; `names` has those that `SLIDERS` knows."""
-    found = []
-    for name, value in values.items():
-        slider = SLIDERS[name if names is None else names[name]]
-        low = min(slider.low, value) if value > 0.0 or not slider.logarithmic else slider.low
-        found.append(replace(slider, name=name, low=low, high=max(slider.high, value)))
-    return tuple(found)
+    return tuple(
+        replace(_holding(SLIDERS[name if names is None else names[name]], [value]), name=name)
+        for name, value in values.items()
+    )
+
+
+def _holding(slider: Slider, values: Sequence[float]) -> Slider:
+    """Return a slider whose ends hold values."""
+    lowest = min(values)
+    low = min(slider.low, lowest) if lowest > 0.0 or not slider.logarithmic else slider.low
+    return replace(slider, low=low, high=max(slider.high, *values))
 
 
 def _numbers(parameters: Any) -> dict[str, float]:
@@ -216,21 +266,21 @@ def _chapter_set(
         exponent = numbers.pop("exponent")
         return type(parameters)(**numbers), exponent
 
-    def make(changed: Mapping[str, float]) -> Any:
+    def make(changed: Mapping[str, float], share: float = 1.0) -> Any:
         own, exponent = split(changed)
-        return model(grid, own, exponent=exponent, n_beams=counting.n_beams)
+        return model(grid, own, exponent=share * exponent, n_beams=counting.n_beams)
+
+    # A filter's exponent is smaller, as scan after scan err alike: it keeps its ratio to one scan's.
+    in_filter = counting.in_filter / counting.single
 
     def write(changed: Mapping[str, float]) -> tuple[str, str]:
         own, exponent = split(changed)
-        # A filter's exponent is smaller, as scan after scan err alike: it keeps its ratio to one scan's.
-        in_filter = exponent * counting.in_filter / counting.single
         n_beams = counting.n_beams or finder.n_beams
-        return name, text_of(
-            own, finder, provenance=_origin(), exponent=in_filter, single_scan_exponent=exponent, n_beams=n_beams
-        )
+        exponents = {"exponent": in_filter * exponent, "single_scan_exponent": exponent}
+        return name, text_of(own, finder, provenance=_origin(), n_beams=n_beams, **exponents)
 
     values = {**_numbers(parameters), "exponent": counting.single}
-    return ParameterSet(label, kind, _sliders(values), values, make, write)
+    return ParameterSet(label, kind, kind, _sliders(values), values, make, partial(make, share=in_filter), write)
 
 
 def _stack_set(
@@ -255,7 +305,8 @@ def _stack_set(
             return file.section.path.name, file.section.with_values(file.by_names_in_file(moved))
         return f"{stack}.yaml", new_file_text(stack, changed)
 
-    return ParameterSet(label, "stack", _sliders(values, names), values, make, write)
+    family = f"{stack} {model}"
+    return ParameterSet(label, "stack", family, _sliders(values, names), values, make, make, write)
 
 
 def _origin() -> dict[str, Any]:

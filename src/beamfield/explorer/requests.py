@@ -11,6 +11,8 @@ from beamfield.errors import InvalidInputError
 
 # A message longer than this is refused unread, in bytes.
 LARGEST_MESSAGE = 20_000
+# Requests that take long.
+SLOW = frozenset({"heat", "building", "scores", "judge", "filter"})
 # Poses farther out than this are a mistake, metres.
 FARTHEST = 1e6
 
@@ -36,9 +38,23 @@ class Request:
             raise InvalidInputError(f"{name}: expected a whole number from 0 to {n - 1}")
         return value
 
-    def number(self, name: str, low: float, high: float, default: float) -> float:
+    def integers(self, name: str, n: int, most: int) -> list[int]:
+        """Return a list of at most so many whole numbers from 0 to n - 1."""
+        values = self.fields.get(name)
+        if not isinstance(values, list) or len(values) > most:
+            raise InvalidInputError(f"{name}: expected a list of at most {most} whole numbers")
+        return [Request("", {name: value}).integer(name, n) for value in values]
+
+    def flag(self, name: str) -> bool:
+        """Return true or false; false by default."""
+        value = self.fields.get(name, False)
+        if not isinstance(value, bool):
+            raise InvalidInputError(f"{name}: expected true or false")
+        return value
+
+    def number(self, name: str, low: float, high: float) -> float:
         """Return a number within bounds."""
-        value = self.fields.get(name, default)
+        value = self.fields.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
             raise InvalidInputError(f"{name}: expected a number from {low:g} to {high:g}")
         return float(value)
@@ -51,12 +67,13 @@ class Request:
         x, y, heading = map(float, value)
         return x, y, heading
 
-    def parameters(self) -> Mapping[str, Any]:
-        """Return values by name, none by default; they are checked by the set that they are for."""
-        value = self.fields.get("parameters", {})
-        if not isinstance(value, dict):
-            raise InvalidInputError("parameters: expected an object of numbers")
-        return value
+    def parameters(self, number: int) -> Mapping[str, Any]:
+        """Return what is changed in a set, by name; nothing by default. The set checks the values."""
+        sets = self.fields.get("parameters", {})
+        values = sets.get(str(number), {}) if isinstance(sets, dict) else None
+        if not isinstance(values, dict):
+            raise InvalidInputError("parameters: expected an object of numbers by the number of their set")
+        return values
 
 
 def _is_number(value: Any) -> bool:

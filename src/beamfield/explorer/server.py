@@ -20,7 +20,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import BeamfieldError, MissingDependencyError
-from beamfield.explorer.requests import LARGEST_MESSAGE
+from beamfield.explorer.requests import LARGEST_MESSAGE, SLOW
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -30,11 +30,15 @@ if TYPE_CHECKING:
     from beamfield.explorer.session import Session
 
 ADDRESS = "127.0.0.1"
+# Of the component, each after those that it imports.
+MODULES = (
+    "words.js", "pictures.js", "elements.js", "latest.js", "plots.js", "map_view.js", "comparison.js", "panels.js",
+    "explorer.js",
+)  # fmt: skip
 PAGE_FILES = {
     "index.html": "text/html; charset=utf-8",
-    "page.js": "text/javascript; charset=utf-8",
-    "explorer.js": "text/javascript; charset=utf-8",
     "explorer.css": "text/css; charset=utf-8",
+    **dict.fromkeys(("page.js", *MODULES), "text/javascript; charset=utf-8"),
 }
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
@@ -85,7 +89,8 @@ def explorer_app(session: Session, token: str, port: int) -> Starlette:
 
     files = {name: page_file(name) for name in PAGE_FILES}
     hosts = {f"{ADDRESS}:{port}", f"localhost:{port}"}
-    one_at_a_time = threading.Lock()
+    # What takes long must not keep the answers waiting that a drag needs; within either there is one at a time.
+    locks = {True: threading.Lock(), False: threading.Lock()}
 
     def refused(request: Request) -> Response | None:
         if request.headers.get("host") not in hosts:
@@ -127,7 +132,8 @@ def explorer_app(session: Session, token: str, port: int) -> Starlette:
             return _error("expected JSON", 400)
 
         def work() -> bytes:
-            with one_at_a_time:
+            slow = isinstance(message, dict) and message.get("name") in SLOW
+            with locks[slow]:
                 return as_json(session.answer(message))
 
         try:

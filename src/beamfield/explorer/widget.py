@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import BeamfieldError, MissingDependencyError
 from beamfield.explorer.open_session import open_session
-from beamfield.explorer.server import as_json, page_file
+from beamfield.explorer.server import MODULES, as_json, page_file
 from beamfield.explorer.session import Session
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
@@ -40,7 +40,14 @@ export default { render };
 """
 
 
-def explore(log: SensorLog, grid: OccupancyGrid, files: Sequence[str | Path] = (), *, fit: bool = True) -> AnyWidget:
+def explore(
+    log: SensorLog,
+    grid: OccupancyGrid,
+    files: Sequence[str | Path] = (),
+    *,
+    run: str | Path | None = None,
+    fit: bool = True,
+) -> AnyWidget:
     """Return a widget in which to move the robot of a log, and see what models say of its scans.
 
     Parameters
@@ -52,6 +59,9 @@ def explore(log: SensorLog, grid: OccupancyGrid, files: Sequence[str | Path] = (
     files
         Parameter files to compare: beam_model.yaml, likelihood_field.yaml, or of nav2, ROS 1 amcl, Beluga, MRPT or
         F1TENTH.
+    run
+        A filter's run to show: the folder that ``beamfield localize`` wrote, or a trajectory that `read_trajectory`
+        reads.
     fit
         Whether to learn a beam model and a likelihood field from the log first, and to judge its scans: some seconds.
 
@@ -60,7 +70,7 @@ def explore(log: SensorLog, grid: OccupancyGrid, files: Sequence[str | Path] = (
     InvalidInputError
         If the log has no scans.
     FormatError
-        If a file cannot be used.
+        If a file cannot be used, or the run is of another log.
     MissingDependencyError
         If anywidget is not installed.
 
@@ -68,7 +78,7 @@ def explore(log: SensorLog, grid: OccupancyGrid, files: Sequence[str | Path] = (
     ----------
     Probabilistic Robotics, Figures 6.3, 6.4 and 6.7, to be moved by hand.
     """
-    session, _ = open_session(log, grid, files, fit=fit)
+    session, _ = open_session(log, grid, files, run=run, fit=fit)
     return session_widget(session)
 
 
@@ -82,12 +92,19 @@ def session_widget(session: Session) -> AnyWidget:
     class Explorer(anywidget.AnyWidget):  # type: ignore[misc, unused-ignore]
         """The page's component."""
 
-        _esm = page_file("explorer.js").decode() + RENDER
+        _esm = component() + RENDER
         _css = page_file("explorer.css").decode()
 
     widget: Any = Explorer()
     widget.on_msg(lambda _, content, __: widget.send(answered(session, content)))
     return widget  # type: ignore[no-any-return]
+
+
+def component() -> str:
+    """Return the page's modules as one, as a notebook has it: none of their names occurs twice."""
+    lines = "\n".join(page_file(name).decode() for name in MODULES).splitlines()
+    kept = (line.removeprefix("export ") for line in lines if not line.startswith("import "))
+    return "\n".join(kept)
 
 
 def answered(session: Session, content: Any) -> dict[str, Any]:

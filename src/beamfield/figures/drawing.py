@@ -14,7 +14,7 @@ from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import MAP_COLOURS, categories, draw_cells
 from beamfield.report.colours import GRID
-from beamfield.report.drawing import style
+from beamfield.report.drawing import legend_above, style
 from beamfield.sensors import Scan
 
 # Share of a scan's end points that may lie outside a picture at each side.
@@ -45,6 +45,14 @@ def frame(ax: Axes, low: ArrayLike, high: ArrayLike, title: str, *, x: str = "x 
     (left, bottom), (right, top) = np.asarray(low), np.asarray(high)
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     style(ax, title=title, x=x, y=y, grid="none")
+
+
+def legend_under_title(ax: Axes) -> None:
+    """Add a legend in one line between axes and their title, where it hides no map; nothing if nothing has a label."""
+    if not ax.get_legend_handles_labels()[0]:
+        return
+    legend_above(ax)
+    ax.set_title(ax.get_title("left"), loc="left", y=1.0, pad=20.0, fontsize=10, color="#111111", fontweight="bold")
 
 
 def known_limits(grid: OccupancyGrid, margin: float = 0.5) -> Limits:

@@ -10,12 +10,20 @@ from matplotlib.figure import Figure
 from scipy.ndimage import maximum_filter
 
 from beamfield.arguments import require
-from beamfield.figures.drawing import colour_bar, frame, framed_map, known_limits, mark_robot, scan_limits
+from beamfield.figures.drawing import (
+    colour_bar,
+    frame,
+    framed_map,
+    known_limits,
+    legend_under_title,
+    mark_robot,
+    scan_limits,
+)
 from beamfield.geometry import FloatArray
 from beamfield.localization.likelihood_map import LikelihoodMap
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import draw_array, draw_scan
-from beamfield.report.drawing import legend, new_figure, style
+from beamfield.report.drawing import new_figure, style
 from beamfield.sensors import Scan
 
 # Free, unknown and occupied behind a likelihood, which takes all dark colours.
@@ -95,7 +103,7 @@ def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes
     mark_robot(pose, ax, size=0.03 * float((high - low).max()), color=REFERENCE_COLOUR, label="robot")
     frame(ax, low, high, title)
     ax.set_facecolor("#E1E5EA")
-    legend(ax, loc="best")
+    legend_under_title(ax)
 
 
 def plot_likelihood_map(result: LikelihoodMap, grid: OccupancyGrid) -> Figure:
@@ -167,7 +175,7 @@ def draw_likelihood_map(
     colour_bar(image, ax, "log p(z | x, m) below the maximum [nats]")
     style(ax, title=title, x="x [m]", y="y [m]", grid="none")
     ax.set_facecolor(PALE_MAP[1])
-    legend(ax, loc="best")
+    legend_under_title(ax)
 
 
 def _fitting_span(result: LikelihoodMap) -> float:

@@ -13,6 +13,9 @@ _NAMES = {
     "comparison": ("compare_robots",),
     "daily": ("daily_series",),
     "drift": ("find_drift",),
+    "stale_map": ("find_stale_places",),
+    "fleet_report": ("judge_fleet",),
+    "report_files": ("write_fleet_report",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +12,7 @@ from typing import Any
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.fleet.beam_schema import SCHEMA, beam_schema, require_pyarrow
-from beamfield.fleet.folder import Folder
+from beamfield.fleet.folder import Folder, is_address
 from beamfield.fleet.run_record import RunRecord, record_from_json
 from beamfield.fleet.shard import Shard
 from beamfield.fleet.stored_map import load_map
@@ -99,7 +100,7 @@ class Catalogue:
         return load_map(self.folder, record.map_info)
 
 
-def open_catalogue(address: str, options: Mapping[str, Any] | None = None) -> Catalogue:
+def open_catalogue(address: str | os.PathLike[str], options: Mapping[str, Any] | None = None) -> Catalogue:
     """Open a catalogue.
 
     Parameters
@@ -117,7 +118,7 @@ def open_catalogue(address: str, options: Mapping[str, Any] | None = None) -> Ca
         As the file system says.
     """
     require_pyarrow()
-    folder = Folder(str(address), options or {})
+    folder = _folder(address, options)
     shown = folder.shown_path(CATALOGUE_FILE)
     try:
         said = json.loads(folder.read(CATALOGUE_FILE))
@@ -133,7 +134,7 @@ def open_catalogue(address: str, options: Mapping[str, Any] | None = None) -> Ca
     return Catalogue(folder)
 
 
-def create_catalogue(address: str, options: Mapping[str, Any] | None = None) -> Catalogue:
+def create_catalogue(address: str | os.PathLike[str], options: Mapping[str, Any] | None = None) -> Catalogue:
     """Open a catalogue, or begin a new one in a folder that is empty or not there.
 
     Parameters
@@ -150,7 +151,7 @@ def create_catalogue(address: str, options: Mapping[str, Any] | None = None) -> 
     """
     from beamfield import __version__
 
-    folder = Folder(str(address), options or {})
+    folder = _folder(address, options)
     if not folder.exists(CATALOGUE_FILE):
         # What another scan writes at this moment is in hidden folders.
         foreign = [name for name in folder.names() if not name.startswith(".") and name != CATALOGUE_FILE]
@@ -161,6 +162,12 @@ def create_catalogue(address: str, options: Mapping[str, Any] | None = None) -> 
         said = {"schema": SCHEMA, "beamfield": __version__}
         folder.write(CATALOGUE_FILE, (json.dumps(said) + "\n").encode())
     return open_catalogue(address, options)
+
+
+def _folder(address: str | os.PathLike[str], options: Mapping[str, Any] | None) -> Folder:
+    given = str(address)
+    # Workers may have another working folder.
+    return Folder(given if is_address(given) else os.path.abspath(given), options or {})  # noqa: PTH100
 
 
 def read_records(folder: Folder) -> list[RunRecord]:

@@ -118,6 +118,8 @@ def daily_series(catalogue: Catalogue, engine: Engine, fleet: FleetFit) -> tuple
     for shard in catalogue.shards():
         record = records[shard.run]
         limits = sensor_limits(record)
+        if limits not in parameters and fleet.left_out:
+            continue  # a sensor with too few beams to learn from
         if fleet.by != "fleet" or limits not in parameters:
             raise InvalidInputError("fleet: expected a fit by fleet of all sensors of the catalogue")
         parts.append(_Part(shard, limits, parameters[limits], record.first_stamp, block_length(record)))

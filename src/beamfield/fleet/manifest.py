@@ -60,11 +60,11 @@ class ManifestRow:
         return f"{self.manifest}:{self.line}" if self.line else f"{self.manifest}: {without_secrets(self.log)}"
 
     def resolve(self, given: str) -> str:
-        """Return an address that the row gives, relative to its manifest."""
+        """Return the whole address of a file that the row gives, which may be relative to its manifest."""
         if is_address(given) or os.path.isabs(given):  # noqa: PTH117  # an address of any system
             return given
         folder = Path(self.manifest).parent if self.line else Path(self.manifest)
-        return str(folder / given)
+        return os.path.abspath(folder / given)  # noqa: PTH100  # as links have it: their targets have other neighbours
 
 
 def read_manifest(path: str | os.PathLike[str]) -> tuple[ManifestRow, ...]:

@@ -43,7 +43,7 @@ class FleetScan:
 
 def scan_fleet(
     manifest: str | os.PathLike[str] | Sequence[ManifestRow],
-    catalogue: str,
+    catalogue: str | os.PathLike[str],
     engine: Engine,
     *,
     options: Mapping[str, Any] | None = None,

@@ -160,7 +160,12 @@ def _write_beams(folder: Folder, path: str, run: str, parts: Iterator[dict[str, 
     numbered = [name for name in schema.names if name not in ENCODINGS and name != "held_out"]
     with folder.writing(path) as file:
         with pa.parquet.ParquetWriter(
-            file, schema, compression="zstd", use_dictionary=numbered, column_encoding=ENCODINGS
+            file,
+            schema,
+            compression="zstd",
+            use_dictionary=numbered,
+            column_encoding=ENCODINGS,
+            write_page_checksum=True,
         ) as writer:
             for part in parts:
                 n = len(part["scan"])

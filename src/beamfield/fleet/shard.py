@@ -115,7 +115,8 @@ class Shard:
 
     def _fragment(self, pa: Any) -> Any:
         """Return the file for PyArrow, once its schema and size are what they should be."""
-        fragment = pa.dataset.ParquetFileFormat().make_fragment(
+        checked = pa.dataset.ParquetFragmentScanOptions(page_checksum_verification=True)
+        fragment = pa.dataset.ParquetFileFormat(default_fragment_scan_options=checked).make_fragment(
             self.folder.path(self.path), filesystem=self.folder.arrow_system
         )
         schema = fragment.physical_schema

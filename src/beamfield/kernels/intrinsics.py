@@ -231,17 +231,14 @@ def hit_objective(
 
 
 @kernel
-def short_objective(
-    nodes: FloatArray, weights: FloatArray, sum_range: float, rate: float
-) -> tuple[float, float, float]:
-    """Expected log-likelihood of the shorts up to a constant, from node weights, and its two derivatives in lambda."""
-    value, first, second = -rate * sum_range, -sum_range, 0.0
+def short_slopes(nodes: FloatArray, weights: FloatArray, sum_range: float, rate: float) -> tuple[float, float]:
+    """Both derivatives in lambda of the expected log-likelihood of the shorts, from node weights."""
+    first, second = -sum_range, 0.0
     for k in range(nodes.size):
         x = rate * nodes[k]
-        value += weights[k] * math.log(_relative_rate(x))
         first += weights[k] * nodes[k] * _mean_share(x)
         second += weights[k] * nodes[k] * nodes[k] * _mean_share_slope(x)
-    return value, first, second
+    return first, second
 
 
 @kernel

@@ -38,7 +38,7 @@ PARALLEL_32 = np.float32(0.999 * PARALLEL)
 # From so many columns or rows on float32 cannot number them all.
 WIDE = 2**24
 # Bound of the float32 error of the coordinate at which a ray crosses an edge: DOUBT_PER_CELL (reach + slope); see "The
-# bound of doubt" in docs/raycasting.md.
+# bound of doubt" in docs/evidence/raycasting.md.
 DOUBT_PER_CELL = np.float32(12.0 * 2.0**-24)
 
 NOTHING, SINGLE = integer(0), integer(1)

@@ -13,6 +13,8 @@ _NAMES = {
     "particles": ("belief_poses", "free_poses"),
     "recovery": ("FreePoses", "PosesFromLandmarks", "PosesFromScan", "Recovery"),
     "replay": ("PoseBelief", "judge_replay"),
+    "replay_comparison": ("judge_change",),
+    "replay_trials": ("run_trials",),
     "resampling": ("KldSampling",),
     "short_readings": ("ShortReadings",),
     "trajectory_options": ("TrajectoryOptions",),

@@ -13,6 +13,8 @@ from beamfield.localization.recovery import (
     Recovery as Recovery,
 )
 from beamfield.localization.replay import PoseBelief as PoseBelief, judge_replay as judge_replay
+from beamfield.localization.replay_comparison import judge_change as judge_change
+from beamfield.localization.replay_trials import run_trials as run_trials
 from beamfield.localization.resampling import KldSampling as KldSampling
 from beamfield.localization.short_readings import ShortReadings as ShortReadings
 from beamfield.localization.trajectory_options import TrajectoryOptions as TrajectoryOptions

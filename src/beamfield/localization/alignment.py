@@ -182,7 +182,7 @@ def align(
     `alignment_covariance.sandwich_covariance`. The curvature A is measured by differences. The scatter B of the end
     points' pulls holds both scans' noise, and what whole patches of surface (half a metre) scatter beyond it. Places
     further along a slide than 2 sigma add their mean square distance by their weights. In simulated worlds the mean
-    squared error in units of this covariance (NEES) is 2 to 4 for 3 degrees of freedom: docs/alignment.md.
+    squared error in units of this covariance (NEES) is 2 to 4 for 3 degrees of freedom: docs/evidence/alignment.md.
 
     It does not know of errors that bend or shift a scan as a whole: a sweep taken in fast motion, a tilted scanner, a
     wrong calibration. Add their covariance where they matter.

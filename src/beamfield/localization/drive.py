@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray, between, interpolate_poses
 from beamfield.maps.end_points import end_points
+from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
 
 # Scans are held to the map after so much motion (metres, radians) or so many seconds at rest: what lies between them
@@ -17,8 +18,6 @@ SPACING, SPACING_TURN, SPACING_TIME = 0.1, 0.1, 2.0
 MOST_SCANS = 5000
 # End points of each.
 BEAMS = 60
-# A step beyond what a robot does (metres, m/s, radians, rad/s) is no motion: the odometry was reset, or is wrong.
-JUMP, JUMP_SPEED, JUMP_TURN, JUMP_RATE = 1.0, 3.0, 1.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +80,7 @@ def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
     inside = np.clip(when, when[known][0], when[known][-1])
     filled = interpolate_poses(when[known], odometry[known], inside)
     steps = between(filled[:-1], filled[1:])
-    broken = _jumps(steps, np.maximum(np.diff(log.stamps), 0.0))
+    broken = odometry_jumps(steps, np.maximum(np.diff(log.stamps), 0.0))
     steps[broken] = 0.0
     scans = _spread(steps, log.stamps)
     points, first = _points(log, scans)
@@ -116,11 +115,6 @@ def chained(start: FloatArray, steps: FloatArray) -> FloatArray:
     poses[1:, 1] = start[1] + np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
     poses[:, 2] = heading
     return poses
-
-
-def _jumps(steps: FloatArray, seconds: FloatArray) -> NDArray[np.bool_]:
-    far = np.hypot(steps[:, 0], steps[:, 1]) > JUMP + JUMP_SPEED * seconds
-    return np.asarray(far | (np.abs(steps[:, 2]) > JUMP_TURN + JUMP_RATE * seconds))
 
 
 def _spread(steps: FloatArray, stamps: FloatArray) -> NDArray[np.int64]:

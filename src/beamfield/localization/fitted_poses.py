@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -138,9 +138,9 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
     """Fit the poses of a log to a map by every other beam, twice, so that no beam is judged at a pose that it made.
 
     A pose follows the noise of the beams that it is fitted to, and the map's errors. At poses from the beams between,
-    the first does not flatter the sensor; the second still does, and is the larger part (docs/calibrate.md). Roughly
-    where the robot drove, within tenths of a metre, is found once by all beams, as is what stands in for odometry that
-    is missing.
+    the first does not flatter the sensor; the second still does, and is the larger part (docs/evidence/calibrate.md).
+    Roughly where the robot drove, within tenths of a metre, is found once by all beams, as is what stands in for
+    odometry that is missing.
 
     Parameters
     ----------
@@ -150,6 +150,8 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
     Returns
     -------
     The log, and its halves with each other's poses. A scan is trusted if it is in both fits and they agree to 0.1 m.
+    Its odometry is that of the fit, in a frame of its own: where the findings say that signs were put right or steps
+    were not used, that is done, so that nothing is learned from the fault.
 
     Raises
     ------
@@ -173,9 +175,11 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
         plain = fit_poses(log, grid, start=start, progress=progress)
         return CrossFittedPoses(plain.fit, plain.log, plain.deviation, plain.reference_error, plain.log, None, None)
     report = progress or (lambda _stage, _done, _total: None)
-    even, odd = (_beams(log, first) for first in (0, 1))
     # Half of the beams may be too few to tell one place from another.
     course = find_course(log, grid, start=start, progress=report)
+    if log.has_odometry:
+        log = replace(log, odometry=np.where(np.isfinite(log.odometry), course.odometry, np.nan))
+    even, odd = (_beams(log, first) for first in (0, 1))
     fit = fit_course(odd, grid, course, progress=report)
     again = fit_course(
         even, grid, course, progress=lambda stage, done, total: report(f"{stage}, other beams", done, total)

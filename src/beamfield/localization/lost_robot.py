@@ -8,15 +8,18 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between
 from beamfield.localization.ray_agreement import scan_agreement
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
 
 # Midway between runs with wrong odometry or an unlike building's map, at most 0.39 in the median scan, and those that
-# follow the robot, at least 0.52: real and simulated logs with two filters, see docs/localization.md.
+# follow the robot, at least 0.52: real and simulated logs with two filters, see docs/evidence/localization.md.
 LEAST_AGREEMENT = 0.45
+# Odometry with more jumps than this share of its steps is no robot's.
+MOST_JUMPS = 0.1
 
 
 def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Finding | None:
-    """Return a warning if most readings of most scans disagree with the map.
+    """Return a warning if most readings of most scans disagree with the map, or the odometry cannot be followed.
 
     Parameters
     ----------
@@ -29,22 +32,38 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
     -------
     The warning; None if scans agree, or if there is nothing to tell by: no reading, or cones of a sonar.
     """
+    known = np.isfinite(log.odometry).all(axis=1)
+    odometry, stamps = log.odometry[known], log.stamps[known]
+    steps = between(odometry[:-1], odometry[1:])
+    n_jumps = int(odometry_jumps(steps, np.abs(np.diff(stamps))).sum())
+    if n_jumps > MOST_JUMPS * len(steps):
+        return _jumping(n_jumps, len(steps))
     if log.finder.opening_angle > 0.0:
         return None
     shares = scan_agreement(log, grid, poses)
-    if not len(shares) or float(np.median(shares)) >= LEAST_AGREEMENT:
+    if np.isnan(shares).all() or float(np.nanmedian(shares)) >= LEAST_AGREEMENT:
         return None
-    odometry = log.odometry[np.isfinite(log.odometry).all(axis=1)]
-    steps = np.abs(between(odometry[:-1], odometry[1:]))
-    way, turn = float(np.hypot(*steps[:, :2].T).sum()), float(steps[:, 2].sum())
+    median = float(np.nanmedian(shares))
+    way, turn = float(np.hypot(*steps[:, :2].T).sum()), float(np.abs(steps[:, 2]).sum())
     return Finding(
         "robot-lost",
         "warning",
-        f"Where the filter takes the robot to be, {np.median(shares):.0%} of a scan's readings agree with the map "
+        f"Where the filter takes the robot to be, {median:.0%} of a scan's readings agree with the map "
         f"(median; expected {LEAST_AGREEMENT:.0%} or more). By its odometry it drove {way:.1f} m and "
         f"turned {np.degrees(turn):.0f} degrees.",
-        {"median_agreement": float(np.median(shares)), "way_m": way, "turn_rad": turn},
+        {"median_agreement": median, "way_m": way, "turn_rad": turn},
         why="The robot was most likely elsewhere: the start, the map or the odometry (its signs, or it stands still) "
         "is wrong; or most readings are of people.",
         do="Run beamfield trajectory on this log and map: it searches all starts, and odometry of the wrong sign.",
+    )
+
+
+def _jumping(n_jumps: int, n_steps: int) -> Finding:
+    return Finding(
+        "robot-lost",
+        "warning",
+        f"{n_jumps} of {n_steps} steps of the odometry are longer than a robot drives or turns.",
+        {"jumps": float(n_jumps), "steps": float(n_steps)},
+        why="It is not in metres and radians, or not this robot's; no filter can follow the robot by it.",
+        do="Correct the units where the odometry is made.",
     )

@@ -49,7 +49,8 @@ def ray_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans:
     -------
     Shares; agreement 0 and the rest 1 if no beam should hit anything.
     """
-    z, expected = _readings(log, grid, poses, scans)
+    chosen = _spread(np.arange(len(scans)), SCANS)
+    z, expected = _readings(log, grid, poses[chosen], scans[chosen])
     counted = np.isfinite(z) & (expected < log.finder.max_range)
     z, expected = z[counted], expected[counted]
     if not len(z):
@@ -58,7 +59,7 @@ def ray_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans:
     return RayAgreement(float(np.mean(np.abs(z - expected) <= tolerance)), float(np.mean(z - expected > tolerance)))
 
 
-def scan_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
+def scan_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray, *, most: int = SCANS) -> FloatArray:
     """Return the share of the beams of each scan that are as long as the map says.
 
     Parameters
@@ -67,31 +68,37 @@ def scan_agreement(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> Fl
         The scans and the map.
     poses
         (t, 3) where the scans were taken; those without a pose are left out.
+    most
+        Look at so many scans, spread over the log.
 
     Returns
     -------
-    Shares of the beams that hit something or should, for up to 200 scans spread over the log; scans without such beams
-    are left out.
+    (t,) shares of the beams that hit something or should; NaN for scans without such beams and those that are left out.
     """
-    known = np.flatnonzero(np.isfinite(poses).all(axis=1))
-    z, expected = _readings(log, grid, poses[known], known)
+    scans = _spread(np.flatnonzero(np.isfinite(poses).all(axis=1)), most)
+    z, expected = _readings(log, grid, poses[scans], scans)
     counted = np.isfinite(z) & (np.minimum(z, expected) < log.finder.max_range)
     agrees = counted & (np.abs(z - expected) <= _tolerance(grid, expected))
     some = counted.any(axis=1)
-    return np.asarray(agrees[some].sum(axis=1) / counted[some].sum(axis=1))
+    shares: FloatArray = np.full(len(log), np.nan)
+    shares[scans[some]] = agrees[some].sum(axis=1) / counted[some].sum(axis=1)
+    return shares
 
 
 def _readings(
     log: SensorLog, grid: OccupancyGrid, poses: FloatArray, scans: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return measured and expected ranges of some beams of some scans."""
+    """Return measured and expected ranges of some beams of scans at poses (n, 3)."""
     if not len(scans):
         return np.empty((0, 1)), np.empty((0, 1))
-    chosen = np.unique(np.linspace(0, len(scans) - 1, SCANS).astype(np.int64))
     beams = np.unique(np.linspace(0, log.finder.n_beams - 1, BEAMS).astype(np.int64))
     finder = log.finder.subset(beams)
-    ranges = usable_ranges(log.ranges[np.ix_(scans[chosen], beams)], finder)
-    return ranges, RayCaster(grid).expected_ranges(poses[chosen], finder)
+    ranges = usable_ranges(log.ranges[np.ix_(scans, beams)], finder)
+    return ranges, RayCaster(grid).expected_ranges(poses, finder)
+
+
+def _spread(scans: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    return scans[np.unique(np.linspace(0, len(scans) - 1, most).astype(np.int64))] if len(scans) else scans
 
 
 def _tolerance(grid: OccupancyGrid, expected: FloatArray) -> FloatArray:

@@ -188,12 +188,12 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
     ),
     "odometry-jumps": (
         "warning",
-        "The odometry jumped {n} times farther than a robot can drive or turn.",
+        "The odometry jumped {times} farther than a robot can drive or turn.",
         "The jumps were not followed: the particles stayed, spread by 0.3 m and 0.3 rad.",
     ),
     "stamps-back": (
         "warning",
-        "The stamps run backwards {n} times.",
+        "The stamps run backwards {times}.",
         "The order of the log was kept: time only tells a fast robot from a jump of the odometry.",
     ),
     "repeated-scans": (
@@ -210,8 +210,11 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
 
 
 def _findings(counts: Mapping[str, int], n_scans: int) -> tuple[Finding, ...]:
+    def words(n: int) -> dict[str, object]:
+        return {"n": n, "t": n_scans, "times": "once" if n == 1 else f"{n} times"}
+
     return worst_first(
-        Finding(name, severity, text.format(n=counts[name], t=n_scans), {"count": float(counts[name])}, do=done)
+        Finding(name, severity, text.format(**words(counts[name])), {"count": float(counts[name])}, do=done)
         for name, (severity, text, done) in _TEXTS.items()
         if counts[name]
     )

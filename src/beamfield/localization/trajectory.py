@@ -24,6 +24,7 @@ from beamfield.localization.trajectory_start import Course, cheapest_course, fol
 from beamfield.localization.trajectory_trust import judge_trajectory, odometry_findings
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.range_scale import require_metres
 from beamfield.sensors import SensorLog, Track
 from beamfield.short_repr import short_repr
 
@@ -32,7 +33,7 @@ Progress = Callable[[str, int, int], None]
 # Nats that a scan costs if all of its beams pass walls.
 THROUGH_COST = 6.0
 # Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
-# buildings (at least 5.2) of the logs that docs/trajectory.md lists.
+# buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
 MOST_COST = 4.6
 # A start that is given is believed against a worse fit.
 MOST_COST_FROM_START = 9.0
@@ -182,7 +183,8 @@ def fit_trajectory(
     Raises
     ------
     InvalidInputError
-        If the map has no free or no occupied cell, the start is not a pose on the map, or stamps run backwards.
+        If the map has no free or no occupied cell, the start is not a pose on the map, stamps run backwards, or
+        readings are longer than the map.
     TooLittleDataError
         If the log has fewer than 3 scans or next to no readings.
     TrajectoryNotFoundError
@@ -191,7 +193,7 @@ def fit_trajectory(
     Notes
     -----
     Covariances are the marginals of the whole fit. End points on one patch of wall share its errors, so they count less
-    than if they were independent; see docs/trajectory.md for the measured coverage.
+    than if they were independent; see docs/evidence/trajectory.md for the measured coverage.
 
     References
     ----------
@@ -231,6 +233,13 @@ class FoundCourse(NamedTuple):
     course: Course
     hypotheses: tuple[StartHypothesis, ...]
     findings: tuple[Finding, ...]
+
+    @property
+    def odometry(self) -> FloatArray:
+        """(t, 3) the odometry as it was used: signs put right, and standing over steps that no robot makes."""
+        poses = chained(np.zeros(3), self.drive.steps)
+        poses[:, 2] = wrap_angle(poses[:, 2])
+        return poses
 
 
 def find_course(
@@ -303,6 +312,7 @@ def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> Fl
     if not np.isfinite(log.stamps).all() or (np.diff(log.stamps) < 0.0).any():
         where = int(np.argmin(np.diff(log.stamps))) + 1
         raise InvalidInputError(f"log: the stamps run backwards at scan {where}; cut the log there")
+    require_metres(log, grid)
     if start is None:
         return None
     pose = as_pose(start, "start")

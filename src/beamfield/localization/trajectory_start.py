@@ -14,6 +14,7 @@ from beamfield.kernels.trajectory import HitNoise, StepNoise, Walls
 from beamfield.localization.drive import Drive, chained
 from beamfield.localization.global_search import GlobalSearch, SearchWindow
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.range_scale import longest_in
 
 # Places along the way from which the map is searched, and how far around each its scans make one local map, metres.
 PLACES, LOCAL_WAY = 8, 1.5
@@ -94,6 +95,8 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
     places = _places(drive)
     for done, place in enumerate(places):
         points = _local_points(drive, place)
+        # Longer readings are of no wall of this map, and a search among them takes memory without limit.
+        points = points[np.hypot(*points.T) <= longest_in(grid)]
         window, poses = SearchWindow.whole_map(search.grid), []
         if start is not None and done == 0:
             window = SearchWindow(start, 2.0 * NEAR_START, 2.0 * NEAR_START, 2.0 * NEAR_START_TURN)

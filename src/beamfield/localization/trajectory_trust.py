@@ -55,7 +55,12 @@ def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[
 def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Finding]:
     """Name the times at which the odometry was wrong: resets, slips, being carried away, gaps."""
     since = drive.stamps - drive.stamps[0]
-    findings = [*_carried(drive, course, since), *_resets(drive, since), *_slips(fitted, since), *_gaps(since)]
+    findings = [
+        *_carried(drive, course, since),
+        *_resets(drive, since),
+        *_slips(fitted, since),
+        *time_gaps(drive.stamps),
+    ]
     if drive.n_unknown:
         which = "1 scan has" if drive.n_unknown == 1 else f"{drive.n_unknown} scans have"
         findings.append(Finding(
@@ -146,9 +151,10 @@ def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:
     return sorted(found, key=lambda one: -one.values["distance_m"])[:MOST_NAMED]
 
 
-def _gaps(since: FloatArray) -> list[Finding]:
-    steps = np.diff(since)
-    gaps = steps > max(GAP, GAP_STEPS * float(np.median(steps)))
+def time_gaps(stamps: FloatArray) -> list[Finding]:
+    """Name the times at which scans are missing for long."""
+    steps, since = np.diff(stamps), stamps - stamps[:1]
+    gaps = steps > max(GAP, GAP_STEPS * float(np.median(steps))) if len(steps) else np.zeros(0, bool)
     if not gaps.any():
         return []
     text = f"There is no scan for up to {steps.max():.1f} s, {_at(since[:-1][gaps])}; odometry bridges it."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -87,7 +88,12 @@ class LandmarkMap:
         InvalidInputError
             If the map has no such id; it is named.
         """
-        return indices_of_ids(self.ids, ids)
+        return indices_of_ids(self.ids, self.by_id, ids)
+
+    @cached_property
+    def by_id(self) -> NDArray[np.int64]:
+        """(n,) the indices that sort the ids."""
+        return np.argsort(self.ids)
 
     def _checked_kind(self) -> SignatureKind:
         if self.signatures is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,7 +127,12 @@ class LineMap:
         InvalidInputError
             If the map has no such id; it is named.
         """
-        return indices_of_ids(self.ids, ids)
+        return indices_of_ids(self.ids, self.by_id, ids)
+
+    @cached_property
+    def by_id(self) -> NDArray[np.int64]:
+        """(n,) the indices that sort the ids."""
+        return np.argsort(self.ids)
 
     def extents(self) -> FloatArray:
         """Return from where to where each segment goes along its line.

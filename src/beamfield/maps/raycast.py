@@ -323,7 +323,9 @@ def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:
 @lru_cache(maxsize=16)
 def _fan(finder: RangeFinder, resolution: float) -> tuple[FloatArray, bool]:
     """Return the beams as the kernel wants them, x, y in cells, cos, sin, and whether all start at one point."""
-    x, y, theta = finder.mounts.T
-    fan = np.zeros((4, finder.n_beams + 8))
-    fan[:, : finder.n_beams] = x / resolution, y / resolution, np.cos(theta), np.sin(theta)
-    return fan, bool(np.all(x == x[:1]) and np.all(y == y[:1]))
+    places, theta, k = finder.mounts[:, :2], finder.mounts[:, 2], finder.n_beams
+    fan = np.zeros((4, k + 8))
+    np.divide(places.T, resolution, out=fan[:2, :k])
+    np.cos(theta, out=fan[2, :k])
+    np.sin(theta, out=fan[3, :k])
+    return fan, bool((places == places[:1]).all())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import ModuleType
 from typing import ClassVar, Generic, Literal, NamedTuple, TypeVar, get_args
 
@@ -15,7 +16,7 @@ from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, as_poses
-from beamfield.kernels.correspondence import fill_sums
+from beamfield.kernels.correspondence import fill_sums, sort_by_id
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
@@ -25,6 +26,7 @@ from beamfield.models.line_detections import LineDetections
 Correspondence = Literal["known", "nearest", "sum", "assignment"]
 # Values per pose, feature and thing in memory at a time: 8 MB.
 VALUES_PER_CHUNK = 1_000_000
+_NO_FEATURES = np.empty(0, dtype=np.int64)
 
 
 Z = TypeVar("Z", bound=Detections | LineDetections)
@@ -132,7 +134,8 @@ class CorrespondenceModel(ABC, Generic[Z]):
         robot = as_poses(poses)
         given, tables = self._prepare(z)
         total: FloatArray = np.zeros(robot.shape[:-1])
-        total += tables.log_spurious[given.spurious].sum()
+        if len(given.spurious):
+            total += tables.log_spurious[given.spurious].sum()
         if len(given.known) and total.size:
             total += self._known(given, tables, robot.reshape(-1, 3), each=False).reshape(total.shape)
         if len(given.unknown) and total.size:
@@ -201,20 +204,23 @@ class CorrespondenceModel(ABC, Generic[Z]):
     ) -> None:
         """Set candidates (n, unknown, N) that are none to -inf; poses, mount and things (c, N) as for the kernels."""
 
-    def _may_be_spurious(self, given: Given) -> bool:
-        """Say whether the density given nothing in the map is needed."""
-        return bool(len(given.spurious) or (len(given.unknown) and self._spurious_rate > 0.0))
-
     def _prepare(self, z: Z) -> tuple[Given, Tables]:
-        ids = np.full(len(z), UNKNOWN) if z.ids is None else z.ids
-        known, unknown, spurious = (np.flatnonzero(mask) for mask in (ids >= 0, ids == UNKNOWN, ids == SPURIOUS))
-        if len(unknown) and self.correspondence == "known":
+        given = self._given(z.ids, len(z))
+        if len(given.unknown) and self.correspondence == "known":
             raise InvalidInputError(
                 f"ids: correspondence 'known' needs an id of every {self.feature_name}, "
-                f"got none for {self.feature_name} {unknown[0]}"
+                f"got none for {self.feature_name} {given.unknown[0]}"
             )
-        given = Given(known, self._things.indices_of(ids[known]), unknown, spurious)
         return given, self._tables(z, given)
+
+    def _given(self, ids: NDArray[np.int64] | None, n: int) -> Given:
+        if ids is None:
+            return Given(_NO_FEATURES, _NO_FEATURES, np.arange(n), _NO_FEATURES)
+        places = np.empty((4, n), dtype=np.int64)
+        known, unknown, spurious = sort_by_id(ids, self._things.ids, self._things.by_id, UNKNOWN, places)
+        if known < 0:
+            self._things.indices_of(ids[-1 - known])  # which says so
+        return Given(places[0, :known], places[1, :known], places[2, :unknown], places[3, :spurious])
 
     def _evaluate(self, z: Z, poses: ArrayLike) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return values and ids, each (..., k)."""
@@ -235,10 +241,10 @@ class CorrespondenceModel(ABC, Generic[Z]):
         return values.reshape(shape), ids.reshape(shape)
 
     def _known(self, given: Given, tables: Tables, flat: FloatArray, *, each: bool) -> FloatArray:
-        features, things = tables.features[given.known], tables.things[given.which]
-        base = tables.base[given.known, given.which] if tables.base.ndim == 2 else tables.base[given.known]
+        features, things = tables.features.take(given.known, axis=0), tables.things.take(given.which, axis=0)
+        base = tables.base[given.known, given.which] if tables.base.ndim == 2 else tables.base.take(given.known)
         out = np.empty((len(flat), len(features) if each else 1))
-        first, mount = 0 if each else -1, self._mount_in_sensor_axes()
+        first, mount = 0 if each else -1, self._mount_in_sensor_axes
 
         def work(a: int, b: int) -> None:
             self._kernels.fill_known(flat[a:b], mount, features, things, base, first, out[a:b])
@@ -251,9 +257,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
         k, n_things = len(given.unknown), len(self._things)
         values = np.empty((len(flat), k))
         chosen = np.empty((len(flat), k), dtype=np.int64)
-        features, base = tables.features[given.unknown], tables.base[given.unknown]
-        none = tables.log_spurious[given.unknown] + _log(self._spurious_rate)
-        things, mount = np.ascontiguousarray(tables.things.T), self._mount_in_sensor_axes()
+        features, base = (table.take(given.unknown, axis=0) for table in (tables.features, tables.base))
+        none = tables.log_spurious.take(given.unknown) + _log(self._spurious_rate)
+        things, mount = np.ascontiguousarray(tables.things.T), self._mount_in_sensor_axes
         if self.correspondence == "nearest" and hasattr(self._kernels, "fill_nearest"):
             prior = self._log_share_of_thing()
 
@@ -308,6 +314,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         """Return the log probability that a feature is of one certain thing, before it is seen."""
         return math.log1p(-self._spurious_rate) - math.log(len(self._things))
 
+    @cached_property
     def _mount_in_sensor_axes(self) -> FloatArray:
         x, y, theta = self.mount.tolist()
         cos, sin = math.cos(theta), math.sin(theta)

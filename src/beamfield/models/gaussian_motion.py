@@ -84,7 +84,7 @@ class GaussianMotion(OdometryMotion):
 
 
 # A robot on wheels in a building, if nothing is known of its odometry. Wheels hardly slip sideways, but where a map is
-# wrong, the pose that fits it shifts sideways as well as forward while the robot drives (docs/localization.md).
+# wrong, the pose that fits it shifts sideways as well as forward while the robot drives: docs/evidence/localization.md.
 USUAL_MOTION = GaussianMotion(forward=0.06, sideways=0.06, shift=0.02, drift=0.04, turn=0.08)
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.arguments import as_generator, checked
 from beamfield.detections import Detections
@@ -180,35 +181,37 @@ class LandmarkModel(CorrespondenceModel[Detections]):
         return self.parameters.spurious_rate
 
     def _tables(self, z: Detections, given: Given) -> Tables:
-        p, n = self.parameters, len(z)
-        has_range, has_bearing = ~np.isnan(z.ranges), ~np.isnan(z.bearings)
-        sigma_range = _needed(p.sigma_range, has_range, "sigma_range")
-        sigma_bearing = _needed(p.sigma_bearing, has_bearing, "sigma_bearing")
-        phi = np.where(has_bearing, z.bearings - p.bearing_bias, 0.0) + 0.0
-        distance = np.where(has_range, (z.ranges - p.range_bias) / p.range_scale, 0.0)
-        precisions = has_range * p.range_scale / sigma_range, has_bearing / sigma_bearing
-        features = np.column_stack([distance, np.cos(phi), np.sin(phi), *precisions])
-        signature = signature_log_density(z.signatures, n, self.landmarks, p)
-        constant = has_range * (-math.log(sigma_range) - 0.5 * LOG_2PI)
-        constant -= has_bearing * (math.log(sigma_bearing) + 0.5 * LOG_2PI + log_share_on_circle(sigma_bearing))
-        log_spurious = self._log_spurious(z, given) if self._may_be_spurious(given) else np.full(n, -np.inf)
-        base = constant[:, None] + signature[:, :-1]
-        return Tables(self.landmarks.positions, features, base, log_spurious + signature[:, -1])
+        p = self.parameters
+        _check_measurable(z.ranges, p.sigma_range, "sigma_range")
+        _check_measurable(z.bearings, p.sigma_bearing, "sigma_bearing")
+        if p.max_range is None and not np.isnan(z.ranges[given.spurious]).all():
+            raise InvalidInputError("max_range: a spurious feature needs max_range, got None")
+        logs = signature_log_density(z.signatures, len(z), self.landmarks, p)
+        features = np.empty((len(z), 5))
+        kernels.describe_features(z.ranges, z.bearings, self._noise, features, logs)
+        return Tables(self.landmarks.positions, features, logs[:, :-1], logs[:, -1])
 
-    def _log_spurious(self, z: Detections, given: Given) -> FloatArray:
-        """Return log p(r, phi | no landmark), (k,)."""
-        has_range, limit = ~np.isnan(z.ranges), self.parameters.max_range
-        value: FloatArray = np.where(np.isnan(z.bearings), 0.0, -LOG_2PI)
-        if limit is None:
-            if has_range[given.spurious].any():
-                raise InvalidInputError("max_range: a spurious feature needs max_range, got None")
-            return value
-        outside = has_range & ((z.ranges < 0.0) | (z.ranges > limit))
-        return np.asarray(np.where(outside, -np.inf, value - has_range * math.log(limit)))
+    @cached_property
+    def _noise(self) -> kernels.Noise:
+        p = self.parameters
+        # Any sigma where nothing is measured.
+        sigma_range, sigma_bearing = float(p.sigma_range or 1.0), float(p.sigma_bearing or 1.0)
+        limit = math.inf if p.max_range is None else float(p.max_range)
+        return kernels.Noise(
+            range_bias=float(p.range_bias),
+            range_scale=float(p.range_scale),
+            bearing_bias=float(p.bearing_bias),
+            range_weight=p.range_scale / sigma_range,
+            bearing_weight=1.0 / sigma_bearing,
+            log_range=-math.log(sigma_range) - 0.5 * LOG_2PI,
+            log_bearing=-math.log(sigma_bearing) - 0.5 * LOG_2PI - log_share_on_circle(sigma_bearing),
+            max_range=limit,
+            log_max_range=math.log(limit),
+        )
 
 
-def _needed(sigma: float | None, measured: NDArray[np.bool_], name: str) -> float:
-    """Return the sigma, or any where nothing was measured."""
-    if sigma is None and measured.any():
-        raise InvalidInputError(f"{name}: feature {int(measured.argmax())} has a measured value, but the sigma is None")
-    return 1.0 if sigma is None else sigma
+def _check_measurable(values: FloatArray, sigma: float | None, name: str) -> None:
+    """Refuse values that the sensor never measures."""
+    if sigma is None and not np.isnan(values).all():
+        first = int(np.isnan(values).argmin())
+        raise InvalidInputError(f"{name}: feature {first} has a measured value, but the sigma is None")

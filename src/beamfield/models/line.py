@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import ModuleType
 from typing import ClassVar
 
@@ -235,9 +236,14 @@ class LineModel(CorrespondenceModel[LineDetections]):
         # The share of the noise of alpha that lies in (-pi, pi].
         share = erf(np.pi / np.sqrt(2.0 * covariances[:, 1, 1]))
         base = -0.5 * np.log(determinant) - LOG_2PI - np.log(share)
-        log_spurious = self._log_spurious(z, given) if self._may_be_spurious(given) else np.full(n, -np.inf)
+        log_spurious = self._log_spurious(z, given)
+        return Tables(self._seen_from_origin, features, base, log_spurious)
+
+    @cached_property
+    def _seen_from_origin(self) -> FloatArray:
+        """(N, 4) the map as the kernels take it."""
         rho, alpha = self.lines.lines.T
-        return Tables(np.column_stack([np.cos(alpha), np.sin(alpha), rho, alpha]), features, base, log_spurious)
+        return np.column_stack([np.cos(alpha), np.sin(alpha), rho, alpha])
 
     def _exclude(
         self, z: LineDetections, given: Given, flat: FloatArray, mount: FloatArray, things: FloatArray, each: FloatArray

@@ -7,11 +7,14 @@ from abc import ABC, abstractmethod
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
+
+# A step beyond what a robot does (metres, m/s, radians, rad/s) is no motion: the odometry was reset, or is wrong.
+JUMP, JUMP_SPEED, JUMP_TURN, JUMP_RATE = 1.0, 3.0, 1.0, 3.0
 
 
 class MotionModel(Protocol):
@@ -127,6 +130,12 @@ def odometry_step(odometry: FloatArray) -> FloatArray:
     dx, dy, cos, sin = after[0] - x, after[1] - y, math.cos(theta), math.sin(theta)
     turn = math.pi - (math.pi - (after[2] - theta)) % (2.0 * math.pi)
     return np.array([cos * dx + sin * dy, cos * dy - sin * dx, turn])
+
+
+def odometry_jumps(steps: FloatArray, seconds: FloatArray) -> NDArray[np.bool_]:
+    """Return which steps (n, 3), taken in so many seconds (n,), no robot makes."""
+    far = np.hypot(steps[:, 0], steps[:, 1]) > JUMP + JUMP_SPEED * seconds
+    return np.asarray(far | (np.abs(steps[:, 2]) > JUMP_TURN + JUMP_RATE * seconds))
 
 
 def check_not_negative(model: object, *names: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import lru_cache
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -128,8 +129,7 @@ class RangeMixtureModel(ABC):
         flat = robot.reshape(-1, 3)
         total: FloatArray = np.zeros(len(flat))
         if len(beams) and len(flat):
-            # By the shape, not the number: a log of scans, which is refused, must not reach the kernels.
-            self._add_up(z if z.ranges.shape == beams.shape else z.subset(beams), flat, total)
+            self._add_up(_with_beams(z, beams), flat, total)
         return (self.exponent * total).reshape(robot.shape[:-1])
 
     @checked
@@ -154,7 +154,7 @@ class RangeMixtureModel(ABC):
         robot = as_poses(poses)
         beams = self.used_beams(z)
         result: FloatArray = np.zeros((*robot.shape[:-1], z.finder.n_beams))
-        chosen = z.subset(beams)
+        chosen = _with_beams(z, beams)
         ranges = usable_ranges(chosen.ranges, z.finder)
         expected = self.expected(robot, chosen.finder)
         max_range, min_range = z.finder.max_range, z.finder.min_range
@@ -174,9 +174,10 @@ class RangeMixtureModel(ABC):
         -------
         Indices in [0, k), rising: about equally spaced among the beams with a measurement, perhaps none.
         """
+        _refuse_logs(scan)
         # What `usable_ranges` leaves, in a third of its time.
         with np.errstate(invalid="ignore"):
-            valid = np.flatnonzero(scan.ranges >= scan.finder.min_range)
+            valid: NDArray[np.int64] = (scan.ranges >= scan.finder.min_range).nonzero()[0]
         if self.n_beams is None or self.n_beams >= len(valid):
             return valid
         return np.asarray(valid[np.round(np.linspace(0, len(valid) - 1, self.n_beams)).astype(np.int64)])
@@ -199,6 +200,7 @@ class RangeMixtureModel(ABC):
         InvalidInputError
             If the poses are not finite (..., 3).
         """
+        _refuse_logs(z)
         expected = self.expected(poses, z.finder)
         ranges, limits = usable_ranges(z.ranges, z.finder), (z.finder.max_range, z.finder.min_range)
         return beam_responsibilities(ranges, expected, limits[0], self.parameters, min_range=limits[1])
@@ -286,3 +288,22 @@ class RangeMixtureModel(ABC):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         keep(self, _source=self._make_source())
+
+
+def _refuse_logs(scan: Scan) -> None:
+    """Raise for a log of scans, which has ranges and a finder, too; `checked` says whose argument it is."""
+    if scan.ranges.ndim != 1:
+        raise TypeError(f"expected a Scan, got {type(scan).__name__}")
+
+
+def _with_beams(scan: Scan, beams: NDArray[np.int64]) -> Scan:
+    """Return the scan with only these beams, which rise."""
+    if len(beams) == len(scan.ranges):
+        return scan
+    return Scan(scan.ranges[beams], _finder_of(scan.finder, beams.tobytes()), scan.stamp)
+
+
+# The same beams are chosen from most scans of a log: their finder is then the same, too, and a caster knows it already.
+@lru_cache(maxsize=16)
+def _finder_of(finder: RangeFinder, beams: bytes) -> RangeFinder:
+    return finder.subset(np.frombuffer(beams, dtype=np.int64))

@@ -101,6 +101,39 @@ def judge_beams(
     """
     table = build_beam_table(log, grid, scans[:: 1 + len(scans) * log.finder.n_beams // MOST_BEAMS])
     rays = compose(log.poses[table.scan], log.finder.mounts[table.beam])
+    visit = time_blocks(table.stamps, block_s or None)
+    return judge_table(
+        table, rays, visit, grid, parameters, reference_error=reference_error, longest_error=longest_error
+    )
+
+
+def judge_table(
+    table: BeamTable,
+    rays: FloatArray,
+    visit: NDArray[np.int64],
+    grid: OccupancyGrid,
+    parameters: BeamParameters,
+    *,
+    reference_error: float,
+    longest_error: float,
+) -> PlaceBeams:
+    """Compare beams whose expected ranges are known with the map.
+
+    Parameters
+    ----------
+    table
+        The beams.
+    rays
+        (n, 3) start and direction of each in the map frame, metres and radians.
+    visit
+        (n,) block of time of each.
+    grid, parameters, reference_error, longest_error
+        As for `judge_beams`.
+
+    Returns
+    -------
+    One row per beam.
+    """
     parameters = replace(parameters, sigma_slope=min(parameters.sigma_slope, MOST_SLOPE))
     reach = np.sqrt(max(longest_error**2 / reference_error**2 - 1.0, 0.0)) * REFERENCE_LEVER
     z, expected = table.ranges, table.expected_ranges
@@ -123,7 +156,7 @@ def judge_beams(
     # Nothing is known of the path of a beam that did not return from an obstacle.
     known = returned | table.hits_nothing
     return PlaceBeams(
-        visit=time_blocks(table.stamps, block_s or None),
+        visit=visit,
         rays=rays,
         followed=np.where(known, np.minimum(measured, reach), 0.0),
         ends=ends,

@@ -87,5 +87,13 @@ def trajectories() -> list[Case]:
     return [*cases, one_file("t.tum", _packed(tum)), carmen_logs()[0]]
 
 
+def filter_runs() -> list[Case]:
+    """A folder with a trajectory and particles, one without them, and a trajectory alone."""
+    tum = "".join(f"{i}.5 {i} 0.5 0 0 0 0.0 1.0\n" for i in range(4)).encode()
+    particles = _packed("t,x,y,theta\n" + "".join(f"{i // 2}.5,{i},0.5,0.1\n" for i in range(6)))
+    return [Case({"trajectory.tum": tum, "particles.csv.gz": particles}, "."), Case({"trajectory.tum": tum}, "."),
+            one_file("t.tum", tum)]  # fmt: skip
+
+
 def _packed(text: str) -> bytes:
     return gzip.compress(text.encode(), 1, mtime=0)

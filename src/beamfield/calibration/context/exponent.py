@@ -131,7 +131,7 @@ def learn_exponent(
     Errors of neighbouring beams and scans go together, because the map, the pose and the people before the sensor are
     the same: multiplied as if they were independent, their values make posteriors that are certain and wrong. Each
     value to the power of the exponent makes posteriors around the reference poses whose 90 % regions hold the truth in
-    90 % of the cases. docs/in_context.md has what this gives on real logs.
+    90 % of the cases. docs/evidence/in_context.md has what this gives on real logs.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def learn_in_context(
     on one part of the log's blocks of time, from the model's parameters (learned by EM, say) and their exponent, until
     another part no longer gains; a third judges.
 
-    docs/in_context.md has what this gains on real logs over an exponent alone: nothing that is sure. Use
+    docs/evidence/in_context.md has what this gains on real logs over an exponent alone: nothing that is sure. Use
     `learn_exponent` unless you know better.
 
     Parameters

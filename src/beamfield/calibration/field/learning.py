@@ -159,8 +159,8 @@ def learn_field_parameters(
     z_hit, z_rand and sigma_hit make the readings most likely along the axes of their beams, where the field can be
     normalised: (6.33), (6.34). Multiplied over a scan as Table 6.3 does, such values would be far too certain, since
     the beams' errors hang together: the exponent (the alpha of 6.3.4) is the one whose posteriors around the reference
-    poses hold the truth as often as they say, see `learn_exponent`. docs/likelihood_field.md compares this with other
-    ways.
+    poses hold the truth as often as they say, see `learn_exponent`. docs/evidence/likelihood_field.md compares it with
+    other ways.
 
     Parameters
     ----------

@@ -160,7 +160,7 @@ def learn_intrinsic_parameters(
     -----
     Table 6.2 taken literally does not maximise (6.13): its E-step (6.27) leaves out the mixture weights, and (6.30) and
     (6.31) are maximisers for untruncated densities only. Here the weights are in, and the shapes maximise the expected
-    log-likelihood of a hit cut to [0, z_max] and a short cut to [0, z*]. docs/learning.md shows the difference.
+    log-likelihood of a hit cut to [0, z_max] and a short cut to [0, z*]. See docs/evidence/learning.md.
 
     A parameter at the edge of its range is a result: ``lambda_short`` = 0 (shorts uniform on [0, z*]) and a weight of 0
     are frequent on real data. At z = z_max only the point mass counts, so the learned ``z_max`` is exactly the share of

@@ -39,7 +39,7 @@ SMALL_SHARE = 0.1
 NEARLY_EQUAL = 1e-3
 _EFFECTIVE_NATS = 3.0
 # Readings exactly at the near limit move lambda_short by a standard error if they are more than 0.2 to 0.4 % of all in
-# a log of 2 minutes, 0.05 to 0.2 % in one of 10 minutes (docs/learning.md).
+# a log of 2 minutes, 0.05 to 0.2 % in one of 10 minutes (docs/evidence/learning.md).
 NOTABLE_SHARE_AT_LIMIT = 0.001
 # They are the same number but for rounding: of the maximum range.
 _SAME_RANGE = 1e-6

@@ -133,7 +133,7 @@ def _rate(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningPr
     floor, ceiling = 0.0, float(problem.upper[RATE])
 
     def slopes(rate: float) -> tuple[float, float]:
-        _, first, second = kernels.short_objective(
+        first, second = kernels.short_slopes(
             statistics.node_ranges, statistics.node_short, statistics.sum_short_range, rate
         )
         if imagined > 0.0:
@@ -141,13 +141,13 @@ def _rate(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningPr
             second -= imagined / rate**2
         return first, second
 
-    if imagined == 0.0 and slopes(0.0)[0] <= 0.0:
-        return 0.0
-    if slopes(ceiling)[0] >= 0.0:
-        return ceiling
     rate = min(max(float(theta[RATE]), 1e-6 * ceiling), ceiling)
+    first, second = slopes(rate)
+    if first <= 0.0 and imagined == 0.0 and slopes(0.0)[0] <= 0.0:
+        return 0.0
+    if first >= 0.0 and slopes(ceiling)[0] >= 0.0:
+        return ceiling
     for _ in range(200):
-        first, second = slopes(rate)
         if first > 0.0:
             floor = rate
         else:
@@ -159,4 +159,5 @@ def _rate(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningPr
         if abs(new - rate) <= 1e-13 * rate or ceiling - floor <= 1e-13 * ceiling:
             return float(new)
         rate = float(new)
+        first, second = slopes(rate)
     return rate

@@ -25,11 +25,11 @@ const place = {
     const words = new URLSearchParams(location.hash.slice(1));
     const number = (name) => (words.has(name) && Number.isFinite(Number(words.get(name))) ? Number(words.get(name)) : null);
     const pose = ["x", "y", "heading"].map(number);
-    return { i: number("i"), set: number("set"), pose: pose.includes(null) ? null : pose };
+    return { i: number("i"), set: number("set"), other: number("other"), pose: pose.includes(null) ? null : pose };
   },
-  write({ i, set, pose }) {
+  write({ i, set, other, pose }) {
     const [x, y, heading] = pose.map((value) => value.toFixed(4));
-    history.replaceState(null, "", `#${new URLSearchParams({ i, x, y, heading, set })}`);
+    history.replaceState(null, "", `#${new URLSearchParams({ i, x, y, heading, set, ...(other === null ? {} : { other }) })}`);
   },
   address: () => location.href,
 };

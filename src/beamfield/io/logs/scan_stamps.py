@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
@@ -39,7 +39,12 @@ class ScanStamps:
 
 
 def resolve_stamps(
-    path: str | Path, name: str, lines: list[int], columns: ArrayLike, rule: StampRule = "file"
+    path: str | Path,
+    name: str,
+    lines: list[int],
+    columns: ArrayLike,
+    rule: StampRule = "file",
+    repeated: NDArray[np.bool_] | None = None,
 ) -> ScanStamps:
     """Return stamps that do not decrease, from the first usable column of a file.
 
@@ -62,6 +67,8 @@ def resolve_stamps(
         (t, c) stamps in seconds, in order of preference.
     rule
         "file", or "order" to number the scans, one second apart, whatever the file says.
+    repeated
+        (t,) scans that are the one before once more, stamps and readings: that their stamps are equal says nothing.
 
     Raises
     ------
@@ -76,7 +83,8 @@ def resolve_stamps(
     numbered = np.arange(len(table), dtype=np.float64)
     if rule == "order":
         return ScanStamps(numbered, None, (f"{name}: scans are numbered, one second apart, as requested",))
-    kept = [c for c in range(table.shape[1]) if not _is_lost(table[:, c])]
+    distinct = table if repeated is None else table[~repeated]
+    kept = [c for c in range(table.shape[1]) if not _is_lost(distinct[:, c])]
     if not kept:
         different = len(np.unique(table[:, 0]))
         note = (
@@ -91,6 +99,8 @@ def resolve_stamps(
         if behind.max() > MAX_BACKWARD_STEP or n_back > MAX_BACKWARD_SHARE * len(stamps):
             continue
         notes = [f"{name}: stamps are those of column {column + 1}, the first is not usable"] if column else []
+        if repeated is not None and repeated.any():
+            notes.append(f"{name}: {repeated.sum()} of {len(stamps)} scans repeat the one before, stamp and readings")
         if n_back:
             notes.append(
                 f"{name}: {n_back} of {len(stamps)} stamps go backwards, by up to {behind.max():.3g} s; scans stay in "

@@ -143,7 +143,11 @@ class TextScans:
 
     def resolve_stamps(self, rule: StampRule) -> ScanStamps:
         """Return stamps that do not decrease; see `beamfield.io.logs.scan_stamps.resolve_stamps`."""
-        return resolve_stamps(self.path, self.name, self.lines, np.array(self.stamps), rule)
+        stamps, ranges = np.array(self.stamps), np.stack(self.ranges)
+        repeated = np.zeros(len(self), bool)
+        repeated[1:] = (stamps[1:] == stamps[:-1]).all(axis=1)
+        repeated[1:] &= ((ranges[1:] == ranges[:-1]) | np.isnan(ranges[1:]) & np.isnan(ranges[:-1])).all(axis=1)
+        return resolve_stamps(self.path, self.name, self.lines, stamps, rule, repeated)
 
     def finish(
         self,

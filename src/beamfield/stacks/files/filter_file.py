@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, cast
 
 from beamfield.errors import FormatError
-from beamfield.localization.replay import ReplayedFilter
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_fields, checked_values
+from beamfield.stacks.filters.emulated_filter import EmulatedFilter
 from beamfield.stacks.filters.loop import scans_at_ticks
 from beamfield.stacks.registry import STACKS, build_filter, build_model
 
@@ -50,9 +50,9 @@ class FilterSettings:
         options = {"distance": "brushfire"} if "distance" in {item.name for item in fields(kind)} else {}
         return build_model(self.stack, self.model, grid, self.sensor, **options)
 
-    def filter(self, grid: OccupancyGrid) -> ReplayedFilter:
+    def filter(self, grid: OccupancyGrid) -> EmulatedFilter:
         """Return the filter on a map."""
-        return build_filter(self.stack, self.emulator(grid), self.motion, self.particles)
+        return cast(EmulatedFilter, build_filter(self.stack, self.emulator(grid), self.motion, self.particles))
 
 
 def read_filter_settings(file: StackFile) -> FilterSettings:

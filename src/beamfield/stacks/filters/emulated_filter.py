@@ -15,7 +15,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.motion import MotionModel
 from beamfield.sensors import SensorLog
 from beamfield.stacks.emulation.emulator import StackModel
-from beamfield.stacks.filters.loop import Cloud, run_loop
+from beamfield.stacks.filters.loop import Cloud, WatchCloud, run_loop
 from beamfield.stacks.filters.particles import normal_poses, uniform_poses
 from beamfield.stacks.filters.scan_weights import ScanWeights
 
@@ -53,8 +53,17 @@ class EmulatedFilter(ABC):
             raise InvalidInputError("grid: the map has no free cell, in which a robot could be")
 
     @checked
-    def run(self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator) -> Replay:
+    def run(
+        self, log: SensorLog, start: PoseBelief | None, rng: np.random.Generator, *, watch: WatchCloud | None = None
+    ) -> Replay:
         """Filter a log; see `ReplayedFilter.run`.
+
+        Parameters
+        ----------
+        log, start, rng
+            As there.
+        watch
+            Called after each update with the index of its scan, the particles (n, 3) and their weights (n,).
 
         Raises
         ------
@@ -62,7 +71,7 @@ class EmulatedFilter(ABC):
             If no scan has odometry.
         """
         scans = self.update_scans(log)
-        return run_loop(log, self._cloud(start, rng), scans)
+        return run_loop(log, self._cloud(start, rng), scans, watch)
 
     @abstractmethod
     def update_scans(self, log: SensorLog) -> list[int]:

@@ -32,7 +32,11 @@ class Cloud(Protocol):
         """Resample if the program does now; return its answer, if it has a new one."""
 
 
-def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int]) -> Replay:
+# Called after each update: the index of its scan, the particles (n, 3) and their weights (n,).
+WatchCloud = Callable[[int, FloatArray, FloatArray], None]
+
+
+def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int], watch: WatchCloud | None = None) -> Replay:
     """Run a log through a filter.
 
     Parameters
@@ -43,6 +47,8 @@ def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int]) -> Replay:
         The particles.
     scans
         Those that update the particles; all have odometry.
+    watch
+        Called after each update.
     """
     recording = Recording(log)
     last: FloatArray | None = None
@@ -54,6 +60,8 @@ def run_loop(log: SensorLog, cloud: Cloud, scans: Iterable[int]) -> Replay:
         cloud.weigh(log.scan(i))
         answer = cloud.resample_when_due()
         recording.updated(i, cloud.poses, cloud.weights)
+        if watch is not None:
+            watch(i, cloud.poses, cloud.weights)
         if answer is not None:
             recording.published(i, answer)
         last = odometry

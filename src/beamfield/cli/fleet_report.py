@@ -1,0 +1,96 @@
+"""Report the state of a fleet: which robots need attention, and which maps are out of date.
+
+Takes a manifest (or a folder of logs), and scans what is not yet in the catalogue; or a catalogue. Writes one page with
+a traffic light per robot, why, since when and what to do; drift over the days; parameters of fleet, sites and robots;
+places to map again, drawn over each site's map. Beside it, the same as JSON and Parquet, and the places as maps and
+GeoJSON. All files are written, or none.
+
+for example:
+
+  beamfield fleet report fleet/manifest.yaml --out report
+  beamfield fleet report s3://company/catalogue --out report
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from beamfield.cli import options
+from beamfield.cli.fleet_scan import add_engine
+from beamfield.cli.outcome import Outcome
+from beamfield.cli.parser import Parser, add_command
+from beamfield.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from beamfield.cli.progress import StageProgress
+    from beamfield.fleet.catalogue import Catalogue
+    from beamfield.fleet.engine import Engine
+    from beamfield.fleet.fleet_report import FleetReport
+
+CATALOGUE = "catalogue"
+
+
+def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
+    """Register the command."""
+    parser = add_command(subparsers, run, "report", __doc__)
+    parser.add_argument("fleet", metavar="MANIFEST|CATALOGUE",
+                        help="a manifest (.yaml, .csv), a folder of logs, or the address of a catalogue")  # fmt: skip
+    options.add_out(parser, "beamfield_fleet_report", metavar="DIR", what="output folder")
+    parser.add_argument("--catalogue", metavar="ADDRESS",
+                        help="where a manifest's beams are kept (default: catalogue in the output folder)")  # fmt: skip
+    add_engine(parser)
+    parser.set_defaults(command="fleet report")
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Scan what is new, judge, draw, write."""
+    # The numerical libraries load here, so that --help answers at once.
+    from beamfield.fleet.beam_schema import require_pyarrow
+    from beamfield.fleet.engine import Engine
+    from beamfield.fleet.fleet_report import judge_fleet
+    from beamfield.fleet.report_files import report_as_dict, write_fleet_report
+    from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+
+    check_folder_writable(arguments.out)
+    require_pyarrow()
+    with options.progress(arguments) as progress, Engine(arguments.scheduler, arguments.workers) as engine:
+        report = judge_fleet(_catalogue(arguments, engine, progress), engine, progress=progress)
+        progress("drawing", 0, 1)
+        with atomic_folder(arguments.out) as folder:
+            names = write_fleet_report(folder, report)
+    return Outcome(
+        f"wrote {', '.join(name for name in names if '/' not in name)} and maps into {arguments.out}",
+        _summary(report),
+        report_as_dict(report),
+        [f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in report.findings],
+        [arguments.out],
+    )
+
+
+def _catalogue(arguments: argparse.Namespace, engine: Engine, progress: StageProgress) -> Catalogue:
+    """Open a catalogue, or scan a manifest into one."""
+    from beamfield.fleet.catalogue import CATALOGUE_FILE, open_catalogue
+    from beamfield.fleet.folder import is_address
+    from beamfield.fleet.scan import scan_fleet
+
+    given = arguments.fleet
+    if is_address(given) or (Path(given) / CATALOGUE_FILE).is_file():
+        if arguments.catalogue is not None:
+            raise InvalidInputError("--catalogue: is for a manifest, and a catalogue is given")
+        return open_catalogue(given)
+    kept = arguments.catalogue or str(arguments.out / CATALOGUE)
+    return scan_fleet(given, kept, engine, progress=progress).catalogue
+
+
+def _summary(report: FleetReport) -> str:
+    """Return the traffic lights that are not green, and the maps that are out of date."""
+    lines = [
+        f"{state.light:<6s} {state.robot}: {' '.join(finding.text for finding in state.findings) or 'no run used'}"
+        for state in report.states
+        if state.light != "green"
+    ]
+    lines.append(f"green  {sum(state.light == 'green' for state in report.states)} of {len(report.states)} robots")
+    lines += [f"map    {stale.site}: {len(stale.lasting)} places to map again" for stale in report.stale_maps]
+    return "\n".join(lines)

@@ -1,0 +1,251 @@
+"""The pictures of a fleet's report: drift over days, parameters robot by robot, and maps that are out of date."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Mapping, Sequence
+from urllib.parse import quote
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+
+from beamfield.fleet.daily import DailySeries, Fault
+from beamfield.fleet.drift import Drift
+from beamfield.fleet.hierarchy import Hierarchy, Pooled
+from beamfield.fleet.learning import FleetFit
+from beamfield.fleet.robot_state import RobotState
+from beamfield.fleet.stale_map import StaleMap
+from beamfield.geometry import FloatArray
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.report.colours import DATA, FIT, HELD_OUT, MODEL, QUIET
+from beamfield.report.drawing import NARROW, WIDE, new_axes, new_panel, style
+from beamfield.report.map_figures import MARGIN, draw_map, frame
+from beamfield.report.page import table
+from beamfield.report.panel import Panel, ReportFigure, png_panel, svg_panel
+
+# What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
+FAULTS: Mapping[Fault, tuple[str, str, float]] = {
+    "dirty-lens": ("dirty lens", "readings in the sector [%]", 100.0),
+    "turned-mount": ("turned mount", "motion, to the left [degrees]", math.degrees(1.0)),
+    "range-bias": ("range bias", "ranges too long by [cm]", 100.0),
+    "wheel-scale": ("wheel scale", "odometry too short by [%]", 100.0),
+}
+MOST_CURVES, MOST_PLACES, MOST_DATES = 16, 20, 5
+PLACE_COLUMNS = ("", "what", "x [m]", "y [m]", "size [m]", "since", "runs", "robots", "share of beams", "chance")
+# Squares that fewer runs or beams saw say little, and some readings disagree with every wall.
+FEWEST_RUNS, FEWEST_BEAMS, LEAST_SHOWN = 3, 20, 0.15
+# Beyond so many robots, the most urgent are drawn.
+MOST_ROBOTS = 40
+
+
+def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> ReportFigure:
+    """Draw what each alarm is about over the days, among the same numbers of the other robots.
+
+    Parameters
+    ----------
+    series
+        Daily numbers of all robots.
+    drifts
+        Those to draw, the most urgent first.
+    """
+    panels = []
+    for number, drift in enumerate(drifts[:MOST_CURVES]):
+        mine = _series_of(drift, series)
+        if mine is not None:
+            others = [one for one in series if one is not mine and _what(one) == _what(mine)]
+            panels.append(_drift_panel(f"drift-{number}", drift, mine, others))
+    more = f" {len(drifts) - MOST_CURVES} more are in series.parquet." if len(drifts) > MOST_CURVES else ""
+    caption = (
+        "Thick: the robot's number of each day with its 95 % interval; grey: the same of the other robots. The dashed "
+        f"line is the day since when it has changed; without one, it was so from the first day on.{more}"
+        if panels
+        else "No robot shows a fault."
+    )
+    return ReportFigure("drift", "Drift over the days", tuple(panels), caption, "")
+
+
+def _what(of: DailySeries) -> tuple[object, ...]:
+    return of.fault, of.cause, of.bearings
+
+
+def _series_of(drift: Drift, series: Sequence[DailySeries]) -> DailySeries | None:
+    """Return what a drift is about; of the sectors that it covers, the worst."""
+    own = [
+        one
+        for one in series
+        if (one.robot, one.site, one.fault, one.cause) == (drift.robot, drift.site, drift.fault, drift.cause)
+        and _covers(drift.bearings, one.bearings)
+    ]
+    return max(own, key=lambda one: _level(one, drift.since), default=None)
+
+
+def _level(one: DailySeries, since: datetime.date | None) -> float:
+    """Return the mean of what is compared, from a day on."""
+    later = [
+        value for day, value in zip(one.days, one.contrasts.tolist(), strict=True) if since is None or day >= since
+    ]
+    return math.fsum(later) / len(later) if later else -math.inf
+
+
+def _covers(whole: tuple[float, float] | None, part: tuple[float, float] | None) -> bool:
+    if whole is None or part is None:
+        return whole is part
+    middle = 0.5 * (part[0] + part[1])
+    return any(whole[0] <= middle + turn <= whole[1] for turn in (0.0, 2.0 * math.pi))
+
+
+def _drift_panel(name: str, drift: Drift, mine: DailySeries, others: Sequence[DailySeries]) -> Panel:
+    what, unit, scale = FAULTS[drift.fault]
+    figure, axes = new_axes(NARROW, 2.7, title=f"{drift.robot}: {what}", y=unit)
+    for one in others:
+        axes.plot([day.toordinal() for day in one.days], one.values * scale, color=DATA, linewidth=0.8, zorder=1)
+    days, values = [day.toordinal() for day in mine.days], mine.values * scale
+    axes.errorbar(
+        days, values, 1.96 * mine.standard_errors * scale, color=HELD_OUT, linewidth=1.8, elinewidth=1.0, marker="o",
+        markersize=3.5, zorder=3,
+    )  # fmt: skip
+    if drift.since is not None:
+        axes.axvline(drift.since.toordinal() - 0.5, color=MODEL, linestyle="--", linewidth=1.0, zorder=2)
+    _date_axis(axes, mine.days)
+    since = "from the first day on" if drift.since is None else f"since {drift.since.isoformat()}"
+    return svg_panel(figure, name, f"{drift.robot}, {what} over the days: {drift.sentence} ({since}).")
+
+
+def _date_axis(axes: Axes, days: Sequence[datetime.date]) -> None:
+    """Name some of the days, which are counted from the year 1."""
+    ticks = np.unique(np.linspace(0, len(days) - 1, MOST_DATES).round().astype(np.int64)).tolist()
+    axes.set_xticks([days[i].toordinal() for i in ticks], [f"{days[i].day} {days[i]:%b}" for i in ticks])
+
+
+def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], states: Sequence[RobotState]) -> ReportFigure:
+    """Draw each robot's own estimate and the pooled one, parameter by parameter.
+
+    Parameters
+    ----------
+    fit
+        By robots.
+    hierarchies
+        What pooling made of it.
+    states
+        The robots, the most urgent first.
+    """
+    panels = []
+    own = {(one.robot, one.site, one.limits): one.parameters for one in fit.fits}
+    order = [(state.robot, state.site) for state in states]
+    for number, hierarchy in enumerate(hierarchies):
+        names = list(hierarchy.robots[0].shrinkage) if hierarchy.robots else []
+        robots = sorted(hierarchy.robots, key=lambda one: order.index((str(one.robot), str(one.site))))[:MOST_ROBOTS]
+        robots.sort(key=lambda one: (str(one.site), str(one.robot)))
+        n_rows = -(-len(names) // 3)
+        if not names:
+            continue
+        figure = new_panel(WIDE, n_rows * (0.9 + 0.16 * len(robots)))
+        for place, name in enumerate(names, start=1):
+            axes = figure.add_subplot(n_rows, 3, place)
+            style(axes, title=name, grid="x")
+            _dots(axes, name, robots, [own[one.robot, one.site, hierarchy.limits] for one in robots])
+            axes.axvline(getattr(hierarchy.fleet.parameters, name), color=QUIET, linewidth=1.0, zorder=1)
+            axes.set_yticks(range(len(robots)), [str(one.robot) for one in robots] if place % 3 == 1 else [])
+            axes.tick_params(axis="y", labelsize=7)
+            axes.invert_yaxis()
+        alt = f"Parameters of {len(robots)} robots, each robot's own estimate beside the pooled one."
+        panels.append(svg_panel(figure, f"parameters-{number}", alt))
+    return ReportFigure(
+        "robot-parameters", "Which robots need their own parameters", tuple(panels),
+        "Open: what a robot's own beams say. Filled: what to use, with its 95 % interval: the robot's own estimate, "
+        "moved towards that of its site as far as its data are few. Vertical line: the fleet. "
+        f"At most {MOST_ROBOTS} robots are drawn.", "",
+    )  # fmt: skip
+
+
+def _dots(axes: Axes, name: str, robots: Sequence[Pooled], own: Sequence[BeamParameters]) -> None:
+    for row, (pooled, alone) in enumerate(zip(robots, own, strict=True)):
+        low, high = pooled.intervals[name]
+        used = getattr(pooled.parameters, name)
+        axes.plot([low, high], [row, row], color=FIT, linewidth=1.2, zorder=2)
+        axes.plot(getattr(alone, name), row, "o", color=HELD_OUT, markerfacecolor="white", markersize=4.5, zorder=3)
+        axes.plot(used, row, "o", color=FIT, markersize=3.5, zorder=4)
+
+
+def stale_figure(stale: StaleMap) -> ReportFigure:
+    """Draw where readings disagree with a site's map, and list the places to map again.
+
+    Parameters
+    ----------
+    stale
+        Result of `find_stale_places`.
+    """
+    squares, listed = stale.squares, stale.lasting[:MOST_PLACES]
+    name, title = (
+        f"map-{quote(stale.site, safe='')}-{stale.map_hash[:8]}",
+        f"{stale.site}: where the map is out of date",
+    )
+    if not len(squares.x):
+        return ReportFigure(name, title, (), "No beams.", "")
+    corners = np.column_stack([squares.x, squares.y])
+    low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + stale.side + MARGIN
+    limits = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
+    figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)), above=2.6)
+    draw_map(axes, stale.grid, limits)
+    shown = (np.maximum(squares.crossed, squares.tested) >= FEWEST_BEAMS) & (squares.runs >= FEWEST_RUNS)
+    shown &= squares.disagreement >= LEAST_SHOWN
+    patches = PolyCollection(list(_squares(corners[shown], stale.side)), cmap="YlOrRd", zorder=2.0)
+    patches.set_array(squares.disagreement[shown])
+    patches.set_clim(0.0, 1.0)
+    axes.add_collection(patches)
+    for number, place in enumerate(listed, start=1):
+        axes.add_collection(PolyCollection(list(_squares(place.corners, stale.side)), facecolors="none",
+                                           edgecolors=MODEL, linewidths=0.8, zorder=3.0))  # fmt: skip
+        text = axes.annotate(str(number), (place.x, place.y), (7, 7), textcoords="offset points", fontsize=9,
+                             fontweight="bold", color=MODEL, zorder=5)  # fmt: skip
+        text.set_path_effects([patheffects.withStroke(linewidth=2.5, foreground="white")])
+    frame(axes, limits, with_legend=False)
+    bar = figure.colorbar(patches, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
+    bar.ax.xaxis.set_ticks_position("top")
+    bar.ax.xaxis.set_label_position("top")
+    bar.set_label("share of beams that disagree with the map", fontsize=9, color="#222222")
+    bar.ax.tick_params(labelsize=9)
+    bar.outline.set_visible(False)
+    panels = [png_panel(figure, f"Map of {stale.site} with {len(stale.lasting)} places to map again.")]
+    if listed:
+        panels.append(Panel(table(PLACE_COLUMNS, _rows(stale), right=(2, 3)), wide=True))
+    return ReportFigure(name, title, tuple(panels), _caption(stale), "")
+
+
+def _squares(corners: FloatArray, side: float) -> FloatArray:
+    return np.asarray(corners[:, None] + side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
+
+
+def _rows(stale: StaleMap) -> list[tuple[str, ...]]:
+    return [
+        (
+            str(number),
+            place.kind,
+            f"{place.x:.1f}",
+            f"{place.y:.1f}",
+            f"{place.width:.1f} x {place.height:.1f}",
+            "before the first run" if place.since is None else place.since.isoformat(),
+            f"{place.runs_changed} of {place.runs}",
+            f"{place.robots_changed} of {place.robots}",
+            f"{place.rate:.0%}",
+            f"{place.p_value:.1g}",
+        )
+        for number, place in enumerate(stale.lasting[:MOST_PLACES], start=1)
+    ]
+
+
+def _caption(stale: StaleMap) -> str:
+    left_out = f" Not asked: {', '.join(stale.not_asked)}, who see differences everywhere." if stale.not_asked else ""
+    more = len(stale.lasting) - MOST_PLACES
+    return (
+        f"{len(stale.lasting) or 'No'} places to map again. Squares of {stale.side:g} m, coloured by the share of "
+        f"beams that disagree with the map, from {LEAST_SHOWN:.0%} on, over {stale.runs} runs of {stale.robots} robots "
+        f"on {stale.days} days. Outlined and numbered: places to map again, which differ in at least half of the runs "
+        "since the day named, for two robots and on two days at least. Chance: that people and doors alone make so "
+        "many runs differ. Colour without an outline: people, doors, and what was there for a while."
+        f"{f' {more} more places are in places.parquet.' if more > 0 else ''}{left_out}"
+    )

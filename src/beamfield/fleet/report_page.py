@@ -1,0 +1,182 @@
+"""The page of a fleet's report: what is wrong with which robot and which map, for who runs the fleet."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+from beamfield import __version__
+from beamfield.fleet.fleet_report import FleetReport
+from beamfield.fleet.hierarchy import Pooled
+from beamfield.fleet.report_figures import drift_figure, parameter_figure, stale_figure
+from beamfield.fleet.robot_state import Light, RobotState
+from beamfield.report.escape import escaped
+from beamfield.report.page import document, figure, finding_list, table, verdict_box
+from beamfield.report.page_section import Level
+
+# Colours alone tell nothing to many readers: each light is named.
+LEVELS: Mapping[Light, Level | str] = {"red": "bad", "amber": "care", "green": "good", "grey": ""}
+MOST_LEFT_OUT = 50
+ONE_LINE = 'style="white-space: nowrap"'
+KEY = (
+    "Red: a fault to see to now. Orange: one to watch, or many runs that cannot be used. Green: nothing was found in "
+    "the days that the report covers. Grey: no run could be used. Robots are listed by urgency."
+)
+OWN = (
+    "Robots listed here differ from the others in these parameters by more than chance and the usual spread explain, "
+    "so they are better served by parameters of their own; of those listed, about 5 % are expected to be false."
+)
+
+
+def render_fleet_page(report: FleetReport) -> str:
+    """Return the report as one HTML document that needs nothing else.
+
+    Parameters
+    ----------
+    report
+        Result of `judge_fleet`.
+    """
+    drift = drift_figure(report.series, report.alarms)
+    parameters = parameter_figure(report.fit, report.hierarchies, report.states)
+    maps = [stale_figure(stale) for stale in report.stale_maps]
+    title = f"Fleet report: {_count(report.states, 'robot')} at {_count(report.sites, 'site')}"
+    contents = [
+        ("robots", "Robots"), ("drift", "Drift"), ("maps", "Maps"), ("parameters", "Parameters"), ("runs", "Runs"),
+    ]  # fmt: skip
+    main = [
+        f'<h1>{escaped(title)}</h1>\n<p class="facts">{_facts(report)}</p>',
+        verdict_box(*_verdict(report)),
+        f'<p class="key">{escaped(KEY)}</p>',
+        f'<h2 id="robots">Robots</h2>\n{_lights(report.states)}',
+        figure(drift).replace("<h3>", "<h2>").replace("</h3>", "</h2>"),
+        '<h2 id="maps">Maps</h2>',
+        *(map(figure, maps) if maps else ["<p>No laser's beams tell about a map.</p>"]),
+        f'<h2 id="parameters">Parameters</h2>\n{_parameter_table(report)}\n{_differences(report)}',
+        figure(parameters),
+        f'<h2 id="runs">Runs</h2>\n{_runs(report)}',
+    ]
+    return document(title, "\n".join(main), contents, f"Made by beamfield {__version__}.", maps)
+
+
+def _count(items: Iterable[object], noun: str) -> str:
+    n = len(list(items))
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def _facts(report: FleetReport) -> str:
+    days = report.days
+    span = "no run could be used"
+    if days:
+        span = days[0].isoformat() if len(days) == 1 else f"{days[0].isoformat()} to {days[-1].isoformat()}"
+    used = [record for record in report.records if record.is_used]
+    beams = sum(record.beams for record in used)
+    return f"{span} · {len(used)} of {_count(report.records, 'run')} used · {beams:,} beams"
+
+
+def _verdict(report: FleetReport) -> tuple[Level, str, str]:
+    lights = Counter(state.light for state in report.states)
+    stale = [one.site for one in report.stale_maps if one.lasting]
+    sentences = []
+    if lights["red"]:
+        names = ", ".join(state.robot for state in report.states if state.light == "red")
+        sentences.append(f"{lights['red']} of {_count(report.states, 'robot')} need attention now: {names}.")
+    if lights["amber"]:
+        sentences.append(f"{_count(range(lights['amber']), 'robot')} to keep an eye on.")
+    if stale:
+        places = sum(len(one.lasting) for one in report.stale_maps)
+        sentences.append(f"The map of {', '.join(stale)} is out of date at {_count(range(places), 'place')}.")
+    if lights["grey"]:
+        sentences.append(f"Of {_count(range(lights['grey']), 'robot')} nothing is known: no run could be used.")
+    if report.findings:
+        sentences.append(f"Read the {_count(report.findings, 'warning')} about runs.")
+    if not sentences:
+        return "good", "No robot shows a fault, and the maps are as the robots see them.", "All well"
+    level: Level = "bad" if lights["red"] else "care"
+    return level, " ".join(sentences), "See to it" if lights["red"] else "Keep an eye on it"
+
+
+def _lights(states: Iterable[RobotState]) -> str:
+    """All robots but the green ones, with what to do; those are folded away."""
+    others = [state for state in states if state.light != "green"]
+    green = [(state.robot, state.site, f"{state.runs} of {state.runs + state.left_out}") for state in states
+             if state.light == "green"]  # fmt: skip
+    parts = []
+    if others:
+        names = ("", "robot", "site", "what was found", "what to do", "runs used")
+        heads = "".join(f'<th scope="col">{name}</th>' for name in names)
+        body = "\n".join(map(_light, others))
+        parts.append(f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table></div>')
+    if green:
+        listed = table(("robot", "site", "runs used"), green, right=(2,))
+        head = f'<b class="label">Green</b> {_count(green, "robot")}: nothing found'
+        parts.append(f'<details><summary><span class="good">{head}</span></summary>{listed}</details>')
+    return "\n".join(parts)
+
+
+def _light(state: RobotState) -> str:
+    found = "<br>".join(f"{escaped(one.text)} {escaped(one.why)}" for one in state.findings) or "No run could be used."
+    do = "<br>".join(escaped(one.do) for one in state.findings)
+    return (
+        f'<tr><td class="{LEVELS[state.light]}" style="padding-left: .5rem"><b class="label">{state.light}</b></td>'
+        f'<th scope="row" {ONE_LINE}><b>{escaped(state.robot)}</b></th><td {ONE_LINE}>{escaped(state.site)}</td>'
+        f'<td>{found}</td><td>{do}</td><td class="n">{state.runs} of {state.runs + state.left_out}</td></tr>'
+    )
+
+
+def _parameter_table(report: FleetReport) -> str:
+    """Fleet and sites; robots are in the picture and, number by number, folded away."""
+    parts = []
+    for hierarchy in report.hierarchies:
+        names = list(hierarchy.fleet.intervals)
+        groups = (hierarchy.fleet, *hierarchy.sites)
+        rows = [
+            (one.site or "fleet", *(_value(getattr(one.parameters, name), one.intervals[name]) for name in names))
+            for one in groups
+        ]
+        robots = [
+            (
+                f"{one.robot} ({one.site})",
+                *(
+                    f"{_value(getattr(one.parameters, name), one.intervals[name])}{_shrunk(one, name)}"
+                    for name in names
+                ),
+            )
+            for one in hierarchy.robots
+        ]
+        limits = f"Range finders up to {hierarchy.limits.max_range:g} m"
+        header = (limits, *names)
+        parts.append(f"{table(header, rows, bold=(0,))}\n<details><summary>Robot by robot</summary>"
+                     f"{table(header, robots)}</details>")  # fmt: skip
+    return "\n".join(parts) or "<p>No robot has beams enough to learn from.</p>"
+
+
+def _value(value: float, interval: tuple[float, float]) -> str:
+    return f"{value:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]"
+
+
+def _shrunk(one: Pooled, name: str) -> str:
+    return f", {one.shrinkage[name]:.0%} of its site" if name in one.shrinkage else ""
+
+
+def _differences(report: FleetReport) -> str:
+    rows = [
+        (one.robot, one.site, one.parameter, f"{one.value:.3g} [{one.low:.3g}, {one.high:.3g}]", f"{one.usual:.3g}",
+         f"{one.q_value:.1g}")
+        for one in report.differences
+        if one.differs
+    ]  # fmt: skip
+    if not rows:
+        return "<p>One set of parameters serves the whole fleet: no robot differs by more than chance explains.</p>"
+    header = ("robot", "site", "parameter", "its own", "usual", "chance (q)")
+    return f"<p>{escaped(OWN)}</p>\n{table(header, rows, right=(5,))}"
+
+
+def _runs(report: FleetReport) -> str:
+    left_out = [record for record in report.records if not record.is_used]
+    warned = finding_list(report.findings) if report.findings else ""
+    if not left_out:
+        return f"{warned}<p>Every run could be used.</p>"
+    rows = [(record.run, record.robot, record.site, record.reason) for record in left_out[:MOST_LEFT_OUT]]
+    more = len(left_out) - MOST_LEFT_OUT
+    rest = f"<p>{more} more are in fleet_report.json.</p>" if more > 0 else ""
+    return f"{warned}<p>Left out:</p>\n{table(('run', 'robot', 'site', 'reason'), rows)}{rest}"

@@ -1,0 +1,193 @@
+"""The state of each robot in words: what is wrong, since when, and what to do."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from beamfield.finding import Finding
+from beamfield.fleet.daily import Fault
+from beamfield.fleet.drift import Drift
+from beamfield.fleet.run_record import RunRecord
+from beamfield.short_repr import short_repr
+
+Light = Literal["red", "amber", "green", "grey"]
+LIGHTS: tuple[Light, ...] = ("red", "amber", "green", "grey")
+# From this size on a fault is red: share of readings in the sector, radians, metres, share of the distance. Smaller
+# ones cost a filter little yet.
+SERIOUS: Mapping[Fault, float] = {
+    "dirty-lens": 0.05, "turned-mount": math.radians(0.5), "range-bias": 0.02, "wheel-scale": 0.01,
+}  # fmt: skip
+# A robot with so large a share of runs that cannot be used needs a look, and a site.
+MANY_LEFT_OUT, MANY_AT_A_SITE = 1 / 3, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """A robot's traffic light.
+
+    Parameters
+    ----------
+    robot, site
+        Its name, and its site. Robots of one name at two sites are two robots.
+    light
+        "red": a fault to see to now; "amber": one to watch, or many runs that cannot be used; "green": nothing found;
+        "grey": no run could be used, so nothing is known.
+    findings
+        Why, and what to do; the worst first.
+    urgency
+        Largest fault in units of the size from which on it is red; robots are ranked by it.
+    runs, left_out
+        Runs used, and runs that could not be.
+    """
+
+    robot: str
+    site: str
+    light: Light
+    findings: tuple[Finding, ...]
+    urgency: float
+    runs: int
+    left_out: int
+
+    __repr__ = short_repr
+
+
+def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple[RobotState, ...]:
+    """Return the state of every robot, the most urgent first.
+
+    Parameters
+    ----------
+    records
+        All runs of the fleet.
+    drifts
+        What robots show; see `find_drift`.
+    """
+    states = []
+    for robot, site in sorted({(record.robot, record.site) for record in records}):
+        mine = [record for record in records if (record.robot, record.site) == (robot, site)]
+        used = sum(record.is_used for record in mine)
+        alarms = sorted(
+            (d for d in drifts if (d.robot, d.site) == (robot, site) and d.alarm), key=_urgency, reverse=True
+        )
+        others = [record for record in records if record.site == site and record.robot != robot]
+        findings = (*map(_fault, alarms), *_runs_left_out(mine, others))
+        urgency = max(map(_urgency, alarms), default=0.0)
+        light: Light = "grey" if used == 0 else "red" if urgency >= 1.0 else "amber" if findings else "green"
+        states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
+    return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot, state.site)))
+
+
+def _urgency(drift: Drift) -> float:
+    return abs(drift.size) / SERIOUS[drift.fault]
+
+
+def _fault(drift: Drift) -> Finding:
+    # Without the robot's name, which stands beside it.
+    seen = drift.sentence.removeprefix(f"{drift.robot} ({drift.site}): ")
+    seen = seen[:1].upper() + seen[1:]
+    values = {"size": drift.size, "low": drift.low, "high": drift.high, "q_value": drift.q_value}
+    if drift.fault == "dirty-lens":
+        return Finding(
+            "dirty-lens",
+            "warning",
+            seen,
+            values,
+            why="The robot sees less there than it should, and may take dirt for obstacles.",
+            do=f"Clean the window of the range finder {_sector(drift)}; if that does not help, look for scratches, and "
+            "for something that stands in its way.",
+        )
+    if drift.fault == "turned-mount":
+        return Finding(
+            "turned-mount",
+            "warning",
+            seen,
+            values,
+            why="Scans are turned against the map by as much: a robot localises worse and drives crooked.",
+            do="Check that the range finder sits straight and its screws are tight; else correct its yaw in the "
+            f"robot's description by {-math.degrees(drift.size):+.2g} degrees.",
+        )
+    if drift.fault == "range-bias":
+        return Finding(
+            "range-bias",
+            "warning",
+            seen,
+            values,
+            why="Walls seem to be nearer or farther than they are, and docking misses by as much.",
+            do="Measure a wall at a known distance with this range finder; calibrate it, or replace it.",
+        )
+    return Finding(
+        "wheel-scale",
+        "warning",
+        seen,
+        values,
+        why="Odometry is off by as much on every metre, which a filter must make up for.",
+        do="Check the tyres and their pressure; else correct the wheels' radius in the robot's description by "
+        f"{100.0 * drift.size:+.2g} %.",
+    )
+
+
+def _sector(drift: Drift) -> str:
+    """Say where in words: bearings grow to the left."""
+    if drift.bearings is None:
+        return "all around"
+    low, high = (math.degrees(angle) for angle in drift.bearings)
+    return f"from {_side(low)} to {_side(high)}"
+
+
+def _side(degrees: float) -> str:
+    return f"{abs(degrees):.0f} degrees {'left' if degrees > 0 else 'right'} of straight ahead"
+
+
+def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> Iterator[Finding]:
+    """Yield what to say of a robot with more runs that cannot be used than the others at its site have."""
+    share = _share_left_out(mine)
+    if share >= MANY_LEFT_OUT and share > 2.0 * _share_left_out(others):
+        left_out, reason = _left_out(mine)
+        yield Finding(
+            "runs-left-out",
+            "warning",
+            f"{left_out} of {len(mine)} runs cannot be used; most often: {reason}",
+            {"left_out": float(left_out), "runs": float(len(mine))},
+            why="What these runs would show is not known.",
+            do="Look at how this robot records, and at the list of runs that were left out.",
+        )
+
+
+def site_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
+    """Return what to know of sites many of whose runs cannot be used, whatever the robot.
+
+    Parameters
+    ----------
+    records
+        All runs of the fleet.
+    """
+    found = []
+    for site in sorted({record.site for record in records}):
+        mine = [record for record in records if record.site == site]
+        if _share_left_out(mine) >= MANY_AT_A_SITE and len({one.robot for one in mine if not one.is_used}) > 1:
+            left_out, reason = _left_out(mine)
+            found.append(Finding(
+                "site-runs-left-out",
+                "warning",
+                f"{site}: {left_out} of {len(mine)} runs, of several robots, cannot be used; most often: {reason}",
+                {"left_out": float(left_out), "runs": float(len(mine))},
+                why="Where a map is far out of date no trajectory fits it, and these runs tell nothing more.",
+                do="See whether it is the map of this site, and map the places again that are listed for it.",
+            ))  # fmt: skip
+    return tuple(found)
+
+
+def _share_left_out(records: Sequence[RunRecord]) -> float:
+    return sum(not record.is_used for record in records) / len(records) if records else 0.0
+
+
+def _left_out(records: Sequence[RunRecord]) -> tuple[int, str]:
+    """Return how many runs are left out, and the most frequent reason; numbers in it do not make another."""
+    reasons = [record.reason for record in records if not record.is_used]
+    kinds = Counter(re.sub(r"[0-9].*", "", reason) for reason in reasons)
+    most, _ = kinds.most_common(1)[0]
+    return len(reasons), next(reason for reason in reasons if reason.startswith(most))

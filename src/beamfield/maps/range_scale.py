@@ -1,0 +1,40 @@
+"""Whether readings can be metres in a map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beamfield.errors import InvalidInputError
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+
+# So many scans tell enough.
+SCANS = 200
+
+
+def longest_in(grid: OccupancyGrid) -> float:
+    """Return how long a reading between two places of a map can be, metres."""
+    return float(np.hypot(*grid.shape)) * grid.resolution
+
+
+def require_metres(log: SensorLog, grid: OccupancyGrid) -> None:
+    """Refuse scans most of whose readings are longer than the map: they are in millimetres, or of elsewhere.
+
+    Parameters
+    ----------
+    log, grid
+        The scans and the map.
+
+    Raises
+    ------
+    InvalidInputError
+        If half of the readings that hit something are longer than the map's diagonal.
+    """
+    ranges = log.ranges[:: max(1, len(log) // SCANS)]
+    hits = ranges[np.isfinite(ranges) & (ranges < log.finder.max_range)]
+    if len(hits) and (middle := float(np.median(hits))) > longest_in(grid):
+        raise InvalidInputError(
+            f"{log.finder.name or 'log'}: half of the readings are longer than {middle:.4g} m, and the map is "
+            f"{longest_in(grid):.4g} m from corner to corner; expected readings in metres, "
+            "not millimetres, and a map of that place"
+        )

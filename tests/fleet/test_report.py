@@ -1,0 +1,138 @@
+"""A fleet's report: lights and words follow from what was found, on the page, in JSON and in Parquet."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from beamfield.fleet.daily import DailySeries
+from beamfield.fleet.drift import Drift
+from beamfield.fleet.fleet_report import FleetReport
+from beamfield.fleet.hierarchy import Hierarchy, Pooled
+from beamfield.fleet.learning import FleetFit
+from beamfield.fleet.report_files import TABLES, report_as_dict, report_tables, write_fleet_report
+from beamfield.fleet.robot_state import robot_states, site_findings
+from beamfield.fleet.run_record import MapInfo, RunRecord
+from beamfield.fleet.shard_passes import SensorLimits
+from beamfield.models.beam_parameters import BeamParameters
+from tests.fleet.hall import SITE, stale_hall
+
+FIRST = datetime.date(2026, 3, 2)
+DAYS = tuple(FIRST + datetime.timedelta(days=day) for day in range(6))
+PARAMETERS = BeamParameters(0.8, 0.1, 0.04, 0.06, 0.02, 0.5)
+LIMITS = SensorLimits(12.0, 0.0)
+
+
+def record(robot: str, day: int, *, reason: str = "") -> RunRecord:
+    stamp = datetime.datetime(2026, 3, 2 + day, 8, tzinfo=datetime.UTC).timestamp()
+    sensor = {"mounts": [[0.0, 0.0, 0.0]], "max_range": 12.0, "min_range": 0.0, "opening_angle": 0.0, "name": ""}
+    return RunRecord(
+        run=f"{robot}-{day}", robot=robot, site=SITE, key="", log="", map="", poses="", log_sensor="", log_hash="",
+        status="left out" if reason else "used", reason=reason, first_stamp=math.nan if reason else stamp,
+        last_stamp=math.nan if reason else stamp + 60.0, beams=1000, sensor={} if reason else sensor,
+        map_info=None if reason else MapInfo(0.05, (0.0, 0.0, 0.0), (10, 10), "0123456789abcdef" * 4),
+    )  # fmt: skip
+
+
+def drift(robot: str, fault: str, size: float, *, alarm: bool = True, **rest: object) -> Drift:
+    known = {"since": DAYS[3], "unit": "m", "bearings": None, "cause": ""} | rest
+    return Drift(robot, SITE, fault, size=size, low=size - 0.001, high=size + 0.001, before=0.0, after=size,
+                 p_value=1e-9, q_value=1e-8, alarm=alarm, **known)  # fmt: skip
+
+
+DRIFTS = (
+    drift("r<1>", "range-bias", 0.05),
+    drift("r2", "turned-mount", math.radians(0.2), unit="rad"),
+    drift("r3", "range-bias", 0.05, alarm=False),
+    drift("r4", "dirty-lens", 0.3, unit="share", bearings=(0.5, 1.0), cause="max"),
+)
+RECORDS = (
+    *(record(robot, day) for robot in ("r<1>", "r2", "r3", "r4") for day in range(6)),
+    *(record("r5", day, reason="cut off") for day in range(2)), *(record("r6", day) for day in range(3)),
+    *(record("r6", 3 + day, reason="robot stood <still>") for day in range(3)),
+)  # fmt: skip
+
+
+def series(robot: str, sector: tuple[float, float], level: float) -> DailySeries:
+    values = np.where(np.arange(6) >= 3, level, 0.02)
+    return DailySeries(robot, SITE, "dirty-lens", "share", DAYS, values, np.full(6, 0.01), np.log(values),
+                       np.full(6, 0.1), sector, "max")  # fmt: skip
+
+
+@pytest.fixture
+def report() -> FleetReport:
+    sectors = [series("r4", (0.4, 0.7), 0.1), series("r4", (0.7, 1.0), 0.3), series("r2", (0.7, 1.0), 0.02),
+               series("r4", (-1.0, -0.7), 0.9)]  # fmt: skip
+    intervals = {"z_short": (0.08, 0.12), "sigma_hit": (0.019, 0.021)}
+    pooled = [Pooled(SITE, f"r{i}", PARAMETERS, intervals, dict.fromkeys(intervals, 0.25)) for i in (2, 4)]
+    own = tuple(SimpleNamespace(robot=one.robot, site=SITE, limits=LIMITS, parameters=PARAMETERS) for one in pooled)
+    whole = Pooled(None, None, PARAMETERS, intervals, {})
+    hierarchy = Hierarchy(LIMITS, whole, (), tuple(pooled), {}, {})
+    return FleetReport(
+        RECORDS, FleetFit("robot", own), (hierarchy,), (), tuple(sectors), DRIFTS, (stale_hall(),),
+        robot_states(RECORDS, DRIFTS), (),
+    )  # fmt: skip
+
+
+def test_the_light_is_that_of_the_worst_fault_and_robots_are_ranked():
+    states = robot_states(RECORDS, DRIFTS)
+    assert [(one.robot, one.light) for one in states] == [
+        ("r4", "red"), ("r<1>", "red"), ("r2", "amber"), ("r6", "amber"), ("r3", "green"), ("r5", "grey"),
+    ]  # fmt: skip
+    urgency = {one.robot: one.urgency for one in states}
+    assert urgency["r4"] == pytest.approx(6.0)
+    assert urgency["r2"] == pytest.approx(0.4)
+    found = {one.robot: one.findings for one in states}
+    assert "from 29 degrees left" in found["r4"][0].do
+    assert "by -0.2 degrees" in found["r2"][0].do
+    assert found["r6"][0].name == "runs-left-out"
+    assert "3 of 6 runs" in found["r6"][0].text
+    assert found["r3"] == ()
+    # Half of the runs of r6 are left out, but as many of its site's others: it is the site.
+    elsewhere = tuple(replace(one, robot=f"{one.robot}b") for one in RECORDS if one.robot in ("r5", "r6"))
+    mixed = (*(one for one in RECORDS if one.robot in ("r5", "r6")), *elsewhere)
+    assert [(one.robot, one.light) for one in robot_states(mixed, ())] == [
+        ("r6", "green"), ("r6b", "green"), ("r5", "grey"), ("r5b", "grey"),
+    ]  # fmt: skip
+    (site,) = site_findings(mixed)
+    assert "10 of 16 runs" in site.text
+    assert "robot stood <still>" in site.text
+    assert site_findings(RECORDS[:29]) == ()
+    assert not any(one.text.startswith("r") for all_of in found.values() for one in all_of)
+
+
+def test_all_files_say_the_same(report, tmp_path):
+    names = write_fleet_report(tmp_path, report)
+    assert {
+        "fleet_report.html",
+        "fleet_report.json",
+        "maps/hall%2F%3C1%3E-01234567.geojson",
+        "maps/hall%2F%3C1%3E-01234567.pgm",
+    } <= {*names}
+    page = (tmp_path / "fleet_report.html").read_text()
+    assert page.endswith("</html>\n")
+    assert "r&lt;1&gt;" in page
+    assert "<1>" not in page
+    assert "<still>" not in page
+    assert "2 of 6 robots need attention now: r4, r&lt;1&gt;." in page
+    assert f"The map of hall/&lt;1&gt; is out of date at {len(report.stale_maps[0].lasting)} places." in page
+    # One curve, of the worst sector that the alarm covers, beside the picture of the parameters: r2 has no series.
+    assert page.count('role="img"') == 2
+    assert "r4, dirty lens over the days" in page
+    said = json.loads((tmp_path / "fleet_report.json").read_text())
+    assert said == report_as_dict(report)
+    assert [one["robot"] for one in said["faults"]] == ["r4", "r<1>", "r2"]
+    for name, rows in report_tables(report).items():
+        read = pq.read_table(tmp_path / f"{name}.parquet")
+        assert read.column_names == TABLES[name].split()
+        if rows:
+            assert read.to_pylist() == [{column: row[column] for column in read.column_names} for row in rows]
+    lights = pq.read_table(tmp_path / "robots.parquet").to_pylist()
+    assert [(one["robot"], one["light"]) for one in lights] == [(one.robot, one.light) for one in report.states]

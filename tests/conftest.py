@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -17,6 +18,10 @@ from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 
 matplotlib.use("Agg")
+
+# No test times anything: on a loaded machine, the default deadline of 200 ms an example fails tests that are right.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 SHARED = Path(os.environ.get("BEAMFIELD_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 

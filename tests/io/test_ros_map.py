@@ -283,7 +283,7 @@ thresholds = st.tuples(st.floats(0, 1), st.floats(0, 1)).filter(lambda t: t[0] !
 finite = st.floats(-1e6, 1e6)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.one_of(cells, percents),
     thresholds,

@@ -26,7 +26,7 @@ def grid_of(occupied, resolution=0.05, **options):
     return OccupancyGrid.from_ros(np.where(occupied, 100, 0), resolution, **options)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(MAPS, st.integers(0, 3))
 def test_every_cell_has_the_distance_of_the_nearest_obstacle(occupied, margin):
     distance = distance_to_obstacles(grid_of(occupied), margin_cells=margin)
@@ -35,7 +35,7 @@ def test_every_cell_has_the_distance_of_the_nearest_obstacle(occupied, margin):
         assert value == np.float32(expected)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(MAPS)
 def test_neighbours_differ_by_at_most_a_cell(occupied):
     distance = distance_to_obstacles(grid_of(occupied))
@@ -45,7 +45,7 @@ def test_neighbours_differ_by_at_most_a_cell(occupied):
         assert ((distance == 0.0) == occupied).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(MAPS, st.data())
 def test_another_obstacle_never_makes_anything_further(occupied, data):
     more = occupied.copy()
@@ -53,7 +53,7 @@ def test_another_obstacle_never_makes_anything_further(occupied, data):
     assert (distance_to_obstacles(grid_of(more)) <= distance_to_obstacles(grid_of(occupied))).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(MAPS, st.integers(0, 3), st.booleans(), st.floats(0.01, 1.0))
 def test_every_option_leaves_the_other_distances_exact(occupied, margin, only_boundaries, max_distance):
     """Squares by brute force in whole numbers."""

@@ -145,7 +145,7 @@ def _errors(files: Mapping[str, StackFile], grid: OccupancyGrid, log: SensorLog)
     from beamfield.stacks.doctor.examine import examine
 
     return [
-        f"{name}: {finding.full_text}"
+        f"{name}: {finding.text}: {finding.why}"
         for name, file in files.items()
         for finding in examine(file, grid=grid, log=log)
         if finding.severity == "error"

@@ -49,7 +49,7 @@ CHORD, CHORD_ERROR = 1.0 - 1e-6, 1e-14
 # own length.
 SLACK, ROUNDED = 1e-6, 1e-13
 # More candidates than this take longer than finding out which of them their bearings rule out.
-FEW = 4
+FEW = 8
 # Bits of an index that takes the place of a cost's last ones.
 INDEX_MASK = np.int64(2**20 - 1)
 
@@ -183,9 +183,10 @@ def fill_nearest(
     """
     across, along = landmarks[0], landmarks[1]
     lack, cost = np.empty(base.shape), np.empty(across.size)
-    scales, most = np.empty(features.shape[0]), np.empty(features.shape[0])
+    scales, most, room = np.empty(features.shape[0]), np.empty(features.shape[0]), np.empty(features.shape[0])
     for k in range(features.shape[0]):
-        scales[k], most[k] = _scale_of_places(_measured(features[k])), base[k, 0]
+        scales[k], room[k] = _scale_of_places(_measured(features[k])), _room_for_rounding(_measured(features[k]))
+        most[k] = base[k, 0]
         for j in range(across.size):
             most[k] = max(most[k], base[k, j])
         for j in range(across.size):
@@ -203,7 +204,8 @@ def fill_nearest(
                     _fill_costs(sensor, feature, across, along, lack[k], cost)
                 first = _least(cost)
                 best = _never_nan(log_value(sensor, across[first], along[first], feature, constants[first]))
-                limit = _most_cost(most[k] - max(best, log_spurious[k] - log_landmark), feature)
+                gain = most[k] - max(best, log_spurious[k] - log_landmark)
+                limit = (1.0 + SLACK) * 2.0 * gain + room[k]
                 # A cost that is NaN says nothing, nor does a limit that is.
                 others = 0
                 for j in range(across.size):
@@ -224,7 +226,7 @@ def fill_nearest(
                 chosen[i, k] = across.size + 1
 
 
-@kernel
+@inlined_kernel
 def _fill_costs(sensor: Sensor, feature: Measured, across: Floats, along: Floats, lack: Floats, cost: Floats) -> None:
     """Fill in what each landmark costs at least: its squared Mahalanobis distance, and what its constant lacks.
 
@@ -241,7 +243,7 @@ def _fill_costs(sensor: Sensor, feature: Measured, across: Floats, along: Floats
         cost[j] = a * a + max(chord, 0.0) * bearing_weight * bearing_weight + lack[j]
 
 
-@kernel
+@inlined_kernel
 def _fill_costs_of_places(
     sensor: Sensor, feature: Measured, scale: float, across: Floats, along: Floats, lack: Floats, cost: Floats
 ) -> None:
@@ -268,19 +270,16 @@ def _scale_of_places(feature: Measured) -> float:
     return range_weight * range_weight / (1.0 + ratio * ratio)
 
 
-@inlined_kernel
-def _most_cost(gain: float, feature: Measured) -> float:
-    """Return what a landmark costs at most whose value is so much below the largest constant, and more than rounding.
-
-    A gain that is NaN stays NaN.
-    """
-    r, _, _, range_weight, bearing_weight = feature
-    m = math.sqrt(2.0 * (0.0 if gain < 0.0 else gain) + SLACK)
-    m = (1.0 + SLACK) * (m + ROUNDED * (bearing_weight + abs(r) * range_weight))
-    return m * m
-
-
 @kernel
+def _room_for_rounding(feature: Measured) -> float:
+    """Return what a squared Mahalanobis distance may be beyond a limit, SLACK times the limit apart, by rounding."""
+    r, _, _, range_weight, bearing_weight = feature
+    rounded = ROUNDED * (bearing_weight + abs(r) * range_weight)
+    # (m + rounded)^2 <= (1 + SLACK) m^2 + (1 + 1 / SLACK) rounded^2.
+    return SLACK + (1.0 + 1.0 / SLACK) * rounded * rounded
+
+
+@inlined_kernel
 def _least(cost: Floats) -> int:
     """Return where the least cost is, or nearly; costs are not negative."""
     least = np.int64(2**63 - 1)

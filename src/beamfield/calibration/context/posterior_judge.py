@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from beamfield.calibration.pose_windows import Rivals, WindowOptions
 from beamfield.geometry import FloatArray
 from beamfield.kernels.posterior import judge_posteriors
+from beamfield.short_repr import short_repr
 
 # Nats that a window can lose at most.
 LOWEST = -50.0
@@ -32,6 +33,8 @@ class PosteriorScores:
 
     log_score: FloatArray
     denser: FloatArray
+
+    __repr__ = short_repr
 
     @property
     def mean(self) -> float:

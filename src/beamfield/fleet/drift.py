@@ -20,8 +20,8 @@ from beamfield.geometry import FloatArray
 FEWEST_DAYS = 2
 # What other robots tell of a robot's noise counts as so many days at most: robots are not all alike.
 _MOST_PRIOR_DOF = 6.0
-# Sectors beside the worst belong to the smear if they changed at this level; a robot's days after such a change do not
-# count for how it was at first.
+# Other sectors belong to a smear if they changed at this level, and the worst of them tells its size; a robot's days
+# after such a change do not count for how it was at first.
 _BESIDE = 0.001
 # How a positive and a negative size are said, and of what.
 _WORDS: dict[Fault, tuple[str, str, str]] = {
@@ -224,16 +224,17 @@ def _worst_of_each_robot(family: list[DailySeries], changes: list[_Change | None
         found = [(change, i) for i in members if (change := changes[i]) is not None]
         if not found:
             continue
-        change, worst = min(found, key=lambda pair: pair[0].p_value)
+        surest, index = min(found, key=lambda pair: pair[0].p_value)
+        smear = [
+            (change, i)
+            for change, i in found
+            if i == index or (abs(change.day - surest.day) <= 1 and change.p_value < _BESIDE)
+        ]
+        change, worst = max(smear, key=lambda pair: abs(pair[0].size))
         item = family[worst]
         before = float(item.values[: change.day].mean())
-        beside = {
-            family[i].bearings
-            for i in members
-            if (other := changes[i]) is not None and abs(other.day - change.day) <= 1 and other.p_value < _BESIDE
-        }
-        row = _row(item, item.days[change.day], change, before, change.p_value * len(found), before_is_known=True)
-        rows.append(replace(row, bearings=_around(item.bearings, beside)))
+        row = _row(item, item.days[surest.day], change, before, surest.p_value * len(found), before_is_known=True)
+        rows.append(replace(row, bearings=_around(item.bearings, [family[i].bearings for _, i in smear])))
     return rows
 
 
@@ -255,10 +256,11 @@ def _unlike_from_first_day(family: list[DailySeries], changes: list[_Change | No
             found.setdefault((family[i].site, family[i].robot), []).append((change, family[i], now))
     rows = []
     for of_robot in found.values():
-        change, item, now = min(of_robot, key=lambda entry: entry[0].p_value)
-        beside = {other.bearings for test, other, _ in of_robot if test.p_value < _BESIDE}
-        row = _row(item, None, change, now, change.p_value * len(of_robot), before_is_known=False)
-        rows.append(replace(row, bearings=_around(item.bearings, beside)))
+        surest = min(of_robot, key=lambda entry: entry[0].p_value)
+        smear = [entry for entry in of_robot if entry is surest or entry[0].p_value < _BESIDE]
+        change, item, now = max(smear, key=lambda entry: abs(entry[0].size))
+        row = _row(item, None, change, now, surest[0].p_value * len(of_robot), before_is_known=False)
+        rows.append(replace(row, bearings=_around(item.bearings, [other.bearings for _, other, _ in smear])))
     return rows
 
 
@@ -270,7 +272,7 @@ def _groups(family: list[DailySeries], key: Callable[[DailySeries], Hashable]) -
     return list(groups.values())
 
 
-def _around(worst: Sector | None, beside: set[Sector | None]) -> Sector | None:
+def _around(worst: Sector | None, beside: list[Sector | None]) -> Sector | None:
     """Return what the worst sector and those beside it that overlap cover; of the outer ones, their inner half."""
     if worst is None:
         return None

@@ -21,11 +21,12 @@ from beamfield.cli.main import main
 from beamfield.fleet.robot_state import LIGHTS
 from beamfield.fleet.simulated import FleetSize, changed_site, plan_fleet, site_map
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.scan_fit.place_visits import FEWEST_BEAMS
 from tables import print_table
 
 # A place is right if it is so near to something that changed, metres.
 NEAR = 0.25
-# A change was seen if so many runs had beams there.
+# A change was seen if so many runs had ten beams there, each in the mean.
 SEEN_RUNS = 6
 # What is found has the sign of what software sees: a mount turned to the left lets motion seem to go to the right, and
 # odometry that is too long falls short of the map.
@@ -114,12 +115,12 @@ def near(place: dict[str, Any], change: dict[str, Any]) -> bool:
 
 
 def runs_at(change: dict[str, Any], squares: list[dict[str, Any]]) -> int:
-    """Return how many runs had beams at the square around a change that most runs saw."""
+    """Return how many runs had beams enough at the square around a change that most runs saw."""
     column = "crossed" if change["kind"] == "new obstacle" else "tested"
     inside = [
         square["runs"]
         for square in squares
-        if square[column] >= 10
+        if square[column] >= FEWEST_BEAMS * square["runs"]
         and abs(square["x"] + 0.125 - change["x"]) <= 0.5 * change["width"] + 0.125
         and abs(square["y"] + 0.125 - change["y"]) <= 0.5 * change["height"] + 0.125
     ]

@@ -90,7 +90,7 @@ def test_the_light_is_that_of_the_worst_fault_and_robots_are_ranked():
     assert urgency["r4"] == pytest.approx(6.0)
     assert urgency["r2"] == pytest.approx(0.4)
     found = {one.robot: one.findings for one in states}
-    assert "from 29 degrees left" in found["r4"][0].do
+    assert "from 29 degrees to the left to 57 degrees to the left" in found["r4"][0].do
     assert "by -0.2 degrees" in found["r2"][0].do
     assert found["r6"][0].name == "runs-left-out"
     assert "3 of 6 runs" in found["r6"][0].text

@@ -25,6 +25,7 @@ from beamfield.report.drawing import NARROW, WIDE, new_axes, new_panel, style
 from beamfield.report.map_figures import MARGIN, draw_map, frame
 from beamfield.report.page import table
 from beamfield.report.panel import Panel, ReportFigure, png_panel, svg_panel
+from beamfield.scan_fit.place_visits import FEWEST_BEAMS
 
 # What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
 FAULTS: Mapping[Fault, tuple[str, str, float]] = {
@@ -35,8 +36,8 @@ FAULTS: Mapping[Fault, tuple[str, str, float]] = {
 }
 MOST_CURVES, MOST_PLACES, MOST_DATES = 16, 20, 5
 PLACE_COLUMNS = ("", "what", "x [m]", "y [m]", "size [m]", "since", "runs", "robots", "share of beams", "chance")
-# Squares that fewer runs or beams saw say little, and some readings disagree with every wall.
-FEWEST_RUNS, FEWEST_BEAMS, LEAST_SHOWN = 3, 20, 0.15
+# Squares that fewer runs saw, or with fewer beams a run, say little; and some readings disagree with every wall.
+FEWEST_RUNS, LEAST_SHOWN = 3, 0.15
 # Beyond so many robots, the most urgent are drawn.
 MOST_ROBOTS = 40
 
@@ -191,8 +192,8 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)), above=2.6)
     draw_map(axes, stale.grid, limits)
-    shown = (np.maximum(squares.crossed, squares.tested) >= FEWEST_BEAMS) & (squares.runs >= FEWEST_RUNS)
-    shown &= squares.disagreement >= LEAST_SHOWN
+    enough = np.maximum(squares.crossed, squares.tested) >= FEWEST_BEAMS * squares.runs
+    shown = enough & (squares.runs >= FEWEST_RUNS) & (squares.disagreement >= LEAST_SHOWN)
     patches = PolyCollection(list(_squares(corners[shown], stale.side)), cmap="YlOrRd", zorder=2.0)
     patches.set_array(squares.disagreement[shown])
     patches.set_clim(0.0, 1.0)

@@ -88,7 +88,7 @@ def _verdict(report: FleetReport) -> tuple[Level, str, str]:
     if lights["grey"]:
         sentences.append(f"Of {_count(range(lights['grey']), 'robot')} nothing is known: no run could be used.")
     if report.findings:
-        sentences.append(f"Read the {_count(report.findings, 'warning')} about runs.")
+        sentences.append("Read what is said about runs, at the end.")
     if not sentences:
         return "good", "No robot shows a fault, and the maps are as the robots see them.", "All well"
     level: Level = "bad" if lights["red"] else "care"
@@ -114,12 +114,18 @@ def _lights(states: Iterable[RobotState]) -> str:
 
 
 def _light(state: RobotState) -> str:
-    found = "<br>".join(f"{escaped(one.text)} {escaped(one.why)}" for one in state.findings) or "No run could be used."
-    do = "<br>".join(escaped(one.do) for one in state.findings)
+    # A dirty lens may swallow readings and cut others short: two findings, and one thing to do.
+    kinds = {one.name: one for one in reversed(state.findings)}
+    found = "<br>".join(
+        " ".join([*(escaped(one.text) for one in state.findings if one.name == name), escaped(kind.why)])
+        for name, kind in reversed(kinds.items())
+    )
+    do = "<br>".join(escaped(one.do) for one in reversed(kinds.values()))
+    used = f"{state.runs} of {state.runs + state.left_out}"
     return (
         f'<tr><td class="{LEVELS[state.light]}" style="padding-left: .5rem"><b class="label">{state.light}</b></td>'
         f'<th scope="row" {ONE_LINE}><b>{escaped(state.robot)}</b></th><td {ONE_LINE}>{escaped(state.site)}</td>'
-        f'<td>{found}</td><td>{do}</td><td class="n">{state.runs} of {state.runs + state.left_out}</td></tr>'
+        f'<td>{found or "No run could be used."}</td><td>{do}</td><td class="n">{used}</td></tr>'
     )
 
 

@@ -97,7 +97,7 @@ def _fault(drift: Drift) -> Finding:
             seen,
             values,
             why="The robot sees less there than it should, and may take dirt for obstacles.",
-            do=f"Clean the window of the range finder {_sector(drift)}; if that does not help, look for scratches, and "
+            do=f"Clean the window of the range finder{_sector(drift)}; if that does not help, look for scratches, and "
             "for something that stands in its way.",
         )
     if drift.fault == "turned-mount":
@@ -133,13 +133,15 @@ def _fault(drift: Drift) -> Finding:
 def _sector(drift: Drift) -> str:
     """Say where in words: bearings grow to the left."""
     if drift.bearings is None:
-        return "all around"
+        return ""
     low, high = (math.degrees(angle) for angle in drift.bearings)
-    return f"from {_side(low)} to {_side(high)}"
+    return f" from {_side(low)} to {_side(high)}"
 
 
 def _side(degrees: float) -> str:
-    return f"{abs(degrees):.0f} degrees {'left' if degrees > 0 else 'right'} of straight ahead"
+    if abs(degrees) < 0.5:
+        return "straight ahead"
+    return f"{abs(degrees):.0f} degrees to the {'left' if degrees > 0 else 'right'}"
 
 
 def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> Iterator[Finding]:

@@ -98,5 +98,6 @@ def _without_entry(function: F, **flags: Any) -> F:
 
 
 def _jit(function: F, **flags: Any) -> Any:
-    # Nor does anything call kernels through C pointers.
-    return numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **flags)(function)
+    # Nothing calls kernels through C pointers.
+    flags = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **flags}
+    return numba.njit(**flags)(function)

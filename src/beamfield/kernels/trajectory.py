@@ -290,4 +290,5 @@ def _add_prior(share: float, prior: Floats, information: Floats) -> None:
 
 @kernel
 def _dot(a: Floats, b: Floats) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product

@@ -26,6 +26,7 @@ COMMANDS = (
     ("figures --list", ("figures", "--list"), None, 0.5),
     ("figures", ("figures", "--quiet"), None, 30.0),
     ("calibrate, Wean Hall log 1", WEAN, 20.0, 5.0),
+    ("demo", ("demo", "--quiet"), 60.0, None),
 )
 
 

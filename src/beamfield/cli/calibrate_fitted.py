@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 def cross_fitted(job: CalibrationJob, sensor: SensorLog) -> CrossFittedPoses | None:
     """Return poses of a log, fitted by one half of its beams each; None for a log that has poses, or has no map."""
-    from beamfield.localization.fitted_poses import cross_fit_poses
-
     start = options.start_of(job.arguments)
     if job.grid is None or has_poses(sensor, start):
         return None
+    from beamfield.localization.fitted_poses import cross_fit_poses
+
     return fit_in_map(
         cross_fit_poses, sensor, job.grid, job.arguments, job.progress, path=job.arguments.log, start=start
     )

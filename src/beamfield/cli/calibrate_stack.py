@@ -42,9 +42,6 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
 def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
     """Check the options before any long work, and return the file to patch, if any."""
     from beamfield.calibration.pose_windows import WindowOptions
-    from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file
-    from beamfield.stacks.files.typed_values import checked_values
-    from beamfield.stacks.registry import stack_named
 
     if not 0.0 < arguments.reference_error < WindowOptions().spread:
         raise InvalidInputError(
@@ -55,6 +52,10 @@ def read_stack_request(arguments: argparse.Namespace) -> StackFile | None:
             if getattr(arguments, name) is not None:
                 raise InvalidInputError(f"--{name}: is for another program's model, name it with --stack")
         return None
+    from beamfield.stacks.files.parameter_file import check_patch_target, read_stack_file
+    from beamfield.stacks.files.typed_values import checked_values
+    from beamfield.stacks.registry import stack_named
+
     stack = stack_named(arguments.stack)
     if arguments.model is not None:
         stack.model(arguments.model)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.hit_counts import N_MOMENTS, N_SECTORS, HitCounts
@@ -93,6 +92,8 @@ def ranges_to_walls(counts: HitCounts, poses: FloatArray, finder: RangeFinder) -
     InvalidInputError
         As for `RayCaster.cast`.
     """
+    from scipy import ndimage  # takes a third of a second to import
+
     grid = _stopping_cells(counts)
     free, stopping = RayCaster(grid), RayCaster(grid, unknown="occupied")
     hits, passes = (ndimage.uniform_filter(n, 3, mode="constant") for n in (counts.hits, counts.passes))
@@ -165,6 +166,8 @@ class _Lines:
 
 
 def _stopping_cells(counts: HitCounts) -> OccupancyGrid:
+    from scipy import ndimage
+
     share = (counts.hits + PRIOR_HITS) / (counts.hits + counts.passes + PRIOR_HITS + PRIOR_PASSES)
     around = ndimage.uniform_filter(counts.hits, NEIGHBOURHOOD_CELLS, mode="constant") * NEIGHBOURHOOD_CELLS**2
     stops = ((share > STOPPING_SHARE) & (around > FEWEST_NEIGHBOURS - 0.5)).astype(np.float32)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import maximum_filter
 
 from beamfield.arguments import as_count, as_floats, checked, require
 from beamfield.errors import TooLittleDataError
@@ -235,6 +234,8 @@ def share_of_hits_in_obstacles(
     InvalidInputError
         If there is not one pose per scan.
     """
+    from scipy.ndimage import maximum_filter  # takes a third of a second to import
+
     radius = 1 if tolerance is None else int(np.ceil(tolerance / grid.resolution))
     near = maximum_filter(grid.occupied, 2 * radius + 1, mode="constant") if radius else grid.occupied
     hits = inside = 0

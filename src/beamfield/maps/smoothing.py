@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
 
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
@@ -49,6 +48,8 @@ def smooth_map(grid: OccupancyGrid, sigma: float) -> OccupancyGrid:
     >>> smooth_map(OccupancyGrid([[0.0, 0.0, 1.0, np.nan]], resolution=0.1), 0.05).probability.round(2).tolist()
     [[0.0, 0.1..., 0.8..., nan]]
     """
+    from scipy import ndimage  # takes a third of a second to import
+
     longest = max(grid.shape) * grid.resolution
     if not grid.resolution / CUT_OFF < sigma < longest / CUT_OFF:
         raise InvalidInputError(

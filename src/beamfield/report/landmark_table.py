@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from beamfield.landmark_noise.learning import LandmarkLearningResult
 from beamfield.report.parameter_rows import decimals_for
 from beamfield.report.text_table import aligned
+
+if TYPE_CHECKING:
+    from beamfield.landmark_noise.learning import LandmarkLearningResult
 
 MEANINGS = {
     "sigma_range": ("m", "standard deviation of a measured range"),

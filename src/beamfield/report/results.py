@@ -8,7 +8,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -21,7 +21,6 @@ from beamfield.io.files.atomic import write_file
 from beamfield.io.parameters.beam_model_file import beam_model_text
 from beamfield.io.parameters.landmark_model_file import landmark_model_text
 from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
-from beamfield.landmark_noise.learning import LandmarkLearningResult
 from beamfield.report.density_figures import draw_histogram
 from beamfield.report.drawing import WIDE, new_figure
 from beamfield.report.escape import escaped
@@ -36,6 +35,9 @@ from beamfield.report.scan_fit_page import fit_csv, fit_table
 from beamfield.report.text_table import parameter_table, readings_line, score_table, warning_lines
 from beamfield.report.verdict import verdict
 from beamfield.scan_fit.scan_fit import ScanFits
+
+if TYPE_CHECKING:
+    from beamfield.landmark_noise.learning import LandmarkLearningResult
 
 
 def calibration_summary(result: Calibration, *, width: int | None = None, wording: Callable[[str], str] = str) -> str:

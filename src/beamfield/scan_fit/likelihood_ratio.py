@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import isotonic_regression
 
 from beamfield.arguments import check_fields, keep
 from beamfield.errors import InvalidInputError
@@ -99,9 +97,19 @@ def learn_evidence(
 
 def _pool(ok: FloatArray, bad: FloatArray) -> list[tuple[int, int]]:
     """Return bins (first, one past the last) joined until the share of `bad` rises from each to the next."""
-    both = np.maximum(ok + bad, 1e-300)
-    share = isotonic_regression(bad / both, weights=both).x
-    return list(pairwise([0, *(np.flatnonzero(np.diff(share) > 1e-12) + 1).tolist(), len(share)]))
+    # Pool adjacent violators; scipy.optimize, which has it too, takes 0.4 s to import.
+    groups: list[tuple[int, int, float, float]] = []
+    for i in range(len(ok)):
+        first, good, lost = i, ok[i], bad[i]
+        while groups and _share(good, lost) <= _share(*groups[-1][2:]) + 1e-12:
+            first, _, more_good, more_lost = groups.pop()
+            good, lost = good + more_good, lost + more_lost
+        groups.append((first, i + 1, good, lost))
+    return [(first, stop) for first, stop, *_ in groups]
+
+
+def _share(ok: float, bad: float) -> float:
+    return bad / max(ok + bad, 1e-300)
 
 
 def correlation_time(stamps: ArrayLike, values: ArrayLike) -> float:

@@ -63,7 +63,7 @@ def test_a_fleet_learns_what_one_process_learns_from_the_same_beams(truth, min_r
     assert fit.log_likelihood == pytest.approx(alone.log_likelihood, rel=1e-12)
 
 
-def test_two_processes_learn_the_same_bits_as_one(monkeypatch):
+def test_two_processes_learn_the_same_as_one(monkeypatch):
     catalogue = fleet_of(TRUTH, n_shards=7, n_scans=20)
 
     def fits(engine: Engine) -> tuple[GroupFit, ...]:
@@ -74,11 +74,14 @@ def test_two_processes_learn_the_same_bits_as_one(monkeypatch):
 
     with Engine("processes", workers=2) as engine:
         there = fits(engine)
+    # To the bit where all kernels come from Numba's cache: a process that compiles them may round otherwise.
     for one, other in zip(fits(SERIAL), there, strict=True):
-        assert one.parameters == other.parameters
-        assert one.log_likelihood == other.log_likelihood
-        assert one.intervals.intervals == other.intervals.intervals
-        np.testing.assert_array_equal(one.covariance, other.covariance)
+        np.testing.assert_allclose(theta_of(one.parameters), theta_of(other.parameters), rtol=1e-12, atol=1e-14)
+        assert one.log_likelihood == pytest.approx(other.log_likelihood, rel=1e-13)
+        assert one.intervals.intervals.keys() == other.intervals.intervals.keys()
+        for name, interval in one.intervals.intervals.items():
+            assert other.intervals.intervals[name] == pytest.approx(interval, rel=1e-9)
+        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-16)
 
 
 @pytest.mark.parametrize("truth", [TRUTH, WIDE])

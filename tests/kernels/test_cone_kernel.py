@@ -7,6 +7,7 @@ import pytest
 
 from beamfield.kernels import cone as kernels
 from beamfield.kernels import raycast
+from tests.kernels.entry import entry
 
 NOT_ASKED = np.empty((0, 0, 2)), np.empty((0, 0, 2), np.int32)
 HERE = (0.0, 0.0, 0.0)
@@ -41,6 +42,7 @@ def test_bits_are_the_cells(rng, cols):
 
 
 def test_the_first_and_last_set_columns_are_found(rng):
+    first_set, last_set = entry(kernels._first_set), entry(kernels._last_set)
     for density in (0.0, 0.02, 0.5, 1.0):
         stops = rng.random((1, 100)) < density
         bits, _ = packed(stops)
@@ -48,7 +50,7 @@ def test_the_first_and_last_set_columns_are_found(rng):
             first, last = rng.integers(0, 100, 2)
             inside = np.flatnonzero(stops[0, first : last + 1]) + first
             wanted = (inside[0], inside[-1]) if len(inside) else (-1, -1)
-            found = kernels._first_set(bits, 0, first, last), kernels._last_set(bits, 0, first, last)
+            found = first_set(bits, 0, first, last), last_set(bits, 0, first, last)
             assert found == wanted
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import elementary, jit
+from tests.kernels.entry import entry
 
 
 def test_vectorised_exponential_is_exact_to_rounding():
@@ -95,6 +96,18 @@ def test_compiled_kernels_are_dropped_when_the_shared_file_changes(tmp_path):
         return int(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
 
     assert [hits("one"), hits("one"), hits("other"), hits("other")] == [0, 1, 0, 1]
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="kernels are interpreted")
+def test_a_kernel_without_an_entry_refuses_python_before_and_after_a_kernel_has_called_it():
+    def _double(x):
+        return 2.0 * x
+
+    double = jit.kernel(_double)
+    for _ in range(2):
+        with pytest.raises(TypeError, match="_double: only kernels may call it"):
+            double(1.0)
+        assert entry(double)(1.0) == 2.0
 
 
 def test_the_stamp_is_that_of_the_shared_file():

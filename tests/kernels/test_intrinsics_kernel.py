@@ -12,7 +12,11 @@ from scipy import integrate, stats
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of
 from beamfield.kernels import intrinsics as kernels
 from beamfield.models.beam_density import beam_log_density, beam_responsibilities
+from tests.kernels.entry import entry
 from tests.threads import forced_threads
+
+log_mass, relative_rate = entry(kernels._log_mass), entry(kernels._relative_rate)
+mean_share, mean_share_slope = entry(kernels._mean_share), entry(kernels._mean_share_slope)
 
 MAX_RANGE = 8.0
 # w_hit, w_short, w_max, w_rand, sigma^2, sigma_slope^2, offset, lambda
@@ -154,21 +158,21 @@ def test_log_mass_of_the_normal_distribution(low, high):
         want = math.log(integral[0]) - 0.5 * near * near - 0.5 * math.log(2.0 * math.pi)
     else:
         want = math.log(stats.norm.cdf(high) - stats.norm.cdf(low))
-    assert kernels._log_mass(low, high) == pytest.approx(want, rel=1e-11, abs=1e-12)
+    assert log_mass(low, high) == pytest.approx(want, rel=1e-11, abs=1e-12)
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-6, 9.9e-3, 1.01e-2, 0.099, 0.101, 1.0, 30.0, 699.0, 701.0])
 def test_shapes_of_a_short_are_continuous_and_right(x):
     if x == 0.0:
-        assert (kernels._relative_rate(x), kernels._mean_share(x), kernels._mean_share_slope(x)) == (1.0, 0.5, -1 / 12)
+        assert (relative_rate(x), mean_share(x), mean_share_slope(x)) == (1.0, 0.5, -1 / 12)
         return
     # Mean and variance of an exponential distribution with rate x cut to [0, 1].
     density = integrate.quad(lambda u: math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)[0]
     mean = integrate.quad(lambda u: u * math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)[0] / density
     square = integrate.quad(lambda u: (u - mean) ** 2 * math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)
-    assert kernels._relative_rate(x) == pytest.approx(1.0 / density, rel=1e-12)
-    assert kernels._mean_share(x) == pytest.approx(mean, rel=1e-11)
-    assert kernels._mean_share_slope(x) == pytest.approx(-square[0] / density, rel=1e-9)
+    assert relative_rate(x) == pytest.approx(1.0 / density, rel=1e-12)
+    assert mean_share(x) == pytest.approx(mean, rel=1e-11)
+    assert mean_share_slope(x) == pytest.approx(-square[0] / density, rel=1e-9)
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="several tasks need more beams than interpreted loops can take")

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import raycast as kernels
+from tests.kernels.entry import entry
+
+allocate, start = entry(kernels._allocate), entry(kernels._start)
 
 
 def tables_of(occupied):
@@ -93,23 +96,23 @@ def test_rays_float32_cannot_decide_are_traced():
 
 def test_in_a_map_too_wide_for_float32_every_ray_is_in_doubt():
     terrain = kernels.Terrain(np.zeros(0, np.uint16), 1, 2**24, 1.0, 30.0, 30.0)
-    lanes = kernels._allocate().block
+    lanes = allocate().block
     lanes.ray[kernels.COS : kernels.COS + kernels.BLOCK] = 1.0
     lanes.ray[kernels.CELL_X : kernels.CELL_X + kernels.BLOCK] = 2.0**24 - 1
-    kernels._start(lanes, terrain, kernels.BLOCK)
+    start(lanes, terrain, kernels.BLOCK)
     assert not lanes.base.any()
     assert (lanes.state[kernels.LIMIT :] == -1.0).all()
     # One column less, and the last one has its right index.
     lanes.ray[kernels.CELL_X : kernels.CELL_X + kernels.BLOCK] = 2.0**24 - 2
-    kernels._start(lanes, terrain._replace(cols=2**24 - 1), kernels.BLOCK)
+    start(lanes, terrain._replace(cols=2**24 - 1), kernels.BLOCK)
     np.testing.assert_array_equal(lanes.base, (2**24 + 1) + 2**24 - 1)
 
 
 def test_a_direction_just_short_of_parallel_is_in_doubt_and_one_just_beyond_is_not():
     """Between float64's bound and float32's the two would disagree on which edges a ray can cross."""
     terrain = terrain_of(np.zeros((8, 8), bool))
-    lanes = kernels._allocate().block
+    lanes = allocate().block
     lanes.ray[kernels.SIN : kernels.SIN + kernels.BLOCK] = 1.0
     lanes.ray[kernels.COS : kernels.COS + 4] = [0.998e-12, 0.9995e-12, 1e-12, -1.1e-12]
-    kernels._start(lanes, terrain, kernels.BLOCK)
+    start(lanes, terrain, kernels.BLOCK)
     np.testing.assert_array_equal(lanes.state[kernels.LIMIT : kernels.LIMIT + 4] > 0, [True, False, False, False])

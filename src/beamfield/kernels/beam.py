@@ -401,7 +401,8 @@ def fill_log_density(ranges: Floats, expected: Floats, view: BeamView, out: Floa
     z, z_star, decay, density = np.zeros(size), np.zeros(size), np.empty(size), np.empty(size)
     for start in range(0, ranges.size, BLOCK):
         n = min(BLOCK, ranges.size - start)
-        z[:n], z_star[:n] = ranges[start : start + n], expected[start : start + n]
+        for i in range(n):
+            z[i], z_star[i] = ranges[start + i], expected[start + i]
         _fill_decay(z, view, decay)
         _fill_quick(z, decay, z_star, at_limit, view, density)
         for i in range(n):
@@ -430,7 +431,9 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
     at_limit = _limit_factor(view)
     for start in range(0, expected.shape[0], n_together):
         n = min(n_together, expected.shape[0] - start)
-        z_star[: n * k] = expected[start : start + n].reshape(-1)
+        for i in range(n):
+            for b in range(k):
+                z_star[i * k + b] = expected[start + i, b]
         _fill_quick(z, decay, z_star, at_limit, view, density)
         for i in range(n):
             out[start + i] = _sum_of_logs(density[i * k : (i + 1) * k], ranges, expected[start + i], view)

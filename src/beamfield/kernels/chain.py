@@ -59,24 +59,53 @@ def solve_chain(diagonal: Floats, upper: Floats, right: Floats, solution: Floats
     """
     n = diagonal.shape[0]
     # Inverses of the pivots stand in `covariance` until the way back, S_i^-1 U_i in `cross`.
-    pivot = np.empty((3, 3))
-    solution[:] = right
+    pivot, gain, old = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, right.shape[2]))
     for i in range(n):
-        pivot[:] = diagonal[i]
+        _copy(diagonal[i], pivot)
+        _copy(right[i], solution[i])
         if i > 0:
-            pivot -= upper[i - 1].T @ cross[i - 1]
-            solution[i] -= cross[i - 1].T @ solution[i - 1]
-            pivot[:] = 0.5 * (pivot + pivot.T)
+            _add_product(-1.0, upper[i - 1].T, cross[i - 1], pivot)
+            _add_product(-1.0, cross[i - 1].T, solution[i - 1], solution[i])
+            _make_symmetric(pivot)
         if not invert_3x3(pivot, covariance[i]):
             return False
         if i < n - 1:
-            cross[i] = covariance[i] @ upper[i]
+            cross[i] = 0.0
+            _add_product(1.0, covariance[i], upper[i], cross[i])
     for i in range(n - 1, -1, -1):
-        solution[i] = covariance[i] @ solution[i]
+        _copy(solution[i], old)
+        solution[i] = 0.0
+        _add_product(1.0, covariance[i], old, solution[i])
         if i < n - 1:
-            solution[i] -= cross[i] @ solution[i + 1]
-            gain = cross[i].copy()
-            cross[i] = -(gain @ covariance[i + 1])
-            covariance[i] -= cross[i] @ gain.T
-            covariance[i] = 0.5 * (covariance[i] + covariance[i].T)
+            _add_product(-1.0, cross[i], solution[i + 1], solution[i])
+            _copy(cross[i], gain)
+            cross[i] = 0.0
+            _add_product(-1.0, gain, covariance[i + 1], cross[i])
+            _add_product(-1.0, cross[i], gain.T, covariance[i])
+            _make_symmetric(covariance[i])
     return True
+
+
+# Loops: Numba takes seconds to compile matrix products and assignments of arrays to slices.
+
+
+@kernel
+def _copy(a: Floats, out: Floats) -> None:
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = a[i, j]
+
+
+@kernel
+def _add_product(sign: float, a: Floats, b: Floats, out: Floats) -> None:
+    """Add to out the product of sign, a (3, 3) and b (3, m)."""
+    for i in range(3):
+        for j in range(out.shape[1]):
+            out[i, j] += sign * (a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j])
+
+
+@kernel
+def _make_symmetric(a: Floats) -> None:
+    for i in range(3):
+        for j in range(i):
+            a[i, j] = a[j, i] = 0.5 * (a[i, j] + a[j, i])

@@ -71,7 +71,8 @@ def fill_metres(reach: int, resolution: float, limit: float, out: Singles) -> No
     best = np.empty(BLOCK, np.uint16)
     farthest = np.full((cols + BLOCK - 1) // BLOCK, reach)
     for r in range(rows):
-        heights[:] = all_heights[r]
+        for c in range(cols):
+            heights[c] = all_heights[r, c]
         fill_near_squares(heights, near[NEAR : NEAR + cols])
         b = 0
         while b < farthest.size:
@@ -106,7 +107,8 @@ def try_columns(near: Squares, reach: int, best: Squares, out: Floats) -> None:
 
     `near` (n + 2 NEAR,) holds the squares of the heights, also of the columns beside; best (>= n,) is overwritten.
     """
-    best[: out.size] = near[NEAR : NEAR + out.size]
+    for i in range(out.size):
+        best[i] = near[NEAR + i]
     for k in range(1, reach + 1, GROUP):
         left, right = near[NEAR - k - 3 :], near[NEAR + k :]
         k0, k1, k2, k3 = k**2, (k + 1) ** 2, (k + 2) ** 2, (k + 3) ** 2

@@ -40,7 +40,9 @@ def fill_pyramid(field: Bytes, pyramid: Bytes) -> None:
     levels, tall, wide = pyramid.shape
     pad = 1 << (levels - 1)
     pyramid[0] = 0
-    pyramid[0, pad : pad + rows, pad : pad + cols] = field
+    for r in range(rows):
+        for c in range(cols):
+            pyramid[0, pad + r, pad + c] = field[r, c]
     for h in range(1, levels):
         half = 1 << (h - 1)
         below, here = pyramid[h - 1], pyramid[h]

@@ -179,9 +179,9 @@ def fill_residuals(points: Floats, first: Integers, poses: Floats, walls: Walls,
 
 
 @kernel
-def step_variances(step: Floats, noise: StepNoise, out: Floats) -> None:
-    """Fill out (3,) with the variances of a step (x, y, heading) of odometry, in the frame where it begins."""
-    distance, turn = math.hypot(step[0], step[1]), abs(step[2])
+def step_variances(x: float, y: float, heading: float, noise: StepNoise, out: Floats) -> None:
+    """Fill out (3,) with the variances of a step of odometry, in the frame where it begins."""
+    distance, turn = math.hypot(x, y), abs(heading)
     out[0] = noise.along * distance + noise.turn_aside * turn + noise.floor
     out[1] = noise.aside * distance + noise.turn_aside * turn + noise.floor
     out[2] = noise.drift * distance + noise.turn * turn + noise.floor
@@ -212,36 +212,45 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
         thought to be, and the cost in nats of the scan and of the correction.
     """
     n = first.size - 1
-    variances, rotated, information = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    prior, gradient, inverse, jacobian = np.empty((3, 3)), np.empty(6), np.empty((3, 3)), np.eye(3)
+    variances, information, prior, inverse = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    gradient, predicted, difference, pull = np.empty(6), np.empty(3), np.empty(3), np.empty(3)
     i = start
     while True:
-        pose, predicted = poses[i], poses[i].copy()
+        pose = poses[i]
+        for j in range(3):
+            predicted[j] = pose[j]
         if not invert_3x3(covariance, prior):
-            covariance[:] = np.eye(3)
-            prior[:] = np.eye(3)
+            for j in range(3):
+                for k in range(3):
+                    covariance[j, k] = prior[j, k] = 1.0 if j == k else 0.0
         ends = points[first[i] : first[i + 1]]
         share = independent / max(1, ends.shape[0])
         for _ in range(TRACK_STEPS):
             sum_scan(ends, pose, walls, noise, gradient, information)
-            turn = pose[2] - predicted[2]
-            difference = np.array([pose[0] - predicted[0], pose[1] - predicted[1], turn])
-            information *= share
-            pull = share * gradient[:3] + prior @ difference
-            information += prior
+            _add_prior(share, prior, information)
+            for j in range(3):
+                difference[j] = pose[j] - predicted[j]
+            for j in range(3):
+                pull[j] = share * gradient[j] + _dot(prior[j], difference)
             if not invert_3x3(information, inverse):
                 break
-            move = inverse @ pull
-            pose -= move
-            if abs(move[0]) + abs(move[1]) + abs(move[2]) < 1e-4:
+            moved = 0.0
+            for j in range(3):
+                move = _dot(inverse[j], pull)
+                pose[j] -= move
+                moved += abs(move)
+            if moved < 1e-4:
                 break
         costs[i] = share * sum_scan(ends, pose, walls, noise, gradient, information)
-        information *= share
-        difference = np.array([pose[0] - predicted[0], pose[1] - predicted[1], pose[2] - predicted[2]])
-        costs[i] += 0.5 * np.dot(difference, prior @ difference)
-        information += prior
+        _add_prior(share, prior, information)
+        for j in range(3):
+            difference[j] = pose[j] - predicted[j]
+        for j in range(3):
+            costs[i] += 0.5 * difference[j] * _dot(prior[j], difference)
         if invert_3x3(information, inverse):
-            covariance[:] = inverse
+            for j in range(3):
+                for k in range(3):
+                    covariance[j, k] = inverse[j, k]
         following = i + direction
         if following < 0 or following >= n:
             return
@@ -255,12 +264,30 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
         c, s = math.cos(pose[2]), math.sin(pose[2])
         x, y = c * ux - s * uy, s * ux + c * uy
         poses[following, 0], poses[following, 1], poses[following, 2] = pose[0] + x, pose[1] + y, pose[2] + ut
-        step_variances(np.array([ux, uy, ut]), step_noise, variances)
-        jacobian[0, 2], jacobian[1, 2] = -y, x
-        rotated[:] = 0.0
-        rotated[0, 0] = c * c * variances[0] + s * s * variances[1]
-        rotated[0, 1] = rotated[1, 0] = c * s * (variances[0] - variances[1])
-        rotated[1, 1] = s * s * variances[0] + c * c * variances[1]
-        rotated[2, 2] = variances[2]
-        covariance[:] = jacobian @ covariance @ jacobian.T + rotated
+        step_variances(ux, uy, ut, step_noise, variances)
+        # J C J' with the heading's column of J, (-y, x, 1); first its rows, then its columns.
+        for j in range(3):
+            covariance[0, j] -= y * covariance[2, j]
+            covariance[1, j] += x * covariance[2, j]
+        for j in range(3):
+            covariance[j, 0] -= y * covariance[j, 2]
+            covariance[j, 1] += x * covariance[j, 2]
+        covariance[0, 0] += c * c * variances[0] + s * s * variances[1]
+        covariance[0, 1] += c * s * (variances[0] - variances[1])
+        covariance[1, 0] += c * s * (variances[0] - variances[1])
+        covariance[1, 1] += s * s * variances[0] + c * c * variances[1]
+        covariance[2, 2] += variances[2]
         i = following
+
+
+@kernel
+def _add_prior(share: float, prior: Floats, information: Floats) -> None:
+    """Turn a scan's information into that of the pose: of its share of independent end points, and of the prior."""
+    for j in range(3):
+        for k in range(3):
+            information[j, k] = share * information[j, k] + prior[j, k]
+
+
+@kernel
+def _dot(a: Floats, b: Floats) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

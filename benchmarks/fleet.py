@@ -21,6 +21,7 @@ from beamfield.fleet.beam_schema import beam_schema, require_pyarrow
 from beamfield.fleet.catalogue import Catalogue, create_catalogue, open_catalogue
 from beamfield.fleet.engine import Engine
 from beamfield.fleet.learning import learn
+from beamfield.fleet.manifest import read_manifest
 from beamfield.fleet.run_record import MapInfo, RunRecord, ShardFile
 from beamfield.fleet.scan import scan_fleet
 from beamfield.fleet.simulated import FleetSize, plan_fleet
@@ -31,7 +32,7 @@ from tables import print_table
 
 TRUTH = BeamParameters(0.86, 0.06, 0.03, 0.05, 0.02, 0.5, 0.01)
 MAX_RANGE, BEAMS, SHARD_ROWS = 12.0, 500, 1_000_000
-LOGS = FleetSize(robots=8, sites=2, days=4, duration=60.0, width=26.0, height=20.0)
+LOGS = FleetSize(robots=8, sites=2, days=2, duration=60.0, width=26.0, height=20.0)
 
 
 def beams_of_shard(rng: np.random.Generator, rows: int, start: float) -> dict[str, np.ndarray]:
@@ -129,7 +130,7 @@ def workers_table(workers: list[int]) -> None:
         for n in workers:
             with Engine("processes", n) as engine:
                 # Every worker compiles or loads kernels once.
-                scan_fleet(logs / "manifest.yaml", f"{scratch}/warm-{n}", engine)
+                scan_fleet(read_manifest(logs / "manifest.yaml")[: 2 * n], f"{scratch}/warm-{n}", engine)
                 learn(many, engine, thin=50)
                 start = time.perf_counter()
                 scanned = scan_fleet(logs / "manifest.yaml", f"{scratch}/catalogue-{n}", engine)

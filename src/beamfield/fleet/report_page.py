@@ -17,9 +17,10 @@ from beamfield.report.page_section import Level
 # Colours alone tell nothing to many readers: each light is named.
 LEVELS: Mapping[Light, Level | str] = {"red": "bad", "amber": "care", "green": "good", "grey": ""}
 MOST_LEFT_OUT = 50
-ONE_LINE = 'style="white-space: nowrap"'
+# On a phone the table is moved aside, rather than set in columns of a word.
+ONE_LINE, WIDE = 'style="white-space: nowrap"', 'style="min-width: 15rem"'
 KEY = (
-    "Red: a fault to see to now. Orange: one to watch, or many runs that cannot be used. Green: nothing was found in "
+    "Red: a fault to see to now. Amber: one to watch, or many runs that cannot be used. Green: nothing was found in "
     "the days that the report covers. Grey: no run could be used. Robots are listed by urgency."
 )
 OWN = (
@@ -125,7 +126,7 @@ def _light(state: RobotState) -> str:
     return (
         f'<tr><td class="{LEVELS[state.light]}" style="padding-left: .5rem"><b class="label">{state.light}</b></td>'
         f'<th scope="row" {ONE_LINE}><b>{escaped(state.robot)}</b></th><td {ONE_LINE}>{escaped(state.site)}</td>'
-        f'<td>{found or "No run could be used."}</td><td>{do}</td><td class="n">{used}</td></tr>'
+        f'<td {WIDE}>{found or "No run could be used."}</td><td {WIDE}>{do}</td><td class="n">{used}</td></tr>'
     )
 
 

@@ -86,13 +86,13 @@ class Drift:
         return f"{self.robot} ({self.site}): {when}, {self._share() if self.bearings else self._deviation()}"
 
     def _share(self) -> str:
-        start, end = (math.degrees(bearing) for bearing in self.bearings or (0.0, 0.0))
+        start, end = (round(math.degrees(bearing)) for bearing in self.bearings or (0.0, 0.0))
         what = "have no return" if self.cause == "max" else "end before the wall"
         against = "of the other robots" if self.since is None else "before"
         low, high = (100.0 * (self.before + change) for change in (self.low, self.high))
         return (
-            f"{100.0 * self.after:.2g} % (95 %: {low:.2g} to {high:.2g}) of the readings at bearings from {start:.0f} "
-            f"to {end:.0f} degrees {what}, {against} {100.0 * self.before:.2g} %: is the lens dirty there?"
+            f"{100.0 * self.after:.2g} % (95 %: {low:.2g} to {high:.2g}) of the readings at bearings from {start} "
+            f"to {end} degrees {what}, {against} {100.0 * self.before:.2g} %: is the lens dirty there?"
         )
 
     def _deviation(self) -> str:

@@ -4,7 +4,7 @@
 import itself costs next to nothing. Type checkers and editors read ``__init__.pyi``, and a test compares the two.
 """
 
-from importlib import import_module
+from beamfield.lazy_names import lazy_names
 
 __version__ = "0.1.0"
 
@@ -86,24 +86,10 @@ _NAMES = {
     "simulation.floor_plan": ("draw_floor_plan",),
     "kernels.threads": ("set_threads",),
 }
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = (
     "calibration", "errors", "features", "figures", "fleet", "geometry", "io", "landmark_noise", "localization", "maps",
     "models", "plot", "report", "scan_fit", "simulation", "stacks",
 )  # fmt: skip
 
-__all__ = ["__version__", *_HOMES, *_MODULES]
-
-
-def __getattr__(name: str) -> object:
-    if name in _MODULES:
-        return import_module(f"{__name__}.{name}")
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+_OFFERED, __getattr__, __dir__ = lazy_names(__name__, _NAMES, _MODULES)
+__all__ = ["__version__", *_OFFERED]

@@ -3,7 +3,7 @@
 ``bf.fleet`` offers what a program needs beside ``bf.open_catalogue``; a name is loaded when it is first used (PEP 562).
 """
 
-from importlib import import_module
+from beamfield.lazy_names import lazy_names
 
 _NAMES = {
     "engine": ("Engine",),
@@ -17,18 +17,4 @@ _NAMES = {
     "fleet_report": ("judge_fleet",),
     "report_files": ("write_fleet_report",),
 }
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
-
-__all__ = [*_HOMES]
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__all__, __getattr__, __dir__ = lazy_names(__name__, _NAMES)

@@ -4,7 +4,7 @@
 ``import beamfield as bf``; a name is loaded when it is first used (PEP 562).
 """
 
-from importlib import import_module
+from beamfield.lazy_names import lazy_names
 
 _NAMES = {
     "fitted_poses": ("cross_fit_poses",),
@@ -19,18 +19,4 @@ _NAMES = {
     "short_readings": ("ShortReadings",),
     "trajectory_options": ("TrajectoryOptions",),
 }
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
-
-__all__ = [*_HOMES]
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__all__, __getattr__, __dir__ = lazy_names(__name__, _NAMES)

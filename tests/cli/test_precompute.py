@@ -22,7 +22,7 @@ from beamfield.sensors import ScanLog, Track
 def folder(tmp_path_factory, office, drive) -> Path:
     place = tmp_path_factory.mktemp("precompute")
     write_map(office, place / "map.yaml")
-    write_map(OccupancyGrid(1.0 - np.eye(10), 0.1), place / "other.yaml")
+    write_map(OccupancyGrid(1.0 - np.eye(300), 0.1), place / "other.yaml")
     log = drive[:60]
     write_carmen(place / "drive.log", ScanLog({"FLASER": log}, Track(log.stamps, log.odometry)))
     write_tum(place / "truth.tum", Track(log.stamps, log.poses))

@@ -56,6 +56,7 @@ DEEP = {
     "beamfield.calibration.pose_windows",
     "beamfield.features.feature",
     "beamfield.io.bags.fiducial_detections",
+    "beamfield.io.logs.carmen_writer",
     "beamfield.features.map_features",
     "beamfield.localization.information",
     "beamfield.localization.pose_posterior",
@@ -65,7 +66,10 @@ DEEP = {
     "beamfield.simulation.sonar",
 }
 # What a document needs besides beamfield; without, its Python does not run.
-NEEDS = {"fleet": ("distributed", "pyarrow", "fsspec", "polars", "duckdb", "pandas")}
+NEEDS = {
+    "fleet": ("distributed", "pyarrow", "fsspec", "polars", "duckdb", "pandas"),
+    "notebooks/fleet": ("distributed", "pyarrow", "fsspec"),
+}
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
 

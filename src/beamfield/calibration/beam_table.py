@@ -142,7 +142,7 @@ def build_beam_table(
     Raises
     ------
     InvalidInputError
-        If the map has no obstacle, a scan has no finite pose,.
+        If the map has no obstacle, or a scan has no finite pose.
     """
     chosen = np.arange(len(log))[np.asarray(scans)]
     caster = BeamCaster(grid, log.finder, unknown)

@@ -4,6 +4,7 @@ RAYS ?= 1e8
 MINUTES ?= 1
 VENV := .venv
 BIN := $(VENV)/bin
+RUNS := $(VENV)/runs
 STAMP := $(VENV)/installed
 
 .PHONY: demo test fuzz lint rays kills bench docs site wheel clean help
@@ -11,13 +12,18 @@ STAMP := $(VENV)/installed
 help:  ## Show the commands
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
 
-$(STAMP): pyproject.toml
+$(RUNS): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit("beamfield needs Python 3.11 or newer, got " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+# What tests and checks need besides takes minutes to install, and the demo does without.
+$(STAMP): $(RUNS)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-demo: $(STAMP)  ## Simulate a robot, calibrate it, show its filter's error before and after
+demo: $(RUNS)  ## Simulate a robot, calibrate it, show its filter's error before and after
 	$(BIN)/beamfield demo
 
 test: $(STAMP)  ## Run all tests (three lanes: normal, JIT off, doctests)

@@ -156,14 +156,3 @@ def test_a_broken_reference_names_the_file(world, result, tmp_path, capsys):
     words = ("--params", str(result / "beam_model.yaml"), "--good-scans", str(tmp_path / "broken.json"))
     assert check(world, tmp_path / "out", *words) == 1
     assert "broken.json: reference: Expecting" in capsys.readouterr().err
-
-
-def test_the_old_name_is_the_same_command_but_not_in_the_help(world, tmp_path, capsys):
-    words = [str(world / "good" / "log.carmen"), "--map", str(world / "good" / "map.yaml"), "--poses", "missing.tum"]
-    said = []
-    for name in ("check", "fit"):
-        assert main([name, *words, "--out", str(tmp_path / "out"), "--quiet"]) == 1
-        said.append(capsys.readouterr().err)
-    assert said[0] == said[1]
-    assert main(["--help"]) == 0
-    assert not re.search(r"\bfit  ", capsys.readouterr().out)

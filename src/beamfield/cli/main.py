@@ -58,8 +58,6 @@ COMMANDS = (
     fleet,
     demo,
 )
-# Old names, which are not in the help.
-RENAMED = {"fit": "check"}
 INTERNAL_ERROR = 70
 # New objects between two searches for garbage, where Python's 700 or 2,000 cost a twelfth of a command's time: imports
 # and Numba's compiler make millions of objects that stay.
@@ -98,11 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks how a word goes on
         importlib.import_module("argcomplete").autocomplete(parser)
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if words:
-        words[0] = RENAMED.get(words[0], words[0])
     try:
-        parsed = parser.parse_args(words)
+        parsed = parser.parse_args(sys.argv[1:] if arguments is None else arguments)
     except SystemExit as end:
         return int(end.code or 0)
     threads = getattr(parsed, "threads", None)

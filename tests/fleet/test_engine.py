@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import sys
-import threading
 import time
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import distributed
 import numpy as np
 import pytest
+from benchmarks.fleet_beams import memory_catalogue, memory_shard
 
 from beamfield.errors import InvalidInputError
+from beamfield.fleet import learning
 from beamfield.fleet.engine import Engine, WorkersLostError
+from beamfield.fleet.learning import learn
 from beamfield.fleet.scan import FleetScan, scan_fleet
 from beamfield.fleet.shard import Shard
 from beamfield.kernels.threads import n_threads, set_threads
-
-KILLS = 2
+from beamfield.models.beam_parameters import BeamParameters
 
 
 def draw(seed: int) -> np.ndarray:
@@ -61,42 +63,59 @@ def test_progress_counts_items():
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
-def test_killed_workers_change_no_bit_of_shards_and_sums(scanned: FleetScan, world: Path, tmp_path: Path):
-    with Engine("serial") as engine:
-        sums = engine.reduce(moments_of, scanned.catalogue.shards() * 3, add)
-    kills: list[int] = []
-    done = threading.Event()
-
-    def kill_now_and_then(engine: Engine) -> None:
-        chance = random.Random(5)
-        while len(kills) < KILLS and not done.wait(chance.uniform(0.1, 0.7)):
-            pids = [nanny.pid for nanny in engine.cluster.workers.values() if nanny.pid]
-            if pids:
-                kills.append(chance.choice(pids))
-                os.kill(kills[-1], signal.SIGKILL)
-
+@pytest.fixture(scope="module")
+def two_processes() -> Iterator[Engine]:
     with Engine("processes", 2) as engine:
-        killer = threading.Thread(target=kill_now_and_then, args=(engine,))
-        killer.start()
-        try:
-            killed = scan_fleet(world / "fleet.csv", str(tmp_path / "killed"), engine)
-            again = engine.reduce(moments_of, killed.catalogue.shards() * 3, add)
-        finally:
-            done.set()
-            killer.join()
-        many = engine.reduce(draw, list(range(1000)), add)
-        with pytest.raises(ZeroDivisionError):
-            engine.map(divmod_by_zero, [1])
-    assert kills
+        yield engine
+
+
+def test_processes_learn_the_same_bits_as_one(two_processes: Engine, monkeypatch):
+    rng = np.random.default_rng(3)
+    truth = BeamParameters(0.7, 0.1, 0.1, 0.1, 0.05, 0.5, 0.02)
+    catalogue = memory_catalogue([memory_shard(rng, truth, day=day, n_scans=20) for day in range(5)])
+
+    def fits(engine: Engine) -> list[str]:
+        with monkeypatch.context() as patch:  # workers do not see it
+            patch.setattr(learning, "SAMPLE_BEAMS", 1000)
+            of_fleet = learn(catalogue, engine).fits
+        found = of_fleet + learn(catalogue, engine, by="robot").fits
+        return [repr((fit.parameters, fit.log_likelihood, fit.intervals, fit.covariance.tolist())) for fit in found]
+
+    # Where Numba's cache is cold, this process compiles the kernels and the workers read what it wrote.
+    with Engine("serial") as engine:
+        assert fits(engine) == fits(two_processes)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
+def test_killed_workers_change_no_bit_of_shards_and_sums(
+    two_processes: Engine, scanned: FleetScan, world: Path, tmp_path: Path
+):
+    shards = scanned.catalogue.shards() * 3
+    with Engine("serial") as engine:
+        sums = engine.reduce(moments_of, shards, add)
+    kills: list[int] = []
+
+    def kill_one(done: int) -> None:
+        """Kill a worker in the middle of the work: after the first results, and before the last."""
+        if done == 1:
+            pids = [nanny.pid for nanny in two_processes.cluster.workers.values() if nanny.pid]
+            kills.append(pids[len(kills) % len(pids)])
+            os.kill(kills[-1], signal.SIGKILL)
+
+    killed = scan_fleet(
+        world / "fleet.csv", str(tmp_path / "killed"), two_processes,
+        progress=lambda stage, done, _: kill_one(done) if stage == "scanning logs" else None,
+    )  # fmt: skip
+    shards = killed.catalogue.shards() * 3
+    again = two_processes.reduce(moments_of, shards, add, progress=lambda done, _: kill_one(done))
+    many = two_processes.reduce(draw, list(range(1000)), add)
+    with pytest.raises(ZeroDivisionError):
+        two_processes.map(partial(divmod, 1), [0])
+    assert len(kills) == 2
     assert contents(tmp_path / "killed") == contents(world / "catalogue")
     np.testing.assert_array_equal(again[:2], sums[:2])
     assert again[2] == 12.0, "a worker computes with one thread"
     np.testing.assert_array_equal(many, in_pairs(list(map(draw, range(1000)))))
-
-
-def divmod_by_zero(number: int) -> tuple[int, int]:
-    return divmod(number, 0)
 
 
 class KilledByThree(Engine):

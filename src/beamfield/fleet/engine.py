@@ -109,12 +109,12 @@ class Engine:
         Parameters
         ----------
         function
-            Of a module, so that workers can import it.
+            Of a module, so that workers can import it; or a `functools.partial` of one.
         items
             What it is applied to; they and the results are sent between processes.
         key
-            Names a task by its content: whoever else asks the same scheduler for it waits for the one result. None:
-            every call is its own.
+            Names a task by its function and content: whoever else asks the same scheduler for it waits for the one
+            result. None: every call is its own.
         lost
             What stands for the result of an item whose workers die; None: an error ends the work.
         progress
@@ -194,8 +194,7 @@ class Engine:
     ) -> Iterator[tuple[int, Result]]:
         distributed = _require_distributed()
         call = uuid.uuid4().hex
-        names = [f"{function.__name__}-{call if key is None else 'of'}-{i if key is None else key(item)}"
-                 for i, item in enumerate(items)]  # fmt: skip
+        names = [f"beamfield-{f'{call}-{i}' if key is None else key(item)}" for i, item in enumerate(items)]
         indices: dict[str, list[int]] = {}
         for i, name in enumerate(names):
             indices.setdefault(name, []).append(i)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.kernels.elementary import fast_exp, fast_log
-from beamfield.kernels.jit import fast_kernel, kernel
+from beamfield.kernels.jit import inlined_fast_kernel, inlined_kernel, kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -247,7 +247,7 @@ def _scratch() -> Scratch:
     return Scratch(np.empty(n), np.empty(n), np.ones(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n))
 
 
-@kernel
+@inlined_kernel
 def _fill_densities(
     beams: Beams, mixture: Mixture, bins: Bins, j: int, polynomials: FloatArray, scratch: Scratch
 ) -> int:
@@ -266,7 +266,7 @@ def _fill_densities(
     return int(n)
 
 
-@kernel
+@inlined_fast_kernel
 def _polynomial(c: FloatArray, t: float) -> float:
     p = c[7]
     p = p * t + c[6]
@@ -392,7 +392,7 @@ def _mean_share_slope(x: float) -> float:
     return (1.0 + 1.0 / e) / e - 1.0 / (x * x)
 
 
-@fast_kernel
+@inlined_fast_kernel
 def _densities(z: FloatArray, zs: FloatArray, centre: float, inverse_half_width: float, mixture: Mixture,
                polynomials: FloatArray, out: Scratch) -> None:  # fmt: skip
     # Component densities of one bin, (6.5), (6.7), (6.11), with their normalisers.
@@ -412,7 +412,7 @@ def _densities(z: FloatArray, zs: FloatArray, centre: float, inverse_half_width:
         out.rand[i], out.shift[i] = uniform, 0.0
 
 
-@fast_kernel
+@inlined_fast_kernel
 def _least_mixture(n: int, mixture: Mixture, scratch: Scratch) -> float:
     hit, short, rand, least = scratch.hit, scratch.short, scratch.rand, 1e300
     for i in range(n):
@@ -454,7 +454,7 @@ def _rescale(
         out.shift[i] = top
 
 
-@fast_kernel
+@inlined_fast_kernel
 def _responsibilities(n: int, mixture: Mixture, z: FloatArray, scratch: Scratch, out: FloatArray) -> None:
     # Turns densities into responsibilities times counts; fills in the sums of log p, e_hit, e_short, e_rand, e_short z.
     hit, short, rand, count = scratch.hit, scratch.short, scratch.rand, scratch.repeats
@@ -486,7 +486,7 @@ def _shift_sum(n: int, scratch: Scratch) -> float:
     return total
 
 
-@fast_kernel
+@inlined_fast_kernel
 def _chebyshev_moments(n: int, t: FloatArray, e: FloatArray, out: FloatArray) -> None:
     m0, m1, m2, m3, m4, m5, m6, m7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
@@ -509,7 +509,7 @@ def _chebyshev_moments(n: int, t: FloatArray, e: FloatArray, out: FloatArray) ->
     out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = m0, m1, m2, m3, m4, m5, m6, m7
 
 
-@kernel
+@inlined_kernel
 def _moments_of_hit(n: int, scratch: Scratch, out: FloatArray) -> None:
     for kind in range(3):
         _chebyshev_moments(n, scratch.t, scratch.hit, out[kind])
@@ -517,7 +517,7 @@ def _moments_of_hit(n: int, scratch: Scratch, out: FloatArray) -> None:
             scratch.hit[i] *= scratch.r[i]
 
 
-@fast_kernel
+@inlined_fast_kernel
 def _first_moments_of_hit(n: int, r: FloatArray, e: FloatArray, out: FloatArray) -> None:
     m0, m1, m2 = 0.0, 0.0, 0.0
     for i in range(n):
@@ -528,7 +528,7 @@ def _first_moments_of_hit(n: int, r: FloatArray, e: FloatArray, out: FloatArray)
     out[0, 0], out[1, 0], out[2, 0] = m0, m1, m2
 
 
-@fast_kernel
+@inlined_fast_kernel
 def _derivatives(n: int, z: FloatArray, zs: FloatArray, mixture: Mixture, scratch: Scratch,
                  inverse_variance: FloatArray, slopes: FloatArray, scores: FloatArray, out: FloatArray
                  ) -> None:  # fmt: skip
@@ -598,7 +598,7 @@ def _derivatives(n: int, z: FloatArray, zs: FloatArray, mixture: Mixture, scratc
     out[30], out[35] = sl, ll
 
 
-@fast_kernel
+@inlined_fast_kernel
 def _outer_products(n: int, count: FloatArray, scores: FloatArray, out: FloatArray) -> None:
     k = 1 + N_DERIVATIVES
     for a in range(N_DERIVATIVES):

@@ -47,7 +47,12 @@ def fast_kernel(function: F) -> F:
 
 
 def inlined_fast_kernel(function: F) -> F:
-    """Compile a scalar function into its callers, as `fast_kernel` would compile them."""
+    """Compile a function into its callers, as `fast_kernel` would compile them.
+
+    For whatever other kernels call that may reorder sums, and for what calls it. A callee that is not compiled in is
+    optimised again within each caller, and otherwise; which copy runs depends on what the process loaded first, and on
+    whether it compiled the kernels or read them from the disk: its sums would end in other bits.
+    """
     return _compiled(function, fastmath=True, forceinline=True)
 
 

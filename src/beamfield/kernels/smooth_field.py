@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from beamfield.kernels.elementary import exp_2
 from beamfield.kernels.field import FrameView
-from beamfield.kernels.jit import fast_kernel, inlined_kernel, kernel
+from beamfield.kernels.jit import inlined_fast_kernel, inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -230,7 +230,7 @@ def log_product(factors: Floats) -> float:
     return math.log((p * q) * (r * s))
 
 
-@fast_kernel
+@inlined_fast_kernel
 def sum_slopes(a: Floats, b: Floats, ends: Floats) -> tuple[float, float, float, float]:
     """Return the sums of slopes (k,) along the table's axes, and of those of end points (2, k) across and along.
 

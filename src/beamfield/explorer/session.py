@@ -21,6 +21,7 @@ from beamfield.explorer.requests import Request
 from beamfield.explorer.scores import PoseScores
 from beamfield.explorer.shown_run import AGREEMENT, ShownRun, run_from
 from beamfield.geometry import FloatArray
+from beamfield.kernels.threads import n_threads, set_threads
 from beamfield.localization.lost_robot import LEAST_AGREEMENT
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -226,7 +227,9 @@ class Session:
         scan, _ = self._scan_of(request)
         one, values = self._set_of(request)
         width, dragged = request.number("width_m", 0.1, 50.0), request.flag("dragged")
-        return heat_around(one, self._model(one, values), scan, request.pose(), width, dragged=dragged)
+        # One processor is left to the scores and the browser.
+        with set_threads(max(1, n_threads() - 1)):
+            return heat_around(one, self._model(one, values), scan, request.pose(), width, dragged=dragged)
 
     def _building(self, request: Request) -> dict[str, Any]:
         scan, _ = self._scan_of(request)

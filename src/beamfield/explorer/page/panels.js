@@ -91,7 +91,7 @@ export class Panels {
       output.setAttribute("for", input.id);
       input.addEventListener("input", () => {
         explorer.values[explorer.set][slider.name] = toValue(slider, Number(input.value) / 1000);
-        output.textContent = shown(slider, explorer.values[explorer.set][slider.name]);
+        this.showValues();
         explorer.valued();
       });
       this.inputs[slider.name] = { slider, input, output };
@@ -119,8 +119,10 @@ export class Panels {
     for (const [name, { slider, input, output }] of Object.entries(this.inputs)) {
       const value = explorer.values[explorer.set][name];
       if (document.activeElement !== input) input.value = Math.round(1000 * toShare(slider, value));
-      output.textContent = shown(slider, value);
-      input.setAttribute("aria-valuetext", output.textContent);
+      const text = shown(slider, value);
+      if (output.textContent === text) continue;
+      output.textContent = text;
+      input.setAttribute("aria-valuetext", text);
     }
     this.page.reset.disabled = explorer.moved()[explorer.set] === undefined;
   }

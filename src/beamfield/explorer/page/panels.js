@@ -102,6 +102,8 @@ export class Panels {
     placeholder.disabled = true;
     page.resetTo.replaceChildren(placeholder, ...family.map(([number, one]) => new Option(one.label, number)));
     page.resetTo.hidden = family.length === 0;
+    // A filter's replay decides these values, which takes minutes: the command does it, and writes a file to look at here.
+    page.fitting.textContent = own.kind === "stack" ? `To fit them: beamfield calibrate LOG --map MAP --stack ${own.family.split(" ")[0]}; show its file with --params.` : "";
     this.showValues();
     this.judge();
   }

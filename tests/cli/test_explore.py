@@ -40,13 +40,17 @@ def test_it_prints_an_address_with_a_token_and_serves_it(world, served, capsys):
     assert out == "the explorer has ended\n"
 
 
-def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, tmp_path):
+def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("beamfield.cli.explore.posed_log", None)  # takes long
     assert explore(world, "--port", "70000") == 2
     assert "65535" in capsys.readouterr().err
     (tmp_path / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: high\n")
     assert explore(world, "--no-fit", "--params", str(tmp_path / "nav2.yaml")) == 1
     assert "nav2.yaml" in capsys.readouterr().err
+    (tmp_path / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    laser_model_type: beam\n    max_beams: 60\n")
+    assert explore(world, "--params", str(tmp_path / "nav2.yaml")) == 1
+    assert "cannot be used with this log: max_beams" in capsys.readouterr().err
     (tmp_path / "trajectory.tum").write_text("9e9 0 0 0 0 0 0 1\n")
-    assert explore(world, "--no-fit", "--run", str(tmp_path)) == 1
+    assert explore(world, "--run", str(tmp_path)) == 1
     assert "the run is of another log" in capsys.readouterr().err
     assert served == []

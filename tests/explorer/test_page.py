@@ -199,7 +199,7 @@ def test_two_models_are_compared_at_the_same_moment_and_along_the_log(opened):
     sync_api.expect(verdict).to_contain_text("Over 11 scans of the log: A better in")
     assert page.get_by_label("Curve of the timeline").input_value() == "A \N{MINUS SIGN} B: pose score"
     sync_api.expect(page.locator(".worst")).to_contain_text("better:")
-    assert "other=1" in page.url
+    page.wait_for_url("**other=1*")
     # Both maps show one robot: dragged on one, it moves on the other.
     page.mouse.move(*place(page, "robot", 1))
     drag(page, place(page, "robot", 1), 30, -30)
@@ -258,7 +258,7 @@ def test_a_link_leads_to_the_same_moment_and_pose(opened):
     assert "scan 8 of 12" in page.locator(".time").text_content()
     assert page.get_by_label("typical likelihood field").is_checked()
     page.locator(".map canvas").first.press("ArrowRight")
-    assert "x=2.6000" in page.url
+    page.wait_for_url("**x=2.6000*")
     assert pose(opened("#i=99&x=nonsense&set=-1"))[0] == 0.0
 
 

@@ -1,5 +1,6 @@
 """The explorer's server answers its own page, and nobody else."""
 
+import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -126,6 +127,7 @@ def test_only_the_loopback_address_is_served():
     with listening_socket(0) as listening:
         host, port = listening.getsockname()
         assert host == "127.0.0.1"
+        assert listening.proto == socket.IPPROTO_TCP  # or asyncio lets small answers wait for more to send
         assert page_address(port, "t") == f"http://127.0.0.1:{port}/?token=t"
         with pytest.raises(OSError, match="in use"):
             listening_socket(port)

@@ -2,13 +2,14 @@
 
 import base64
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from beamfield.errors import InvalidInputError
-from beamfield.explorer.heat_maps import DEPTH
+from beamfield.explorer.heat_maps import DEPTH, heat_around, quick_weights
 from beamfield.explorer.parameter_set import read_set, typical_sets
 from beamfield.explorer.server import as_json
 from beamfield.explorer.session import Session
@@ -19,7 +20,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.registry import build_model
+from beamfield.stacks.registry import build_model, model_named
 
 BEAM, FIELD, NAV2 = 0, 1, 2
 POSE = [1.2, 0.5, 0.2]
@@ -34,6 +35,10 @@ def ask(session, name, *, parameters=None, **fields):
 
 def typical_beam() -> BeamParameters:
     return BeamParameters(0.8, 0.08, 0.02, 0.1, 0.15, 0.4)
+
+
+def nav2_default(model, grid):
+    return build_model("nav2", model, grid, replace(model_named("nav2", model).parameters(), max_beams=41))
 
 
 def test_the_start_has_the_map_and_the_log(session, log):
@@ -82,13 +87,15 @@ def test_the_field_says_which_readings_lie_at_obstacles(session, log, grid):
     assert np.corrcoef([shares[k][0] > 0.5 for k in known], np.nan_to_num(near)[known] < 0.3)[0, 1] > 0.9
 
 
-def test_a_heat_map_is_the_best_of_the_headings_and_holds_the_robots_own_pose(session, grid, log):
-    answer = ask(session, "heat", i=4, pose=POSE, set=BEAM, width_m=1.2)
-    assert answer["beams"] == [41, 41]
+@pytest.mark.parametrize("number", [BEAM, NAV2])
+def test_a_heat_map_is_the_best_of_the_headings_and_holds_the_robots_own_pose(session, grid, log, number):
+    answer = ask(session, "heat", i=4, pose=POSE, set=number, width_m=1.2)
     shade = np.frombuffer(base64.b64decode(answer["heat"]), np.uint8).reshape(60, 60)
     steps = 1.2 * (np.arange(60) - 30) / 60
     headings = POSE[2] + np.radians(np.arange(36) - 18.0)
-    model = BeamModel(grid, typical_beam(), exponent=0.1)
+    model = (
+        BeamModel(grid, typical_beam(), exponent=0.1) if number == BEAM else nav2_default("likelihood_field_prob", grid)
+    )
     poses = [[[[POSE[0] + x, POSE[1] + y, turn] for turn in headings] for x in steps[::10]] for y in steps[::10]]
     values = model.log_likelihood(log[4], poses).max(axis=2)
     own = float(model.log_likelihood(log[4], POSE))
@@ -109,10 +116,13 @@ def test_while_the_robot_is_dragged_some_beams_stand_for_all(session, log):
     # Not twice as wide, as half of the beams were without a scale.
     assert np.mean(few > 0) == pytest.approx(np.mean(all_ > 0), rel=0.35)
     assert np.median((255 - few[seen]) / (255 - all_[seen])) == pytest.approx(1.0, abs=0.25)
-    field = ask(session, "heat", set=FIELD, dragged=True, **words)
-    assert field["beams"] == [1, 1]
-    assert field["heat"] == ask(session, "heat", set=FIELD, **words)["heat"]
-    assert ask(session, "heat", set=NAV2, dragged=True, **words)["rows"] == 30
+    for number in (FIELD, NAV2):
+        field = ask(session, "heat", set=number, dragged=True, **words)
+        assert field["beams"] == [1, 1]
+        assert field["heat"] == ask(session, "heat", set=number, **words)["heat"]
+    rays = nav2_default("beam", session.grid)
+    weigh = quick_weights(session.sets[NAV2], rays)
+    assert heat_around(session.sets[NAV2], rays, weigh, log[4], tuple(POSE), 4.0, dragged=True)["rows"] == 30
 
 
 def test_over_the_building_the_best_place_is_the_robots(session, log):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from beamfield.explorer.open_session import open_session
+from beamfield.explorer.shown_run import read_shown_run
 from beamfield.explorer.widget import answered, explore
 from beamfield.io.trajectory import write_tum
 from beamfield.sensors import Track
@@ -17,15 +18,16 @@ def test_a_message_of_the_notebook_is_answered(session):
     assert "object" in answered(session, "nonsense")["error"]
 
 
-def test_the_widget_is_the_pages_component(log, grid, monkeypatch):
+def test_the_widget_is_the_pages_component(log, grid, monkeypatch, tmp_path):
     pytest.importorskip("anywidget")
-    widget = explore(log, grid, fit=False)
+    write_tum(tmp_path / "run.tum", Track(log.stamps, log.odometry))
+    widget = explore(log, grid, fit=False, run=tmp_path / "run.tum")
     assert "export default { render }" in widget._esm
     assert "import " not in widget._esm  # a notebook has one module
     sent = []
     monkeypatch.setattr(type(widget), "send", lambda _, content, *__: sent.append(content))
     widget._handle_custom_msg({"id": 1, "message": {"name": "start"}}, [])
-    assert len(sent[0]["answer"]["poses"]) == 12
+    assert len(sent[0]["answer"]["poses"]) == len(sent[0]["answer"]["run"]["poses"]) == 12
 
 
 def test_what_cannot_be_learned_is_said_and_the_rest_is_shown(log, grid):
@@ -40,7 +42,10 @@ def test_a_log_is_learned_from_and_its_scans_judged(drive, office, tmp_path):
     off = np.where(np.arange(len(drive)) < 240, 0.0, 3.0)[:, None] * np.array([1.0, 0.3, 0.5])
     write_tum(tmp_path / "run.tum", Track(drive.stamps, drive.poses + off))
     session, why = open_session(
-        drive, office, run=tmp_path / "run.tum", progress=lambda stage, *_: stages.append(stage)
+        drive,
+        office,
+        run=read_shown_run(tmp_path / "run.tum", drive, office),
+        progress=lambda stage, *_: stages.append(stage),
     )
     assert why is None
     assert [one.label for one in session.sets[:2]] == ["beam model, fitted", "likelihood field, fitted"]

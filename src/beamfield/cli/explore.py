@@ -18,14 +18,22 @@ import argparse
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from beamfield.cli import options
 from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
+from beamfield.cli.progress import StageProgress
 from beamfield.cli.terminal import complain
 from beamfield.cli.wording import in_options
-from beamfield.errors import InvalidInputError, MissingDependencyError
+from beamfield.errors import FormatError, InvalidInputError, MissingDependencyError, TooLittleDataError
+
+if TYPE_CHECKING:
+    from beamfield.maps.occupancy import OccupancyGrid
+    from beamfield.sensors import SensorLog
+
+BY_HAND = "the log has no poses: drag the robot to where it was"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -40,7 +48,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--run", type=Path, metavar="DIR", dest="shown_run",
                         help="a filter's run to show: what localize wrote, or any program's trajectory")  # fmt: skip
     parser.add_argument("--no-fit", action="store_true",
-                        help="start at once: learn nothing from the log, and judge no scans")  # fmt: skip
+                        help="start at once: fit no poses, learn nothing from the log, and judge no scans")  # fmt: skip
     parser.add_argument("--port", type=index, default=0, metavar="N", help="port to serve on (default: any free one)")
     parser.add_argument("--no-browser", action="store_true", help="only print the address, open nothing")
     options.add_log(parser)
@@ -54,7 +62,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     except ImportError as error:
         raise MissingDependencyError("uvicorn", "explore", "the explorer") from error
     from beamfield.explorer.open_session import open_session
+    from beamfield.explorer.parameter_set import read_set
     from beamfield.explorer.server import explorer_app, listening_socket, new_token, page_address
+    from beamfield.explorer.shown_run import read_shown_run
 
     if arguments.port > 65535:
         raise InvalidInputError(f"--port: expected at most 65535, got {arguments.port}")
@@ -63,12 +73,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
         grid = options.read_walls(arguments)
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
-        log, _, more = posed_log(
-            sensor, grid, arguments, progress, path=arguments.log, start=options.start_of(arguments)
-        )
-        session, why = open_session(
-            log, grid, arguments.params, run=arguments.shown_run, fit=not arguments.no_fit, progress=progress
-        )
+        # Before poses are fitted, which takes long: a bad file is refused at once.
+        sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
+        shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)
+        log, more = _posed(sensor, grid, arguments, progress)
+        session, why = open_session(log, grid, sets, run=shown, fit=not arguments.no_fit, progress=progress)
     notes = (*notes, *more, *([f"nothing was learned from the log: {why}"] if why else []))
     for note in notes:
         complain(f"note: {in_options(note)}")
@@ -85,3 +94,19 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
     return Outcome("the explorer has ended", "", {"address": address}, (), [])
+
+
+def _posed(
+    sensor: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace, progress: StageProgress
+) -> tuple[SensorLog, tuple[str, ...]]:
+    """Return the log with poses if it has or gets some, and notes: without, the robot can still be dragged."""
+    start = options.start_of(arguments)
+    if arguments.no_fit and start is None and not sensor.has_poses:
+        return sensor, (BY_HAND,)
+    try:
+        log, _, notes = posed_log(sensor, grid, arguments, progress, path=arguments.log, start=start)
+    except (FormatError, TooLittleDataError) as error:
+        if sensor.has_poses:
+            raise
+        return sensor, (f"{error}. {BY_HAND}",)
+    return log, notes

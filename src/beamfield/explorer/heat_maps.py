@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,16 +16,23 @@ from beamfield.localization.lattice_noise import widened_field_for_lattice, wide
 from beamfield.localization.likelihood_map import likelihood_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import Scan
+from beamfield.stacks.emulation.emulator import FieldModel
+from beamfield.stacks.filters.scan_weights import ScanWeights
 
 # Nats below the best at which a heat map is empty.
 DEPTH = 12.0
-# Places along a side and headings, a degree apart; half of both for other programs' models while the robot is dragged.
+# Places along a side and headings, a degree apart; half of both while the robot is dragged for slow models.
 PLACES, HEADINGS, HEADING_STEP = 60, 36, np.radians(1.0)
 # Rays that one heat map may cast while the robot is dragged, at rest, and over the building.
 RAYS_DRAGGED, RAYS_AT_REST, RAYS_BUILDING = 2_600_000, 24_000_000, 45_000_000
 FEWEST_BEAMS = 20
+# Cells up to which it takes less to work out what each adds to a field than to do so for every end point.
+TABLED_CELLS = 4_000_000
 # Over the building: metres between places, at least; places, at most; headings of the full turn.
 BUILDING_STEP, BUILDING_PLACES, BUILDING_HEADINGS = 0.25, 60_000, 36
+
+
+Weigh = Callable[[Scan, FloatArray], FloatArray]
 
 
 class Beams(NamedTuple):
@@ -63,15 +71,31 @@ def fewer_beams(one: ParameterSet, model: Any, scan: Scan, most: int) -> Beams:
     return Beams(scan.subset(chosen), most, len(used))
 
 
-def heat_around(
-    one: ParameterSet, model: Any, scan: Scan, pose: tuple[float, float, float], width: float, *, dragged: bool
-) -> dict[str, Any]:
-    """Return how likely a scan is at 60 x 60 places around a pose, each with the best of 36 headings.
+def quick_weights(one: ParameterSet, model: Any) -> Weigh | None:
+    """Return what weighs a scan at many poses at once; None if that takes long.
 
     Parameters
     ----------
     one, model
-        The set, and its model.
+        The set, and its model. Of another program's field, what each cell of the map adds is worked out first.
+    """
+    if one.kind != "stack":
+        return model.log_likelihood  # type: ignore[no-any-return]
+    if isinstance(model, FieldModel) and model.takes_poses_alone() and model.grid.probability.size <= TABLED_CELLS:
+        return partial(ScanWeights(model), converged=True)
+    return None
+
+
+def heat_around(
+    one: ParameterSet, model: Any, weigh: Weigh | None, scan: Scan, pose: tuple[float, float, float], width: float, *,
+    dragged: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """Return how likely a scan is at 60 x 60 places around a pose, each with the best of 36 headings.
+
+    Parameters
+    ----------
+    one, model, weigh
+        The set, its model and that one's `quick_weights`.
     scan
         The scan.
     pose
@@ -79,10 +103,10 @@ def heat_around(
     width
         Of the square, metres.
     dragged
-        Whether the next one will be asked for at once: then of a beam model 20 beams stand for all, and another
-        program's model is tried at half as many places a side and headings.
+        Whether the next one will be asked for at once: then of a beam model 20 beams stand for all, and a model without
+        quick weights is tried at half as many places a side and headings.
     """
-    coarse = 2 if dragged and one.kind == "stack" else 1
+    coarse = 2 if dragged and weigh is None else 1
     n, n_headings = PLACES // coarse, HEADINGS // coarse
     steps = (np.arange(n) - n // 2) * (width / n)
     poses = np.empty((n, n, n_headings, 3))
@@ -91,7 +115,7 @@ def heat_around(
     poses[..., 2] = pose[2] + coarse * HEADING_STEP * (np.arange(n_headings) - n_headings // 2)
     rays = RAYS_DRAGGED if dragged else RAYS_AT_REST
     beams = fewer_beams(one, model, scan, max(FEWEST_BEAMS, rays // (poses.size // 3)))
-    each = beams.scale * np.asarray(model.log_likelihood(beams.scan, poses.reshape(-1, 3))).reshape(poses.shape[:-1])
+    each = beams.scale * (weigh or model.log_likelihood)(beams.scan, poses.reshape(-1, 3)).reshape(poses.shape[:-1])
     best = np.unravel_index(int(np.argmax(each)), each.shape)
     corner = steps[0] - 0.5 * width / n
     return {

@@ -1,9 +1,8 @@
-"""A session from a log and a map: parameter files read, the log's own values learned, its scans judged."""
+"""A session from a log and a map: the log's own values learned, its scans judged."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -11,10 +10,10 @@ from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.context.exponent import ExponentLearning, learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
 from beamfield.errors import BeamfieldError, TooLittleDataError
-from beamfield.explorer.parameter_set import ParameterSet, fitted_sets, read_set, typical_sets
+from beamfield.explorer.parameter_set import ParameterSet, fitted_sets, typical_sets
 from beamfield.explorer.reading import beam_parameters, reading_score
 from beamfield.explorer.session import Session
-from beamfield.explorer.shown_run import ShownRun, read_shown_run
+from beamfield.explorer.shown_run import ERROR, ShownRun
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -32,9 +31,9 @@ Progress = Callable[[str, int, int], None]
 def open_session(
     log: SensorLog,
     grid: OccupancyGrid,
-    files: Sequence[str | Path] = (),
+    sets: Sequence[ParameterSet] = (),
     *,
-    run: str | Path | None = None,
+    run: ShownRun | None = None,
     fit: bool = True,
     progress: Progress | None = None,
 ) -> tuple[Session, str | None]:
@@ -46,23 +45,16 @@ def open_session(
         Scans of a laser scanner, with odometry for filters, and reference poses for all that judges.
     grid
         The map.
-    files
-        Parameter files to compare: beam_model.yaml, likelihood_field.yaml, or another program's.
+    sets
+        To compare with those that are learned, and with typical ones.
     run
-        A filter's run: the folder that ``beamfield localize`` wrote, or a trajectory.
+        A filter's run on the log.
     fit
         Whether to learn a beam model and a likelihood field from the log, and to judge its scans: some seconds.
     progress
         Called with stage, steps done and steps in all.
-
-    Raises
-    ------
-    FormatError
-        If a file cannot be used.
     """
     report = progress or _silent
-    shown = None if run is None else read_shown_run(Path(run), log, grid)
-    sets = [read_set(Path(file), grid, log.finder) for file in files]
     numbers: dict[str, FloatArray] = {}
     held_out = why = None
     if fit:
@@ -72,12 +64,14 @@ def open_session(
             field = learn_field_parameters(log, grid)
             report("learning how much beams count", 0, 1)
             fitted = fitted_sets(learned.parameters, _exponent(log, grid, learned.parameters), field, grid, log.finder)
-            numbers = _timeline(log, grid, fitted[0], shown, report)
+            numbers = _timeline(log, grid, fitted[0], run, report)
             sets, held_out = [*sets, *fitted], np.unique(learned.table.scan[learned.held_out])
         except BeamfieldError as error:
             why = str(error)
+    if run is not None and log.has_poses:
+        numbers[ERROR] = np.hypot(*(run.poses - log.poses)[:, :2].T)
     sets = [*sets, *typical_sets(grid, log.finder, sets)]
-    return Session(log, grid, sets, numbers=numbers, run=shown, held_out=held_out), why
+    return Session(log, grid, sets, numbers=numbers, run=run, held_out=held_out), why
 
 
 def _silent(*_: object) -> None:

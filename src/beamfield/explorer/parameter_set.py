@@ -8,10 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from beamfield import __version__
 from beamfield.calibration.context.exponent import ExponentLearning
 from beamfield.calibration.field.learning import FieldLearning
-from beamfield.errors import InvalidInputError
+from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.parameters.beam_model_file import beam_model_text, read_beam_model
 from beamfield.io.parameters.likelihood_field_file import (
     is_likelihood_field,
@@ -23,7 +25,7 @@ from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import WEIGHT_SUM_TOLERANCE, BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
-from beamfield.sensors import RangeFinder
+from beamfield.sensors import RangeFinder, Scan
 from beamfield.stacks.files.new_file import new_file_text
 from beamfield.stacks.files.other_files import is_beam_model
 from beamfield.stacks.files.parameter_file import StackFile, read_stack_file
@@ -169,10 +171,11 @@ def typical_sets(grid: OccupancyGrid, finder: RangeFinder, beside: Sequence[Para
     )
     models = {f"{stack} {model}": (stack, model) for stack, program in STACKS.items() for model in program.models}
     asked = {models[one.family]: None for one in beside if one.kind == "stack"} or {first: None}
+    defaults = [_default_set(stack, model, grid) for stack, model in asked]
     return [
         _chapter_set("typical beam model", "beam", beam, counting, grid, finder),
         _chapter_set("typical likelihood field", "field", field_parameters, counting, grid, finder),
-        *(_default_set(stack, model, grid) for stack, model in asked),
+        *(one for one in defaults if _refusal(one, finder) is None),
     ]
 
 
@@ -218,7 +221,19 @@ def read_set(path: Path, grid: OccupancyGrid, finder: RangeFinder) -> ParameterS
         return _chapter_set(label, "field" if is_field else "beam", saved.parameters, counting, grid, finder)
     file = read_stack_file(path)
     label = f"{path.name}: {file.program.title} {file.model}"
-    return _stack_set(label, file.stack, file.model, checked_values(file), grid, file)
+    one = _stack_set(label, file.stack, file.model, checked_values(file), grid, file)
+    if (refusal := _refusal(one, finder)) is not None:
+        raise FormatError(path, f"cannot be used with this log: {refusal}")
+    return one
+
+
+def _refusal(one: ParameterSet, finder: RangeFinder) -> str | None:
+    """Return why a program would not run on scans of a sensor, such as more beams asked for than there are."""
+    try:
+        one.make(one.values).log_likelihood(Scan(np.full(finder.n_beams, finder.max_range), finder), np.zeros(3))
+    except InvalidInputError as error:
+        return str(error)
+    return None
 
 
 def _default_set(stack: str, model: str, grid: OccupancyGrid) -> ParameterSet:

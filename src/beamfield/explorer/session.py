@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from beamfield.errors import InvalidInputError
-from beamfield.explorer.heat_maps import heat_around, heat_over
+from beamfield.explorer.heat_maps import heat_around, heat_over, quick_weights
 from beamfield.explorer.parameter_set import ParameterSet, with_common_ends
 from beamfield.explorer.reading import beam_parameters, reading_density, reading_score
 from beamfield.explorer.requests import Request
 from beamfield.explorer.scores import PoseScores
 from beamfield.explorer.shown_run import AGREEMENT, ShownRun, run_from
 from beamfield.geometry import FloatArray
+from beamfield.kernels.threads import n_threads, set_threads
 from beamfield.localization.lost_robot import LEAST_AGREEMENT
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
@@ -78,6 +79,7 @@ class Session:
         self.numbers = {**(numbers or {}), **(run.numbers if run else {})}
         self._held_out = held_out
         self._models: dict[Any, Any] = {}
+        self._weights: dict[Any, Any] = {}
         self._means: dict[Any, dict[str, float | None]] = {}
         self._lock = threading.Lock()
         self._answers: dict[str, Callable[[Request], dict[str, Any]]] = {
@@ -226,7 +228,10 @@ class Session:
         scan, _ = self._scan_of(request)
         one, values = self._set_of(request)
         width, dragged = request.number("width_m", 0.1, 50.0), request.flag("dragged")
-        return heat_around(one, self._model(one, values), scan, request.pose(), width, dragged=dragged)
+        model = self._model(one, values)
+        # One processor is left to the scores and the browser.
+        with set_threads(max(1, n_threads() - 1)):
+            return heat_around(one, model, self._weigh(one, model), scan, request.pose(), width, dragged=dragged)
 
     def _building(self, request: Request) -> dict[str, Any]:
         scan, _ = self._scan_of(request)
@@ -313,6 +318,13 @@ class Session:
                 self._models[key] = one.make(values)
             self._models[key] = self._models.pop(key)
             return self._models[key]
+
+    def _weigh(self, one: ParameterSet, model: Any) -> Any:
+        """Return the model's `quick_weights`, of the last two models: they have a table of the map's size."""
+        if model not in self._weights:
+            self._weights = dict([*self._weights.items()][-1:])
+            self._weights[model] = quick_weights(one, model)
+        return self._weights[model]
 
     @cached_property
     def _pose_scores(self) -> PoseScores:

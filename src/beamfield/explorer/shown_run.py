@@ -25,7 +25,7 @@ from beamfield.sensors import SensorLog
 
 # Seconds: poses of a run so far apart are interpolated; stamps of particles and of their scan may differ so much.
 MAX_GAP, SAME_TIME = 2.0, 0.02
-AGREEMENT = "filter: share of readings that agree with the map"
+AGREEMENT, ERROR = "filter: share of readings that agree with the map", "filter: position error [m]"
 # Of a filter that the page runs: particles, and how many of them are shown.
 PARTICLES, DRAWN_PARTICLES = 2000, 200
 
@@ -53,14 +53,14 @@ class ShownRun:
 
 
 def read_shown_run(path: Path, log: SensorLog, grid: OccupancyGrid) -> ShownRun:
-    """Read a run, and compare it with the log that it was run on.
+    """Read a run, and compare it with the scans of the log that it was run on.
 
     Parameters
     ----------
     path
         As for `read_run`.
     log, grid
-        The scans and the map.
+        The scans, with or without reference poses, and the map.
 
     Raises
     ------
@@ -76,8 +76,6 @@ def read_shown_run(path: Path, log: SensorLog, grid: OccupancyGrid) -> ShownRun:
             f"{_span(log.stamps)}",
         )
     numbers = {AGREEMENT: scan_agreement(log, grid, poses, most=len(log))}
-    if log.has_poses:
-        numbers["filter: position error [m]"] = np.hypot(*(poses - log.poses)[:, :2].T)
     return ShownRun(poses, _by_scan(path, run, log), numbers, find_lost_robot(log, grid, poses))
 
 

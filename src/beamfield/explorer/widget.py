@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from beamfield.errors import BeamfieldError, MissingDependencyError
 from beamfield.explorer.open_session import open_session
+from beamfield.explorer.parameter_set import read_set
 from beamfield.explorer.server import MODULES, as_json, page_file
 from beamfield.explorer.session import Session
+from beamfield.explorer.shown_run import read_shown_run
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 
@@ -78,7 +80,9 @@ def explore(
     ----------
     Probabilistic Robotics, Figures 6.3, 6.4 and 6.7, to be moved by hand.
     """
-    session, _ = open_session(log, grid, files, run=run, fit=fit)
+    sets = [read_set(Path(file), grid, log.finder) for file in files]
+    shown = None if run is None else read_shown_run(Path(run), log, grid)
+    session, _ = open_session(log, grid, sets, run=shown, fit=fit)
     return session_widget(session)
 
 

@@ -51,6 +51,7 @@ export function build(root, hasPlace) {
     verdict: make("p", { className: "verdict" }),
     sliders: make("div", { className: "sliders" }),
     judged: make("p", { className: "note judged" }),
+    fitting: make("p", { className: "note" }),
     reset: button("Reset", "Set the values back to those of the set"),
     resetTo: make("select", { "aria-label": "Set the values to those of another set" }),
     download: button("Download file", "Save the values as a parameter file"),
@@ -83,7 +84,7 @@ export function build(root, hasPlace) {
     make("div", { className: "side" },
       section("models", "What each model says of this scan", table,
         make("div", { className: "row beside" }, make("span", { textContent: "Beside it", "aria-hidden": "true" }), page.beside), page.verdict),
-      section("parameters", "Parameters of the chosen model", page.sliders, page.judged,
+      section("parameters", "Parameters of the chosen model", page.sliders, page.judged, page.fitting,
         make("div", { className: "row" }, page.reset, page.resetTo, page.download))),
   ));
   return page;

@@ -11,6 +11,7 @@ import { degrees, minus, wrapped } from "./words.js";
 const HEAT_WIDTH = 4, AROUND = 12; // metres: of the heat map, and of the map at first
 const FRAME_MS = 100; // between two scans while playing
 const REST_MS = 350; // after which the robot counts as at rest
+const HEAT_MS = 100; // between two heat maps: the page and the scores need the processors, too
 
 export async function mount(root, ask, place = null) {
   const page = build(root, place !== null);
@@ -55,6 +56,7 @@ class Explorer {
     new ResizeObserver(() => this.redraw()).observe(page.root);
     const { clientWidth, clientHeight } = page.views[0].canvas;
     this.view.scale = Math.min(clientWidth, clientHeight) / AROUND;
+    this.showTime();
     this.changed();
     this.scored();
   }
@@ -64,11 +66,8 @@ class Explorer {
   // Something is at another place, time or value: ask anew, and show what is known at once.
   changed() {
     const { page, start } = this, [x, y, heading] = this.pose;
-    page.scan.value = this.i;
-    page.when.textContent = `scan ${this.i + 1} of ${start.times.length}, ${start.times[this.i].toFixed(1)} s`;
     page.pose.textContent = `x ${minus(x.toFixed(2))} m, y ${minus(y.toFixed(2))} m, heading ${minus(degrees(heading).toFixed(1))}°`;
     page.reference.disabled = start.poses[this.i] === null;
-    this.place?.write(this);
     const shown = this.other === null ? [this.set] : [this.set, this.other];
     this.latest.send(this.message("scan", { shown }), (answer) => {
       this.answer = answer;
@@ -78,9 +77,15 @@ class Explorer {
     });
     this.askHeat(true);
     clearTimeout(this.resting);
-    this.resting = setTimeout(() => this.askHeat(false), REST_MS);
+    this.resting = setTimeout(() => { this.askHeat(false); this.place?.write(this); }, REST_MS);
     this.askDensity();
     this.draw();
+  }
+
+  showTime() {
+    const { page, start } = this;
+    page.scan.value = this.i;
+    page.when.textContent = `scan ${this.i + 1} of ${start.times.length}, ${start.times[this.i].toFixed(1)} s`;
     this.panels.drawTimeline();
   }
 
@@ -113,7 +118,7 @@ class Explorer {
         view.heat = heat;
         view.draw();
         this.panels.showLegends();
-      }, { kind: `heat ${view.canvas.dataset.letter}` });
+      }, { kind: `heat ${view.canvas.dataset.letter}`, every: HEAT_MS });
     }
   }
 
@@ -142,6 +147,7 @@ class Explorer {
     this.panels.listSliders();
     this.panels.showModels();
     this.panels.listCurves(this.other === null ? null : POSE);
+    this.panels.drawTimeline();
     this.panels.showLegends();
   }
 
@@ -166,6 +172,7 @@ class Explorer {
     page.recorded.addEventListener("click", () => this.show(this.run === this.recorded ? null : this.recorded));
     page.download.addEventListener("click", () => this.latest.send(this.message("file"), ({ file, text }) => download(file, text)));
     page.copy.addEventListener("click", async () => {
+      this.place.write(this);
       const copied = await navigator.clipboard.writeText(this.place.address()).then(() => true, () => false);
       page.copy.textContent = copied ? "Copied" : "Copy it from the address bar";
       setTimeout(() => { page.copy.textContent = "Copy link"; }, 2000);
@@ -201,6 +208,7 @@ class Explorer {
     if (known) this.pose = [...known];
     for (const view of this.views) view.heat = null;
     this.keepInView();
+    this.showTime();
     this.changed();
     this.scored();
   }

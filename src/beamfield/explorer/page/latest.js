@@ -6,17 +6,24 @@ export class Latest {
   // `onTrouble` gets the text of the errors there are, "" for none.
   constructor(ask, onTrouble) { Object.assign(this, { ask, onTrouble, waiting: new Map(), busy: new Set(), errors: new Map() }); }
 
-  // `use` gets the answer, `done` is called after it or after an error; `kind` tells requests of one name apart.
-  send(message, use, { kind = message.name, done = () => {} } = {}) {
-    if (this.busy.has(kind)) { this.waiting.set(kind, [message, use, { kind, done }]); return; }
+  // `use` gets the answer, `done` is called after it or after an error; `kind` tells requests of one name apart, of
+  // which one is sent every so many milliseconds at most.
+  send(message, use, { kind = message.name, done = () => {}, every = 0 } = {}) {
+    if (this.busy.has(kind)) { this.waiting.set(kind, [message, use, { kind, done, every }]); return; }
     this.busy.add(kind);
+    const sent = performance.now();
     this.ask(message).then((answer) => { this.note(kind, null); use(answer); }).catch((error) => this.note(kind, error.message)).finally(() => {
       done();
-      this.busy.delete(kind);
-      const next = this.waiting.get(kind);
-      this.waiting.delete(kind);
-      if (next) this.send(...next);
+      const left = every - (performance.now() - sent);
+      if (left > 0) setTimeout(() => this.next(kind), left); else this.next(kind);
     });
+  }
+
+  next(kind) {
+    const next = this.waiting.get(kind);
+    this.busy.delete(kind);
+    this.waiting.delete(kind);
+    if (next) this.send(...next);
   }
 
   note(kind, text) {

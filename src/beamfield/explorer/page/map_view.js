@@ -7,17 +7,26 @@ const ROBOT = 11, ARROW = 46, GRAB = 20, NEAR = 26;
 
 export class MapView {
   // `state` has view, pose, picture, start, answer, run, beam and i; `set` and `heat` are this map's own.
-  constructor({ canvas }, state) { Object.assign(this, { canvas, state, set: null, heat: null }); }
+  constructor({ canvas }, state) {
+    Object.assign(this, { canvas, state, set: null, heat: null });
+    this.measure();
+  }
+
+  // Once a frame: the page is laid out for it.
+  measure() { this.width = this.canvas.clientWidth; this.height = this.canvas.clientHeight; }
 
   draw() {
-    cancelAnimationFrame(this.frame);
-    this.frame = requestAnimationFrame(() => { if (this.canvas.clientWidth) this.drawAll(); });
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = null;
+      this.measure();
+      if (this.width) this.drawAll();
+    });
   }
 
   drawAll() {
-    const { state } = this, colours = state.colours, context = sharp(this.canvas), { clientWidth, clientHeight } = this.canvas, { map } = state.start;
+    const { state } = this, colours = state.colours, context = sharp(this.canvas, { alpha: false }), { map } = state.start;
     context.fillStyle = colours.unknown;
-    context.fillRect(0, 0, clientWidth, clientHeight);
+    context.fillRect(0, 0, this.width, this.height);
     if (state.picture) this.drawImage(context, state.picture, map.origin, map.width_m, map.height_m, state.view.scale * map.width_m / state.picture.width < 1);
     if (this.heat) this.drawHeat(context, colours);
     this.drawWays(context, colours);
@@ -115,7 +124,7 @@ export class MapView {
 
   drawScale(context, colours) {
     const { scale } = this.state.view, metres = [0.1, 0.5, 1, 2, 5, 10, 20, 50].find((m) => m * scale > 60) ?? 100;
-    const { clientWidth, clientHeight } = this.canvas, right = clientWidth - 14, y = clientHeight - 14;
+    const right = this.width - 14, y = this.height - 14;
     context.strokeStyle = context.fillStyle = colours.ink; context.lineWidth = 2; context.font = "12px system-ui, sans-serif"; context.textAlign = "right";
     context.beginPath(); context.moveTo(right - metres * scale, y); context.lineTo(right, y); context.stroke();
     context.fillText(`${metres} m`, right, y - 6);
@@ -133,13 +142,13 @@ export class MapView {
   }
 
   toScreen([x, y]) {
-    const { clientWidth, clientHeight } = this.canvas, { view } = this.state;
-    return [clientWidth / 2 + (x - view.x) * view.scale, clientHeight / 2 - (y - view.y) * view.scale];
+    const { view } = this.state;
+    return [this.width / 2 + (x - view.x) * view.scale, this.height / 2 - (y - view.y) * view.scale];
   }
 
   toMap(screenX, screenY) {
-    const { clientWidth, clientHeight } = this.canvas, { view } = this.state;
-    return [view.x + (screenX - clientWidth / 2) / view.scale, view.y - (screenY - clientHeight / 2) / view.scale];
+    const { view } = this.state;
+    return [view.x + (screenX - this.width / 2) / view.scale, view.y - (screenY - this.height / 2) / view.scale];
   }
 
   tip() {
@@ -159,7 +168,7 @@ export class MapView {
     return best;
   }
 
-  zoom(ratio, screenX = this.canvas.clientWidth / 2, screenY = this.canvas.clientHeight / 2) {
+  zoom(ratio, screenX = this.width / 2, screenY = this.height / 2) {
     const { view } = this.state, [x, y] = this.toMap(screenX, screenY);
     view.scale = Math.max(1, Math.min(400, view.scale * ratio));
     const [nowX, nowY] = this.toMap(screenX, screenY);

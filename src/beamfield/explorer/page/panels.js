@@ -91,7 +91,7 @@ export class Panels {
       output.setAttribute("for", input.id);
       input.addEventListener("input", () => {
         explorer.values[explorer.set][slider.name] = toValue(slider, Number(input.value) / 1000);
-        output.textContent = shown(slider, explorer.values[explorer.set][slider.name]);
+        this.showValues();
         explorer.valued();
       });
       this.inputs[slider.name] = { slider, input, output };
@@ -102,6 +102,8 @@ export class Panels {
     placeholder.disabled = true;
     page.resetTo.replaceChildren(placeholder, ...family.map(([number, one]) => new Option(one.label, number)));
     page.resetTo.hidden = family.length === 0;
+    // A filter's replay decides these values, which takes minutes: the command does it, and writes a file to look at here.
+    page.fitting.textContent = own.kind === "stack" ? `To fit them: beamfield calibrate LOG --map MAP --stack ${own.family.split(" ")[0]}; show its file with --params.` : "";
     this.showValues();
     this.judge();
   }
@@ -119,8 +121,10 @@ export class Panels {
     for (const [name, { slider, input, output }] of Object.entries(this.inputs)) {
       const value = explorer.values[explorer.set][name];
       if (document.activeElement !== input) input.value = Math.round(1000 * toShare(slider, value));
-      output.textContent = shown(slider, value);
-      input.setAttribute("aria-valuetext", output.textContent);
+      const text = shown(slider, value);
+      if (output.textContent === text) continue;
+      output.textContent = text;
+      input.setAttribute("aria-valuetext", text);
     }
     this.page.reset.disabled = explorer.moved()[explorer.set] === undefined;
   }

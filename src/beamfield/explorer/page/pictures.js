@@ -9,10 +9,10 @@ export function coloursOf(root) {
 }
 
 // A canvas whose pixels are those of the screen; returns a context that counts in CSS pixels.
-export function sharp(canvas) {
+export function sharp(canvas, options = {}) {
   const ratio = globalThis.devicePixelRatio || 1, width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", options);
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   return context;
 }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
+from beamfield.calibration import pose_windows
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
 
@@ -15,9 +18,10 @@ def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Try few settings and numbers of beams for a stack: which are tried is tested elsewhere."""
-    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=20)
+    """Try few settings, numbers of beams and poses for a stack: which are tried is tested elsewhere."""
+    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=12)
     monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
     monkeypatch.setattr(replay_choice, "OF_RAYS", few)
     monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))
+    monkeypatch.setattr(pose_windows, "WindowOptions", partial(pose_windows.WindowOptions, near=100, far=25))

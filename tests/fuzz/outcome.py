@@ -20,7 +20,7 @@ from beamfield.errors import (
 )
 from tests.fuzz.case import Case
 from tests.fuzz.memory import PeakMemory
-from tests.fuzz.targets import Target
+from tests.fuzz.target import Target
 
 DOCUMENTED = (FormatError, InvalidInputError, MissingDependencyError, TooLittleDataError)
 MAX_SECONDS = 1.0

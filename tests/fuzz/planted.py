@@ -12,7 +12,7 @@ import numpy as np
 
 from beamfield.errors import InvalidInputError
 from tests.fuzz.case import Case, one_file
-from tests.fuzz.targets import Target
+from tests.fuzz.target import Target
 
 
 def _example() -> list[Case]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,38 +27,9 @@ from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
 from tests.fuzz import sane
-from tests.fuzz.case import Case
 from tests.fuzz.commands import calibrate_and_patch, check_patch, run_command, translate_and_patch
 from tests.fuzz.seeds import bags, fleets, landmarks, logs, maps, parameters
-
-
-@dataclass(frozen=True)
-class Target:
-    """A reader under test.
-
-    Parameters
-    ----------
-    name
-        For tables and folders.
-    seeds
-        Makes its valid examples.
-    read
-        Reads what it is given, and returns a result or raises.
-    check
-        Asserts that the result is sane.
-    writes
-        Whether it may leave files beside its input.
-    weight
-        Its share of a long run's time, 1 for most.
-    """
-
-    name: str
-    seeds: Callable[[], list[Case]]
-    read: Callable[[Path], Any]
-    check: Callable[[Any], None]
-    writes: bool = False
-    weight: float = 1.0
-
+from tests.fuzz.target import Target
 
 # What a user may say about a log, besides nothing. Which of them is used follows from the input, so that reading an
 # input again is the same again.

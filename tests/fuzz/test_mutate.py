@@ -16,7 +16,8 @@ from tests.fuzz.mutate.png import MAGIC, mutate_png, png_bytes, png_chunks
 from tests.fuzz.mutate.text import mutate_text
 from tests.fuzz.outcome import observe
 from tests.fuzz.seeds import bags, maps
-from tests.fuzz.targets import BY_NAME, TARGETS, Target
+from tests.fuzz.target import Target
+from tests.fuzz.targets import BY_NAME, TARGETS
 from tests.fuzz.worker import compiled_once
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.fuzz.outcome import observe
-from tests.fuzz.targets import TARGETS, Target
+from tests.fuzz.target import Target
+from tests.fuzz.targets import TARGETS
 from tests.fuzz.worker import Stream, compiled_once, read_inputs
 
 SEED = "1"

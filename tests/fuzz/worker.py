@@ -25,7 +25,7 @@ from tests.fuzz.case import Case
 from tests.fuzz.memory import PeakMemory, address_space
 from tests.fuzz.mutate import mutated
 from tests.fuzz.outcome import Outcome, keep, observe
-from tests.fuzz.targets import Target
+from tests.fuzz.target import Target
 
 # Beyond what the examples need; a reader that asks for more gets a MemoryError before the machine suffers.
 SPARE_BYTES = 2 * 2**30

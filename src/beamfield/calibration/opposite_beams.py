@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,7 +158,7 @@ def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return slope, intercept
 
 
-def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding]:
+def map_findings(pairs: OppositeBeams | None, resolution: float) -> Iterator[Finding]:
     """Report walls that are drawn too thick, or a wrong scale of the map.
 
     Parameters
@@ -172,7 +173,7 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
     One warning or none.
     """
     if pairs is None:
-        return []
+        return
     values = {
         "n_pairs": float(pairs.n_pairs),
         "median_difference": pairs.median_difference,
@@ -181,34 +182,27 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
         "widening": pairs.widening,
         "widening_se": pairs.widening_se,
     }
-    found = []
     # At a scale surely wrong by more than 1 %; by less, the walls' thickness is the larger error.
     if abs(pairs.scale - 1.0) > max(MOST_SCALE_ERROR + 2.0 * pairs.scale_se, 4.0 * pairs.scale_se):
-        found.append(
-            Finding(
-                "map-scale",
-                "warning",
-                f"The map seems to have the wrong scale: distances between opposite walls measure {pairs.scale:.3f} "
-                f"times the mapped ones (standard error {pairs.scale_se:.3f}).",
-                values,
-                why="Every expected range is wrong by this factor, far ones most.",
-                do=f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would "
-                "fit.",
-            )
+        yield Finding(
+            "map-scale",
+            "warning",
+            f"The map seems to have the wrong scale: distances between opposite walls measure {pairs.scale:.3f} "
+            f"times the mapped ones (standard error {pairs.scale_se:.3f}).",
+            values,
+            why="Every expected range is wrong by this factor, far ones most.",
+            do=f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would fit.",
         )
     elif abs(pairs.median_difference) > max(1.5 * resolution, 0.06):
         narrow = pairs.median_difference > 0
-        found.append(
-            Finding(
-                "walls-too-thick" if narrow else "walls-too-thin",
-                "warning",
-                f"The lidar measures {abs(pairs.median_difference):.2f} m {'more' if narrow else 'less'} between "
-                f"opposite walls than the map shows ({pairs.n_pairs} pairs of opposite beams; this hardly depends on "
-                f"the pose). The map's walls are drawn too {'thick' if narrow else 'thin'}, by "
-                f"{abs(pairs.median_difference) / 2:.2f} m on each side.",
-                values,
-                why="sigma_hit and range_offset then describe the map, not the sensor.",
-                do="For the sensor's own noise redraw the map with finer cells; to localize in this map, go on.",
-            )
+        yield Finding(
+            "walls-too-thick" if narrow else "walls-too-thin",
+            "warning",
+            f"The lidar measures {abs(pairs.median_difference):.2f} m {'more' if narrow else 'less'} between "
+            f"opposite walls than the map shows ({pairs.n_pairs} pairs of opposite beams; this hardly depends on "
+            f"the pose). The map's walls are drawn too {'thick' if narrow else 'thin'}, by "
+            f"{abs(pairs.median_difference) / 2:.2f} m on each side.",
+            values,
+            why="sigma_hit and range_offset then describe the map, not the sensor.",
+            do="For the sensor's own noise redraw the map with finer cells; to localize in this map, go on.",
         )
-    return found

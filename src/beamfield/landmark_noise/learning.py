@@ -225,7 +225,7 @@ def learn_landmark_parameters(
         n_blocks=intervals.n_blocks,
         table=table,
         of_landmark=of_landmark,
-        findings=noise_findings(table, climb, intervals, landmark_map.ids, residuals, of_landmark),
+        findings=tuple(noise_findings(table, climb, intervals, landmark_map.ids, residuals, of_landmark)),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -223,7 +223,7 @@ def intervals_of_blocks(
     """
     if len(sizes) == 1:
         nothing = np.full((N_PARAMETERS, N_PARAMETERS), np.nan)
-        return IntervalResult({}, {}, level, 1, _findings(1, length)), nothing
+        return IntervalResult({}, {}, level, 1, tuple(_findings(1, length))), nothing
     jackknife = _Jackknife(problem, theta, gradients, hessian, sizes, level)
     learned = [name for name in _NAMES if problem.free[problem.position(name)]]
     intervals = IntervalResult(
@@ -231,7 +231,7 @@ def intervals_of_blocks(
         standard_errors={name: jackknife.standard_error(problem.position(name)) for name in learned},
         level=level,
         n_blocks=len(sizes),
-        findings=_findings(len(sizes), length),
+        findings=tuple(_findings(len(sizes), length)),
     )
     return intervals, jackknife.errors.robust
 
@@ -447,29 +447,23 @@ class _Jackknife:
         return bool(self._shape_interval(RATE)[1] >= ceiling)
 
 
-def _findings(n_blocks: int, length: float) -> tuple[Finding, ...]:
+def _findings(n_blocks: int, length: float) -> Iterator[Finding]:
     if n_blocks == 1:
-        return (
-            Finding(
-                "no-intervals",
-                "warning",
-                "All beams lie in one block of time, so there are no intervals.",
-                {"n_blocks": 1.0},
-                why="Nothing says how much the values would change with another drive.",
-                do="Record a longer log.",
-            ),
+        yield Finding(
+            "no-intervals",
+            "warning",
+            "All beams lie in one block of time, so there are no intervals.",
+            {"n_blocks": 1.0},
+            why="Nothing says how much the values would change with another drive.",
+            do="Record a longer log.",
         )
-    covered = n_blocks * length
-    if n_blocks < FEWEST_COMPARED_BLOCKS or covered < 0.999 * LEAST_TIME_S:
-        return (
-            Finding(
-                "few-blocks",
-                "warning",
-                f"The intervals rest on {n_blocks} blocks of {length:.3g} s.",
-                {"n_blocks": float(n_blocks), "block_s": length},
-                why="Rare events, such as people walking by every half minute, hardly show in them.",
-                do=f"Record a log of {1.5 * LEAST_TIME_S / 60.0:.0f} minutes in motion ({LEAST_TIME_S:.0f} s of fitted "
-                "beams).",
-            ),
+    elif n_blocks < FEWEST_COMPARED_BLOCKS or n_blocks * length < 0.999 * LEAST_TIME_S:
+        yield Finding(
+            "few-blocks",
+            "warning",
+            f"The intervals rest on {n_blocks} blocks of {length:.3g} s.",
+            {"n_blocks": float(n_blocks), "block_s": length},
+            why="Rare events, such as people walking by every half minute, hardly show in them.",
+            do=f"Record a log of {1.5 * LEAST_TIME_S / 60.0:.0f} minutes in motion ({LEAST_TIME_S:.0f} s of fitted "
+            "beams).",
         )
-    return ()

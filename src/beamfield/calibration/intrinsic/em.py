@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -345,18 +345,14 @@ def _result(
     )
 
 
-def _convergence_findings(best: Climb) -> list[Finding]:
-    if best.converged:
-        return []
-    steps = best.em_steps + best.newton_steps
-    text = f"Learning stopped after {steps} iterations before it converged."
-    return [
-        Finding(
+def _convergence_findings(best: Climb) -> Iterator[Finding]:
+    if not best.converged:
+        steps = best.em_steps + best.newton_steps
+        yield Finding(
             "not-converged",
             "warning",
-            text,
+            f"Learning stopped after {steps} iterations before it converged.",
             {"iterations": float(steps)},
             why="Other values may explain the beams better.",
             do="Raise max_iterations.",
         )
-    ]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
+from beamfield.calibration.block_errors import jackknife_error
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.sensors import SensorLog
@@ -89,9 +90,7 @@ def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) 
         rest = blocks[first] != block
         if rest.sum() >= FEWEST_PAIRS // 2:
             replicates.append(_robust_line(mapped[rest], measured[rest]))
-    spread = np.array(replicates) if len(replicates) > 1 else np.full((2, 2), np.nan)
-    n = len(spread)
-    scale_se, widening_se = np.sqrt((n - 1) / n * ((spread - spread.mean(axis=0)) ** 2).sum(axis=0))
+    scale_se, widening_se = jackknife_error(np.array(replicates)) if len(replicates) > 1 else (np.nan, np.nan)
     return OppositeBeams(
         n_pairs,
         float(np.median(measured - mapped)),

@@ -108,7 +108,7 @@ def test_known_parameters_come_back_within_their_standard_errors(table, truth):
         middle, reach = 0.5 * (low + high), 0.5 * (high - low)  # reach: about two standard errors
         assert abs(value - middle) < 2.0 * reach, name
         assert reach < 0.15 * value, name
-    assert not density_findings(table, fit, n_blocks)
+    assert not list(density_findings(table, fit, n_blocks))
 
 
 def test_intervals_are_as_wide_as_estimates_vary(room, axes, truth):

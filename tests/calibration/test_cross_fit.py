@@ -180,7 +180,7 @@ def test_much_uncertainty_is_a_warning(maps, drive):
     names = [finding.name for finding in cross_fit_findings(maps, thin, 0, TRUTH, wide)]
     assert names == ["cross-fitted-map", "few-walls-drawn", "sigma-includes-map-error"]
     narrow = replace(NONE, intervals={"sigma_hit": (0.049, 0.051)})
-    assert len(cross_fit_findings(maps, table, table.n_unsure, TRUTH, narrow)) == 1
+    assert len(list(cross_fit_findings(maps, table, table.n_unsure, TRUTH, narrow))) == 1
 
 
 def test_too_few_walls_do_not_raise_the_question_of_the_map(drive):

@@ -52,8 +52,3 @@ def test_no_stamps_make_no_blocks():
 def test_a_block_without_length_is_refused(length):
     with pytest.raises(InvalidInputError, match="block_s"):
         time_blocks([0.0, 1.0], length)
-
-
-def test_holding_out_every_block_is_refused():
-    with pytest.raises(InvalidInputError, match="every"):
-        held_out_mask([0.0, 1.0], every=1)

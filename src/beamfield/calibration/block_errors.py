@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import betaincinv, stdtrit
 
 from beamfield.geometry import FloatArray
 
@@ -61,3 +61,19 @@ def block_interval(
     spread = float(np.exp(min(reach / (1.0 - value / most), LONGEST_REACH)))
     low, high = odds / spread, odds * spread
     return most * low / (1.0 + low), most * (1.0 - 1.0 / (1.0 + high))
+
+
+def share_interval(share: float, variance: float, outside: float) -> tuple[float, float]:
+    """Return Clopper and Pearson's interval for a share in (0, 1), from the sample size that its variance implies.
+
+    Parameters
+    ----------
+    share, variance
+        The estimate, and its variance, positive.
+    outside
+        The share of such intervals that may miss the truth.
+    """
+    n = share * (1.0 - share) / variance
+    hits, misses = share * n, (1.0 - share) * n
+    low = float(betaincinv(hits, misses + 1.0, 0.5 * outside)) if hits > 1e-100 else 0.0  # SciPy's is NaN there
+    return low, float(betaincinv(hits + 1.0, misses, 1.0 - 0.5 * outside))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -234,13 +235,13 @@ def calibrate(
     fitted = table.select(~held_out & ~table.hits_nothing)
     report("intervals", 0, 1)
     intervals = _intervals(fitted, chosen, options)
-    drawn: list[Finding] = []
+    from_table: Iterable[Finding] = table_findings(table)
     if isinstance(grid, CrossFitMaps):
         if clutter is not None:
             seen = clutter.select(~np.isin(clutter.scan, table.scan[held_out]))
             fit, intervals = with_clutter(fit, intervals, len(fitted), seen, options)
             fit, intervals = without_wall_error(fit, intervals, wall_variance(log, grid, table, fit.sigma_hit))
-        drawn = cross_fit_findings(grid, table, 0 if clutter is None else len(clutter), fit, intervals)
+        from_table = cross_fit_findings(grid, table, 0 if clutter is None else len(clutter), fit, intervals)
     report("intervals", 1, 1)
 
     # 5. Judge it on the held-out blocks.
@@ -264,7 +265,7 @@ def calibrate(
         *blind_findings(table, log),
         *chosen.result.findings,
         *intervals.findings,
-        *(drawn if isinstance(grid, CrossFitMaps) else table_findings(table)),
+        *from_table,
     ]
     return Calibration(
         parameters=fit,

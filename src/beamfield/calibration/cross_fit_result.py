@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -173,7 +174,7 @@ def without_wall_error(
 
 def cross_fit_findings(
     maps: CrossFitMaps, table: BeamTable, n_clutter: int, parameters: BeamParameters, intervals: IntervalResult
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Report that the map comes from the log itself, what that means, and what stays uncertain.
 
     Parameters
@@ -198,42 +199,35 @@ def cross_fit_findings(
         if maps.counts is not None
         else f"Expected ranges are those of cells of {maps.whole.resolution:g} m. "
     )
-    findings = [
-        Finding(
-            "cross-fitted-map",
-            "info",
-            "No map was given. Each half of the scans was judged by a map drawn from the other half, so no beam met a "
-            f"wall that it drew itself; {known:.0%} of the beams stay within what the other half has seen. {ends}"
-            "Errors that the map and the poses share do not show: sigma_hit is the repeatability of the sensor "
-            "at these poses.",
-            {"resolution": maps.whole.resolution, "share_known": known, "share_used": used},
-        )
-    ]
+    yield Finding(
+        "cross-fitted-map",
+        "info",
+        "No map was given. Each half of the scans was judged by a map drawn from the other half, so no beam met a "
+        f"wall that it drew itself; {known:.0%} of the beams stay within what the other half has seen. {ends}"
+        "Errors that the map and the poses share do not show: sigma_hit is the repeatability of the sensor "
+        "at these poses.",
+        {"resolution": maps.whole.resolution, "share_known": known, "share_used": used},
+    )
     if used < FEW_USED:
-        findings.append(
-            Finding(
-                "few-walls-drawn",
-                "warning",
-                f"Only {used:.0%} of the beams meet something that the other half of the scans maps with certainty.",
-                {"share_used": used},
-                why="The parameters are those of these beams.",
-                do="Give a map, or a log that sees each place more often.",
-            )
+        yield Finding(
+            "few-walls-drawn",
+            "warning",
+            f"Only {used:.0%} of the beams meet something that the other half of the scans maps with certainty.",
+            {"share_used": used},
+            why="The parameters are those of these beams.",
+            do="Give a map, or a log that sees each place more often.",
         )
     low = intervals.intervals.get("sigma_hit", (parameters.sigma_hit,))[0]
     if maps.counts is not None and low < (1.0 - WIDE) * parameters.sigma_hit:
-        findings.append(
-            Finding(
-                "sigma-includes-map-error",
-                "warning",
-                "The walls that the two halves drew differ. The error that this shows is taken out of sigma_hit, "
-                "but there may be more.",
-                {"low": low},
-                why=f"sigma_hit may be as low as {low:.3f} m.",
-                do="Give a map, or a log that sees each wall more often.",
-            )
+        yield Finding(
+            "sigma-includes-map-error",
+            "warning",
+            "The walls that the two halves drew differ. The error that this shows is taken out of sigma_hit, "
+            "but there may be more.",
+            {"low": low},
+            why=f"sigma_hit may be as low as {low:.3f} m.",
+            do="Give a map, or a log that sees each wall more often.",
         )
-    return findings
 
 
 def _without(sigma: float, variance: float) -> float:

@@ -14,6 +14,9 @@ from beamfield.models.beam import beam_log_density, beam_pit, beam_responsibilit
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
 
+# An extra parameter must gain this much per held-out measurement, nats, and twice its standard error.
+LEAST_GAIN = 0.005
+
 
 def _normalized(z_hit: float, z_short: float, z_max: float, z_rand: float, sigma: float, rate: float) -> BeamParameters:
     total = z_hit + z_short + z_max + z_rand
@@ -88,26 +91,21 @@ def score_models(
     -------
     One score per model, in their order; -inf where a model makes a reading impossible.
     """
-    rows = ~table.hits_nothing
-    z, expected, block = table.ranges[rows], table.expected_ranges[rows], blocks[rows]
-    scores: list[ModelScore] = []
-    reference: FloatArray | None = None
-    for name, parameters in models.items():
-        density = beam_log_density(z, expected, table.max_range, parameters, min_range=table.min_range)
-        if reference is None:
-            reference = density
-        behind = reference - density
-        scores.append(
-            ModelScore(
-                name,
-                parameters,
-                float(density.mean()),
-                block_standard_error(density, block),
-                float(behind.mean()),
-                block_standard_error(behind, block),
-            )
-        )
-    return tuple(scores)
+    used, block = table.select(~table.hits_nothing), blocks[~table.hits_nothing]
+    densities = {name: log_density(used, parameters) for name, parameters in models.items()}
+    fit = next(iter(densities.values()))
+
+    def score(name: str, density: FloatArray) -> ModelScore:
+        error, behind = block_standard_error(density, block), fit - density
+        behind_se = block_standard_error(behind, block)
+        return ModelScore(name, models[name], float(density.mean()), error, float(behind.mean()), behind_se)
+
+    return tuple(score(*each) for each in densities.items())
+
+
+def log_density(table: BeamTable, parameters: BeamParameters) -> FloatArray:
+    """Return the log density of each beam's range, (n,) nats."""
+    return beam_log_density(table.ranges, table.expected_ranges, table.max_range, parameters, min_range=table.min_range)
 
 
 def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float:
@@ -140,6 +138,12 @@ def block_standard_error(values: FloatArray, blocks: NDArray[np.int64]) -> float
     return float(np.sqrt(n_blocks / (n_blocks - 1) * (centred**2).sum()) / len(values))
 
 
+def is_worth_it(gains: FloatArray, blocks: NDArray[np.int64]) -> bool:
+    """Return whether held-out gains (n,), nats, justify one parameter more: enough, and more than twice their error."""
+    noise = block_standard_error(gains, blocks)
+    return bool(gains.mean() > max(LEAST_GAIN, 2.0 * noise if np.isfinite(noise) else 0.0))
+
+
 def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.Generator) -> FloatArray:
     """Return the randomised probability integral transform of each beam; uniform on [0, 1] if the model is right.
 
@@ -158,10 +162,8 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
     -------
     (m,) in [0, 1], of the beams whose ray hits something.
     """
-    rows = ~table.hits_nothing
-    return beam_pit(
-        table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters, rng, min_range=table.min_range
-    )
+    used = table.select(~table.hits_nothing)
+    return beam_pit(used.ranges, used.expected_ranges, used.max_range, parameters, rng, min_range=used.min_range)
 
 
 def pit_deviation(pit: FloatArray) -> float:
@@ -250,11 +252,7 @@ def timeline(table: BeamTable, parameters: BeamParameters, held_out: NDArray[np.
     One entry per scan with a beam whose ray hits something, in the order of the log.
     """
     rows = ~table.hits_nothing
-    density = beam_log_density(
-        table.ranges[rows], table.expected_ranges[rows], table.max_range, parameters, min_range=table.min_range
-    )
-    scans, first, index = np.unique(table.scan[rows], return_index=True, return_inverse=True)
-    total = np.bincount(index, weights=density)
-    return Timeline(
-        scans.astype(np.int64), table.stamps[rows][first], total / np.bincount(index), held_out[rows][first]
-    )
+    used = table.select(rows)
+    scans, first, index = np.unique(used.scan, return_index=True, return_inverse=True)
+    total = np.bincount(index, weights=log_density(used, parameters))
+    return Timeline(scans.astype(np.int64), used.stamps[first], total / np.bincount(index), held_out[rows][first])

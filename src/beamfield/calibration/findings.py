@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -24,14 +25,12 @@ MOST_OF_A_BLIND_BEAM = 0.01
 MOST_SECTORS = 5
 
 
-def selection_findings(selection: Selection) -> list[Finding]:
+def selection_findings(selection: Selection) -> Iterator[Finding]:
     """Warn if many reference poses lie off the map."""
     off = selection.dropped.get("off the map", 0)
     share = off / len(selection.used)
-    if share <= 0.1:
-        return []
-    return [
-        Finding(
+    if share > 0.1:
+        yield Finding(
             "poses-off-map",
             "warning",
             f"{off} of {len(selection.used)} reference poses ({share:.0%}) lie off the map.",
@@ -39,84 +38,72 @@ def selection_findings(selection: Selection) -> list[Finding]:
             why="The map does not cover the log, or the poses are not in its frame.",
             do="Check the frame of the poses, and that the map is that of this drive.",
         )
-    ]
 
 
-def score_findings(scores: tuple[ModelScore, ...]) -> list[Finding]:
+def score_findings(scores: tuple[ModelScore, ...]) -> Iterator[Finding]:
     """Warn of a fit that is not better than the models it is compared with; the first score is the fit's."""
-    found = [
-        Finding(
-            "fit-not-better",
-            "warning",
-            f"On held-out beams the fit is not better than {score.name}: {score.behind_fit:+.4f} nats per beam.",
-            {"behind_fit": score.behind_fit},
-            why="Fit and held-out blocks differ too much, or there is too little data.",
-            do="Calibrate with a longer log of the places where the robot will drive.",
-        )
-        for score in scores[1:]
-        if score.behind_fit <= 0
-    ]
-    found += [
-        Finding(
-            "map-says-nothing",
-            "warning",
-            f"The fit is hardly better than a uniform density that ignores the map ({score.behind_fit:+.2f} nats per "
-            "held-out beam).",
-            {"behind_fit": score.behind_fit},
-            why="Most likely the map is wrong, or the poses are not in its frame.",
-            do="See the figure of causes on the map: hits should lie on its walls. Then correct the map or the poses.",
-        )
-        for score in scores[1:]
-        if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM
-    ]
-    return found
+    for score in scores[1:]:
+        if score.behind_fit <= 0:
+            yield Finding(
+                "fit-not-better",
+                "warning",
+                f"On held-out beams the fit is not better than {score.name}: {score.behind_fit:+.4f} nats per beam.",
+                {"behind_fit": score.behind_fit},
+                why="Fit and held-out blocks differ too much, or there is too little data.",
+                do="Calibrate with a longer log of the places where the robot will drive.",
+            )
+        if score.name == "uniform" and score.behind_fit < LEAST_GAIN_OVER_UNIFORM:
+            yield Finding(
+                "map-says-nothing",
+                "warning",
+                f"The fit is hardly better than a uniform density that ignores the map ({score.behind_fit:+.2f} nats "
+                "per held-out beam).",
+                {"behind_fit": score.behind_fit},
+                why="Most likely the map is wrong, or the poses are not in its frame.",
+                do="See the figure of causes on the map: hits should lie on its walls. Then correct the map or the "
+                "poses.",
+            )
 
 
-def cone_findings(log: SensorLog) -> list[Finding]:
+def cone_findings(log: SensorLog) -> Iterator[Finding]:
     """Report that readings are treated as cones, if the sensor has an opening angle."""
     opening = log.finder.opening_angle
-    if opening == 0.0:
-        return []
-    return [
-        Finding(
+    if opening > 0.0:
+        yield Finding(
             "cones",
             "info",
             f"The sensor's readings are taken as cones of {math.degrees(opening):.3g} degrees: the expected range is "
             "that of the nearest obstacle in the cone. Use the parameters with SonarModel.",
             {"opening_angle": opening},
         )
-    ]
 
 
-def left_out_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
+def left_out_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
     """Warn of many readings without a measurement: they count in no parameter, not even z_max."""
     total = max(table.n_readings, 1)
     # Beams that are NaN in all scans are masked.
     masked = float(np.isnan(log.ranges).all(axis=0).mean())
     nan, close = table.n_nan / total - masked, table.n_too_close / total
-    found = []
     if nan > NOTABLE_SHARE_LEFT_OUT:
-        text = f"{nan:.1%} of the readings are NaN (no measurement) and were left out."
-        found.append(
-            Finding(
-                "nan-readings",
-                "warning",
-                text,
-                {"n": float(table.n_nan), "share": nan},
-                why="If this sensor reports a missing return as NaN, they are missing from z_max.",
-                do="Then read the log with no_return='nan'.",
-            )
+        yield Finding(
+            "nan-readings",
+            "warning",
+            f"{nan:.1%} of the readings are NaN (no measurement) and were left out.",
+            {"n": float(table.n_nan), "share": nan},
+            why="If this sensor reports a missing return as NaN, they are missing from z_max.",
+            do="Then read the log with no_return='nan'.",
         )
     if close > NOTABLE_SHARE_LEFT_OUT:
-        text = (
+        yield Finding(
+            "too-close-readings",
+            "info",
             f"{close:.1%} of the readings are nearer than min_range = {table.min_range:.6g} m and were left out: parts "
-            "of the robot, or readings outside the sensor's specified range."
+            "of the robot, or readings outside the sensor's specified range.",
+            {"n": float(table.n_too_close), "share": close},
         )
-        found.append(Finding("too-close-readings", "info", text, {"n": float(table.n_too_close), "share": close}))
-    return found
 
 
-def blind_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
+def blind_findings(table: BeamTable, log: SensorLog) -> Iterator[Finding]:
     """Name the beams that never return although the map has something there: parts of the robot."""
     k = log.finder.n_beams
     hits = ~table.hits_nothing
@@ -125,7 +112,7 @@ def blind_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
     judged = expected >= FEWEST_OF_A_BEAM
     blind = judged & (returned < MOST_OF_A_BLIND_BEAM * expected)
     if not blind.any() or returned[judged].sum() < 0.5 * expected[judged].sum():
-        return []
+        return
     runs = np.split(np.flatnonzero(blind), np.flatnonzero(np.diff(np.flatnonzero(blind)) > 1) + 1)
     sectors = [_sector(log.finder.bearings[run]) for run in runs]
     shown = ", ".join(
@@ -134,16 +121,14 @@ def blind_findings(table: BeamTable, log: SensorLog) -> list[Finding]:
     ) + (f" and {len(runs) - MOST_SECTORS} more sectors" if len(runs) > MOST_SECTORS else "")
     share = float(expected[blind].sum() / hits.sum())
     options = " ".join(f"--mask={first:g}:{last:g}" for first, last in sectors[:MOST_SECTORS])
-    return [
-        Finding(
-            "blind-beams",
-            "warning",
-            f"Beams {shown} never return although the map has something there: parts of the robot, most likely.",
-            {"n_beams": float(blind.sum()), "share": share},
-            why=f"They are {share:.1%} of the readings and count in z_max.",
-            do=f"Mask them ({options}).",
-        )
-    ]
+    yield Finding(
+        "blind-beams",
+        "warning",
+        f"Beams {shown} never return although the map has something there: parts of the robot, most likely.",
+        {"n_beams": float(blind.sum()), "share": share},
+        why=f"They are {share:.1%} of the readings and count in z_max.",
+        do=f"Mask them ({options}).",
+    )
 
 
 def _sector(bearings: FloatArray) -> tuple[float, float]:
@@ -153,14 +138,12 @@ def _sector(bearings: FloatArray) -> tuple[float, float]:
     return (first + 180.0) % 360.0 - 180.0, (last + 180.0) % 360.0 - 180.0
 
 
-def table_findings(table: BeamTable) -> list[Finding]:
+def table_findings(table: BeamTable) -> Iterator[Finding]:
     """Warn if most readings have no expected range."""
     nothing = int(table.hits_nothing.sum())
     total = len(table) + table.n_unknown
-    if total == 0 or (nothing + table.n_unknown) / total <= 0.5:
-        return []
-    return [
-        Finding(
+    if nothing + table.n_unknown > 0.5 * total:
+        yield Finding(
             "few-expected-ranges",
             "warning",
             f"Only {1 - (nothing + table.n_unknown) / total:.0%} of the readings have an expected range: "
@@ -169,4 +152,3 @@ def table_findings(table: BeamTable) -> list[Finding]:
             why="The parameters rest on the other readings alone.",
             do="Check that the map is complete and the poses are in its frame.",
         )
-    ]

@@ -9,17 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.evaluation import block_standard_error
+from beamfield.calibration.evaluation import block_standard_error, is_worth_it, log_density
 from beamfield.calibration.intrinsic.em import LearningResult, learn_intrinsic_parameters
 from beamfield.calibration.options import CalibrationOptions, Choice
 from beamfield.geometry import FloatArray
-from beamfield.models.beam_density import beam_log_density
 from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int, int], None]
-
-# An extra parameter must gain this much per held-out beam (nats), and twice its standard error.
-LEAST_GAIN = 0.005
 
 
 @dataclass(frozen=True)
@@ -85,8 +81,9 @@ def fit_candidates(
     -------
     One per form, from the simplest to the richest; one of them is chosen.
     """
-    fitted, judged = table.select(~held_out & ~table.hits_nothing), table.select(held_out & ~table.hits_nothing)
-    judged_blocks = blocks[held_out & ~table.hits_nothing]
+    usable = ~table.hits_nothing
+    fitted, judged = table.select(~held_out & usable), table.select(held_out & usable)
+    judged_blocks = blocks[held_out & usable]
     forms = [
         (offset, slope)
         for offset in (False, True)
@@ -98,7 +95,7 @@ def fit_candidates(
         progress("learning", number, len(forms))
         results.append(_learn(fitted, options, offset=offset, slope=slope))
     progress("learning", len(forms), len(forms))
-    densities = [_log_density(judged, result) for result in results]
+    densities = [log_density(judged, result.parameters) for result in results]
     gains = [density - densities[0] for density in densities]
     best = _choose(densities, judged_blocks)
     return tuple(
@@ -128,12 +125,6 @@ def _learn(table: BeamTable, options: CalibrationOptions, *, offset: bool, slope
     )
 
 
-def _log_density(table: BeamTable, result: LearningResult) -> FloatArray:
-    return beam_log_density(
-        table.ranges, table.expected_ranges, table.max_range, result.parameters, min_range=table.min_range
-    )
-
-
 def _allowed(present: bool, choice: Choice) -> bool:
     return choice == "auto" or present == (choice == "on")
 
@@ -147,8 +138,6 @@ def _choose(densities: list[FloatArray], blocks: NDArray[np.int64]) -> int:
     """Start with the simplest form; move to another only for a gain that is more than noise."""
     best = 0
     for i, density in enumerate(densities):
-        gain = density - densities[best]
-        noise = block_standard_error(gain, blocks)
-        if gain.mean() > max(LEAST_GAIN, 2.0 * noise if np.isfinite(noise) else 0.0):
+        if is_worth_it(density - densities[best], blocks):
             best = i
     return best

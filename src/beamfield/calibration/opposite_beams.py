@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
+from beamfield.calibration.block_errors import jackknife_error
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.sensors import SensorLog
@@ -88,9 +90,7 @@ def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) 
         rest = blocks[first] != block
         if rest.sum() >= FEWEST_PAIRS // 2:
             replicates.append(_robust_line(mapped[rest], measured[rest]))
-    spread = np.array(replicates) if len(replicates) > 1 else np.full((2, 2), np.nan)
-    n = len(spread)
-    scale_se, widening_se = np.sqrt((n - 1) / n * ((spread - spread.mean(axis=0)) ** 2).sum(axis=0))
+    scale_se, widening_se = jackknife_error(np.array(replicates)) if len(replicates) > 1 else (np.nan, np.nan)
     return OppositeBeams(
         n_pairs,
         float(np.median(measured - mapped)),
@@ -157,7 +157,7 @@ def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return slope, intercept
 
 
-def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding]:
+def map_findings(pairs: OppositeBeams | None, resolution: float) -> Iterator[Finding]:
     """Report walls that are drawn too thick, or a wrong scale of the map.
 
     Parameters
@@ -172,7 +172,7 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
     One warning or none.
     """
     if pairs is None:
-        return []
+        return
     values = {
         "n_pairs": float(pairs.n_pairs),
         "median_difference": pairs.median_difference,
@@ -181,34 +181,27 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> list[Finding
         "widening": pairs.widening,
         "widening_se": pairs.widening_se,
     }
-    found = []
     # At a scale surely wrong by more than 1 %; by less, the walls' thickness is the larger error.
     if abs(pairs.scale - 1.0) > max(MOST_SCALE_ERROR + 2.0 * pairs.scale_se, 4.0 * pairs.scale_se):
-        found.append(
-            Finding(
-                "map-scale",
-                "warning",
-                f"The map seems to have the wrong scale: distances between opposite walls measure {pairs.scale:.3f} "
-                f"times the mapped ones (standard error {pairs.scale_se:.3f}).",
-                values,
-                why="Every expected range is wrong by this factor, far ones most.",
-                do=f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would "
-                "fit.",
-            )
+        yield Finding(
+            "map-scale",
+            "warning",
+            f"The map seems to have the wrong scale: distances between opposite walls measure {pairs.scale:.3f} "
+            f"times the mapped ones (standard error {pairs.scale_se:.3f}).",
+            values,
+            why="Every expected range is wrong by this factor, far ones most.",
+            do=f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would fit.",
         )
     elif abs(pairs.median_difference) > max(1.5 * resolution, 0.06):
         narrow = pairs.median_difference > 0
-        found.append(
-            Finding(
-                "walls-too-thick" if narrow else "walls-too-thin",
-                "warning",
-                f"The lidar measures {abs(pairs.median_difference):.2f} m {'more' if narrow else 'less'} between "
-                f"opposite walls than the map shows ({pairs.n_pairs} pairs of opposite beams; this hardly depends on "
-                f"the pose). The map's walls are drawn too {'thick' if narrow else 'thin'}, by "
-                f"{abs(pairs.median_difference) / 2:.2f} m on each side.",
-                values,
-                why="sigma_hit and range_offset then describe the map, not the sensor.",
-                do="For the sensor's own noise redraw the map with finer cells; to localize in this map, go on.",
-            )
+        yield Finding(
+            "walls-too-thick" if narrow else "walls-too-thin",
+            "warning",
+            f"The lidar measures {abs(pairs.median_difference):.2f} m {'more' if narrow else 'less'} between "
+            f"opposite walls than the map shows ({pairs.n_pairs} pairs of opposite beams; this hardly depends on "
+            f"the pose). The map's walls are drawn too {'thick' if narrow else 'thin'}, by "
+            f"{abs(pairs.median_difference) / 2:.2f} m on each side.",
+            values,
+            why="sigma_hit and range_offset then describe the map, not the sensor.",
+            do="For the sensor's own noise redraw the map with finer cells; to localize in this map, go on.",
         )
-    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -166,10 +166,10 @@ def _delay(log: SensorLog, scans: NDArray[np.int64], shifts: FloatArray) -> tupl
     return delay, float(1.0 - left / max(float((shifts[good, 0] ** 2).sum()), 1e-12))
 
 
-def refinement_findings(refinement: PoseRefinement | None) -> list[Finding]:
+def refinement_findings(refinement: PoseRefinement | None) -> Iterator[Finding]:
     """Report how much of sigma_hit is error of the reference poses, and whether these are late; nothing for None."""
     if refinement is None:
-        return []
+        return
     shift = np.median(np.hypot(refinement.shifts[:, 0], refinement.shifts[:, 1]))
     turn = np.median(np.abs(refinement.shifts[:, 2]))
     values = {
@@ -187,29 +187,25 @@ def refinement_findings(refinement: PoseRefinement | None) -> list[Finding]:
         f"{np.degrees(turn):.2f} deg)."
     )
     if refinement.sigma_after >= 0.85 * refinement.sigma_before:
-        return [Finding("pose-refinement", "info", text + " The reference poses explain little of sigma_hit.", values)]
-    found = [
-        Finding(
-            "pose-error-in-sigma",
-            "warning",
-            text,
-            values,
-            why="Part of sigma_hit is error of the reference poses, not of the sensor.",
-            do="Use the smaller sigma_hit for a sensor with exact poses; else localize better and calibrate again.",
-        )
-    ]
+        yield Finding("pose-refinement", "info", text + " The reference poses explain little of sigma_hit.", values)
+        return
+    yield Finding(
+        "pose-error-in-sigma",
+        "warning",
+        text,
+        values,
+        why="Part of sigma_hit is error of the reference poses, not of the sensor.",
+        do="Use the smaller sigma_hit for a sensor with exact poses; else localize better and calibrate again.",
+    )
     if abs(refinement.delay) > LEAST_DELAY and refinement.delay_share > 0.5:
         late = "older" if refinement.delay > 0 else "newer"
-        found.append(
-            Finding(
-                "stamps-skewed",
-                "warning",
-                f"The refined poses lie along the path, in proportion to the speed: the reference poses seem "
-                f"{abs(refinement.delay):.2f} s {late} than the scans with the same stamp "
-                f"({refinement.delay_share:.0%} of the shifts along the path).",
-                values,
-                why="While the robot moves, each scan is compared with the map at a wrong place.",
-                do="Correct the clock offset between the laser and the localizer, or the stamps of the poses.",
-            )
+        yield Finding(
+            "stamps-skewed",
+            "warning",
+            f"The refined poses lie along the path, in proportion to the speed: the reference poses seem "
+            f"{abs(refinement.delay):.2f} s {late} than the scans with the same stamp "
+            f"({refinement.delay_share:.0%} of the shifts along the path).",
+            values,
+            why="While the robot moves, each scan is compared with the map at a wrong place.",
+            do="Correct the clock offset between the laser and the localizer, or the stamps of the poses.",
         )
-    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +18,7 @@ WINDOW_S = 5.0
 LEAST_MOTION = 0.5
 
 
-def pose_findings(log: SensorLog, grid: OccupancyGrid) -> list[Finding]:
+def pose_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
     """Check the reference path of a whole log against the map and the odometry.
 
     Parameters
@@ -30,19 +32,17 @@ def pose_findings(log: SensorLog, grid: OccupancyGrid) -> list[Finding]:
     -------
     Findings; none if the path is plausible.
     """
-    return [*_inside_walls(log, grid), *jump_findings(log), *_against_odometry(log)]
+    yield from (*_inside_walls(log, grid), *jump_findings(log), *_against_odometry(log))
 
 
-def jump_findings(log: SensorLog) -> list[Finding]:
+def jump_findings(log: SensorLog) -> Iterator[Finding]:
     """Find steps of a log's odometry that no robot makes."""
     known = np.isfinite(log.odometry).all(axis=1)
     stamps = log.stamps[known]
     times = stamps[1:][_jumps(log.odometry[known], stamps)] - log.stamps[:1]
     n = len(times)
-    if n == 0:
-        return []
-    return [
-        Finding(
+    if n > 0:
+        yield Finding(
             "odometry-jumps",
             "warning",
             f"The odometry jumps {'once' if n == 1 else f'{n} times'} farther than a robot drives or turns, first "
@@ -51,33 +51,30 @@ def jump_findings(log: SensorLog) -> list[Finding]:
             why="It was reset, or is not in metres; a filter that follows it gets lost.",
             do="Look for a restart of the base at these times.",
         )
-    ]
 
 
-def _inside_walls(log: SensorLog, grid: OccupancyGrid) -> list[Finding]:
+def _inside_walls(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
     posed = np.isfinite(log.poses).all(axis=1)
     inside = grid.look_up(grid.occupied, log.poses[posed, :2])
     share = float(inside.mean()) if len(inside) else 0.0
     if share == 0.0:
-        return []
+        return
     first = log.stamps[posed][inside][0] - log.stamps[0]
-    return [
-        Finding(
-            "pose-in-wall",
-            "warning",
-            f"{int(inside.sum())} reference poses ({share:.1%}) lie inside occupied cells, first {first:.1f} s after "
-            "the start.",
-            {"n": float(inside.sum()), "share": share, "first_s": float(first)},
-            why="Either the reference is off or the map has obstacles that were not there.",
-            do="Look at the path on the map there; correct the poses, or clear those cells in the map.",
-        )
-    ]
+    yield Finding(
+        "pose-in-wall",
+        "warning",
+        f"{int(inside.sum())} reference poses ({share:.1%}) lie inside occupied cells, first {first:.1f} s after "
+        "the start.",
+        {"n": float(inside.sum()), "share": share, "first_s": float(first)},
+        why="Either the reference is off or the map has obstacles that were not there.",
+        do="Look at the path on the map there; correct the poses, or clear those cells in the map.",
+    )
 
 
-def _against_odometry(log: SensorLog) -> list[Finding]:
+def _against_odometry(log: SensorLog) -> Iterator[Finding]:
     both = np.isfinite(log.poses).all(axis=1) & np.isfinite(log.odometry).all(axis=1)
     if both.sum() < 3:
-        return []
+        return
     stamps, poses, odometry = log.stamps[both], log.poses[both], log.odometry[both]
     starts, ends = _windows(stamps)
     # What the odometry itself shows to be wrong says nothing about the reference.
@@ -85,7 +82,7 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
     steady = jumps[starts] == jumps[ends]
     starts, ends = starts[steady], ends[steady]
     if len(starts) == 0:
-        return []
+        return
     reference = between(poses[starts], poses[ends])
     driven = between(odometry[starts], odometry[ends])
     moved = np.hypot(driven[:, 0], driven[:, 1])
@@ -93,19 +90,16 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
     slip = np.hypot(*(reference[:, :2] - driven[:, :2]).T)
     turn_error = np.abs(wrap_angle(reference[:, 2] - driven[:, 2]))
     begin = stamps[starts] - log.stamps[0]
-    found = []
     stands = (moved > LEAST_MOTION) & (shown < 0.25 * moved)
     if stands.any():
-        found.append(
-            Finding(
-                "reference-stands-still",
-                "warning",
-                f"The reference stands still while the odometry moves in {int(stands.sum())} of {len(starts)} windows "
-                f"of {WINDOW_S:.0f} s, first at {begin[stands][0]:.1f} s.",
-                {"n_windows": float(stands.sum()), "first_s": float(begin[stands][0])},
-                why="The robot was not at these poses; the likelihood alone does not show it.",
-                do="Localize again, or cut this part out of the log.",
-            )
+        yield Finding(
+            "reference-stands-still",
+            "warning",
+            f"The reference stands still while the odometry moves in {int(stands.sum())} of {len(starts)} windows "
+            f"of {WINDOW_S:.0f} s, first at {begin[stands][0]:.1f} s.",
+            {"n_windows": float(stands.sum()), "first_s": float(begin[stands][0])},
+            why="The robot was not at these poses; the likelihood alone does not show it.",
+            do="Localize again, or cut this part out of the log.",
         )
     # Wheels that measure 25 % too far are seen; sideways a robot hardly moves without its odometry noticing.
     direction = driven[:, :2] / np.maximum(moved, 1e-9)[:, None]
@@ -116,36 +110,31 @@ def _against_odometry(log: SensorLog) -> list[Finding]:
     )
     slides &= ~stands
     if slides.mean() > 0.02 or slides.sum() >= 3:
-        found.append(
-            Finding(
-                "reference-slides",
-                "warning",
-                f"Reference poses and odometry disagree in {int(slides.sum())} of {len(starts)} windows of "
-                f"{WINDOW_S:.0f} s (median difference there {np.median(slip[slides]):.2f} m), first at "
-                f"{begin[slides][0]:.1f} s.",
-                {
-                    "n_windows": float(slides.sum()),
-                    "median_difference": float(np.median(slip[slides])),
-                    "first_s": float(begin[slides][0]),
-                },
-                why="The reference slides, like a lost localizer's, or the odometry slips or has a wrong sign.",
-                do="Look at the log there. If the odometry is wrong, go on; else localize again or cut this part out.",
-            )
+        yield Finding(
+            "reference-slides",
+            "warning",
+            f"Reference poses and odometry disagree in {int(slides.sum())} of {len(starts)} windows of "
+            f"{WINDOW_S:.0f} s (median difference there {np.median(slip[slides]):.2f} m), first at "
+            f"{begin[slides][0]:.1f} s.",
+            {
+                "n_windows": float(slides.sum()),
+                "median_difference": float(np.median(slip[slides])),
+                "first_s": float(begin[slides][0]),
+            },
+            why="The reference slides, like a lost localizer's, or the odometry slips or has a wrong sign.",
+            do="Look at the log there. If the odometry is wrong, go on; else localize again or cut this part out.",
         )
     turns = turn_error > 0.2
     if turns.mean() > 0.1:
-        found.append(
-            Finding(
-                "reference-turns",
-                "warning",
-                f"The heading of the reference and of the odometry differ by more than 0.2 rad within {WINDOW_S:.0f} s "
-                f"in {turns.mean():.0%} of the windows.",
-                {"share": float(turns.mean())},
-                why="Stamps may be skewed, or the odometry's turns are poor; wrong headings widen sigma_hit.",
-                do="Compare the clocks of laser and localizer; with poor odometry, go on.",
-            )
+        yield Finding(
+            "reference-turns",
+            "warning",
+            f"The heading of the reference and of the odometry differ by more than 0.2 rad within {WINDOW_S:.0f} s "
+            f"in {turns.mean():.0%} of the windows.",
+            {"share": float(turns.mean())},
+            why="Stamps may be skewed, or the odometry's turns are poor; wrong headings widen sigma_hit.",
+            do="Compare the clocks of laser and localizer; with poor odometry, go on.",
         )
-    return found
 
 
 def _jumps(odometry: FloatArray, stamps: FloatArray) -> NDArray[np.bool_]:

@@ -80,8 +80,8 @@ def block_length(stamps: ArrayLike, block_s: float | None = None) -> float:
     return float(block_s)
 
 
-def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 3) -> NDArray[np.bool_]:
-    """Return which stamps are held out: every `every`-th block of time, starting in the middle.
+def held_out_mask(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.bool_]:
+    """Return which stamps are held out: every third block of time, from the second on.
 
     Parameters
     ----------
@@ -89,8 +89,6 @@ def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 
         (n,) seconds.
     block_s
         Length of a block, see `time_blocks`.
-    every
-        One block in this many is held out.
 
     Returns
     -------
@@ -99,13 +97,11 @@ def held_out_mask(stamps: ArrayLike, block_s: float | None = None, every: int = 
     Raises
     ------
     InvalidInputError
-        If every < 2, or the length is not positive.
+        If the length is not positive.
 
     Examples
     --------
     >>> held_out_mask(np.arange(6) * 10.0, block_s=10.0).tolist()
     [False, True, False, False, True, True]
     """
-    if every < 2:
-        raise InvalidInputError(f"every: expected at least 2, got {every}")
-    return np.asarray(time_blocks(stamps, block_s) % every == every // 2)
+    return np.asarray(time_blocks(stamps, block_s) % 3 == 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ def noise_findings(
     ids: NDArray[np.int64],
     residuals: tuple[FloatArray, FloatArray],
     of_landmark: FloatArray,
-) -> tuple[Finding, ...]:
+) -> Iterator[Finding]:
     """Name what the parameters alone do not say.
 
     The names: ``not-converged``, ``no-intervals``, ``few-blocks``, ``features-left-out``, ``range-scale``,
@@ -60,7 +61,12 @@ def noise_findings(
     Findings; none if there is nothing to say.
     """
     theta = climb.theta
-    found = [*_climb_finding(climb), *_block_finding(intervals), *_left_out(table), *_scale_finding(theta, intervals)]
+    yield from (
+        *_climb_finding(climb),
+        *_block_finding(intervals),
+        *_left_out(table),
+        *_scale_finding(theta, intervals),
+    )
     for what, e, sigma, least in (
         ("range", residuals[0], theta.sigma_range, LEAST_SIGMA_RANGE),
         ("bearing", residuals[1], theta.sigma_bearing, LEAST_SIGMA_BEARING),
@@ -68,45 +74,38 @@ def noise_findings(
         used = ~np.isnan(e) & (of_landmark > 0.0)
         if not used.any():
             continue
-        found += _bias_finding(what, theta, intervals)
+        yield from _bias_finding(what, theta, intervals)
         if sigma <= least:
-            text = f"The {what} residuals have no noise: sigma_{what} stops at {sigma:g} {UNITS[what]}."
-            found.append(
-                Finding(
-                    f"{what}-exact",
-                    "warning",
-                    text,
-                    {f"sigma_{what}": sigma},
-                    why="No real sensor is exact: a filter with this sigma would trust it too much.",
-                    do="Learn from measured, not from simulated or rounded sightings.",
-                )
+            yield Finding(
+                f"{what}-exact",
+                "warning",
+                f"The {what} residuals have no noise: sigma_{what} stops at {sigma:g} {UNITS[what]}.",
+                {f"sigma_{what}": sigma},
+                why="No real sensor is exact: a filter with this sigma would trust it too much.",
+                do="Learn from measured, not from simulated or rounded sightings.",
             )
             continue
-        found += _dependence(what, e[used], of_landmark[used], table.blocks[used])
-        found += _tails(what, e[used], of_landmark[used])
-        found += _by_distance(what, table.expected_ranges[used], e[used], of_landmark[used])
-        found += _by_landmark(what, table.subset(used), ids, e[used], of_landmark[used], sigma)
-    return (*found, *_spurious_finding(intervals, of_landmark))
+        yield from _dependence(what, e[used], of_landmark[used], table.blocks[used])
+        yield from _tails(what, e[used], of_landmark[used])
+        yield from _by_distance(what, table.expected_ranges[used], e[used], of_landmark[used])
+        yield from _by_landmark(what, table.subset(used), ids, e[used], of_landmark[used], sigma)
+    yield from _spurious_finding(intervals, of_landmark)
 
 
-def _climb_finding(climb: NoiseClimb) -> list[Finding]:
-    if climb.converged:
-        return []
-    n = len(climb.trace) - 1
-    text = f"Learning stopped after {n} iterations before it converged."
-    return [
-        Finding(
+def _climb_finding(climb: NoiseClimb) -> Iterator[Finding]:
+    if not climb.converged:
+        n = len(climb.trace) - 1
+        yield Finding(
             "not-converged",
             "warning",
-            text,
+            f"Learning stopped after {n} iterations before it converged.",
             {"iterations": float(n)},
             why="The parameters are not yet the most likely ones.",
             do="Raise max_iterations.",
         )
-    ]
 
 
-def _block_finding(intervals: NoiseIntervals) -> list[Finding]:
+def _block_finding(intervals: NoiseIntervals) -> Iterator[Finding]:
     n = intervals.n_blocks
     if n == 1:
         text = "All sightings lie in one stretch of time, so there are no intervals."
@@ -115,135 +114,121 @@ def _block_finding(intervals: NoiseIntervals) -> list[Finding]:
         text = f"The intervals rest on {n} stretches of time, fewer than {FEWEST_TRUSTED_BLOCKS}."
         name, why = "few-blocks", "They are rough, those of the sigmas too narrow if errors last as long as a stretch."
     else:
-        return []
+        return
     do = "Record a longer log, from more places."
-    return [Finding(name, "warning", text, {"n_blocks": float(n)}, why=why, do=do)]
+    yield Finding(name, "warning", text, {"n_blocks": float(n)}, why=why, do=do)
 
 
-def _left_out(table: SightingTable) -> list[Finding]:
-    if not table.n_unknown and not table.n_without_pose:
-        return []
-    text = (
-        f"{table.n_unknown} features of unknown landmark and {table.n_without_pose} without a pose were left out: "
-        "the spurious rate is that of the features whose landmark is named."
-    )
-    numbers = {"n_unknown": float(table.n_unknown), "n_without_pose": float(table.n_without_pose)}
-    return [Finding("features-left-out", "info", text, numbers)]
+def _left_out(table: SightingTable) -> Iterator[Finding]:
+    if table.n_unknown or table.n_without_pose:
+        yield Finding(
+            "features-left-out",
+            "info",
+            f"{table.n_unknown} features of unknown landmark and {table.n_without_pose} without a pose were left out: "
+            "the spurious rate is that of the features whose landmark is named.",
+            {"n_unknown": float(table.n_unknown), "n_without_pose": float(table.n_without_pose)},
+        )
 
 
-def _bias_finding(what: str, theta: NoiseTheta, intervals: NoiseIntervals) -> list[Finding]:
+def _bias_finding(what: str, theta: NoiseTheta, intervals: NoiseIntervals) -> Iterator[Finding]:
     name = f"{what}_bias"
     low, high = intervals.intervals.get(name, (math.nan, math.nan))
     if not (low > 0.0 or high < 0.0):
-        return []
+        return
     bias, sigma = getattr(theta, name), getattr(theta, f"sigma_{what}")
     beside = " at distance 0" if what == "range" and theta.range_scale != 1.0 else ""
     notable = abs(bias) > NOTABLE_BIAS * sigma
-    text = f"{what.capitalize()} bias{beside} {bias:+.3g} {UNITS[what]} [{low:.3g}, {high:.3g}]."
     without = f"{math.hypot(sigma, bias):.3g} {UNITS[what]} instead of {sigma:.3g}"
-    return [
-        Finding(
-            f"{what}-bias",
-            "warning" if notable else "info",
-            text,
-            {"bias": bias, "low": low, "high": high},
-            why=f"Left out, sigma_{what} would be {without}.",
-            do=f"Remove it at the sensor (mount, clock) or keep {name}.",
-        )
-    ]
+    yield Finding(
+        f"{what}-bias",
+        "warning" if notable else "info",
+        f"{what.capitalize()} bias{beside} {bias:+.3g} {UNITS[what]} [{low:.3g}, {high:.3g}].",
+        {"bias": bias, "low": low, "high": high},
+        why=f"Left out, sigma_{what} would be {without}.",
+        do=f"Remove it at the sensor (mount, clock) or keep {name}.",
+    )
 
 
-def _scale_finding(theta: NoiseTheta, intervals: NoiseIntervals) -> list[Finding]:
+def _scale_finding(theta: NoiseTheta, intervals: NoiseIntervals) -> Iterator[Finding]:
     if theta.range_scale == 1.0:
-        return []
+        return
     low, high = intervals.intervals.get("range_scale", (math.nan, math.nan))
-    text = f"Measured ranges are {theta.range_scale:.4f} [{low:.4f}, {high:.4f}] times the true ones."
-    return [
-        Finding(
-            "range-scale",
-            "warning",
-            text,
-            {"range_scale": theta.range_scale, "low": low, "high": high},
-            why="The error grows with the distance, which no sigma or bias makes up for.",
-            do="Correct the sensor's scale (speed of light or sound, clock, focal length) or keep range_scale.",
-        )
-    ]
+    yield Finding(
+        "range-scale",
+        "warning",
+        f"Measured ranges are {theta.range_scale:.4f} [{low:.4f}, {high:.4f}] times the true ones.",
+        {"range_scale": theta.range_scale, "low": low, "high": high},
+        why="The error grows with the distance, which no sigma or bias makes up for.",
+        do="Correct the sensor's scale (speed of light or sound, clock, focal length) or keep range_scale.",
+    )
 
 
-def _spurious_finding(intervals: NoiseIntervals, of_landmark: FloatArray) -> list[Finding]:
+def _spurious_finding(intervals: NoiseIntervals, of_landmark: FloatArray) -> Iterator[Finding]:
     expected = float((1.0 - of_landmark).sum())
     if "spurious_rate" not in intervals.intervals or expected >= 1.0:
-        return []
+        return
     upper = intervals.intervals["spurious_rate"][1]
     text = f"No sighting looks spurious: the rate is below {upper:.2g} ({intervals.level:.0%}), not 0."
-    return [Finding("no-spurious", "info", text, {"expected": expected, "upper": upper})]
+    yield Finding("no-spurious", "info", text, {"expected": expected, "upper": upper})
 
 
-def _dependence(what: str, e: FloatArray, w: FloatArray, blocks: NDArray[np.int64]) -> list[Finding]:
+def _dependence(what: str, e: FloatArray, w: FloatArray, blocks: NDArray[np.int64]) -> Iterator[Finding]:
     means, _ = _block_means(e, w, blocks)
     if len(means) < FEWEST_TRUSTED_BLOCKS or not np.ptp(means) > 0.0:
-        return []
+        return
     off = means - means.mean()
     correlation = float(off[1:] @ off[:-1] / (off @ off))
     if correlation < NOTABLE_CORRELATION:
-        return []
-    text = f"Mean {what} residuals of neighbouring blocks go together (correlation {correlation:.2f})."
-    return [
-        Finding(
-            f"{what}-blocks-depend",
-            "warning",
-            text,
-            {"correlation": correlation},
-            why="The errors last longer than a block, and the intervals are too narrow.",
-            do="Give a longer block_s, or record more places.",
-        )
-    ]
+        return
+    yield Finding(
+        f"{what}-blocks-depend",
+        "warning",
+        f"Mean {what} residuals of neighbouring blocks go together (correlation {correlation:.2f}).",
+        {"correlation": correlation},
+        why="The errors last longer than a block, and the intervals are too narrow.",
+        do="Give a longer block_s, or record more places.",
+    )
 
 
-def _tails(what: str, e: FloatArray, w: FloatArray) -> list[Finding]:
+def _tails(what: str, e: FloatArray, w: FloatArray) -> Iterator[Finding]:
     # Judged by the deviation of the middle half: tails widen sigma itself until they hide behind it.
     of_landmark = w > 0.5
     if not of_landmark.any():
-        return []
+        return
     middle = NORMAL_FROM_MIDDLE * float(np.median(np.abs(e[of_landmark])))
     count = float(w[of_landmark & (np.abs(e) > 3.0 * middle)].sum())
     beyond = count / float(w[of_landmark].sum())
     if beyond <= NOTABLE_TAIL or count < FEWEST_IN_TAIL:
-        return []
-    text = (
+        return
+    yield Finding(
+        f"{what}-heavy-tails",
+        "warning",
         f"{beyond:.1%} of the {what}s of landmarks lie beyond three times the deviation of the middle half, "
-        f"{middle:.3g} {UNITS[what]}, where a normal has 0.3 %: the tails are heavier."
+        f"{middle:.3g} {UNITS[what]}, where a normal has 0.3 %: the tails are heavier.",
+        {"beyond": beyond, "middle_deviation": middle},
+        why=f"sigma_{what} is a compromise between most sightings and the few that are far off.",
+        do="Give a filter a larger spurious_rate.",
     )
-    return [
-        Finding(
-            f"{what}-heavy-tails",
-            "warning",
-            text,
-            {"beyond": beyond, "middle_deviation": middle},
-            why=f"sigma_{what} is a compromise between most sightings and the few that are far off.",
-            do="Give a filter a larger spurious_rate.",
-        )
-    ]
 
 
-def _by_distance(what: str, distances: FloatArray, e: FloatArray, w: FloatArray) -> list[Finding]:
+def _by_distance(what: str, distances: FloatArray, e: FloatArray, w: FloatArray) -> Iterator[Finding]:
     low, high = np.quantile(distances, [0.25, 0.75])
     near, far = (
         float(np.sqrt(np.cov(e[quarter], aweights=w[quarter]))) if w[quarter].sum() >= FEWEST_SIGHTINGS else 0.0
         for quarter in (distances <= low, distances >= high)
     )
     if not (near > 0.0 and far > 0.0 and low < high) or 1.0 / NOTABLE_RATIO <= far / near <= NOTABLE_RATIO:
-        return []
+        return
     text = (
         f"The {what} noise changes with distance: {near:.3g} {UNITS[what]} up to {low:.3g} m, {far:.3g} from "
         f"{high:.3g} m on. One sigma is too wide for some and too narrow for others."
     )
-    return [Finding(f"{what}-sigma-by-distance", "info", text, {"near": near, "far": far})]
+    yield Finding(f"{what}-sigma-by-distance", "info", text, {"near": near, "far": far})
 
 
 def _by_landmark(
     what: str, table: SightingTable, ids: NDArray[np.int64], e: FloatArray, w: FloatArray, sigma: float
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Name landmarks whose mean residual is more than three standard errors, taken from block to block, from 0."""
     off: dict[int, float] = {}
     seen = np.unique(table.landmarks)
@@ -257,22 +242,17 @@ def _by_landmark(
         if abs(mean) > 3.0 * error:
             off[int(ids[j])] = mean
     if not off or len(seen) < 2:
-        return []
+        return
     worst = max(off, key=lambda name: abs(off[name]))
-    text = (
+    yield Finding(
+        f"{what}-bias-by-landmark",
+        "warning",
         f"{len(off)} of {len(seen)} landmarks have a {what} bias of their own, most of all {worst} with "
-        f"{off[worst]:+.3g} {UNITS[what]} beside the others."
+        f"{off[worst]:+.3g} {UNITS[what]} beside the others.",
+        {"n": float(len(off)), "worst": off[worst], "id": float(worst)},
+        why="They pull the pose the same way whenever they are seen.",
+        do="Check where they are in the map, and how they look from where they are seen.",
     )
-    return [
-        Finding(
-            f"{what}-bias-by-landmark",
-            "warning",
-            text,
-            {"n": float(len(off)), "worst": off[worst], "id": float(worst)},
-            why="They pull the pose the same way whenever they are seen.",
-            do="Check where they are in the map, and how they look from where they are seen.",
-        )
-    ]
 
 
 def _block_means(e: FloatArray, w: FloatArray, blocks: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:

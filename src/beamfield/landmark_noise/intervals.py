@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from beamfield.calibration.intrinsic.block_intervals import share_interval
+from beamfield.calibration.block_errors import share_interval
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels.threads import run_in_blocks

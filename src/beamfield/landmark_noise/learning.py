@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.arguments import checked
+from beamfield.calibration.evaluation import is_worth_it
 from beamfield.detection_log import DetectionLog
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding
@@ -27,8 +28,6 @@ from beamfield.short_repr import short_repr
 FEWEST_SIGHTINGS = 20
 # EM approaches a spurious rate of 0 without end; below this many expected sightings it is there.
 NO_SIGHTING = 1e-3
-# A scale must gain more nats per held-out sighting than this, and more than twice its standard error.
-LEAST_GAIN = 0.005
 # Every third block is held out, as for beams.
 _EVERY = 3
 
@@ -225,7 +224,7 @@ def learn_landmark_parameters(
         n_blocks=intervals.n_blocks,
         table=table,
         of_landmark=of_landmark,
-        findings=noise_findings(table, climb, intervals, landmark_map.ids, residuals, of_landmark),
+        findings=tuple(noise_findings(table, climb, intervals, landmark_map.ids, residuals, of_landmark)),
     )
 
 
@@ -268,11 +267,7 @@ def _is_worth_it(table: SightingTable, plain: NoiseProblem, scaled: NoiseProblem
     without, gains = judge.e_step(simple)[0], judge.e_step(rich)[0]
     if rich.range_scale <= 0.0 or np.isneginf(gains).any():
         return False
-    gains = gains - without
-    mean, (_, number) = float(gains.mean()), np.unique(scored_on.blocks, return_inverse=True)
-    b, off = int(number.max()) + 1, np.bincount(number, gains - mean)
-    noise = math.sqrt(float(np.square(off).sum()) * b / (b - 1.0)) / len(gains) if b > 1 else 0.0
-    return mean > max(LEAST_GAIN, 2.0 * noise)
+    return is_worth_it(gains - without, scored_on.blocks)
 
 
 def _remaining(table: SightingTable, theta: NoiseTheta) -> tuple[FloatArray, FloatArray]:

@@ -6,8 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from beamfield.calibration.calibrate import Calibration
-from beamfield.calibration.evaluation import Timeline, block_standard_error
-from beamfield.calibration.hit_forms import LEAST_GAIN
+from beamfield.calibration.evaluation import LEAST_GAIN, Timeline, block_standard_error
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
 from beamfield.report.colours import DATA, FIT, HELD_OUT, QUIET

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtrit
 
 from beamfield.arguments import check_magnitude, checked
-from beamfield.calibration.intrinsic.block_intervals import share_interval
+from beamfield.calibration.block_errors import share_interval
 from beamfield.calibration.selection import Selection, SelectionOptions, select_scans
 from beamfield.calibration.time_split import LONGEST_BLOCK_S, block_length
 from beamfield.errors import InvalidInputError

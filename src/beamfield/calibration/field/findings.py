@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from beamfield.calibration.field.axis_density import DensityFit, share_bounds, sigma_bounds
 from beamfield.calibration.field.axis_table import AxisTable
@@ -18,7 +19,7 @@ def has_no_hits(table: AxisTable, fit: DensityFit) -> bool:
     return (fit.trace[-1] + math.log(table.span)) * len(table) < LEAST_GAIN
 
 
-def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[Finding]:
+def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> Iterator[Finding]:
     """Return what the readings do not tell about z_hit, z_rand and sigma_hit.
 
     Parameters
@@ -28,80 +29,64 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> list[F
     n_blocks
         Blocks of time that the intervals rest on.
     """
-    found = []
     low, high = sigma_bounds(table)
     sigma, share = fit.mixture.sigma, fit.mixture.hit_share
     if has_no_hits(table, fit):
-        found.append(
-            Finding(
-                "field-no-hits",
-                "warning",
-                f"The readings end near obstacles no more often than chance would ({fit.n_hits:.0f} of {len(table)} "
-                "look like hits).",
-                {"n_hits": fit.n_hits, "n": float(len(table))},
-                why="sigma_hit is undetermined.",
-                do="Check that the map is of this place and that the poses are in its frame.",
-            )
+        yield Finding(
+            "field-no-hits",
+            "warning",
+            f"The readings end near obstacles no more often than chance would ({fit.n_hits:.0f} of {len(table)} "
+            "look like hits).",
+            {"n_hits": fit.n_hits, "n": float(len(table))},
+            why="sigma_hit is undetermined.",
+            do="Check that the map is of this place and that the poses are in its frame.",
         )
     elif sigma <= low * 1.001:
-        found.append(
-            Finding(
-                "field-sigma-at-floor",
-                "warning",
-                f"All hits end in occupied cells: sigma_hit stops at {low:.4g} m, a quarter of a cell, and could be "
-                "less.",
-                {"sigma_hit": sigma, "resolution": table.resolution},
-                why="Walls drawn too thick hide the sensor's noise.",
-                do="Use the value with this map; for the sensor's own noise draw a map with finer cells.",
-            )
+        yield Finding(
+            "field-sigma-at-floor",
+            "warning",
+            f"All hits end in occupied cells: sigma_hit stops at {low:.4g} m, a quarter of a cell, and could be less.",
+            {"sigma_hit": sigma, "resolution": table.resolution},
+            why="Walls drawn too thick hide the sensor's noise.",
+            do="Use the value with this map; for the sensor's own noise draw a map with finer cells.",
         )
     elif sigma >= high / 1.001:
-        found.append(
-            Finding(
-                "field-sigma-at-ceiling",
-                "warning",
-                f"sigma_hit stops at {high:.3g} m, the largest that is searched.",
-                {"sigma_hit": sigma},
-                why="The readings hardly follow the map.",
-                do="Check that the map is of this place and that the poses are in its frame.",
-            )
+        yield Finding(
+            "field-sigma-at-ceiling",
+            "warning",
+            f"sigma_hit stops at {high:.3g} m, the largest that is searched.",
+            {"sigma_hit": sigma},
+            why="The readings hardly follow the map.",
+            do="Check that the map is of this place and that the poses are in its frame.",
         )
     if share >= share_bounds(len(table))[1]:
-        found.append(
-            Finding(
-                "field-no-random",
-                "info",
-                "No reading needs the random component: z_rand is set to half a reading, so that no reading makes "
-                "a pose impossible.",
-                {"n": float(len(table))},
-            )
+        yield Finding(
+            "field-no-random",
+            "info",
+            "No reading needs the random component: z_rand is set to half a reading, so that no reading makes "
+            "a pose impossible.",
+            {"n": float(len(table))},
         )
     if not fit.converged:
-        found.append(
-            Finding(
-                "field-not-converged",
-                "warning",
-                "Learning the likelihood field did not converge.",
-                why="Other values may explain the readings better.",
-                do="Do not use its values; calibrate with a longer log.",
-            )
+        yield Finding(
+            "field-not-converged",
+            "warning",
+            "Learning the likelihood field did not converge.",
+            why="Other values may explain the readings better.",
+            do="Do not use its values; calibrate with a longer log.",
         )
     if n_blocks < FEWEST_TRUSTED_BLOCKS:
-        found.append(
-            Finding(
-                "field-few-blocks",
-                "warning",
-                f"The likelihood field's intervals rest on {n_blocks} blocks of time, fewer than "
-                f"{FEWEST_TRUSTED_BLOCKS}.",
-                {"n_blocks": float(n_blocks)},
-                why="The intervals are rough.",
-                do="Record a longer log.",
-            )
+        yield Finding(
+            "field-few-blocks",
+            "warning",
+            f"The likelihood field's intervals rest on {n_blocks} blocks of time, fewer than {FEWEST_TRUSTED_BLOCKS}.",
+            {"n_blocks": float(n_blocks)},
+            why="The intervals are rough.",
+            do="Record a longer log.",
         )
-    return found
 
 
-def exponent_findings(reason: str, score: float | None, standard_error: float | None) -> list[Finding]:
+def exponent_findings(reason: str, score: float | None, standard_error: float | None) -> Iterator[Finding]:
     """Return what is to be known of the exponent and of the posteriors it makes.
 
     Parameters
@@ -112,25 +97,20 @@ def exponent_findings(reason: str, score: float | None, standard_error: float | 
         Of held-out windows, nats over knowing nothing; None without windows.
     """
     if reason:
-        return [
-            Finding(
-                "field-exponent-not-learned",
-                "warning",
-                f"The field's exponent was not learned: {reason}. It is 1.",
-                why="That takes beams for independent: a field with many beams is then far too certain.",
-                do="Use few beams of each scan (10 to 20), or calibrate with a longer log.",
-            )
-        ]
-    if score is not None and standard_error is not None and score <= 2.0 * standard_error:
-        return [
-            Finding(
-                "field-says-nothing",
-                "warning",
-                f"On held-out windows the likelihood field's posterior is no better than a uniform one ({score:+.2f} "
-                "nats).",
-                {"score": score},
-                why="Most likely the map, the poses or their frame are wrong.",
-                do="Correct them and calibrate again.",
-            )
-        ]
-    return []
+        yield Finding(
+            "field-exponent-not-learned",
+            "warning",
+            f"The field's exponent was not learned: {reason}. It is 1.",
+            why="That takes beams for independent: a field with many beams is then far too certain.",
+            do="Use few beams of each scan (10 to 20), or calibrate with a longer log.",
+        )
+    elif score is not None and standard_error is not None and score <= 2.0 * standard_error:
+        yield Finding(
+            "field-says-nothing",
+            "warning",
+            f"On held-out windows the likelihood field's posterior is no better than a uniform one ({score:+.2f} "
+            "nats).",
+            {"score": score},
+            why="Most likely the map, the poses or their frame are wrong.",
+            do="Correct them and calibrate again.",
+        )

@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import betaincinv, ndtri, stdtrit
 
 from beamfield.arguments import as_floats, checked
-from beamfield.calibration.intrinsic.curvature import free_directions, inverse_root
-from beamfield.calibration.intrinsic.identifiability import FEWEST_BEAMS_OF_A_CAUSE
+from beamfield.calibration.intrinsic.em import checked_beams
+from beamfield.calibration.intrinsic.jackknife import Jackknife
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
-from beamfield.calibration.intrinsic.likelihood import (
-    N_PARAMETERS,
-    OFFSET,
-    RATE,
-    SLOPE,
-    VARIANCE,
-    W_HIT,
-    W_SHORT,
-    IntrinsicLikelihood,
-    theta_of,
-)
+from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, IntrinsicLikelihood, theta_of
 from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.time_split import LONGEST_BLOCK_S, block_length, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -41,8 +28,6 @@ LEAST_TIME_S = 10 * LONGEST_BLOCK_S
 FEWEST_COMPARED_BLOCKS = 5
 # Beyond these levels the quantiles are all alike, or far beyond what a few blocks tell.
 LEVELS = (0.01, 0.999999)
-# The design effect of a cause is known from this many of its beams on.
-_BEAMS_OF_A_DESIGN_EFFECT = 10.0
 
 _NAMES = tuple(item.name for item in fields(BeamParameters))
 
@@ -170,9 +155,12 @@ def block_intervals(
     """
     if not LEVELS[0] <= level <= LEVELS[1]:
         raise InvalidInputError(f"level: expected a share between {LEVELS[0]:g} and {LEVELS[1]:g}, got {level}")
-    z, expected, times = _checked(ranges, expected_ranges, stamps, max_range, min_range)
+    z, expected, _ = checked_beams(ranges, expected_ranges, max_range, min_range)
+    times = _checked_stamps(stamps, len(z))
     length = block_length(times, block_s)
     used = (expected < max_range) & ~np.isnan(z)
+    if not used.any():
+        raise TooLittleDataError(f"0 of {z.size} beams have a reading and a ray that hits something in the map")
     _, blocks = np.unique(time_blocks(times, block_s)[used], return_inverse=True)
     z, expected = z[used], expected[used]
     problem = learning_problem(
@@ -223,56 +211,27 @@ def intervals_of_blocks(
     """
     if len(sizes) == 1:
         nothing = np.full((N_PARAMETERS, N_PARAMETERS), np.nan)
-        return IntervalResult({}, {}, level, 1, _findings(1, length)), nothing
-    jackknife = _Jackknife(problem, theta, gradients, hessian, sizes, level)
+        return IntervalResult({}, {}, level, 1, tuple(_findings(1, length))), nothing
+    jackknife = Jackknife(problem, theta, gradients, hessian, sizes, level)
     learned = [name for name in _NAMES if problem.free[problem.position(name)]]
     intervals = IntervalResult(
         intervals={name: jackknife.interval(problem.position(name)) for name in learned},
         standard_errors={name: jackknife.standard_error(problem.position(name)) for name in learned},
         level=level,
         n_blocks=len(sizes),
-        findings=_findings(len(sizes), length),
+        findings=tuple(_findings(len(sizes), length)),
     )
     return intervals, jackknife.errors.robust
 
 
-def share_interval(share: float, variance: float, outside: float) -> tuple[float, float]:
-    """Return Clopper and Pearson's interval for a share in (0, 1), from the sample size that its variance implies.
-
-    Parameters
-    ----------
-    share, variance
-        The estimate, and its variance, positive.
-    outside
-        The share of such intervals that may miss the truth.
-    """
-    n = share * (1.0 - share) / variance
-    hits, misses = share * n, (1.0 - share) * n
-    low = float(betaincinv(hits, misses + 1.0, 0.5 * outside)) if hits > 1e-100 else 0.0  # SciPy's is NaN there
-    return low, float(betaincinv(hits + 1.0, misses, 1.0 - 0.5 * outside))
-
-
-def _checked(
-    ranges: ArrayLike, expected_ranges: ArrayLike, stamps: ArrayLike, max_range: float, min_range: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    z, expected, times = (
-        as_floats(values, name)
-        for name, values in (("ranges", ranges), ("expected_ranges", expected_ranges), ("stamps", stamps))
-    )
-    for name, column in (("ranges", z), ("expected_ranges", expected), ("stamps", times)):
-        if column.shape != z.shape or column.ndim != 1:
-            raise InvalidInputError(f"{name}: expected one dimension as long as ranges, got shape {column.shape}")
-    for name, column, least in (("ranges", z, min_range), ("expected_ranges", expected, 0.0)):
-        bad = (column < least) if name == "ranges" else ~(column >= least)  # a range of NaN is not a measurement
-        if bad.any():
-            index = int(np.flatnonzero(bad)[0])
-            raise InvalidInputError(f"{name}[{index}]: expected a number >= {least:g}, got {column[index]}")
+def _checked_stamps(stamps: ArrayLike, n: int) -> FloatArray:
+    times = as_floats(stamps, "stamps")
+    if times.shape != (n,):
+        raise InvalidInputError(f"stamps: expected one dimension as long as ranges, got shape {times.shape}")
     if not np.isfinite(times).all():
         index = int(np.flatnonzero(~np.isfinite(times))[0])
         raise InvalidInputError(f"stamps[{index}]: expected a finite number of seconds, got {times[index]}")
-    if not ((expected < max_range) & ~np.isnan(z)).any():
-        raise TooLittleDataError(f"0 of {z.size} beams have a reading and a ray that hits something in the map")
-    return z, expected, times
+    return times
 
 
 def _derivatives_of_blocks(
@@ -293,183 +252,23 @@ def _derivatives_of_blocks(
     return gradients, hessian
 
 
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """Covariances of the working vector (8, 8), 0 for what may not move: of the jackknife, and of independent beams.
-
-    `moves` (b, 8) is by how much each block pulls the working vector.
-    """
-
-    robust: FloatArray
-    naive: FloatArray
-    moves: FloatArray
-
-    def design_effect(self, i: int) -> float:
-        return float(self.robust[i, i] / self.naive[i, i])
-
-    def skewness(self, i: int) -> float:
-        """Return the skewness of the blocks' moves; 0 where none moves."""
-        centred = self.moves[:, i] - self.moves[:, i].mean()
-        variance = float(np.mean(centred**2))
-        return float(np.mean(centred**3)) / variance**1.5 if variance > 0.0 else 0.0
-
-
-class _Jackknife:
-    """How far the parameters move when one block of time is left out, and the intervals that follow."""
-
-    def __init__(
-        self,
-        problem: LearningProblem,
-        theta: FloatArray,
-        gradients: FloatArray,
-        hessian: FloatArray,
-        sizes: NDArray[np.int64],
-        level: float,
-    ) -> None:
-        _, prior_gradient, prior_hessian = problem.priors.log_density(theta)
-        self.problem = problem
-        self.theta = theta
-        self.n_beams = int(sizes.sum())
-        # At a bound they do not add up to 0: what counts is how blocks differ beside their numbers of beams.
-        share = (sizes / self.n_beams)[:, None]
-        self.scores = (gradients - share * gradients.sum(axis=0)) / (1.0 - share)
-        self.gradient = gradients.sum(axis=0) + prior_gradient
-        self.hessian = hessian + prior_hessian
-        # Expected beams per cause: weight times the sum of density over mixture.
-        self.counts = theta[:4] * gradients[:, :4].sum(axis=0)
-        self.tail = 0.5 * (1.0 - level)
-        self.t = float(stdtrit(len(gradients) - 1, 1.0 - self.tail))
-        self.gaussian = float(ndtri(1.0 - self.tail))
-        self.wider = self.t / self.gaussian
-        self.most_nats = -math.log(1.0 - level) * self.wider**2
-        # A weight of 1 is not a bound of its own: the others' are at 0.
-        self.inside = problem.free & (theta > problem.lower) & ((theta < problem.upper) | (np.arange(N_PARAMETERS) < 4))
-
-    def interval(self, i: int) -> tuple[float, float]:
-        """Return (low, high) of entry i of the working vector, in the units of `BeamParameters`."""
-        if i == RATE and self._rate_is_undetermined:
-            return 0.0, math.inf
-        low, high = self._weight_interval(i) if i <= 3 else self._shape_interval(i)
-        return (math.sqrt(low), math.sqrt(high)) if i in (VARIANCE, SLOPE) else (low, high)
-
-    def standard_error(self, i: int) -> float:
-        """Return the standard error of entry i of the working vector, in the units of `BeamParameters`."""
-        if i == RATE and self._rate_is_undetermined:
-            return math.inf
-        if not self.inside[i]:
-            return math.nan
-        error = math.sqrt(self.errors.robust[i, i])
-        return error / (2.0 * math.sqrt(self.theta[i])) if i in (VARIANCE, SLOPE) else error
-
-    @cached_property
-    def errors(self) -> _Errors:
-        return self._errors(self.inside)
-
-    def _errors(self, moving: NDArray[np.bool_]) -> _Errors:
-        basis = free_directions(moving, self.theta)
-        if basis.shape[1] == 0:
-            nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
-            return _Errors(nothing, nothing, np.zeros_like(self.scores))
-        root = inverse_root(-basis.T @ self.hessian @ basis)
-        inverse = basis @ root @ root.T @ basis.T
-        moves = self.scores @ inverse
-        n_blocks = len(moves)
-        return _Errors((n_blocks - 1) / n_blocks * moves.T @ moves, inverse, moves)
-
-    def _reaches(self, i: int, known_skewness: float = 0.0) -> tuple[float, float]:
-        """Return how many standard errors an interval reaches down and up."""
-        a = self.errors.skewness(i) / math.sqrt(len(self.scores)) - known_skewness
-        if not 1e-6 < abs(a) < 1e6:  # beyond either end the formula gives t, but for rounding
-            return self.t, self.t
-        low, high = (3.0 / a * (math.cbrt(1.0 + a * x - a**2 / 6.0) - 1.0) for x in (self.t, -self.t))
-        return max(low, self.t), max(-high, self.t)
-
-    def _weight_interval(self, i: int) -> tuple[float, float]:
-        w, variance = float(self.theta[i]), float(self.errors.robust[i, i])
-        most = 1.0 - float(self.theta[:4][~self.problem.free[:4]].sum())
-        if w <= self.problem.lower[i]:
-            return 0.0, min(self._rise_from_bound(i, self._largest_design_effect), most)
-        if not (variance > 0.0 and w < 1.0):
-            # All of the weight there is, unless a cause that this log does not show has some.
-            absent = [k for k in range(4) if self.problem.free[k] and self.theta[k] <= self.problem.lower[k]]
-            rise = max((self._rise_from_bound(k, self._largest_design_effect) for k in absent), default=0.0)
-            return max(w - rise, 0.0), w
-        error = math.sqrt(variance)
-        down, up = self._reaches(i, (1.0 - 2.0 * w) * error / (w * (1.0 - w)))
-        low, _ = share_interval(w, variance * (down / self.gaussian) ** 2, 2.0 * self.tail)
-        _, high = share_interval(w, variance * (up / self.gaussian) ** 2, 2.0 * self.tail)
-        # Less than one reading in all is not a share: what moves such a weight are readings of other causes.
-        of_one_reading = float(betaincinv(2.0, (1.0 - w) / w, 1.0 - self.tail))
-        high = min(high, max(w + up * error, of_one_reading))  # in this order: the second may be NaN
-        return low, min(high, most)
-
-    def _shape_interval(self, i: int) -> tuple[float, float]:
-        value, lower, upper = (float(a[i]) for a in (self.theta, self.problem.lower, self.problem.upper))
-        if value <= lower and i != OFFSET:
-            # The floor of sigma_hit is that of the search: the noise itself may be anything below.
-            return 0.0, min(lower + self._rise_from_bound(i, 1.0), upper)
-        if not self.inside[i]:  # at a limit of the search that no data set
-            return (-math.inf if i == OFFSET else 0.0), math.inf
-        error = math.sqrt(self.errors.robust[i, i])
-        below, above = (reach * error for reach in self._reaches(i))
-        low = value - below if value - below > lower else (0.0 if i == VARIANCE else lower)
-        return low, min(value + above, upper)
-
-    def _rise_from_bound(self, i: int, least_design_effect: float) -> float:
-        """Return how far above its lower bound entry i may be before the likelihood has fallen by too many nats."""
-        moving = self.inside.copy()
-        moving[i] = True
-        basis, errors = free_directions(moving, self.theta), self._errors(moving)
-        inwards = basis[:, np.argmax(basis[i])]
-        slope = max(-float(inwards @ self.gradient), 0.0)
-        if not inwards @ self.hessian @ inwards < 0.0:  # no maximum nearby: the slope alone tells
-            nats = self.most_nats * least_design_effect
-            return nats / slope if slope > 0.0 else math.inf
-        nats = self.most_nats * max(errors.design_effect(i), least_design_effect)
-        curvature = 1.0 / float(errors.naive[i, i])
-        return 2.0 * nats / (slope + math.sqrt(slope**2 + 2.0 * curvature * nats))
-
-    @cached_property
-    def _largest_design_effect(self) -> float:
-        known = [
-            i
-            for i in range(4)
-            if self.inside[i] and min(self.counts[i], self.n_beams - self.counts[i]) >= _BEAMS_OF_A_DESIGN_EFFECT
-        ]
-        known += [VARIANCE] if self.inside[VARIANCE] and self.counts[W_HIT] >= _BEAMS_OF_A_DESIGN_EFFECT else []
-        return max([1.0, *(self.errors.design_effect(i) for i in known if self.errors.naive[i, i] > 0.0)])
-
-    @cached_property
-    def _rate_is_undetermined(self) -> bool:
-        ceiling = self.problem.upper[RATE]
-        if self.counts[W_SHORT] < FEWEST_BEAMS_OF_A_CAUSE or self.theta[RATE] >= ceiling:
-            return True
-        return bool(self._shape_interval(RATE)[1] >= ceiling)
-
-
-def _findings(n_blocks: int, length: float) -> tuple[Finding, ...]:
+def _findings(n_blocks: int, length: float) -> Iterator[Finding]:
     if n_blocks == 1:
-        return (
-            Finding(
-                "no-intervals",
-                "warning",
-                "All beams lie in one block of time, so there are no intervals.",
-                {"n_blocks": 1.0},
-                why="Nothing says how much the values would change with another drive.",
-                do="Record a longer log.",
-            ),
+        yield Finding(
+            "no-intervals",
+            "warning",
+            "All beams lie in one block of time, so there are no intervals.",
+            {"n_blocks": 1.0},
+            why="Nothing says how much the values would change with another drive.",
+            do="Record a longer log.",
         )
-    covered = n_blocks * length
-    if n_blocks < FEWEST_COMPARED_BLOCKS or covered < 0.999 * LEAST_TIME_S:
-        return (
-            Finding(
-                "few-blocks",
-                "warning",
-                f"The intervals rest on {n_blocks} blocks of {length:.3g} s.",
-                {"n_blocks": float(n_blocks), "block_s": length},
-                why="Rare events, such as people walking by every half minute, hardly show in them.",
-                do=f"Record a log of {1.5 * LEAST_TIME_S / 60.0:.0f} minutes in motion ({LEAST_TIME_S:.0f} s of fitted "
-                "beams).",
-            ),
+    elif n_blocks < FEWEST_COMPARED_BLOCKS or n_blocks * length < 0.999 * LEAST_TIME_S:
+        yield Finding(
+            "few-blocks",
+            "warning",
+            f"The intervals rest on {n_blocks} blocks of {length:.3g} s.",
+            {"n_blocks": float(n_blocks), "block_s": length},
+            why="Rare events, such as people walking by every half minute, hardly show in them.",
+            do=f"Record a log of {1.5 * LEAST_TIME_S / 60.0:.0f} minutes in motion ({LEAST_TIME_S:.0f} s of fitted "
+            "beams).",
         )
-    return ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -182,7 +182,7 @@ def learn_intrinsic_parameters(
     >>> round(result.parameters.z_max, 3), round(result.parameters.sigma_hit, 2), result.converged
     (0.1, 0.05, True)
     """
-    z, expected, counts = _checked_beams(ranges, expected_ranges, max_range, min_range, weights)
+    z, expected, counts = checked_beams(ranges, expected_ranges, max_range, min_range, weights)
     measured, hits = ~np.isnan(z), expected < max_range
     n_no_measurement = int(z.size - np.count_nonzero(measured))
     used = hits if n_no_measurement == 0 else hits & measured
@@ -235,9 +235,10 @@ def _silent(stage: str, count: int) -> None:
     """Report nothing."""
 
 
-def _checked_beams(
-    ranges: ArrayLike, expected_ranges: ArrayLike, max_range: float, min_range: float, weights: ArrayLike | None
+def checked_beams(
+    ranges: ArrayLike, expected_ranges: ArrayLike, max_range: float, min_range: float, weights: ArrayLike | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Return beams and their weights as float64 columns of one length, or say what is wrong with them."""
     check_limits(max_range, min_range)
     z = _column("ranges", ranges, min_range, may_be_nan=True)
     expected = _column("expected_ranges", expected_ranges)
@@ -345,18 +346,14 @@ def _result(
     )
 
 
-def _convergence_findings(best: Climb) -> list[Finding]:
-    if best.converged:
-        return []
-    steps = best.em_steps + best.newton_steps
-    text = f"Learning stopped after {steps} iterations before it converged."
-    return [
-        Finding(
+def _convergence_findings(best: Climb) -> Iterator[Finding]:
+    if not best.converged:
+        steps = best.em_steps + best.newton_steps
+        yield Finding(
             "not-converged",
             "warning",
-            text,
+            f"Learning stopped after {steps} iterations before it converged.",
             {"iterations": float(steps)},
             why="Other values may explain the beams better.",
             do="Raise max_iterations.",
         )
-    ]

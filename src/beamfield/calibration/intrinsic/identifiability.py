@@ -8,6 +8,7 @@ against the weights, not if one of them is merely rare.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,50 +109,43 @@ def identifiability_findings(
     )
 
 
-def _absent_causes(counts: FloatArray, problem: LearningProblem) -> list[Finding]:
+def _absent_causes(counts: FloatArray, problem: LearningProblem) -> Iterator[Finding]:
     absent = (
         (W_SHORT, "no-shorts", "No reading looks like an unexpected object: z_short is (nearly) 0."),
         (W_MAX, "no-max-readings", "No reading is at the maximum range: z_max is 0 in this log."),
         (W_RAND, "no-random", "No reading is unexplained: z_rand is (nearly) 0."),
     )
     few = (counts < FEWEST_BEAMS_OF_A_CAUSE) & problem.free[: len(counts)]
-    no_hits = Finding(
-        "no-hits",
-        "warning",
-        "No reading looks like a hit.",
-        {"expected_beams": float(counts[W_HIT])},
-        why="The readings do not follow the map, so sigma_hit is meaningless.",
-        do="Check the map, the poses and the sensor's mount.",
-    )
-    others = [
-        Finding(name, "info", text, {"expected_beams": float(counts[cause])})
-        for cause, name, text in absent
-        if few[cause]
-    ]
-    return [no_hits, *others] if few[W_HIT] else others
+    if few[W_HIT]:
+        yield Finding(
+            "no-hits",
+            "warning",
+            "No reading looks like a hit.",
+            {"expected_beams": float(counts[W_HIT])},
+            why="The readings do not follow the map, so sigma_hit is meaningless.",
+            do="Check the map, the poses and the sensor's mount.",
+        )
+    for cause, name, text in absent:
+        if few[cause]:
+            yield Finding(name, "info", text, {"expected_beams": float(counts[cause])})
 
 
-def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProblem) -> list[Finding]:
+def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProblem) -> Iterator[Finding]:
     at_limit = likelihood.ranges <= _SAME_RANGE * likelihood.max_range
     n = float(likelihood.weights[at_limit].sum()) if likelihood.weights.size else float(np.count_nonzero(at_limit))
     share = n / likelihood.n_beams
     if not problem.free[W_SHORT] or n < FEWEST_BEAMS_OF_A_CAUSE or share < NOTABLE_SHARE_AT_LIMIT:
-        return []
-    text = (
-        f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, which some sensors "
-        "report for an invalid reading."
+        return
+    yield Finding(
+        "readings-at-near-limit",
+        "warning",
+        f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, which some sensors report for "
+        "an invalid reading.",
+        {"n": n, "share": share},
+        why="They look like unexpected objects and raise z_short and lambda_short.",
+        do="Set a min_range above that value to drop them, or pass it as no_return if it means that there "
+        "was no return.",
     )
-    return [
-        Finding(
-            "readings-at-near-limit",
-            "warning",
-            text,
-            {"n": n, "share": share},
-            why="They look like unexpected objects and raise z_short and lambda_short.",
-            do="Set a min_range above that value to drop them, or pass it as no_return if it means that there "
-            "was no return.",
-        )
-    ]
 
 
 def _rate_findings(
@@ -160,33 +154,29 @@ def _rate_findings(
     theta: FloatArray,
     counts: FloatArray,
     covariance: FloatArray,
-) -> list[Finding]:
+) -> Iterator[Finding]:
     if not problem.free[RATE]:
-        return []
+        return
     rate = float(theta[RATE])
+    error, reach = DEPENDENCE * float(np.sqrt(covariance[RATE, RATE])), float(likelihood.expected.mean())
     if counts[W_SHORT] < FEWEST_BEAMS_OF_A_CAUSE:
         text = "lambda_short cannot be learned because there are (nearly) no shorts."
-        return [_undetermined_rate(text, {"lambda_short": rate})]
-    if rate == 0.0:
+        yield _undetermined_rate(text, {"lambda_short": rate})
+    elif rate == 0.0:
         text = "lambda_short is 0: unexpected objects are as frequent at any range up to the map's (uniform)."
-        return [Finding("shorts-uniform", "info", text, {"lambda_short": 0.0})]
-    if rate >= problem.upper[RATE]:
-        return [
-            Finding(
-                "lambda-at-ceiling",
-                "warning",
-                "lambda_short is at its ceiling.",
-                {"lambda_short": rate},
-                why="Readings very near 0 look like shorts; the sensor may report 'invalid' that way.",
-                do="Set a min_range above them, or pass them as no_return.",
-            )
-        ]
-    error = DEPENDENCE * float(np.sqrt(covariance[RATE, RATE]))
-    reach = float(likelihood.expected.mean())
-    if error * reach > 1.0 and error > 0.5 * rate:
+        yield Finding("shorts-uniform", "info", text, {"lambda_short": 0.0})
+    elif rate >= problem.upper[RATE]:
+        yield Finding(
+            "lambda-at-ceiling",
+            "warning",
+            "lambda_short is at its ceiling.",
+            {"lambda_short": rate},
+            why="Readings very near 0 look like shorts; the sensor may report 'invalid' that way.",
+            do="Set a min_range above them, or pass them as no_return.",
+        )
+    elif error * reach > 1.0 and error > 0.5 * rate:
         text = f"lambda_short = {rate:.3g}/m is hardly determined: its error is about {error:.2g}/m."
-        return [_undetermined_rate(text, {"lambda_short": rate, "standard_error": error})]
-    return []
+        yield _undetermined_rate(text, {"lambda_short": rate, "standard_error": error})
 
 
 def _undetermined_rate(text: str, values: dict[str, float]) -> Finding:
@@ -202,67 +192,56 @@ def _undetermined_rate(text: str, values: dict[str, float]) -> Finding:
 
 def _sigma_findings(
     problem: LearningProblem, theta: FloatArray, counts: FloatArray, covariance: FloatArray
-) -> list[Finding]:
+) -> Iterator[Finding]:
     if not problem.free[VARIANCE] or counts[W_HIT] < FEWEST_BEAMS_OF_A_CAUSE:
-        return []
-    variance = float(theta[VARIANCE])
+        return
+    variance, slope = float(theta[VARIANCE]), float(np.sqrt(max(theta[SLOPE], 0.0)))
     sigma = float(np.sqrt(variance))
-    if variance <= problem.lower[VARIANCE]:
-        slope = float(np.sqrt(max(theta[SLOPE], 0.0)))
-        if slope > 0.0:
-            text = (
-                f"sigma_hit is at its floor of {sigma:.3g} m: all noise of hits grows with the expected range "
-                f"({slope:.3g} m per metre), as if near walls were measured without any."
-            )
-            return [Finding("noise-all-slope", "info", text, {"sigma_hit": sigma, "sigma_slope": slope})]
+    if variance <= problem.lower[VARIANCE] and slope > 0.0:
         text = (
-            f"sigma_hit is at its floor of {sigma:.3g} m: many readings equal the expected range exactly, as in a "
-            "simulation without noise."
+            f"sigma_hit is at its floor of {sigma:.3g} m: all noise of hits grows with the expected range "
+            f"({slope:.3g} m per metre), as if near walls were measured without any."
         )
-        return [
-            Finding(
-                "sigma-at-floor",
-                "warning",
-                text,
-                {"sigma_hit": sigma},
-                why="The likelihood grows without bound as sigma_hit shrinks.",
-                do="Hold sigma_hit at the sensor's noise, or use readings with noise.",
-            )
-        ]
+        yield Finding("noise-all-slope", "info", text, {"sigma_hit": sigma, "sigma_slope": slope})
+        return
+    if variance <= problem.lower[VARIANCE]:
+        yield Finding(
+            "sigma-at-floor",
+            "warning",
+            f"sigma_hit is at its floor of {sigma:.3g} m: many readings equal the expected range exactly, as in a "
+            "simulation without noise.",
+            {"sigma_hit": sigma},
+            why="The likelihood grows without bound as sigma_hit shrinks.",
+            do="Hold sigma_hit at the sensor's noise, or use readings with noise.",
+        )
+        return
     relative_variance = float(covariance[VARIANCE, VARIANCE]) / (4.0 * variance**2)
     share = 1.0 / (2.0 * counts[W_HIT] * max(relative_variance, 1e-300))
     error = DEPENDENCE * float(np.sqrt(relative_variance))
     if share < SMALL_SHARE and error > 0.25:
-        percent = f"{100 * error:.0f} %"
-        text = f"sigma_hit = {sigma:.3g} m is {percent} uncertain: hits are confused with shorts or random readings."
-        values = {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)}
-        return [
-            Finding(
-                "sigma-confounded",
-                "warning",
-                text,
-                values,
-                why="A quite different sigma_hit explains the log nearly as well.",
-                do="Record a longer log, or hold what you know (sigma_hit from the data sheet).",
-            )
-        ]
-    return []
+        yield Finding(
+            "sigma-confounded",
+            "warning",
+            f"sigma_hit = {sigma:.3g} m is {100 * error:.0f} % uncertain: hits are confused with shorts or random "
+            "readings.",
+            {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)},
+            why="A quite different sigma_hit explains the log nearly as well.",
+            do="Record a longer log, or hold what you know (sigma_hit from the data sheet).",
+        )
 
 
-def _offset_findings(problem: LearningProblem, theta: FloatArray) -> list[Finding]:
+def _offset_findings(problem: LearningProblem, theta: FloatArray) -> Iterator[Finding]:
     offset = float(theta[OFFSET])
     if not problem.free[OFFSET] or problem.lower[OFFSET] < offset < problem.upper[OFFSET]:
-        return []
-    return [
-        Finding(
-            "offset-at-limit",
-            "warning",
-            f"range_offset is at its limit of {offset:.3g} m.",
-            {"range_offset": offset},
-            why="Hits are not near the map's walls.",
-            do="Check the map, the poses and the sensor's mount.",
-        )
-    ]
+        return
+    yield Finding(
+        "offset-at-limit",
+        "warning",
+        f"range_offset is at its limit of {offset:.3g} m.",
+        {"range_offset": offset},
+        why="Hits are not near the map's walls.",
+        do="Check the map, the poses and the sensor's mount.",
+    )
 
 
 def _confounded_causes(
@@ -271,8 +250,7 @@ def _confounded_causes(
     theta: FloatArray,
     counts: FloatArray,
     covariance: FloatArray,
-) -> list[Finding]:
-    findings = []
+) -> Iterator[Finding]:
     pairs = (
         (W_HIT, W_SHORT, "hits-and-shorts-confounded", "hits and shorts"),
         (W_HIT, W_RAND, "hits-and-random-confounded", "hits and random readings"),
@@ -287,39 +265,29 @@ def _confounded_causes(
         share = float(known / likelihood.n_beams / variance)
         error = DEPENDENCE * 0.5 * float(np.sqrt(variance))
         if (share < SMALL_SHARE and error > 0.5 * min(theta[a], theta[b])) or (flat and b == W_RAND and a == W_HIT):
-            text = f"The data hardly separate {label}: weight may move between them by about {error:.2g}."
-            findings.append(
-                Finding(
-                    name,
-                    "warning",
-                    text,
-                    {"standard_error": error, "share_of_information": share},
-                    why="Either weight alone is uncertain; their sum is not.",
-                    do="Record a longer log, or hold one of the two.",
-                )
+            yield Finding(
+                name,
+                "warning",
+                f"The data hardly separate {label}: weight may move between them by about {error:.2g}.",
+                {"standard_error": error, "share_of_information": share},
+                why="Either weight alone is uncertain; their sum is not.",
+                do="Record a longer log, or hold one of the two.",
             )
-    return findings
 
 
-def _mode_findings(likelihood: IntrinsicLikelihood, modes: tuple[Mode, ...]) -> list[Finding]:
+def _mode_findings(likelihood: IntrinsicLikelihood, modes: tuple[Mode, ...]) -> Iterator[Finding]:
     if len(modes) < 2:
-        return []
+        return
     gap = modes[0].log_likelihood - modes[1].log_likelihood
     if gap > max(NEARLY_EQUAL, DEPENDENCE**2 * _EFFECTIVE_NATS / likelihood.n_beams):
-        return []
+        return
     other = modes[1].parameters
-    text = (
+    yield Finding(
+        "several-modes",
+        "warning",
         f"Another set of parameters explains the beams nearly as well ({gap:.2g} nats per beam less): sigma_hit "
-        f"{other.sigma_hit:.3g} m, z_hit {other.z_hit:.3g}, z_short {other.z_short:.3g}, z_rand {other.z_rand:.3g}."
+        f"{other.sigma_hit:.3g} m, z_hit {other.z_hit:.3g}, z_short {other.z_short:.3g}, z_rand {other.z_rand:.3g}.",
+        {"gap": gap, "sigma_hit": other.sigma_hit, "z_hit": other.z_hit, "z_short": other.z_short},
+        why="The log does not tell which of the two is right.",
+        do="Use the set that fits what you know of the sensor, hold sigma_hit, or record a longer log.",
     )
-    values = {"gap": gap, "sigma_hit": other.sigma_hit, "z_hit": other.z_hit, "z_short": other.z_short}
-    return [
-        Finding(
-            "several-modes",
-            "warning",
-            text,
-            values,
-            why="The log does not tell which of the two is right.",
-            do="Use the set that fits what you know of the sensor, hold sigma_hit, or record a longer log.",
-        )
-    ]

@@ -1,6 +1,7 @@
 """Simulated fleets with known faults: how often each is found, how soon, and how often there is a false alarm.
 
-``python -m benchmarks.fleet_faults [FLEETS]`` prints the table of docs/fleet.md. Beams are drawn without ray casting.
+``python -m benchmarks.fleet_faults [FLEETS]`` prints the table of docs/evidence/fleet.md. Beams are drawn without
+ray casting.
 What varies without being a fault: people (shorts vary by robot, day and stretch of time), glass (no returns, by robot,
 day and sector), maps (an offset per site), poses (an offset per day) and odometry (by robot and day).
 """
@@ -35,7 +36,8 @@ ROBOT_SCALE, DAY_SCALE = 0.003, 0.002
 class Planted:
     """A fault: its kind and size, and the index of its first day; day 0 is from the beginning.
 
-    A dirty lens loses this share of the readings within 20 degrees of a bearing, in radians.
+    A dirty lens loses this share of the readings, more than before, within 22.5 degrees of a bearing, in radians: that
+    fills one of the sectors of 30 degrees in which it is looked for.
     """
 
     fault: str
@@ -88,8 +90,8 @@ def _day_of_beams(
     lost = 1.0 / (1.0 + np.exp(-odds[sector, 1]))
     bias = offset + DAY_OFFSET * rng.normal()
     if fault is not None and fault.fault == "dirty-lens":
-        near = np.abs((bearing - fault.bearing + np.pi) % (2.0 * np.pi) - np.pi) < np.radians(20.0)
-        lost = np.where(near, lost + fault.size * (1.0 - lost), lost)
+        near = np.abs((bearing - fault.bearing + np.pi) % (2.0 * np.pi) - np.pi) < np.radians(22.5)
+        lost = np.where(near, np.minimum(lost + fault.size, 1.0), lost)
     elif fault is not None and fault.fault == "range-bias":
         bias += fault.size
     expected = rng.uniform(0.5, 7.5, n)

@@ -43,8 +43,12 @@ def test_a_table_by_robot_and_what_was_left_out_with_its_row(manifest: Path, tmp
     assert lines[-1].endswith(f" has {int(rows[0][6].replace(',', '')):,} beams of 1 run")
     # The simulation's stamps count from 0.
     assert "note: warning (no-date): 1 of 1 runs have stamps that count from 0" in told.err
+    (killed := tmp_path / "catalogue/beams/site=hall/killed.parquet").write_bytes(b"")
     assert scan(manifest, tmp_path / "catalogue", "--json", "--quiet") == 0
     document = json.loads(capsys.readouterr().out)
+    assert document["findings"][0]["text"] == "1 files of beams belong to no run, as beams/site=hall/killed.parquet."
+    assert killed.exists()
+    assert document["findings"][1]["name"] == "no-date"
     assert document["command"] == "fleet scan"
     assert [run["status"] for run in document["runs"]] == ["used", "left out"]
     assert document["scanned"] == [document["runs"][1]["run"]], "what could not be read is tried again"

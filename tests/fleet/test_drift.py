@@ -52,8 +52,7 @@ def test_planted_faults_are_found_with_their_day_and_size_and_no_others(drifts):
             assert found.since is None
         assert found.low <= found.size <= found.high
         assert found.after - found.before == pytest.approx(found.size)
-        if planted.fault != "dirty-lens":
-            assert found.low < planted.size < found.high
+        assert found.low < planted.size < found.high
     alarms = {(drift.robot, drift.fault) for drift in drifts if drift.alarm}
     assert alarms == {(f"r{robot:02d}", planted.fault) for robot, planted in PLANTED.items()}
     smear = find(drifts, 0, PLANTED[0])

@@ -7,16 +7,17 @@ from pathlib import Path
 import pytest
 
 from beamfield.errors import FormatError
+from beamfield.fleet.folder import Folder
 from beamfield.fleet.manifest import read_manifest
 
 CSV = """\
-log,map,robot,site,poses,start,sensor
-a.bag,m.yaml,ann,hall,,1 2 90,/scan
-/b.bag,s3://k:s@bucket/m.yaml,bob,hall,b.tum,,
+log,map,robot,site,poses,start,sensor,lone-poses
+a.bag,m.yaml,ann,hall,,1 2 90,/scan,odometry
+/b.bag,s3://k:s@bucket/m.yaml,bob,hall,b.tum,,,
 """
 YAML = """\
 runs:
-  - {log: a.bag, map: m.yaml, robot: ann, site: hall, start: [1, 2, 90], sensor: /scan}
+  - {log: a.bag, map: m.yaml, robot: ann, site: hall, start: [1, 2, 90], sensor: /scan, lone-poses: odometry}
   - log: /b.bag
     map: s3://k:s@bucket/m.yaml
     robot: bob
@@ -35,6 +36,7 @@ def test_csv_and_yaml_say_the_same(tmp_path: Path):
     for ann, bob in rows:
         assert (ann.log, ann.robot, ann.start, ann.sensor, ann.poses) == ("a.bag", "ann", (1.0, 2.0, 90.0), "/scan", "")
         assert (bob.log, bob.poses, bob.start, bob.sensor) == ("/b.bag", "b.tum", None, "")
+        assert (ann.lone_poses, bob.lone_poses) == ("odometry", "reference")
         assert ann.resolve(ann.log) == str(tmp_path / "a.bag")
         assert (bob.resolve(bob.log), bob.resolve(bob.map)) == ("/b.bag", "s3://k:s@bucket/m.yaml")
     assert [row.line for both in rows for row in both] == [2, 3, 2, 3]
@@ -54,6 +56,7 @@ def test_csv_and_yaml_say_the_same(tmp_path: Path):
         ("log,map,robot,site,start\na,m,r,s,1 2 nan\n", ":2: start: expected three numbers"),
         ("log,map,robot,site,start,poses\na,m,r,s,1 2 3,p\n", ":2: start: is for a log without poses"),
         (f"log,map,robot,site\na,m,{'r' * 101},s\n", ":2: robot: expected at most 100 characters that print"),
+        ("log,map,robot,site,lone-poses\na,m,r,s,odom\n", ":2: lone-poses: expected reference or odometry, got 'odom'"),
         ("log,map,robot,site\n", ": no logs: the manifest has no rows"),
         ('log,map,robot,site\n"a,m,r,s\n', ":2: not a line of CSV in UTF-8"),
     ],
@@ -80,6 +83,19 @@ def test_a_mistake_in_yaml_is_named_with_its_line(tmp_path: Path, text: str, mes
     with pytest.raises(FormatError) as error:
         read_manifest(written(tmp_path, "f.yaml", text))
     assert f"f.yaml{message}" in str(error.value)
+
+
+def test_a_manifest_at_an_address_lists_what_is_beside_it_and_shows_no_secret():
+    place = "memory://k:s3cret@fleet/logs"
+    Folder(place).write("f.csv", CSV.encode())
+    ann, bob = read_manifest(f"{place}/f.csv")
+    assert [ann.resolve(one) for one in (ann.log, bob.log)] == [f"{place}/a.bag", "/b.bag"]
+    assert (ann.place, repr(ann).count("s3cret")) == ("memory://fleet/logs/f.csv:2", 0)
+    Folder(place).write("g.csv", b"log,map,robt,site\n")
+    with pytest.raises(FormatError, match=r"^memory://fleet/logs/g\.csv:1: no column is named 'robt'"):
+        read_manifest(f"{place}/g.csv")
+    with pytest.raises(FileNotFoundError, match=r"memory://fleet/logs/none\.csv"):
+        read_manifest(f"{place}/none.csv")
 
 
 def test_a_folder_is_sites_of_robots_with_a_map_each(tmp_path: Path):

@@ -51,20 +51,23 @@ def bucket(endpoint: str, monkeypatch) -> Iterator[str]:
 
 
 def test_logs_in_a_store_are_scanned_into_a_store_and_no_secret_is_told(
-    bucket: str, endpoint: str, tmp_path: Path, scanned: FleetScan, world: Path, capsys
+    bucket: str, endpoint: str, scanned: FleetScan, world: Path, capsys
 ):
     store = s3fs.S3FileSystem()
     for name in ("run0.log", "office.yaml", "office.pgm"):
         store.put_file(str(world / name), f"{bucket}/raw/{name}")
-    manifest = tmp_path / "fleet.csv"
-    manifest.write_text(
-        "log,map,robot,site\n"
-        f"s3://{bucket}/raw/run0.log,s3://{bucket}/raw/office.yaml,ann,hall\n"
-        f"{world / 'run3.log'},{world / 'office.yaml'},bob,hall\n"
-        f"s3://{KEY}:{PASSWORD}@{bucket}/raw/a.log?token={SECRET},{world / 'office.yaml'},cid,hall\n"
-        f"s3://{bucket}/raw/none.log,{world / 'office.yaml'},cid,hall\n"
+    store.pipe_file(
+        f"{bucket}/raw/fleet.csv",
+        (
+            "log,map,robot,site\n"
+            "run0.log,office.yaml,ann,hall\n"
+            f"{world / 'run3.log'},{world / 'office.yaml'},bob,hall\n"
+            f"s3://{KEY}:{PASSWORD}@{bucket}/raw/a.log?token={SECRET},{world / 'office.yaml'},cid,hall\n"
+            f"s3://{bucket}/raw/none.log,{world / 'office.yaml'},cid,hall\n"
+        ).encode(),
     )
-    words = ["fleet", "scan", str(manifest), "--out", f"s3://{bucket}/catalogue", "--scheduler", "serial", "--json"]
+    manifest = f"s3://{bucket}/raw/fleet.csv"
+    words = ["fleet", "scan", manifest, "--out", f"s3://{bucket}/catalogue", "--scheduler", "serial", "--json"]
     assert main(words) == 0
     told = capsys.readouterr()
     document = json.loads(told.out)

@@ -72,11 +72,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
 def _catalogue(arguments: argparse.Namespace, engine: Engine, progress: StageProgress) -> Catalogue:
     """Open a catalogue, or scan a manifest into one."""
     from beamfield.fleet.catalogue import CATALOGUE_FILE, open_catalogue
-    from beamfield.fleet.folder import is_address
+    from beamfield.fleet.folder import is_address, without_secrets
     from beamfield.fleet.scan import scan_fleet
 
     given = arguments.fleet
-    if is_address(given) or (Path(given) / CATALOGUE_FILE).is_file():
+    is_manifest = without_secrets(given).lower().endswith((".yaml", ".yml", ".csv"))
+    if not is_manifest and (is_address(given) or (Path(given) / CATALOGUE_FILE).is_file()):
         if arguments.catalogue is not None:
             raise InvalidInputError("--catalogue: is for a manifest, and a catalogue is given")
         return open_catalogue(given)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
@@ -35,7 +34,9 @@ CATALOGUE = "a folder, or an fsspec address such as s3://bucket/fleet"
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
     parser = add_command(subparsers, run, "scan", __doc__)
-    parser.add_argument("manifest", type=Path, metavar="MANIFEST", help="YAML or CSV file, or a folder of logs")
+    parser.add_argument(
+        "manifest", metavar="MANIFEST", help="YAML or CSV file, its fsspec address, or a folder of logs"
+    )
     parser.add_argument("-o", "--out", default="beamfield_fleet", metavar="CATALOGUE",
                         help=f"the catalogue, new or of earlier scans: {CATALOGUE} (default: %(default)s)")  # fmt: skip
     add_engine(parser)
@@ -55,7 +56,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.fleet.beam_schema import require_pyarrow
     from beamfield.fleet.engine import Engine
     from beamfield.fleet.manifest import read_manifest
-    from beamfield.fleet.run_findings import run_findings
+    from beamfield.fleet.run_findings import leftover_finding, run_findings
     from beamfield.fleet.scan import scan_fleet
 
     require_pyarrow()
@@ -64,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("starting workers", 0, 1)
         with Engine(arguments.scheduler, arguments.workers) as engine:
             done = scan_fleet(rows, arguments.out, engine, progress=progress)
-    findings = run_findings(done.catalogue.runs)
+    findings = (*leftover_finding(done.catalogue.files_of_no_run()), *run_findings(done.catalogue.runs))
     notes = [f"{finding.severity} ({finding.name}): {finding.full_text}" for finding in findings]
     place = done.catalogue.folder.shown
     used, runs = sum(record.is_used for record in done.records), done.catalogue.used

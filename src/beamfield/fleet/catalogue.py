@@ -50,6 +50,15 @@ class Catalogue:
         """The records of runs whose beams are used."""
         return tuple(record for record in self.runs if record.is_used)
 
+    def files_of_no_run(self) -> tuple[str, ...]:
+        """Return the files of beams that no record names, if asked before the records are.
+
+        Scans that were killed have left them, or others are writing their records now: nothing tells these apart.
+        """
+        files = self.folder.files_below(BEAMS)
+        named = {file.path for record in self.runs for file in record.files}
+        return tuple(path for path in files if path not in named)
+
     def shards(
         self,
         site: str | None = None,

@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
@@ -33,6 +34,8 @@ CAUSES = ("max", "short")
 N_SECTORS = 24
 _EDGES = np.linspace(-np.pi, np.pi, N_SECTORS + 1)
 _WIDTH = 2.0 * np.pi / N_SECTORS
+# A day's usual share takes so many sectors; those so far apart share no smear.
+_FEWEST_SECTORS, _SMEAR_SECTORS = 3, 4
 # A reading so many sigma_hit before the wall is short.
 _SHORT_SIGMAS = 4.0
 # Residuals up to so many sigma_hit, or metres, are those of hits: a biased sensor's too.
@@ -63,8 +66,8 @@ class DailySeries:
     values, standard_errors
         In `unit`, shape (d,); the errors tell how a day's beams vary, by blocks of time, not how days do.
     contrasts
-        What is compared over days, shape (d,): for a dirty lens the log odds of the share less their median over all
-        sectors, so that a crowded day does not count; else the values.
+        What is compared over days, shape (d,): for a dirty lens the log odds of the share less their median over the
+        sectors that are 60 degrees and more away, so that a crowded day does not count; else the values.
     contrast_errors
         Standard errors of the contrasts, shape (d,), by blocks of time; for shares at least binomial ones.
     bearings
@@ -200,10 +203,10 @@ def _lens_series(robot: str, site: str, days: dict[datetime.date, _Sums]) -> lis
     seen = (n[:, :, 0] >= _FEWEST_BEAMS).all(axis=0)  # (s,) every day
     seen &= np.roll(seen, -1)
     n, k, squares = (column + np.roll(column, -1, axis=1) for column in (n, k, squares))
-    if np.count_nonzero(seen) < 3:
+    if np.count_nonzero(seen) < _FEWEST_SECTORS:
         return []
     odds = np.log((k + 0.5) / (n - k + 0.5))
-    contrasts = odds - np.median(odds[:, seen], axis=1, keepdims=True)
+    contrasts = odds - np.stack([np.median(odds[:, _elsewhere(j, seen)], axis=1) for j in range(N_SECTORS)], axis=1)
     inside = (k + 0.5) * (n - k + 0.5) / (n + 1.0)  # n p (1 - p)
     errors = np.sqrt(np.maximum(1.0 / inside, squares / inside**2))
     return [
@@ -219,6 +222,16 @@ def _lens_series(robot: str, site: str, days: dict[datetime.date, _Sums]) -> lis
         for c, cause in enumerate(CAUSES)
         for j in np.flatnonzero(seen)
     ]  # fmt: skip
+
+
+def _elsewhere(sector: int, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the sectors that no smear shares with this one; all, where these are too few.
+
+    The median of all would rise with the sectors that are dirty beside it, and make the dirt seem less.
+    """
+    steps = np.abs(np.arange(N_SECTORS) - sector)
+    far = seen & (np.minimum(steps, N_SECTORS - steps) >= _SMEAR_SECTORS)
+    return far if np.count_nonzero(far) >= _FEWEST_SECTORS else seen
 
 
 def _bias_series(robot: str, site: str, days: dict[datetime.date, _Sums]) -> list[DailySeries]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 import secrets
 import tempfile
@@ -90,12 +91,14 @@ class Folder:
     @contextmanager
     def named_errors(self, name: str = "") -> Iterator[None]:
         """Raise what a store's program raises in its own words as an OSError, without secrets."""
+        shown = self.shown_path(name) if name else self.shown
         try:
             yield
+        except FileNotFoundError:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), shown) from None
         except (OSError, BeamfieldError):
             raise
         except Exception as error:
-            shown = self.shown_path(name) if name else self.shown
             # Without the cause, whose text is the one with secrets.
             raise OSError(errno.EIO, f"{type(error).__name__}: {self._hidden(str(error))}", shown) from None
 
@@ -123,6 +126,13 @@ class Folder:
         except FileNotFoundError:
             return []
         return sorted(str(path).rstrip("/").rpartition("/")[2] for path in found)
+
+    def files_below(self, folder: str) -> list[str]:
+        """Return the sorted paths of all files in a folder of it and in those within, but hidden ones."""
+        start = len(self.path()) + 1
+        with self.named_errors(folder):
+            found = sorted(str(path)[start:] for path in self.system.find(self.path(folder)))
+        return [path for path in found if "/." not in path]
 
     def read(self, name: str) -> bytes:
         """Return the content of a file."""

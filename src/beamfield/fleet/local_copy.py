@@ -47,11 +47,8 @@ def local_copy(address: str, options: Mapping[str, Any]) -> Iterator[Path]:
 
 def _fetch(folder: Folder, name: str, copy: Path) -> None:
     system, path = folder.system, folder.path(name)
-    try:
-        with folder.named_errors(name):
-            if system.isdir(path):
-                system.get(f"{path}/", f"{copy}/", recursive=True)
-            else:
-                system.get_file(path, str(copy))
-    except FileNotFoundError:
-        raise FileNotFoundError(2, "No such file or directory", folder.shown_path(name)) from None
+    with folder.named_errors(name):
+        if system.isdir(path):
+            system.get(f"{path}/", f"{copy}/", recursive=True)
+        else:
+            system.get_file(path, str(copy))

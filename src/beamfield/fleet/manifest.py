@@ -6,18 +6,20 @@ import csv
 import difflib
 import math
 import os
+import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from beamfield.errors import FormatError
-from beamfield.fleet.folder import is_address, without_secrets
+from beamfield.fleet.folder import Folder, is_address, without_secrets
 from beamfield.io.files.text_lines import read_lines
 from beamfield.io.files.yaml_file import read_yaml, shorten
+from beamfield.io.logs.text_scans import LonePoses
 
 REQUIRED = ("log", "map", "robot", "site")
-OPTIONAL = ("poses", "start", "sensor")
+OPTIONAL = ("poses", "start", "sensor", "lone-poses")
 NAMES = ("manifest.yaml", "manifest.yml", "manifest.csv")
 MAX_YAML_BYTES = 10_000_000
 LONGEST_NAME = 100
@@ -40,8 +42,12 @@ class ManifestRow:
         Where the log begins in the map, for poses that are to be fitted: metres, metres, degrees; None: searched.
     sensor
         The log's sensor; "" for the only one.
+    lone_poses
+        What the poses are in a text log that has one per scan, see `read_log`.
     manifest, line
-        Where it stands; line 0: in a folder of logs.
+        Where it stands, without secrets; line 0: in a folder of logs.
+    folder
+        Where relative addresses begin: a whole path or an fsspec address, which may hold secrets.
     """
 
     log: str
@@ -51,8 +57,10 @@ class ManifestRow:
     poses: str = ""
     start: tuple[float, float, float] | None = None
     sensor: str = ""
+    lone_poses: LonePoses = "reference"
     manifest: str = ""
     line: int = 0
+    folder: str = field(default="", repr=False)
 
     @property
     def place(self) -> str:
@@ -63,22 +71,26 @@ class ManifestRow:
         """Return the whole address of a file that the row gives, which may be relative to its manifest."""
         if is_address(given) or os.path.isabs(given):  # noqa: PTH117  # an address of any system
             return given
-        folder = Path(self.manifest).parent if self.line else Path(self.manifest)
-        return os.path.abspath(folder / given)  # noqa: PTH100  # as links have it: their targets have other neighbours
+        if is_address(self.folder):
+            return f"{self.folder}/{given}"
+        return os.path.abspath(Path(self.folder) / given)  # noqa: PTH100  # as links have it: their targets have other neighbours
 
 
-def read_manifest(path: str | os.PathLike[str]) -> tuple[ManifestRow, ...]:
+def read_manifest(path: str | os.PathLike[str], options: Mapping[str, Any] | None = None) -> tuple[ManifestRow, ...]:
     """Read which logs a fleet has.
 
     Parameters
     ----------
     path
-        - A ``.yaml`` file whose key ``runs`` holds a list, or a ``.csv`` file with a header. A row has a log, its map,
-          the names of robot and site and, if need be, poses (a file for ``--poses``), start (x, y and degrees) and
-          sensor. Addresses are files, relative to the manifest, or fsspec addresses.
+        - A ``.yaml`` file whose key ``runs`` holds a list, or a ``.csv`` file with a header, here or at an fsspec
+          address. A row has a log, its map, the names of robot and site and, if need be, poses (a file for
+          ``--poses``), start (x, y and degrees), sensor and lone-poses. Addresses are relative to the manifest, or
+          whole fsspec addresses.
         - A folder with a ``manifest.yaml`` or ``manifest.csv``.
         - A folder of logs, ``SITE/ROBOT/LOG``, with one map per site, ``SITE/map.yaml``, and poses, where there are
           any, beside their log under its name as ``.tum`` or ``.csv``.
+    options
+        Storage options for fsspec.
 
     Returns
     -------
@@ -92,6 +104,8 @@ def read_manifest(path: str | os.PathLike[str]) -> tuple[ManifestRow, ...]:
     OSError
         As the file system says.
     """
+    if is_address(str(path)):
+        return _rows_at(str(path), options or {})
     source = Path(path)
     if source.is_dir():
         named = next((source / name for name in NAMES if (source / name).is_file()), None)
@@ -121,6 +135,22 @@ def log_stem(name: str) -> str:
     """Return the name of a log's file without its ending, which may have a point in it."""
     end = next((end for end in sorted(_LOGS, key=len, reverse=True) if name.lower().endswith(end)), "")
     return name[: len(name) - len(end)]
+
+
+def _rows_at(address: str, options: Mapping[str, Any]) -> tuple[ManifestRow, ...]:
+    """Return the rows of a manifest at an fsspec address."""
+    place, slash, query = address.partition("?")
+    folder, _, name = place.rpartition("/")
+    shown = without_secrets(address)
+    with tempfile.TemporaryDirectory(prefix="beamfield-") as scratch:
+        copy = Path(scratch) / (name or "manifest")
+        copy.write_bytes(Folder(folder, options).read(name + slash + query))
+        try:
+            rows = read_manifest(copy)
+        except FormatError as error:
+            where, _, what = str(error).partition(": ")
+            raise FormatError(where.replace(str(copy), shown), what) from None
+    return tuple(replace(row, manifest=shown, folder=folder) for row in rows)
 
 
 def _rows_of_csv(path: Path) -> list[ManifestRow]:
@@ -186,18 +216,23 @@ def _row(path: Path, line: int, values: Mapping[str, Any]) -> ManifestRow:
     for name, value in values.items():
         if name != "start" and not (isinstance(value, str) and value):
             raise FormatError(path, f"expected text, got {shorten(value)}", line=line, field=name)
+    rule = values.get("lone-poses", "reference")
+    if rule not in get_args(LonePoses):
+        raise FormatError(
+            path, f"expected {' or '.join(get_args(LonePoses))}, got {rule!r}", line=line, field="lone-poses"
+        )
     for name in ("robot", "site"):
         if len(values[name]) > LONGEST_NAME or not values[name].isprintable():
             raise FormatError(
                 path, f"expected at most {LONGEST_NAME} characters that print, got {shorten(values[name])}", line=line,
                 field=name,
             )  # fmt: skip
-    given = dict(values)
+    given = {name.replace("-", "_"): value for name, value in values.items()}
     if "start" in given:
         given["start"] = _start(path, line, given["start"])
         if "poses" in given:
             raise FormatError(path, "is for a log without poses, and poses are given", line=line, field="start")
-    return ManifestRow(**given, manifest=str(path), line=line)
+    return ManifestRow(**given, manifest=str(path), line=line, folder=os.path.abspath(path.parent))  # noqa: PTH100
 
 
 def _start(path: Path, line: int, value: Any) -> tuple[float, float, float]:
@@ -228,8 +263,9 @@ def _rows_of_folder(folder: Path) -> tuple[ManifestRow, ...]:
                 names = (str(one.relative_to(folder)) if one else "" for one in (log, site / "map.yaml", poses))
                 address, map_address, poses_address = names
                 rows.append(
-                    ManifestRow(address, map_address, robot.name, site.name, poses_address, manifest=str(folder))
-                )
+                    ManifestRow(address, map_address, robot.name, site.name, poses_address, manifest=str(folder),
+                                folder=os.path.abspath(folder))  # noqa: PTH100
+                )  # fmt: skip
         if not (site / "map.yaml").is_file() and any(row.site == site.name for row in rows):
             raise FormatError(site, "a folder of logs, SITE/ROBOT/LOG, has a map per site: there is no map.yaml")
     if not rows:

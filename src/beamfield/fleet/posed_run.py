@@ -78,7 +78,7 @@ def read_run(row: ManifestRow, files: RunFiles) -> PosedRun:
     grid = read_map(files.map)
     if not grid.occupied.any():
         raise FormatError(files.map, "the map has no occupied cell: no ray has an expected range")
-    scans = read_log(files.log, sensor_topic=row.sensor or None)
+    scans = read_log(files.log, sensor_topic=row.sensor or None, lone_poses=row.lone_poses)
     source: Literal["log", "file", "fitted"] = "log"
     if files.poses is not None:
         try:

@@ -29,6 +29,28 @@ def run_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
     return (*_no_date(used), *_clocks(dated), *_overlaps(dated))
 
 
+def leftover_finding(files: Sequence[str]) -> tuple[Finding, ...]:
+    """Return what to know of files of beams that belong to no run; nothing if there are none.
+
+    Parameters
+    ----------
+    files
+        Of `Catalogue.files_of_no_run`.
+    """
+    if not files:
+        return ()
+    return (
+        Finding(
+            "files-of-no-run",
+            "info",
+            f"{len(files)} files of beams belong to no run, as {files[0]}.",
+            {"files": float(len(files))},
+            why="Scans that were killed have left them, or others are at work now. Nothing reads them.",
+            do="The next scan of their logs replaces them; those of logs that are gone can go when no scan runs.",
+        ),
+    )
+
+
 def _no_date(used: Sequence[RunRecord]) -> list[Finding]:
     without = [record for record in used if record.first_stamp < FIRST_DATE]
     if not without:

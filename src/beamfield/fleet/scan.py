@@ -78,7 +78,7 @@ def scan_fleet(
         If the catalogue cannot be written.
     """
     report = progress or (lambda _stage, _done, _total: None)
-    rows = read_manifest(manifest) if isinstance(manifest, str | os.PathLike) else tuple(manifest)
+    rows = read_manifest(manifest, options) if isinstance(manifest, str | os.PathLike) else tuple(manifest)
     opened = create_catalogue(catalogue, options)
     jobs = [ScanJob(row, opened.folder) for row in rows]
     contents = engine.map(content_of, jobs, progress=lambda done, n: report("looking for changes", done, n))

@@ -106,7 +106,7 @@ def content_of(job: ScanJob) -> RunContent:
             parts = (SCHEMA, log_hash, file_hash(files.map), picture, poses)
     except (BeamfieldError, OSError) as error:
         return RunContent("", log_hash, reason_of(error, job))
-    named = (*parts, row.robot, row.site, row.start, row.sensor)
+    named = (*parts, row.robot, row.site, row.start, row.sensor, row.lone_poses)
     return RunContent(hashlib.sha256(repr(named).encode()).hexdigest(), log_hash, "")
 
 

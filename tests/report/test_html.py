@@ -128,6 +128,7 @@ def test_every_figure_is_there_with_caption_and_text_alternative(page):
     assert sum(tag == "figcaption" for tag, _ in page.tags) == len(FIGURES)
     pictures = [values for tag, values in page.tags if tag == "img" or values.get("class") == "plot"]
     assert len(pictures) >= len(FIGURES)
+    assert sum(values.get("type") == "checkbox" for _, values in page.tags) == len(pictures)  # a click enlarges it
     assert all(len(values.get("alt") or values.get("aria-label") or "") > 20 for values in pictures)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
@@ -156,6 +157,7 @@ def pose_shifts(calibration: Calibration) -> ReportFigure | None:
     axes.scatter(shifts[:, 0], shifts[:, 1], s=14, color=FIT, alpha=0.8, linewidths=0)
     reach = max(float(np.abs(shifts[:, :2]).max()) * 1.15, 0.02)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     x = "turn, counter-clockwise [deg]"
     turn, histogram = new_axes(NARROW, 3.6, title="Turn of the pose", x=x, y="number of scans", grid="y")
     degrees = np.degrees(shifts[:, 2])

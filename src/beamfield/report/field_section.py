@@ -59,7 +59,8 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         "<p>Nats per reading: mean log density along the axis, given that the reading is a range. Nats per posterior: "
         "mean logarithm of the posterior's density at the reference over the prior's, of a few scans each; 0 for a "
         "field that says nothing, far below 0 for one that is certain and wrong. Covered: share of those posteriors "
-        f"whose 90 % region holds the truth.</p><p>The file:</p><pre>{escaped(file_text)}</pre>"
+        f"whose 90 % region holds the truth.</p>"
+        f"<details><summary>The file likelihood_field.yaml</summary><pre>{escaped(file_text)}</pre></details>"
     )
     return PageSection("field", TITLE, markup)
 

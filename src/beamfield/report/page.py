@@ -108,9 +108,13 @@ def table(
 
 
 def figure(drawn: ReportFigure) -> str:
-    """Return a figure with its caption; without pictures, the caption alone."""
+    """Return a figure with its caption, whose pictures a click enlarges; without pictures, the caption alone."""
+    # A checkbox needs no script, and is reached by keys.
+    box = f'<input type="checkbox" aria-label="Enlarge: {escaped(drawn.title)}">'
     panels = "\n".join(
-        f'<div class="{"wide" if panel.wide else "narrow"}">{panel.markup}</div>' for panel in drawn.panels
+        f'<div class="{"wide" if panel.wide else "narrow"}"><label class="zoom" title="Click to enlarge">{box}'
+        f'<span class="picture">{panel.markup}</span></label></div>'
+        for panel in drawn.panels
     )
     pictures = f'<div class="panels">{panels}</div>\n' if panels else ""
     source = f' <span class="source">[{escaped(drawn.source)}]</span>' if drawn.source else ""

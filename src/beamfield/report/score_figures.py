@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.evaluation import LEAST_GAIN, Timeline, block_standard_error
@@ -44,7 +45,7 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
     candidates = calibration.candidates
     if len(candidates) < 2:
         return None
-    x = f"gain over {form_name(candidates[0])} per held-out beam [nats]"
+    x = "gain per held-out beam [nats]"
     figure, axes = new_axes(NARROW, 0.75 + 0.42 * len(candidates), above=1, x=x, grid="x")
     _dots(axes, [(form_name(c), c.gain, c.gain_se, c.chosen) for c in candidates], decimals=4)
     # A span of less than the least gain that counts would blow noise up.
@@ -54,15 +55,17 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
         axes.axvline(LEAST_GAIN, color=HELD_OUT, linewidth=1.0, linestyle="--", label="least gain worth a parameter")
         legend_above(axes)
     axes.axvline(0.0, color=QUIET, linewidth=0.8)
+    axes.xaxis.set_major_locator(MaxNLocator(3))
     said = "; ".join(f"{form_name(c)} {plus_minus(c.gain, c.gain_se)}" for c in candidates)
     return one_picture(
         "candidates",
         "Which form of the hit component",
         figure,
         f"Dot plot of held-out gains: {said}",
-        f"{form_line(calibration)} A range offset lets hits lie beside the expected range (walls drawn too thick or "
-        "too thin); a sigma slope lets the noise grow with range. The filled dot is the form that was kept: a "
-        f"further parameter must gain {LEAST_GAIN:g} nats per held-out beam and twice the standard error.",
+        f"{form_line(calibration)} Gains are over {form_name(candidates[0])}. A range offset lets hits lie beside the "
+        "expected range (walls drawn too thick or too thin); a sigma slope lets the noise grow with range. The filled "
+        f"dot is the form that was kept: a further parameter must gain {LEAST_GAIN:g} nats per held-out beam and twice "
+        "the standard error.",
         "Section 6.3.2; Figure 6.6 (narrower peaks at shorter range)",
     )
 

@@ -13,10 +13,10 @@ export class Comparison {
     const run = ++this.run, { explorer } = this;
     clearTimeout(this.timer);
     this.curves = {};
-    if (explorer.other === null) return;
+    const scans = spread(explorer.start.poses, SCANS, Boolean);
+    if (explorer.other === null || !scans.length) return;
     const sets = [explorer.set, explorer.other], densities = sets.every((k) => explorer.start.sets[k].kind === "beam");
     for (const name of densities ? [POSE, READING] : [POSE]) this.curves[name] = Array(explorer.start.times.length).fill(null);
-    const scans = spread(explorer.start.poses, SCANS, Boolean);
     this.timer = setTimeout(() => this.next(run, sets, scans), WAIT_MS);
   }
 
@@ -50,7 +50,7 @@ export class Comparison {
     const along = (this.curves[POSE] ?? []).filter((value) => value !== null);
     if (along.length) {
       const wins = along.filter((value) => value > 0).length;
-      parts.push(`Over ${along.length} scans of the log: A better in ${Math.round(100 * wins / along.length)} %, by ${signed(mean(along), 2)} nats in the mean.`);
+      parts.push(`Over ${along.length} scan${along.length > 1 ? "s" : ""} of the log: A better in ${Math.round(100 * wins / along.length)} %, by ${signed(mean(along), 2)} nats in the mean.`);
     }
     return parts.join("");
   }

@@ -190,7 +190,8 @@ export class MapView {
       else { grabbed = "pan"; point(event.offsetX, event.offsetY); }
     });
     canvas.addEventListener("pointermove", (event) => {
-      const before = fingers.get(event.pointerId), now = [event.offsetX, event.offsetY];
+      // The robot stays in sight when the pointer leaves the map.
+      const before = fingers.get(event.pointerId), now = [clamped(event.offsetX, this.width), clamped(event.offsetY, this.height)];
       if (!before) { point(...now); this.showCursor(...now); return; }
       if (fingers.size === 2) {
         const other = [...fingers.entries()].find(([id]) => id !== event.pointerId)[1];
@@ -215,3 +216,5 @@ export class MapView {
     this.canvas.style.cursor = near(this.tip()) || near(this.toScreen(this.state.pose)) ? "grab" : "crosshair";
   }
 }
+
+const clamped = (value, end) => Math.max(0, Math.min(end, value));

@@ -13,7 +13,7 @@ export class Panels {
   begin() {
     const { explorer, page, start } = this;
     page.scan.max = start.times.length - 1;
-    page.lost.textContent = start.run?.lost ?? "";
+    page.lost.textContent = start.run?.lost ?? (start.poses.some(Boolean) ? "" : "The log has no poses: drag the robot to where it was.");
     this.listModels();
     page.curve.addEventListener("change", () => { this.drawTimeline(); this.listWorst(); });
     page.line.addEventListener("click", (event) => explorer.toScan(nearestTime(start.times, event.offsetX / page.line.clientWidth * start.times.at(-1))));
@@ -135,7 +135,7 @@ export class Panels {
       const said = (what, name, n) => (now[name] === null ? [] : [`${what} ${minus(now[name].toFixed(n))} nats` +
         (Math.abs(now[name] - before[name]) < 0.5 * 10 ** -n ? "" : ` (${signed(now[name] - before[name], n)} by your change)`)]);
       const parts = [...said("pose score", "pose", 2), ...said("log likelihood of a reading", "reading", 3)];
-      page.judged.textContent = parts.length ? `Mean over ${scans}${heldOut ? " held-out" : ""} scans: ${parts.join("; ")}.` : "";
+      page.judged.textContent = parts.length ? `Mean over ${scans}${heldOut ? " held-out" : ""} scan${scans > 1 ? "s" : ""}: ${parts.join("; ")}.` : "";
     });
   }
 

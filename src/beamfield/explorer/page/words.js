@@ -4,7 +4,7 @@ export const degrees = (radians) => 180 * radians / Math.PI;
 export const wrapped = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
 export const minus = (text) => text.replace("-", "−");
 export const signed = (value, n) => { const text = Math.abs(value).toFixed(n); return `${Number(text) === 0 ? "" : value < 0 ? "−" : "+"}${text}`; };
-export const digits = (value) => (value === 0 ? "0" : Math.abs(value) < 1e-3 ? minus(value.toExponential(1)) : minus(String(Number(value.toPrecision(3)))));
+export const digits = (value) => (value === 0 ? "0" : Math.abs(value) < 1e-4 ? minus(value.toExponential(1)) : minus(String(Number(value.toPrecision(3)))));
 export const largest = (values) => values.indexOf(Math.max(...values));
 export const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 

@@ -8,19 +8,24 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import distributed
 import numpy as np
 import pytest
 
+from beamfield.calibration.intrinsic.likelihood import theta_of
 from beamfield.errors import InvalidInputError
+from beamfield.fleet import learning
 from beamfield.fleet.engine import Engine, WorkersLostError
+from beamfield.fleet.learning import GroupFit, learn
 from beamfield.fleet.scan import FleetScan, scan_fleet
 from beamfield.fleet.shard import Shard
 from beamfield.kernels.threads import n_threads, set_threads
+from tests.fleet.test_learning import TRUTH, fleet_of
 
-KILLS = 2
+KILLS = 1
 
 
 def draw(seed: int) -> np.ndarray:
@@ -61,8 +66,38 @@ def test_progress_counts_items():
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Engine]:
+    """An engine of two processes: to start them takes seconds."""
+    with Engine("processes", 2) as engine:
+        yield engine
+
+
+def test_two_processes_learn_the_same_as_one(processes: Engine, monkeypatch):
+    catalogue = fleet_of(TRUTH, n_shards=7, n_scans=20)
+
+    def fits(engine: Engine) -> tuple[GroupFit, ...]:
+        with monkeypatch.context() as patch:  # workers do not see it
+            patch.setattr(learning, "SAMPLE_BEAMS", 1000)
+            of_fleet = learn(catalogue, engine).fits
+        return of_fleet + learn(catalogue, engine, by="robot").fits
+
+    with Engine("serial") as serial:
+        here, there = fits(serial), fits(processes)
+    # To the bit where all kernels come from Numba's cache: a process that compiles them may round otherwise.
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_allclose(theta_of(one.parameters), theta_of(other.parameters), rtol=1e-12, atol=1e-14)
+        assert one.log_likelihood == pytest.approx(other.log_likelihood, rel=1e-13)
+        assert one.intervals.intervals.keys() == other.intervals.intervals.keys()
+        for name, interval in one.intervals.intervals.items():
+            assert other.intervals.intervals[name] == pytest.approx(interval, rel=1e-9)
+        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-16)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
-def test_killed_workers_change_no_bit_of_shards_and_sums(scanned: FleetScan, world: Path, tmp_path: Path):
+def test_a_killed_worker_changes_no_bit_of_shards_and_sums(
+    scanned: FleetScan, world: Path, processes: Engine, tmp_path: Path
+):
     with Engine("serial") as engine:
         sums = engine.reduce(moments_of, scanned.catalogue.shards() * 3, add)
     kills: list[int] = []
@@ -76,18 +111,17 @@ def test_killed_workers_change_no_bit_of_shards_and_sums(scanned: FleetScan, wor
                 kills.append(chance.choice(pids))
                 os.kill(kills[-1], signal.SIGKILL)
 
-    with Engine("processes", 2) as engine:
-        killer = threading.Thread(target=kill_now_and_then, args=(engine,))
-        killer.start()
-        try:
-            killed = scan_fleet(world / "fleet.csv", str(tmp_path / "killed"), engine)
-            again = engine.reduce(moments_of, killed.catalogue.shards() * 3, add)
-        finally:
-            done.set()
-            killer.join()
-        many = engine.reduce(draw, list(range(1000)), add)
-        with pytest.raises(ZeroDivisionError):
-            engine.map(divmod_by_zero, [1])
+    killer = threading.Thread(target=kill_now_and_then, args=(processes,))
+    killer.start()
+    try:
+        killed = scan_fleet(world / "fleet.csv", str(tmp_path / "killed"), processes)
+        again = processes.reduce(moments_of, killed.catalogue.shards() * 3, add)
+    finally:
+        done.set()
+        killer.join()
+    many = processes.reduce(draw, list(range(1000)), add)
+    with pytest.raises(ZeroDivisionError):
+        processes.map(divmod_by_zero, [1])
     assert kills
     assert contents(tmp_path / "killed") == contents(world / "catalogue")
     np.testing.assert_array_equal(again[:2], sums[:2])

@@ -19,7 +19,7 @@ from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.fleet import learning, shard_passes
 from beamfield.fleet.engine import Engine
-from beamfield.fleet.learning import GroupFit, learn, sensor_limits
+from beamfield.fleet.learning import learn, sensor_limits
 from beamfield.fleet.shard_passes import Part, SensorLimits, ShardedLikelihood, metres
 from beamfield.models.beam_parameters import BeamParameters
 
@@ -61,27 +61,6 @@ def test_a_fleet_learns_what_one_process_learns_from_the_same_beams(truth, min_r
     assert fit.passes <= 7
     np.testing.assert_allclose(theta_of(fit.parameters), theta_of(alone.parameters), rtol=1e-12, atol=1e-12)
     assert fit.log_likelihood == pytest.approx(alone.log_likelihood, rel=1e-12)
-
-
-def test_two_processes_learn_the_same_as_one(monkeypatch):
-    catalogue = fleet_of(TRUTH, n_shards=7, n_scans=20)
-
-    def fits(engine: Engine) -> tuple[GroupFit, ...]:
-        with monkeypatch.context() as patch:  # workers do not see it
-            patch.setattr(learning, "SAMPLE_BEAMS", 1000)
-            of_fleet = learn(catalogue, engine).fits
-        return of_fleet + learn(catalogue, engine, by="robot").fits
-
-    with Engine("processes", workers=2) as engine:
-        there = fits(engine)
-    # To the bit where all kernels come from Numba's cache: a process that compiles them may round otherwise.
-    for one, other in zip(fits(SERIAL), there, strict=True):
-        np.testing.assert_allclose(theta_of(one.parameters), theta_of(other.parameters), rtol=1e-12, atol=1e-14)
-        assert one.log_likelihood == pytest.approx(other.log_likelihood, rel=1e-13)
-        assert one.intervals.intervals.keys() == other.intervals.intervals.keys()
-        for name, interval in one.intervals.intervals.items():
-            assert other.intervals.intervals[name] == pytest.approx(interval, rel=1e-9)
-        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-16)
 
 
 @pytest.mark.parametrize("truth", [TRUTH, WIDE])

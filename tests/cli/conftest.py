@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Iterator
+from functools import cache, partial
 
 import pytest
 
 from beamfield.calibration import pose_windows
+from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
+
+
+@pytest.fixture(scope="package", autouse=True)
+def plans_drawn_once() -> Iterator[None]:
+    """Draw each floor plan once for all commands that simulate in it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(floor_plan, "draw_floor_plan", cache(floor_plan.draw_floor_plan))
+        yield
 
 
 @pytest.fixture

@@ -147,7 +147,7 @@ def integrate_one_beam(model: BeamModel | SonarModel, pose: np.ndarray) -> float
     total = np.exp(model.log_likelihood(Scan([FINDER.max_range], finder), pose))
     # In a wall, p_short fills the first micrometre.
     first = finder.min_range + 2e-6
-    for low, high, n in [(finder.min_range, first, 100), (first, FINDER.max_range, 200_000)]:
+    for low, high, n in [(finder.min_range, first, 100), (first, FINDER.max_range, 50_000)]:
         ranges = low + (np.arange(n) + 0.5) * (high - low) / n
         same_ray = finder.subset(np.zeros(n, np.int64))
         density = np.exp(model.beam_log_likelihood(Scan(ranges, same_ray), pose))
@@ -184,11 +184,11 @@ def build_landmark_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options:
 
 def integrate_one_feature(model: LandmarkModel, pose: np.ndarray) -> float:
     """Return the integral over range and bearing of one feature, by the midpoint rule."""
-    ranges, bearings = -4.975 + 0.05 * np.arange(1900), (np.arange(160) + 0.5) * np.pi / 80.0
+    ranges, bearings = -4.95 + 0.1 * np.arange(950), (np.arange(160) + 0.5) * np.pi / 80.0
     r, phi = (axis.ravel() for axis in np.meshgrid(ranges, bearings))
     which = UNKNOWN if model.correspondence == "sum" else 3
     density = np.exp(model.detection_log_likelihood(Detections(r, phi, ids=np.full(r.size, which)), pose))
-    return float(density.sum() * 0.05 * np.pi / 80.0)
+    return float(density.sum() * 0.1 * np.pi / 80.0)
 
 
 def landmark_transform(
@@ -217,11 +217,11 @@ def build_line_model(map_from_moved: ArrayLike = (0.0, 0.0, 0.0), **options: Any
 
 def integrate_one_line(model: LineModel, pose: np.ndarray) -> float:
     """Return the integral over rho and alpha of one line, by the midpoint rule."""
-    rho, alpha = 0.025 + 0.05 * np.arange(1600), (np.arange(160) + 0.5) * np.pi / 80.0
+    rho, alpha = 0.05 + 0.1 * np.arange(800), (np.arange(160) + 0.5) * np.pi / 80.0
     r, a = (axis.ravel() for axis in np.meshgrid(rho, alpha))
     which = np.full(r.size, UNKNOWN if model.correspondence == "sum" else 3)
     density = np.exp(model.detection_log_likelihood(LineDetections(np.column_stack([r, a]), ids=which), pose))
-    return float(density.sum() * 0.05 * np.pi / 80.0)
+    return float(density.sum() * 0.1 * np.pi / 80.0)
 
 
 def line_transform(

@@ -262,9 +262,7 @@ def test_a_link_leads_to_the_same_moment_and_pose(opened):
     assert pose(opened("#i=99&x=nonsense&set=-1"))[0] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("width", "height", "scheme"), [(1300, 850, "light"), (1300, 850, "dark"), (390, 800, "light")]
-)
+@pytest.mark.parametrize(("width", "height", "scheme"), [(1300, 850, "dark"), (390, 800, "light")])
 def test_it_fits_the_screen_and_axe_finds_nothing_serious(opened, width, height, scheme):
     page = opened("#i=3&other=2", width=width, height=height, scheme=scheme)
     sync_api.expect(page.locator(".verdict")).to_contain_text("of the log")

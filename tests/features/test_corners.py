@@ -44,7 +44,7 @@ def test_covariance_of_a_corner_is_that_of_its_errors(rng, pose):
     room = Room.from_outlines([(0, 0), (4, 0), (4.5, 3), (0, 3)])
     ranges, hit = room.cast(pose, FINDER)
     truth = np.array([*corner_in_view(np.array(pose), (4, 0)), np.pi - np.arctan2(3, 0.5)])
-    squares, n = [], 600
+    squares, n = [], 300
     for _ in range(n):
         scan = Scan(ranges + rng.normal(0, 0.01, FINDER.n_beams), FINDER)
         [sweep] = sweeps(scan)
@@ -68,7 +68,7 @@ def places_of(sweep, hit, wall):
 def test_extracted_corners_have_honest_covariances(rng):
     room = Room.from_outlines([(0, 0), (4, 0), (4.5, 3), (0, 3)])
     squares = []
-    for _ in range(60):
+    for _ in range(30):
         pose = np.array([*rng.uniform([0.8, 0.8], [3.2, 2.2]), rng.uniform(-3, 3)])
         ranges = room.cast(pose, FINDER)[0] + rng.normal(0, 0.01, FINDER.n_beams)
         corners = find_corners(find_lines(Scan(ranges, FINDER), NOISE))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
 import math
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -72,30 +71,24 @@ def test_coordinates_near_a_border_are_on_it(x, cell, offset):
     assert elementary.split(x) == (cell, offset)
 
 
-PROGRAM = """
-import sys
-from beamfield.kernels import jit
-jit.SHARED_STAMP = sys.argv[1]
-from a_kernel import double
-double(1.0)
-print(sum(double.stats.cache_hits.values()))
-"""
-
-
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="kernels are interpreted")
-def test_compiled_kernels_are_dropped_when_the_shared_file_changes(tmp_path):
+def test_compiled_kernels_are_dropped_when_the_shared_file_changes(tmp_path, monkeypatch):
     (tmp_path / "a_kernel.py").write_text(
         "from beamfield.kernels.jit import kernel\n\n\n@kernel\ndef double(x):\n    return 2.0 * x\n"
     )
-    environment = dict(
-        os.environ, PYTHONPATH=os.pathsep.join([str(tmp_path), *sys.path]), NUMBA_CACHE_DIR=str(tmp_path / "cache")
-    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
 
     def hits(stamp):
-        command = [sys.executable, "-c", PROGRAM, stamp]
-        return int(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
+        """Import the module anew, as another process would; return how often its kernel came from the disk."""
+        monkeypatch.setattr(jit, "SHARED_STAMP", stamp)
+        monkeypatch.delitem(sys.modules, "a_kernel", raising=False)
+        double = importlib.import_module("a_kernel").double
+        assert double(1.0) == 2.0
+        return sum(double.stats.cache_hits.values())
 
     assert [hits("one"), hits("one"), hits("other"), hits("other")] == [0, 1, 0, 1]
+    del sys.modules["a_kernel"]
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="kernels are interpreted")

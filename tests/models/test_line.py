@@ -128,7 +128,7 @@ def test_samples_with_correlated_noise_follow_the_density(rng):
     """Next to the line, where folding matters: expectation of a bounded statistic by samples and by integration."""
     wall, covariance, pose = LineMap([[2.0, 0.0]]), [[0.04, 0.03], [0.03, 0.09]], np.array([1.95, 0.0, 0.0])
     m = model(lines=wall)
-    samples = m.sample(np.tile(pose, (20_000, 1)), rng, covariances=covariance)
+    samples = m.sample(np.tile(pose, (8_000, 1)), rng, covariances=covariance)
     drawn = np.array([z.lines[0] for z in samples])
 
     def statistic(rho, alpha):

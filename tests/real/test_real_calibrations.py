@@ -92,7 +92,7 @@ def test_the_wrong_map_file_of_the_pioneer_is_found_out(data: Path, pioneer: Sen
 @pytest.mark.parametrize("name", ["intel", "freiburg-079", "belgioioso"])
 def test_logs_without_a_map_are_calibrated_on_the_maps_of_their_halves(data: Path, name: str):
     log = sensor_log(data, f"carmen_radish_corrected/{name}-corrected.log.gz")
-    log = log.select(np.arange(min(len(log), 1500)))
+    log = log.select(np.arange(min(len(log), 800)))
     result = calibrate(log, build_cross_fit_maps(log), replace(OPTIONS, refine=False))
     assert beats_the_defaults(result)
     assert "cross-fitted-map" in names(result)

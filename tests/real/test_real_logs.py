@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from beamfield.geometry import compose, transform_points, wrap_angle
 from beamfield.io.logs.carmen import read_carmen, write_carmen
 from beamfield.io.read_log import read_log
 from beamfield.io.trajectory import attach_poses, read_trajectory
-from beamfield.sensors import usable_ranges
+from beamfield.sensors import ScanLog, usable_ranges
 
 RADISH = "carmen_radish_corrected/{}-corrected.log.gz"
 
@@ -49,11 +51,17 @@ RAW_ODOMETRY = ("csail raw", "csail gfs", "intel raw", "wean 1", "wean 3", "wean
 NO_REFERENCE = ("wean 1", "wean 3", "wean 5", "mines 1", "mines 2")
 
 
+@cache
+def log_of(data: Path, name: str) -> ScanLog:
+    """A log of the table: to read one takes up to two seconds."""
+    return read_log(data / LOGS[name][0])
+
+
 @pytest.mark.real
 @pytest.mark.parametrize("name", LOGS)
 def test_log_reads_with_its_beams_limit_and_share_of_no_return(data, name):
-    path, n_scans, n_beams, first, last, limit, share = LOGS[name]
-    log = read_log(data / path)
+    _, n_scans, n_beams, first, last, limit, share = LOGS[name]
+    log = log_of(data, name)
     sensor = log.only_sensor()
     assert sensor.ranges.shape == (n_scans, n_beams)
     np.testing.assert_allclose(np.degrees(sensor.finder.bearings[[0, -1]]), [first, last], atol=0.05)
@@ -71,14 +79,14 @@ def test_log_reads_with_its_beams_limit_and_share_of_no_return(data, name):
 @pytest.mark.oracle
 def test_intels_limit_is_that_of_the_frozen_calibration_set(data, oracle):
     frozen = np.load(oracle / "calibration" / "set_intel_train.npz")
-    assert read_log(data / LOGS["intel"][0]).only_sensor().finder.max_range == float(frozen["zmax"])
+    assert log_of(data, "intel").only_sensor().finder.max_range == float(frozen["zmax"])
 
 
 @pytest.mark.real
 def test_intels_steps_back_are_reported_and_short(data):
-    log = read_log(data / LOGS["intel"][0])
+    log = log_of(data, "intel")
     assert any("4 of 910 stamps go backwards, by up to 0.86 s" in note for note in log.notes)
-    with_zone = read_log(data / LOGS["intel raw"][0]).only_sensor()
+    with_zone = log_of(data, "intel raw").only_sensor()
     # The same scans with other stamps, sorted by them: they agree except where the stamps went back.
     apart = np.abs(with_zone.stamps - 976052857.337 - log.only_sensor().stamps)
     assert np.count_nonzero(apart > 0.01) <= 8
@@ -87,15 +95,15 @@ def test_intels_steps_back_are_reported_and_short(data):
 
 @pytest.mark.real
 def test_acapulcos_last_beam_is_padding(data):
-    log = read_log(data / LOGS["acapulco"][0])
+    log = log_of(data, "acapulco")
     assert np.isnan(log.only_sensor().ranges[:, 180]).all()
     assert any("beam 180 reads 50 m in all 861 scans" in note for note in log.notes)
 
 
 @pytest.mark.real
 def test_gmappings_best_particle_gives_the_published_corrected_poses(data):
-    gfs = read_log(data / LOGS["csail gfs"][0]).only_sensor()
-    published = read_log(data / LOGS["csail raw"][0]).only_sensor()
+    gfs = log_of(data, "csail gfs").only_sensor()
+    published = log_of(data, "csail raw").only_sensor()
     np.testing.assert_array_equal(gfs.odometry, published.odometry)
     np.testing.assert_array_equal(gfs.stamps, published.stamps)
     np.testing.assert_allclose(gfs.poses[:, :2], published.poses[:, :2], atol=1e-3)
@@ -105,7 +113,7 @@ def test_gmappings_best_particle_gives_the_published_corrected_poses(data):
 @pytest.mark.real
 def test_freiburgs_pose_is_the_lasers_whatever_the_declared_mount(data):
     # The sharper the map, the fewer cells the end points of the scans fall into.
-    sensor = read_log(data / LOGS["fr079"][0]).only_sensor()
+    sensor = log_of(data, "fr079").only_sensor()
     assert sensor.finder.mounts[0, 0] == -0.04
 
     def cells(shift):
@@ -124,7 +132,7 @@ def test_freiburgs_pose_is_the_lasers_whatever_the_declared_mount(data):
 
 @pytest.mark.real
 def test_wean_halls_laser_is_25_cm_ahead_and_its_reference_attaches_by_index(data):
-    log = read_log(data / LOGS["wean 1"][0])
+    log = log_of(data, "wean 1")
     np.testing.assert_allclose(log.only_sensor().finder.mounts[:, :2], np.tile([0.25, 0.0], (180, 1)), atol=1e-9)
     path = data / "wean_hall" / "reference_robotdata1.csv.gz"
     with gzip.open(path, "rt") as file:
@@ -138,7 +146,7 @@ def test_wean_halls_laser_is_25_cm_ahead_and_its_reference_attaches_by_index(dat
 @pytest.mark.real
 def test_wean_hall_gives_the_same_numbers_from_text_and_mcap(data):
     pytest.importorskip("rosbags")
-    text = read_log(data / LOGS["wean 1"][0]).only_sensor()
+    text = log_of(data, "wean 1").only_sensor()
     bag = read_log(data / "derived_wean_mcap" / "bag").only_sensor()
     np.testing.assert_allclose(bag.finder.mounts, text.finder.mounts, atol=1e-6)
     np.testing.assert_allclose(bag.stamps, text.stamps + 1e9, rtol=0, atol=1e-6)
@@ -169,7 +177,7 @@ def test_reference_files_beside_bags_attach_to_every_scan(data, log, poses):
 
 @pytest.mark.real
 def test_a_real_log_written_as_carmen_reads_the_same(data, tmp_path):
-    log = read_log(data / LOGS["intel raw"][0])
+    log = log_of(data, "intel raw")
     write_carmen(tmp_path / "intel.log", log)
     first, again = log.only_sensor(), read_carmen(tmp_path / "intel.log").only_sensor()
     np.testing.assert_allclose(again.ranges, first.ranges)

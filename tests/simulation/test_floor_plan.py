@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -15,15 +17,20 @@ from beamfield.simulation.trajectory import clearance_map
 SEEDS = range(4)
 
 
+@cache
+def plan(seed: int) -> OccupancyGrid:
+    return draw_floor_plan(seed=seed)
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_every_free_cell_can_be_reached_from_every_other(seed: int) -> None:
-    _, n_regions = ndimage.label(draw_floor_plan(seed=seed).free)
+    _, n_regions = ndimage.label(plan(seed).free)
     assert n_regions == 1
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_robot_fits_through_the_doors_into_most_rooms(seed: int) -> None:
-    grid = draw_floor_plan(seed=seed)
+    grid = plan(seed)
     room = clearance_map(grid) >= 0.35
     labels, _ = ndimage.label(room, structure=np.ones((3, 3)))
     largest = np.bincount(labels[room]).max()
@@ -32,14 +39,14 @@ def test_a_robot_fits_through_the_doors_into_most_rooms(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_only_occupied_cells_lie_between_free_and_unknown_space(seed: int) -> None:
-    grid = draw_floor_plan(seed=seed)
+    grid = plan(seed)
     beside_free = ndimage.binary_dilation(grid.free, structure=np.ones((3, 3)))
     assert not (beside_free & grid.unknown).any()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_ray_from_inside_leaves_the_building(seed: int, rng: np.random.Generator) -> None:
-    grid = draw_floor_plan(seed=seed)
+    grid = plan(seed)
     rows, cols = np.nonzero(grid.free)
     chosen = rng.integers(0, len(rows), 500)
     points = grid.to_map(np.column_stack([cols[chosen] + 0.5, rows[chosen] + 0.5]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "doctor.md"
 pytestmark = pytest.mark.skipif(not PAGE.is_file(), reason="the documentation is not here")
 
 
+@cache
 def findings() -> dict[str, set[str]]:
     """Return the severities that each finding can have, by name, as the source has them."""
     found: dict[str, set[str]] = {}

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.cli.fitted_poses import NAME, as_document
     from beamfield.cli.inspect_summary import map_facts, map_text
-    from beamfield.io.maps.ros_map import write_map
+    from beamfield.io.maps.ros_map_writer import write_map
     from beamfield.maps.mapping import build_map, share_of_hits_in_obstacles
 
     _check(arguments)

@@ -29,7 +29,7 @@ from beamfield.detections import Detections
 from beamfield.io.landmarks.landmark_files import write_landmarks
 from beamfield.io.landmarks.line_files import write_line_map
 from beamfield.io.logs.carmen_writer import write_carmen
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.lines import LineMap
 from beamfield.maps.occupancy import OccupancyGrid

@@ -14,7 +14,7 @@ _NAMES = {
     "io.read_log": ("read_log",),
     "io.trajectory": ("read_trajectory", "attach_poses"),
     "io.read_sightings_log": ("read_sightings_log",),
-    "io.maps.ros_map": ("write_map",),
+    "io.maps.ros_map_writer": ("write_map",),
     "io.maps.range_table_file": ("precompute_ranges",),
     "io.landmarks.landmark_files": ("read_landmarks",),
     "io.landmarks.line_files": ("read_line_map",),

@@ -26,7 +26,7 @@ from beamfield.io.read_map import read_map as read_map
 from beamfield.io.read_log import read_log as read_log
 from beamfield.io.trajectory import read_trajectory as read_trajectory, attach_poses as attach_poses
 from beamfield.io.read_sightings_log import read_sightings_log as read_sightings_log
-from beamfield.io.maps.ros_map import write_map as write_map
+from beamfield.io.maps.ros_map_writer import write_map as write_map
 from beamfield.io.maps.range_table_file import precompute_ranges as precompute_ranges
 from beamfield.io.landmarks.landmark_files import read_landmarks as read_landmarks
 from beamfield.io.landmarks.line_files import read_line_map as read_line_map

@@ -151,61 +151,6 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
     return result
 
 
-def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
-    """Return the ids of a map's n features as read-only integers; None numbers them from 1.
-
-    Parameters
-    ----------
-    ids
-        (n,) whole numbers, or None.
-    n
-        How many things the map has.
-
-    Returns
-    -------
-    (n,) a copy, in the order given.
-
-    Raises
-    ------
-    InvalidInputError
-        If they are not whole numbers >= 0, not n of them, or one appears twice.
-    """
-    result = as_ids(np.arange(1, n + 1) if ids is None else ids, n, 0)
-    values, counts = np.unique(result, return_counts=True)
-    if (counts > 1).any():
-        raise InvalidInputError(f"ids: expected each id once, got {values[counts.argmax()]} {counts.max()} times")
-    return result
-
-
-def indices_of_ids(map_ids: NDArray[np.int64], order: NDArray[np.int64], ids: ArrayLike) -> NDArray[np.int64]:
-    """Return where in a map each id is.
-
-    Parameters
-    ----------
-    map_ids
-        (N,) each id once, N >= 1.
-    order
-        (N,) the indices that sort them.
-    ids
-        Whole numbers, of any shape.
-
-    Returns
-    -------
-    Indices in [0, N), of the shape of `ids`.
-
-    Raises
-    ------
-    InvalidInputError
-        If the map has no such id; it is named.
-    """
-    wanted = np.asarray(ids, dtype=np.int64)
-    found = order.take(map_ids.searchsorted(wanted, sorter=order), mode="clip")
-    unknown = map_ids.take(found) != wanted
-    if unknown.any():
-        raise InvalidInputError(f"ids: expected ids of the map, got {wanted[unknown][0]}")
-    return np.asarray(found)
-
-
 def finite_copy(values: ArrayLike, name: str) -> FloatArray:
     """Return numbers as a read-only copy that nobody else can change.
 

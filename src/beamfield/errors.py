@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from beamfield.printable import printable
@@ -81,3 +83,14 @@ class MissingDependencyError(BeamfieldError, ImportError):
     def __init__(self, package: str, extra: str | None, purpose: str) -> None:
         where = "" if extra is None else f", which is in the extra beamfield[{extra}]"
         super().__init__(f"{purpose} needs the package {package!r}: pip install {package}{where}")
+
+
+@contextmanager
+def about_file(path: str | Path) -> Iterator[None]:
+    """Name a file in the errors about what it holds: options are to be checked before."""
+    try:
+        yield
+    except InvalidInputError as error:
+        raise FormatError(path, str(error)) from error
+    except TooLittleDataError as error:
+        raise TooLittleDataError(f"{path}: {error}") from error

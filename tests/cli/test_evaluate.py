@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from beamfield.cli.main import main
-from beamfield.io.maps.ros_map import moved_map_text
+from beamfield.io.maps.ros_map_writer import moved_map_text
 
 SEEDS = 10
 # Weights that say nothing, and odometry that is trusted too little: the particles drift apart.

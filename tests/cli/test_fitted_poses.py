@@ -17,7 +17,7 @@ from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.main import main
 from beamfield.cli.progress import StageProgress
 from beamfield.errors import BeamfieldError, TrajectoryNotFoundError
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.localization import fitted_poses

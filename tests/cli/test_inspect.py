@@ -16,7 +16,7 @@ from beamfield.cli.inspect_picture import log_picture
 from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
 from beamfield.cli.main import main
 from beamfield.io.logs.carmen_writer import write_carmen
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.trajectory import write_tum
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track

@@ -11,7 +11,7 @@ import pytest
 from beamfield.cli.main import main
 from beamfield.geometry import between
 from beamfield.io.logs.carmen import write_carmen
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.parameters.beam_model_file import beam_model_text
 from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
 from beamfield.maps.occupancy import OccupancyGrid

@@ -14,7 +14,7 @@ from beamfield.cli.film import Film
 from beamfield.cli.main import main
 from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.parameters.beam_model_file import beam_model_text
 from beamfield.io.parameters.likelihood_field_file import likelihood_field_text
 from beamfield.io.trajectory import read_trajectory, write_tum

@@ -11,7 +11,7 @@ import pytest
 from beamfield.cli.main import main
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.range_table_file import read_range_table
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import write_tum
 from beamfield.maps.occupancy import OccupancyGrid

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beamfield.cli.main import main
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_log import read_log
 from beamfield.io.read_map import read_map
 from beamfield.io.trajectory import read_trajectory

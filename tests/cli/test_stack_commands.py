@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from beamfield.cli.main import main
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 GOOD = """\

@@ -10,7 +10,7 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.io.logs.carmen import write_carmen
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.trajectory import read_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import ScanLog, SensorLog

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from beamfield.io.logs.carmen_writer import write_carmen
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import ScanLog, SensorLog
 

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.io.bags import reader as rosbag
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_map import read_map
 from beamfield.maps.occupancy import OccupancyGrid
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.maps.ros_map import image_path, read_ros_map, ros_map_notes, write_map
+from beamfield.io.maps.ros_map import image_path, read_ros_map, ros_map_notes
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 DEFAULTS = {

@@ -53,14 +53,6 @@ def test_windows_line_ends_and_a_last_line_without_end_are_read(write):
     assert read_wean_map(write(text)).shape == (3, 2)
 
 
-def test_thresholds_are_the_callers(write):
-    grid = read_wean_map(write(HEADER + CELLS), occupied_thresh=0.95, free_thresh=0.1)
-    assert grid.occupied.sum() == 1
-    assert grid.free.sum() == 1
-    with pytest.raises(InvalidInputError, match="thresholds"):
-        read_wean_map(write(HEADER + CELLS), occupied_thresh=0.1, free_thresh=0.5)
-
-
 @pytest.mark.parametrize(
     ("content", "line", "message"),
     [

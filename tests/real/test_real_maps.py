@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.read_map import read_map
 
 pytestmark = pytest.mark.real

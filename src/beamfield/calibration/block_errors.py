@@ -27,10 +27,8 @@ def jackknife_error(replicates: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((n - 1.0) / n * np.square(replicates - replicates.mean(axis=0)).sum(axis=0)))
 
 
-def block_interval(
-    value: float, standard_error: float, n_blocks: int, *, level: float = 0.95, most: float = np.inf
-) -> tuple[float, float]:
-    """Return the interval of a positive parameter, symmetric in its logarithm, or in its logit if it has a limit.
+def block_interval(value: float, standard_error: float, n_blocks: int, *, most: float = np.inf) -> tuple[float, float]:
+    """Return the 95 % interval of a positive parameter, symmetric in its logarithm, or in its logit if it has a limit.
 
     Parameters
     ----------
@@ -38,8 +36,6 @@ def block_interval(
         The estimate, and its standard error from blocks.
     n_blocks
         Their number, at least 2.
-    level
-        Share of such intervals that are to hold the truth.
     most
         The parameter's upper limit, 1 for weights.
 
@@ -53,7 +49,7 @@ def block_interval(
     >>> round(low, 3), round(high, 3)
     (0.288, 0.712)
     """
-    reach = float(stdtrit(n_blocks - 1, 0.5 * (1.0 + level))) * standard_error / value
+    reach = float(stdtrit(n_blocks - 1, 0.975)) * standard_error / value
     reach = min(reach, LONGEST_REACH)
     if most == np.inf:
         return value * float(np.exp(-reach)), value * float(np.exp(reach))

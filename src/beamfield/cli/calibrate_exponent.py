@@ -24,8 +24,7 @@ def learn_beam_exponent(
 ) -> tuple[ReportPart, ExponentLearning | None]:
     """Learn the exponent of the beam model from the log and the map that its parameters were learned from."""
     from beamfield.calibration.context.exponent import learn_exponent
-    from beamfield.models.beam import BeamModel
-    from beamfield.models.sonar import SonarModel
+    from beamfield.models.sonar import model_of_sensor
     from beamfield.report.exponent_section import (
         exponent_as_dict,
         exponent_missing,
@@ -34,11 +33,10 @@ def learn_beam_exponent(
     )
 
     job.progress("learning how much beams count", 0, 1)
-    kind = SonarModel if sensor.finder.opening_angle > 0.0 else BeamModel
     unknown: Literal["free", "occupied"] = "occupied" if result.options.unknown == "occupied" else "free"
     try:
         learned = learn_exponent(
-            kind(grid, result.parameters, n_beams=N_BEAMS, unknown=unknown),
+            model_of_sensor(sensor.finder)(grid, result.parameters, n_beams=N_BEAMS, unknown=unknown),
             sensor,
             grid,
             reference_error=job.arguments.reference_error,

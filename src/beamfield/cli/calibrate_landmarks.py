@@ -21,7 +21,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, positive
 from beamfield.cli.provenance import provenance
 from beamfield.cli.wording import in_options
-from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.errors import FormatError, about_file
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("reading", 0, 1)
         landmarks, log = read_sightings_log(arguments.sightings, arguments.landmarks)
         progress("learning", 0, 1)
-        try:
+        with about_file(arguments.sightings):
             result = learn_landmark_parameters(
                 landmarks,
                 log,
@@ -82,10 +82,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 seed=arguments.seed,
                 progress=lambda done, total: progress("intervals", done, total),
             )
-        except InvalidInputError as error:  # the options were checked before, so it is about the data
-            raise FormatError(arguments.sightings, str(error)) from error
-        except TooLittleDataError as error:
-            raise TooLittleDataError(f"{arguments.sightings}: {error}") from error
     text = landmark_model_text(result.parameters, intervals=result.intervals, provenance=provenance(arguments))
     write_file(arguments.out, text)
     problem = "" if result.converged else "the fit did not converge"

@@ -83,7 +83,8 @@ def replay_fit(
 def shifted_map_file(job: CalibrationJob, choice: ReplayChoice) -> dict[str, str]:
     """Return the file of the map with another origin, by name; none if the origin stays."""
     from beamfield.cli.provenance import file_name
-    from beamfield.io.maps.ros_map import image_path, moved_map_text
+    from beamfield.io.maps.ros_map import image_path
+    from beamfield.io.maps.ros_map_writer import moved_map_text
 
     shift, arguments = choice.chosen.shift, job.arguments
     if not shift:

@@ -20,7 +20,7 @@ from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.report_part import ReportPart, StackPart
 from beamfield.cli.wording import in_options
-from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.errors import about_file
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.report.as_json import calibration_as_dict
@@ -107,12 +107,8 @@ class CalibrationJob:
         return self._learned(sensor, None)
 
     def _learned(self, sensor: SensorLog, fitted: CrossFittedPoses | None) -> SensorResult:
-        try:
+        with about_file(self.arguments.log):
             maps, result, exponents, parts = self._learn(sensor, fitted)
-        except InvalidInputError as error:  # the options were checked before, so it is about the data
-            raise FormatError(self.arguments.log, str(error)) from error
-        except TooLittleDataError as error:
-            raise TooLittleDataError(f"{self.arguments.log}: {error}") from error
         self.progress("judging scans", 0, 1)
         scan_fit = fit_of_calibration(result, maps, sensor)
         self.progress("writing the report", 0, 1)

@@ -29,7 +29,7 @@ from beamfield.cli.parser import Parser, add_command, index, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, write_recordings
-from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, about_file
 
 if TYPE_CHECKING:
     from beamfield.localization.fitted_poses import FittedPoses
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     rates = LostRates(arguments.lose_rate, arguments.find_rate)
     with options.progress(arguments) as progress:
         given = _read(arguments, progress)
-        try:
+        with about_file(arguments.log):
             parameters = _parameters(given, arguments, progress)
             model = _model(given, parameters)
             origin = provenance(arguments)
@@ -113,10 +113,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
             )  # fmt: skip
             progress("comparing places with the map", 0, 1)
             places = _changed_places(given, parameters, fits, arguments.reference_error)
-        except InvalidInputError as error:  # the options were checked before, so it is about the data
-            raise FormatError(arguments.log, str(error)) from error
-        except TooLittleDataError as error:
-            raise TooLittleDataError(f"{arguments.log}: {error}") from error
         worst = fits.worst(arguments.worst, apart_s=APART_S)
         progress("drawing", 0, 1)
         document = {
@@ -218,11 +214,9 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
 
 
 def _model(given: _Inputs, parameters: BeamParameters) -> RangeMixtureModel:
-    from beamfield.models.beam import BeamModel
-    from beamfield.models.sonar import SonarModel
+    from beamfield.models.sonar import model_of_sensor
 
-    kind = SonarModel if given.log.finder.opening_angle > 0.0 else BeamModel
-    return kind(given.grid, parameters)
+    return model_of_sensor(given.log.finder)(given.grid, parameters)
 
 
 def _reference(

@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from beamfield.cli.progress import StageProgress
-from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
+from beamfield.errors import (
+    BeamfieldError,
+    FormatError,
+    InvalidInputError,
+    TooLittleDataError,
+    TrajectoryNotFoundError,
+    about_file,
+)
 
 if TYPE_CHECKING:
     from beamfield.localization.fitted_poses import FittedPoses
@@ -47,10 +54,8 @@ def posed_log(
     if not has_poses(sensor, start):
         fitted = fit_in_map(fit_poses, sensor, grid, arguments, progress, path=path, start=start)
         return fitted.log, fitted, tuple(finding.full_text for finding in fitted.findings())
-    try:
+    with about_file(path):
         require_metres(sensor, grid)
-    except InvalidInputError as error:
-        raise FormatError(path, str(error)) from error
     return sensor, None, tuple(finding.full_text for finding in pose_findings(sensor, grid))
 
 
@@ -91,16 +96,21 @@ def fit_in_map(
     try:
         return fit(sensor, grid, start=start, progress=progress)
     except InvalidInputError as error:
-        about, _, text = str(error).partition(": ")
-        if about == "start":
-            raise InvalidInputError(f"--start: {text}") from error
-        raise FormatError(arguments.map if about == "grid" else path, text or str(error)) from error
+        raise about_its_file(error, arguments, path) from error
     except TooLittleDataError as error:
         raise TooLittleDataError(f"{path}: {NO_POSE}, and none can be fitted: {error}") from error
     except TrajectoryNotFoundError as error:
         raise FormatError(
             path, f"{NO_POSE}, and none can be fitted: {error}; what helps: --start X Y DEG, or --poses FILE"
         ) from error
+
+
+def about_its_file(error: InvalidInputError, arguments: argparse.Namespace, log: Path) -> BeamfieldError:
+    """Return an error of the library as one of the file that it is about; a bad start is a wrong option."""
+    about, _, text = str(error).partition(": ")
+    if about == "start":
+        return InvalidInputError(f"--start: {text}")
+    return FormatError(arguments.map if about == "grid" else log, text or str(error))
 
 
 def as_document(fitted: FittedPoses | None) -> dict[str, Any] | None:

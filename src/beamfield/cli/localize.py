@@ -30,7 +30,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, check_recordings, write_recordings
-from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, about_file
 
 if TYPE_CHECKING:
     from beamfield.cli.film import Film
@@ -141,10 +141,8 @@ def _start(
         raise FormatError(arguments.log, "no scan has odometry, which moves the particles")
     if not grid.free.any():
         raise FormatError(arguments.map, "the map has no free cell, so there is no place for the robot")
-    try:
+    with about_file(arguments.log):
         require_metres(sensor, grid)
-    except InvalidInputError as error:
-        raise FormatError(arguments.log, str(error)) from error
     if arguments.start is not None:
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():

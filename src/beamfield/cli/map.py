@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
-from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
+from beamfield.errors import InvalidInputError, TooLittleDataError, about_file
 
 if TYPE_CHECKING:
     from beamfield.cli.progress import StageProgress
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.cli.fitted_poses import NAME, as_document
     from beamfield.cli.inspect_summary import map_facts, map_text
-    from beamfield.io.maps.ros_map import write_map
+    from beamfield.io.maps.ros_map_writer import write_map
     from beamfield.maps.mapping import build_map, share_of_hits_in_obstacles
 
     _check(arguments)
@@ -68,15 +68,13 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("reading the log", 0, 1)
         sensor, notes = options.read_sensor(arguments)
         sensor, fitted, more = _posed(sensor, arguments, progress)
-        try:
+        with about_file(arguments.log):
             grid = build_map(
                 sensor,
                 resolution=arguments.resolution,
                 inverse_model=model,
                 progress=lambda done, total: progress("building the map", done, total),
             )
-        except InvalidInputError as error:
-            raise FormatError(arguments.log, str(error)) from error
         if not grid.occupied.any():
             raise TooLittleDataError(f"{arguments.log}: {len(sensor)} scans mark no cell as occupied; no map written")
         progress("writing", 0, 1)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from beamfield.cli.parser import count, index, not_negative, positive
 from beamfield.cli.progress import StageProgress
-from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
+from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, about_file
 
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
@@ -208,10 +208,8 @@ def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: P
     if poses is None:
         return log
     track = read_trajectory(poses)
-    try:
+    with about_file(poses):
         return attach_poses(log, track)
-    except InvalidInputError as error:
-        raise FormatError(poses, str(error)) from error
 
 
 def read_sensor(

@@ -74,10 +74,9 @@ def beam_recording(
     import numpy as np
 
     from beamfield.io.recordings.recording import Recording
-    from beamfield.models.beam import BeamModel
-    from beamfield.models.sonar import SonarModel
+    from beamfield.models.sonar import model_of_sensor
 
-    model = (SonarModel if log.finder.opening_angle > 0.0 else BeamModel)(grid, parameters)
+    model = model_of_sensor(log.finder)(grid, parameters)
     causes = np.full(log.ranges.shape, -1, np.int8)
     fits = np.full(len(log), np.nan)
     for i in np.flatnonzero(np.isfinite(log.poses).all(axis=1)):

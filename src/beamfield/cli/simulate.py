@@ -211,7 +211,7 @@ def _write_data(folder: Path, grid: OccupancyGrid, log: ScanLog, arguments: argp
 
     from beamfield.io.bags.writer import write_bag
     from beamfield.io.logs.carmen import write_carmen
-    from beamfield.io.maps.ros_map import write_map
+    from beamfield.io.maps.ros_map_writer import write_map
     from beamfield.io.trajectory import write_tum
     from beamfield.sensors import Track
 

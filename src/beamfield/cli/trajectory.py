@@ -18,15 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
+from beamfield.cli.fitted_poses import about_its_file
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, positive
-from beamfield.errors import (
-    BeamfieldError,
-    FormatError,
-    InvalidInputError,
-    TooLittleDataError,
-    TrajectoryNotFoundError,
-)
+from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 
 if TYPE_CHECKING:
     from beamfield.localization.trajectory import TrajectoryFit
@@ -69,7 +64,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 options=TrajectoryOptions(max_deviation=arguments.max_deviation),
             )  # fmt: skip
         except InvalidInputError as error:
-            raise _about_its_file(error, arguments) from error
+            raise about_its_file(error, arguments, arguments.log) from error
         except TooLittleDataError as error:
             raise TooLittleDataError(f"{arguments.log}: {error}") from error
         except TrajectoryNotFoundError as error:
@@ -93,14 +88,6 @@ def _picture(arguments: argparse.Namespace) -> Path:
     check_writable(out)
     check_writable(picture)
     return picture
-
-
-def _about_its_file(error: InvalidInputError, arguments: argparse.Namespace) -> BeamfieldError:
-    """Return an error of the library as one of the file that it is about; a bad start is a wrong option."""
-    about, _, text = str(error).partition(": ")
-    if about == "start":
-        return InvalidInputError(f"--start: {text}")
-    return FormatError(arguments.map if about == "grid" else arguments.log, text or str(error))
 
 
 def _outcome(fit: TrajectoryFit, notes: tuple[str, ...], wrote: list[Path]) -> Outcome:

@@ -16,6 +16,8 @@ from beamfield.sensors import Scan, usable_ranges
 ORIGIN_DECIMALS = 6
 # A ring is closed when its widest gap is no wider than this many usual ones: a few readings may be missing.
 CLOSING_GAPS = 5.0
+# The smallest angle between beam and wall that is followed, radians.
+GRAZING_ANGLE = np.deg2rad(8.0)
 
 
 @dataclass(frozen=True)
@@ -153,12 +155,10 @@ def widest_jump(scan: Scan, beams: NDArray[np.int64], ranges: FloatArray) -> int
     return int(np.argmax(np.hypot(*(np.roll(points, -1, axis=0) - points).T)))
 
 
-def split_at_gaps(
-    sweep: Sweep, noise: RangeNoise, *, max_gap: float = 0.5, grazing_angle: float = np.deg2rad(8.0)
-) -> list[NDArray[np.int64]]:
+def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float = 0.5) -> list[NDArray[np.int64]]:
     """Return runs of end points that may belong to one surface, as places in the sweep.
 
-    Two neighbours part when they are farther apart than a wall under `grazing_angle` puts them (Borges and Aldon's
+    Two neighbours part when they are farther apart than a wall under `GRAZING_ANGLE` puts them (Borges and Aldon's
     adaptive breakpoints), or farther than `max_gap`. Missing readings in between widen what such a wall may do;
     beams without return are passed over.
 
@@ -170,8 +170,6 @@ def split_at_gaps(
         Of single readings: four deviations are added to what a wall may do.
     max_gap
         Metres.
-    grazing_angle
-        Smallest angle between beam and wall that is followed, radians in (0, pi/2].
 
     References
     ----------
@@ -180,14 +178,12 @@ def split_at_gaps(
     """
     if not max_gap > 0.0:
         raise InvalidInputError(f"max_gap: expected a positive number of metres, got {max_gap}")
-    if not 0.0 < grazing_angle <= np.pi / 2:
-        raise InvalidInputError(f"grazing_angle: expected (0, pi/2] radians, got {grazing_angle}")
     places = np.flatnonzero(sweep.returned)
     if len(places) == 0:
         return []
     step = np.diff(sweep.angles[places])
     nearer = np.minimum(sweep.ranges[places[1:]], sweep.ranges[places[:-1]])
-    closing = np.sin(np.maximum(grazing_angle - step, 0.0))
+    closing = np.sin(np.maximum(GRAZING_ANGLE - step, 0.0))
     on_wall = np.divide(nearer * np.sin(step), closing, out=np.full(len(step), np.inf), where=closing > 0.0)
     allowed = np.minimum(on_wall + 4.0 * np.sqrt(2.0) * noise.along(nearer), max_gap)
     distance = np.hypot(*np.diff(sweep.points[places], axis=0).T)

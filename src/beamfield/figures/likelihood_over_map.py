@@ -9,7 +9,6 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from scipy.ndimage import maximum_filter
 
-from beamfield.arguments import require
 from beamfield.figures.drawing import (
     colour_bar,
     frame,
@@ -45,7 +44,6 @@ def likelihood_figure(
     reference: FloatArray | None = None,
     *,
     model_name: str = "",
-    span: float | None = None,
 ) -> Figure:
     """Draw (a) a scan at its reference pose in the map and (b) its likelihood over the map.
 
@@ -61,16 +59,13 @@ def likelihood_figure(
         (3,) the scan's reference pose; None draws only (b).
     model_name
         For the title.
-    span
-        Places this many nats below the maximum are white. None: 30, or what the median place has if that is
-        less.
     """
     limits = known_limits(grid)
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     title = "p(z | x, m), the best heading at each place" + (f": {model_name}" if model_name else "")
     if reference is None:
         figure = new_figure(8.0, float(np.clip(7.0 * aspect + 1.2, 3.5, 10.0)))
-        draw_likelihood_map(result, grid, figure.add_subplot(), span=span, title=title)
+        draw_likelihood_map(result, grid, figure.add_subplot(), title=title)
         return figure
     if aspect < 0.75:
         figure = new_figure(9.4, float(np.clip(8.6 * aspect, 2.0, 6.5)) + 4.6)
@@ -79,7 +74,7 @@ def likelihood_figure(
         figure = new_figure(12.0, float(np.clip(6.6 * aspect, 4.2, 9.0)))
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
     draw_scan_in_map(scan, grid, reference, left, title="(a) the scan at its reference pose")
-    draw_likelihood_map(result, grid, right, reference=reference, span=span, title=f"(b) {title}")
+    draw_likelihood_map(result, grid, right, reference=reference, title=f"(b) {title}")
     return figure
 
 
@@ -125,13 +120,13 @@ def draw_likelihood_map(
     ax: Axes,
     *,
     reference: FloatArray | None = None,
-    span: float | None = None,
     title: str = "",
 ) -> None:
     """Draw log p(z | x, m) over the map, the darker the more likely, with its maximum and the reference pose.
 
     Peaks are often one cell wide and would be lost in the picture of a building: every place is drawn as dark as the
-    best one within half a percent of the picture's width.
+    best one within half a percent of the picture's width. Places 30 nats below the maximum are white, or those that
+    are no better than half of all places.
 
     Parameters
     ----------
@@ -143,20 +138,10 @@ def draw_likelihood_map(
         Where to draw; a colour bar is added beside it.
     reference
         (3,) reference pose to mark.
-    span
-        Places this many nats below the maximum are white. None: 30, or what the median place has if that is
-        less.
     title
         Of the axes.
-
-    Raises
-    ------
-    InvalidInputError
-        If the span is not positive.
     """
-    if span is None:
-        span = _fitting_span(result)
-    require(0.0 < span < np.inf, "span", "a positive number of nats", span)
+    span = _fitting_span(result)
     framed_map(grid, ax, colours=PALE_MAP)
     row, col = result.best_cell
     top = result.log_likelihood[row, col]

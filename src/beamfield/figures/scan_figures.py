@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -19,8 +17,6 @@ from beamfield.models.map_matching import MapMatchingModel
 from beamfield.plot import draw_array, draw_scan
 from beamfield.report.drawing import legend, new_figure
 
-Progress = Callable[[int, int], None]
-
 RESOLUTION, HEADINGS = 0.10, 72
 # Of each scan in Figure 6.7: neighbouring beams are dependent (6.3.4).
 N_BEAMS = 12
@@ -32,7 +28,7 @@ OFFSET, OFFSET_STEP = 1.5, 0.05
 SCAN_COLOUR, ROBOT_COLOUR = "#D55E00", "#0072B2"
 
 
-def likelihood_over_map_figure(world: FigureWorld, progress: Progress | None = None) -> Figure:
+def likelihood_over_map_figure(world: FigureWorld) -> Figure:
     """Draw Figure 6.7: a scan in the map and its likelihood by the learned beam model.
 
     Of the world's scans with far readings the first is shown whose maximum is at its pose; the first if none is.
@@ -42,7 +38,7 @@ def likelihood_over_map_figure(world: FigureWorld, progress: Progress | None = N
     tried = []
     for index in (world.index, *world.others):
         scan, pose = world.log.scan(index), np.asarray(world.log.poses[index])
-        result = likelihood_map(model, scan, world.grid, resolution=RESOLUTION, headings=HEADINGS, progress=progress)
+        result = likelihood_map(model, scan, world.grid, resolution=RESOLUTION, headings=HEADINGS)
         tried.append((scan, pose, result))
         if np.hypot(*(pose[:2] - np.asarray(result.best_pose)[:2])) < AT_POSE:
             break

@@ -16,7 +16,7 @@ from beamfield.fleet.fleet_report import FleetReport
 from beamfield.fleet.report_page import render_fleet_page
 from beamfield.fleet.stale_map import StaleMap
 from beamfield.geometry import FloatArray
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report.as_json import plain
 

@@ -14,7 +14,7 @@ import numpy as np
 from beamfield.fleet.engine import Engine, Progress
 from beamfield.fleet.simulated import FleetPlan, changed_site, simulate_drive, site_map
 from beamfield.io.files.atomic import write_file
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.sensors import SensorLog
 
 MANIFEST, TRUTH = "manifest.yaml", "truth.json"

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from beamfield.arguments import check_fields, keep, require
-from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
+from beamfield.detections import finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
+from beamfield.maps.map_ids import MapWithIds, as_map_ids
 from beamfield.short_repr import short_repr
 
 SignatureKind = Literal["none", "number", "vector", "type"]
 
 
 @dataclass(frozen=True, eq=False)
-class LandmarkMap:
+class LandmarkMap(MapWithIds):
     """m = {m_1, ..., m_N}: landmarks with a position in the map frame, an id and perhaps a signature.
 
     Parameters
@@ -70,30 +70,6 @@ class LandmarkMap:
 
     def __len__(self) -> int:
         return len(self.positions)
-
-    def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
-        """Return the index of the landmark with each id.
-
-        Parameters
-        ----------
-        ids
-            (k,) ids of landmarks.
-
-        Returns
-        -------
-        (k,) indices in [0, n).
-
-        Raises
-        ------
-        InvalidInputError
-            If the map has no such id; it is named.
-        """
-        return indices_of_ids(self.ids, self.by_id, ids)
-
-    @cached_property
-    def by_id(self) -> NDArray[np.int64]:
-        """(n,) the indices that sort the ids."""
-        return np.argsort(self.ids)
 
     def _checked_kind(self) -> SignatureKind:
         if self.signatures is None:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, checked, keep, require
-from beamfield.detections import as_map_ids, finite_copy, indices_of_ids
+from beamfield.detections import finite_copy
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.maps.map_ids import MapWithIds, as_map_ids
 from beamfield.short_repr import short_repr
 
 # Given lines and end points may miss each other by this much, metres: files have a few digits.
@@ -19,7 +19,7 @@ TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class LineMap:
+class LineMap(MapWithIds):
     """m = {m_1, ..., m_N}: straight lines x cos(alpha) + y sin(alpha) = rho of the map frame, perhaps with end points.
 
     (rho, alpha) and (-rho, alpha + pi) are the same line; the map keeps the pair with rho >= 0.
@@ -109,30 +109,6 @@ class LineMap:
 
     def __len__(self) -> int:
         return len(self.lines)
-
-    def indices_of(self, ids: ArrayLike) -> NDArray[np.int64]:
-        """Return the index of the line with each id.
-
-        Parameters
-        ----------
-        ids
-            (k,) ids of lines.
-
-        Returns
-        -------
-        (k,) indices in [0, n).
-
-        Raises
-        ------
-        InvalidInputError
-            If the map has no such id; it is named.
-        """
-        return indices_of_ids(self.ids, self.by_id, ids)
-
-    @cached_property
-    def by_id(self) -> NDArray[np.int64]:
-        """(n,) the indices that sort the ids."""
-        return np.argsort(self.ids)
 
     def extents(self) -> FloatArray:
         """Return from where to where each segment goes along its line.

@@ -13,6 +13,7 @@ from beamfield.maps.cone import ConeCaster
 from beamfield.maps.landmark_cone import LandmarkCones
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.range_mixture import RangeMixtureModel, RangeSource
 from beamfield.sensors import RangeFinder
@@ -94,3 +95,8 @@ class SonarModel(RangeMixtureModel):
                 f"landmark_radius: expected 0 with a grid, which has no landmarks, got {self.landmark_radius}"
             )
         return ConeCaster(self.map, unknown=self.unknown)
+
+
+def model_of_sensor(finder: RangeFinder) -> type[BeamModel | SonarModel]:
+    """Return the model of a sensor's readings on a grid: of cones where it has an opening angle."""
+    return SonarModel if finder.opening_angle > 0.0 else BeamModel

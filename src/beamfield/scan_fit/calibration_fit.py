@@ -10,9 +10,8 @@ from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.cross_fit import CrossFitMaps
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.models.beam import BeamModel
 from beamfield.models.range_mixture import RangeMixtureModel
-from beamfield.models.sonar import SonarModel
+from beamfield.models.sonar import model_of_sensor
 from beamfield.scan_fit.cross_fit_statistics import cross_fit_statistics
 from beamfield.scan_fit.reference import ScanFitReference, calibrate_scan_fit
 from beamfield.scan_fit.scan_fit import ScanFits, judge_log
@@ -60,10 +59,9 @@ def fit_of_calibration(calibration: Calibration, grid: OccupancyGrid | CrossFitM
             missing="a map that the scans drew themselves fits them whatever happens, and the two maps of the halves "
             "were not given"
         )
-    kind = SonarModel if log.finder.opening_angle > 0.0 else BeamModel
 
     def model_on(grid: OccupancyGrid) -> RangeMixtureModel:
-        return kind(grid, calibration.parameters)
+        return model_of_sensor(log.finder)(grid, calibration.parameters)
 
     if isinstance(grid, CrossFitMaps):
         # Wrong poses are scored in the map of all scans: what a scan drew itself is not where they are.

@@ -9,7 +9,7 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.io.logs.carmen import write_carmen
-from beamfield.io.maps.ros_map import write_map
+from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog

@@ -14,6 +14,7 @@ from beamfield.io.bags.messages import Message, MessageMaker, Storage, even_bear
 from beamfield.io.files.atomic import atomic_folder
 from beamfield.sensors import ScanLog, Track
 
+MAP_FRAME, BASE_FRAME = "map", "base_link"
 POSE_TOLERANCE = 1e-9
 NO_COVARIANCE = np.zeros(36)
 
@@ -25,17 +26,15 @@ def write_bag(
     topic: str = "/scan",
     odometry_topic: str = "/odom",
     pose_topic: str | None = None,
-    map_frame: str = "map",
     odom_frame: str = "odom",
-    base_frame: str = "base_link",
     storage: Storage = "mcap",
 ) -> None:
     """Write scans, odometry and reference poses as a ROS 2 bag, whole or not at all.
 
     The scans become sensor_msgs/LaserScan messages; the mount of each sensor a transform on /tf_static; the odometry
-    nav_msgs/Odometry messages and transforms from `odom_frame` to `base_frame` on /tf; the reference poses transforms
-    from `map_frame` to `odom_frame` at the scans' stamps, so that the chain from map to robot gives each scan's pose
-    (without odometry: from `map_frame` to `base_frame`).
+    nav_msgs/Odometry messages and transforms from `odom_frame` to base_link on /tf; the reference poses transforms
+    from map to `odom_frame` at the scans' stamps, so that the chain from map to robot gives each scan's pose (without
+    odometry: from map to base_link).
 
     Parameters
     ----------
@@ -50,8 +49,8 @@ def write_bag(
         Where the odometry goes.
     pose_topic
         Where the reference poses also go, as geometry_msgs/PoseWithCovarianceStamped; None for nowhere.
-    map_frame, odom_frame, base_frame
-        Names of the frames.
+    odom_frame
+        The frame of the odometry.
     storage
         "mcap" or "sqlite3".
 
@@ -73,7 +72,7 @@ def write_bag(
     if not any(len(sensor) for sensor in log.sensors.values()):
         raise InvalidInputError(f"{log.source or 'log'}: expected scans to write, got none")
     types = load_typestore()
-    plan = _Plan(log, topic, odometry_topic, pose_topic, map_frame, odom_frame, base_frame, MessageMaker(types))
+    plan = _Plan(log, topic, odometry_topic, pose_topic, odom_frame, MessageMaker(types))
     messages = sorted(plan.messages(), key=lambda m: (m.nanoseconds, m.topic != "/tf_static"))
     with atomic_folder(path) as part:
         # The writer names its file after the folder that it makes.
@@ -92,9 +91,7 @@ class _Plan:
     topic: str
     odometry_topic: str
     pose_topic: str | None
-    map_frame: str
     odom_frame: str
-    base_frame: str
     make: MessageMaker
 
     def messages(self) -> Iterator[Message]:
@@ -110,7 +107,7 @@ class _Plan:
             s.stamps[0] for s in (*self.log.sensors.values(), self.log.odometry) if s is not None and len(s)
         ]
         start = float(min(first_stamps))
-        fixed = [self.make.transform(self.base_frame, frame, start, (m[0], m[1], 0.0)) for frame, m in mounts]
+        fixed = [self.make.transform(BASE_FRAME, frame, start, (m[0], m[1], 0.0)) for frame, m in mounts]
         yield self.make.at(start, "/tf_static", self.make.new("tf2_msgs/msg/TFMessage", fixed))
         odometry = _odometry_samples(self.log)
         yield from self._odometry(odometry)
@@ -131,23 +128,23 @@ class _Plan:
             yield self.make.at(stamp, self.odometry_topic, self.make.new(
                 "nav_msgs/msg/Odometry",
                 self.make.header(stamp, self.odom_frame),
-                self.base_frame,
+                BASE_FRAME,
                 self.make.new("geometry_msgs/msg/PoseWithCovariance", self.make.pose(pose), NO_COVARIANCE),
                 self.make.new("geometry_msgs/msg/TwistWithCovariance", still, NO_COVARIANCE),
             ))  # fmt: skip
         for stamp, pose in zip(samples.stamps, samples.poses, strict=True):
-            yield self.make.tf(self.odom_frame, self.base_frame, stamp, pose)
+            yield self.make.tf(self.odom_frame, BASE_FRAME, stamp, pose)
 
     def _reference(self, odometry: Track | None) -> Iterator[Message]:
         for name, sensor in self.log.sensors.items():
             known = np.isfinite(sensor.poses).all(axis=1)
             stamps, poses = sensor.stamps[known], sensor.poses[known]
             parents = poses if odometry is None else _corrections(name, stamps, poses, odometry)
-            child = self.base_frame if odometry is None else self.odom_frame
+            child = BASE_FRAME if odometry is None else self.odom_frame
             for stamp, pose, parent in zip(stamps, poses, parents, strict=True):
-                yield self.make.tf(self.map_frame, child, stamp, parent)
+                yield self.make.tf(MAP_FRAME, child, stamp, parent)
                 if self.pose_topic is not None:
-                    content = self.make.pose_with_covariance(stamp, self.map_frame, pose, None)
+                    content = self.make.pose_with_covariance(stamp, MAP_FRAME, pose, None)
                     yield self.make.at(stamp, self.pose_topic, content)
 
 

@@ -157,12 +157,12 @@ class Line(NamedTuple):
             bad = next(word for word in words if not is_number(word))
             raise self.error(f"expected a number, got {bad[:40]!r}", field or self.words[0]) from None
 
-    def finite(self, start: int = 1, stop: int | None = None, field: str | None = None) -> FloatArray:
-        """Return words [start, stop) as `numbers`, which must be finite."""
-        numbers = self.numbers(start, stop, field)
+    def finite(self, start: int = 1, field: str | None = None) -> FloatArray:
+        """Return the words from `start` on as `numbers`, which must be finite."""
+        numbers = self.numbers(start, field=field)
         absurd = ~(np.abs(numbers) < ABSURD)
         if absurd.any():
-            bad = self.words[start:stop][int(np.argmax(absurd))]
+            bad = self.words[start:][int(np.argmax(absurd))]
             raise self.error(f"expected a finite number, got {bad[:40]!r}", field or self.words[0])
         return numbers
 

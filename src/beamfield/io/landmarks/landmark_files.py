@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import about_file
 from beamfield.io.files.text_rows import id_table, write_csv
 from beamfield.maps.landmarks import LandmarkMap, SignatureKind
 
@@ -37,10 +37,8 @@ def read_landmarks(path: str | Path) -> LandmarkMap:
     )
     kind = _kind_of(names[3:]) or "none"
     signatures = None if kind == "none" else values[:, 2:] if kind == "vector" else values[:, 2]
-    try:
+    with about_file(source):
         return LandmarkMap(values[:, :2], ids, signatures, kind)
-    except InvalidInputError as error:
-        raise FormatError(source, str(error)) from error
 
 
 def write_landmarks(path: str | Path, landmarks: LandmarkMap) -> None:

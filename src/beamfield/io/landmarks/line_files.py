@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import about_file
 from beamfield.geometry import FloatArray
 from beamfield.io.files.text_lines import Line
 from beamfield.io.files.text_rows import id_table, write_csv
@@ -41,10 +41,8 @@ def read_line_map(path: str | Path) -> LineMap:
     known = (list(LINE_HEADER), list(SEGMENT_HEADER))
     expected = " or ".join(",".join(header) for header in known)
     names, ids, values = id_table(source, "line", lambda names: names in known, expected, two_ends)
-    try:
+    with about_file(source):
         return LineMap.from_segments(values, ids) if len(names) == len(SEGMENT_HEADER) else LineMap(values, ids)
-    except InvalidInputError as error:
-        raise FormatError(source, str(error)) from error
 
 
 def write_line_map(path: str | Path, lines: LineMap) -> None:

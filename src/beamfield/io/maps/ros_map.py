@@ -1,27 +1,23 @@
-"""Maps of ROS's map_server: a YAML file beside a picture, in and out."""
+"""Maps of ROS's map_server: a YAML file beside a picture."""
 
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.errors import InvalidInputError
-from beamfield.io.files.atomic import atomic_files
 from beamfield.io.files.yaml_file import YamlFile, read_yaml, shorten
 from beamfield.io.maps.map_image import MAX_PIXELS, MapImage, read_map_image
 from beamfield.maps.occupancy import OccupancyGrid
 
 MODES = ("trinary", "scale", "raw")
 
-# Grey levels that map_server itself writes: nearly white, black, and what it calls unknown.
-_FREE_GREY, _OCCUPIED_GREY, _UNKNOWN_GREY = 254, 0, 205
-_RAW_UNKNOWN = 255
+# What map_server itself writes for unknown.
+UNKNOWN_GREY = 205
 
 _PIXELS_PER_BAND = 1_000_000
 
@@ -69,8 +65,8 @@ def read_ros_map(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
     resolution = yaml.number("resolution")
     if resolution <= 0:
         raise yaml.error(f"expected a positive number of metres, got {resolution!r}", "resolution")
-    origin = _origin(yaml)
-    rule = _read_rule(yaml)
+    origin = read_origin(yaml)
+    rule = read_rule(yaml)
     image = read_map_image(_image_path(yaml), max_pixels=max_pixels)
     opaque = None if rule.mode == "raw" else image.opaque
     occupied, free = (1.0, 0.0) if rule.mode == "scale" else (rule.occupied, rule.free)
@@ -94,81 +90,6 @@ def image_path(path: str | os.PathLike[str]) -> Path:
     return _image_path(read_yaml(path))
 
 
-def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | None = None) -> None:
-    """Save a grid as a map_server map: a YAML file and a PGM picture of the same name, both or none.
-
-    Read again, the map has the same probability, categories, origin, resolution and thresholds.
-
-    Parameters
-    ----------
-    grid
-        The grid.
-    path
-        The YAML file, ending in .yaml or .yml; the picture gets the ending .pgm.
-    mode
-        "trinary" keeps only the category of each cell; "raw" keeps whole percents and rounds to them. None takes
-        trinary for a grid of 0, 1 and NaN, raw for a grid of whole percents, and refuses any other.
-
-    Raises
-    ------
-    InvalidInputError
-        If the grid holds other values and no mode is given; if the mode is neither; if the ending is wrong; or if the
-        thresholds leave no grey level for unknown cells in trinary mode.
-    OSError
-        As the file system says; existing files stay as they were.
-    """
-    yaml_path = Path(path)
-    if yaml_path.suffix not in (".yaml", ".yml"):
-        raise InvalidInputError(f"path of a map: expected a name ending in .yaml or .yml, got {yaml_path.name!r}")
-    if mode is None:
-        mode = _lossless_mode(grid)
-    if mode == "trinary":
-        grey = _trinary_grey(grid)
-    elif mode == "raw":
-        grey = _raw_grey(grid)
-    else:
-        raise InvalidInputError(f"mode: expected 'trinary' or 'raw', got {mode!r}")
-    image_path = yaml_path.with_suffix(".pgm")
-    with atomic_files([image_path, yaml_path]) as (image_part, yaml_part):
-        rows, cols = grey.shape
-        image_part.write_bytes(f"P5\n{cols} {rows}\n255\n".encode("ascii") + grey[::-1].tobytes())
-        yaml_part.write_text(_yaml_text(grid, image_path.name, mode), encoding="utf-8")
-
-
-def moved_map_text(path: str | os.PathLike[str], step: tuple[float, float], image: str) -> str:
-    """Return the text of a map_server YAML file for the same map with its origin moved.
-
-    Parameters
-    ----------
-    path
-        The YAML file.
-    step
-        Added to the origin's x and y, metres.
-    image
-        What the file is to call the picture: relative to where it will lie, or absolute.
-
-    Raises
-    ------
-    FormatError
-        If a key is missing or wrong, with its line.
-    InvalidInputError
-        If the picture's name is not printable.
-    OSError
-        As the file system says.
-    """
-    yaml = read_yaml(path)
-    rule, origin = _read_rule(yaml), _origin(yaml) + np.array([*step, 0.0])
-    return (
-        f"image: {_yaml_name(image)}\n"
-        f"mode: {rule.mode}\n"
-        f"resolution: {_number(yaml.number('resolution'))}\n"
-        f"origin: [{', '.join(map(_number, np.round(origin, 9)))}]\n"
-        f"negate: {int(rule.negate)}\n"
-        f"occupied_thresh: {_number(rule.occupied)}\n"
-        f"free_thresh: {_number(rule.free)}\n"
-    )
-
-
 def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     """Return what a user should know about a map_server file, one sentence each.
 
@@ -188,15 +109,15 @@ def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     that, every unknown cell of the map reads as free, here as in nav2.
     """
     yaml = read_yaml(path)
-    rule = _read_rule(yaml)
-    if rule.mode == "raw" or rule.p[_UNKNOWN_GREY] > rule.free:
+    rule = read_rule(yaml)
+    if rule.mode == "raw" or rule.p[UNKNOWN_GREY] > rule.free:
         return []
     counts = _grey_counts(MapImage(read_map_image(_image_path(yaml)).grey))
-    share = float(counts[_UNKNOWN_GREY] / counts.sum())
+    share = float(counts[UNKNOWN_GREY] / counts.sum())
     if share == 0.0:
         return []
     note = (
-        f"{share:.1%} of the pixels have grey {_UNKNOWN_GREY}, which map_saver writes for unknown; with free_thresh "
+        f"{share:.1%} of the pixels have grey {UNKNOWN_GREY}, which map_saver writes for unknown; with free_thresh "
         f"{rule.free:g} they count as free, here and in nav2 (0.196 keeps them unknown)"
     )
     return [note]
@@ -223,23 +144,20 @@ def between_share(path: str | os.PathLike[str]) -> float:
         As for `read_ros_map`.
     """
     yaml = read_yaml(path)
-    rule = _read_rule(yaml)
+    rule = read_rule(yaml)
     if rule.mode == "raw":
         return 0.0
     image = read_map_image(_image_path(yaml))
     counts = np.where((rule.p > rule.free) & (rule.p < rule.occupied), _grey_counts(image), 0)
-    counts[_UNKNOWN_GREY] = 0
+    counts[UNKNOWN_GREY] = 0
     if not rule.negate:
-        counts[_middle_grey(rule.free, rule.occupied)] = 0
+        counts[middle_grey(rule.free, rule.occupied)] = 0
     if np.count_nonzero(counts) == 1:
         return 0.0
     return float(counts.sum() / image.grey.size)
 
 
-# ------------------------------------------------------------------------------------------------------- the YAML file
-
-
-class _Rule(NamedTuple):
+class Rule(NamedTuple):
     """How the grey levels of the picture become probabilities."""
 
     negate: bool
@@ -254,15 +172,25 @@ class _Rule(NamedTuple):
         return shade if self.negate else 1.0 - shade
 
 
-def _read_rule(yaml: YamlFile) -> _Rule:
-    return _Rule(_negate(yaml), *_thresholds(yaml), _mode(yaml))
+def read_rule(yaml: YamlFile) -> Rule:
+    """Return what a YAML file says of the grey levels."""
+    return Rule(_negate(yaml), *_thresholds(yaml), _mode(yaml))
 
 
-def _origin(yaml: YamlFile) -> NDArray[np.float64]:
+def read_origin(yaml: YamlFile) -> NDArray[np.float64]:
+    """Return the pose (3,) of the lower-left corner."""
     value = yaml.value("origin")
     if not isinstance(value, list) or len(value) != 3:
         raise yaml.error(f"expected three numbers [x, y, yaw], got {shorten(value)}", "origin")
     return np.array([yaml.number("origin", i) for i in range(3)])
+
+
+def middle_grey(free_thresh: float, occupied_thresh: float) -> int:
+    """Return the grey level midway between the thresholds."""
+    return round(255 * (1.0 - (free_thresh + occupied_thresh) / 2.0))
+
+
+# ------------------------------------------------------------------------------------------------------- the YAML file
 
 
 def _negate(yaml: YamlFile) -> bool:
@@ -312,7 +240,7 @@ def _image_path(yaml: YamlFile) -> Path:
 # --------------------------------------------------------------------------------------------------------- the picture
 
 
-def _levels(rule: _Rule) -> NDArray[np.float32]:
+def _levels(rule: Rule) -> NDArray[np.float32]:
     """Return the probability of each grey level."""
     of_grey = np.full(256, np.nan)
     if rule.mode == "raw":
@@ -353,82 +281,3 @@ def _bands(shape: tuple[int, ...]) -> Iterator[slice]:
     step = max(1, _PIXELS_PER_BAND // shape[1])
     for first in range(0, shape[0], step):
         yield slice(first, first + step)
-
-
-# --------------------------------------------------------------------------------------------------------------- saving
-
-
-def _lossless_mode(grid: OccupancyGrid) -> str:
-    known = grid.probability[~np.isnan(grid.probability)]
-    if np.isin(known, (0.0, 1.0)).all() and _unknown_grey(grid) is not None:
-        return "trinary"
-    if (known == _percent(known) / np.float32(100.0)).all():
-        return "raw"
-    raise InvalidInputError(
-        "saving a map: map_server's files carry whole percents only, and this grid has other probabilities; "
-        "give mode='raw' to round them or mode='trinary' to keep free, occupied and unknown"
-    )
-
-
-def _percent(probability: NDArray[np.float32]) -> NDArray[Any]:
-    return np.floor(probability.astype(np.float64) * 100.0 + 0.5).astype(np.float32)
-
-
-def _trinary_grey(grid: OccupancyGrid) -> NDArray[np.uint8]:
-    unknown_grey = _unknown_grey(grid)
-    if unknown_grey is None:
-        raise InvalidInputError(
-            f"saving a map: no grey level lies between free_thresh {grid.free_thresh} and occupied_thresh "
-            f"{grid.occupied_thresh} for unknown cells; give mode='raw'"
-        )
-    grey = np.full(grid.shape, unknown_grey, dtype=np.uint8)
-    grey[grid.occupied] = _OCCUPIED_GREY
-    grey[grid.free] = _FREE_GREY if grid.free_thresh >= 1.0 - _FREE_GREY / 255.0 else 255
-    return grey
-
-
-def _unknown_grey(grid: OccupancyGrid) -> int | None:
-    """Return a grey level that reads as unknown: map_server's own, which 0.25 would take for free, or the middle."""
-    for grey in (_UNKNOWN_GREY, _middle_grey(grid.free_thresh, grid.occupied_thresh)):
-        if grid.free_thresh < 1.0 - grey / 255.0 < grid.occupied_thresh:
-            return grey
-    return None
-
-
-def _middle_grey(free_thresh: float, occupied_thresh: float) -> int:
-    return round(255 * (1.0 - (free_thresh + occupied_thresh) / 2.0))
-
-
-def _raw_grey(grid: OccupancyGrid) -> NDArray[np.uint8]:
-    known = ~np.isnan(grid.probability)
-    grey = np.full(grid.shape, _RAW_UNKNOWN, dtype=np.uint8)
-    grey[known] = _percent(grid.probability[known]).astype(np.uint8)
-    return grey
-
-
-def _yaml_text(grid: OccupancyGrid, image_name: str, mode: str) -> str:
-    x, y, yaw = (_number(value) for value in grid.origin)
-    return (
-        f"image: {_yaml_name(image_name)}\n"
-        f"mode: {mode}\n"
-        f"resolution: {_number(grid.resolution)}\n"
-        f"origin: [{x}, {y}, {yaw}]\n"
-        "negate: 0\n"
-        f"occupied_thresh: {_number(grid.occupied_thresh)}\n"
-        f"free_thresh: {_number(grid.free_thresh)}\n"
-    )
-
-
-def _number(value: float) -> str:
-    # All digits. YAML 1.1 takes 1e-07 for text, but not 1.0e-07.
-    text = repr(float(value))
-    return text if "." in text else text.replace("e", ".0e")
-
-
-def _yaml_name(name: str) -> str:
-    if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", name):
-        return name
-    if not name.isprintable():
-        raise InvalidInputError(f"path of a map: expected a printable name, got {name!r}")
-    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'

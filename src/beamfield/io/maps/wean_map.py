@@ -23,13 +23,7 @@ _HEADER_LINES = 100
 _EXPECTED = "expected 'robot_specifications->...' or 'global_map[0]: rows cols'"
 
 
-def read_wean_map(
-    path: str | os.PathLike[str],
-    *,
-    occupied_thresh: float = 0.65,
-    free_thresh: float = 0.25,
-    max_cells: int = MAX_PIXELS,
-) -> OccupancyGrid:
+def read_wean_map(path: str | os.PathLike[str], *, max_cells: int = MAX_PIXELS) -> OccupancyGrid:
     """Read a map such as Wean Hall's ``wean.dat``.
 
     Parameters
@@ -37,8 +31,6 @@ def read_wean_map(
     path
         The file, plain or compressed by gzip: lines ``robot_specifications->resolution 10`` (centimetres), a line
         ``global_map[0]: 800 800``, then one line of numbers per x, each with one number per y.
-    occupied_thresh, free_thresh
-        Thresholds of the grid; the file has none.
     max_cells
         Maps with more cells are refused before they are read.
 
@@ -69,13 +61,7 @@ def read_wean_map(
     lines = read_lines(source)
     resolution_cm, n_x, n_y = _read_header(lines, source, max_cells)
     # Rows of the grid are y, lines of the file are x.
-    return OccupancyGrid(
-        _read_values(lines, source, n_x, n_y).T,
-        resolution_cm / 100.0,
-        np.zeros(3),
-        occupied_thresh=occupied_thresh,
-        free_thresh=free_thresh,
-    )
+    return OccupancyGrid(_read_values(lines, source, n_x, n_y).T, resolution_cm / 100.0, np.zeros(3))
 
 
 def _read_header(lines: Iterator[tuple[int, str]], path: Path, max_cells: int) -> tuple[float, int, int]:

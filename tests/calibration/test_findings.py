@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 
 import beamfield
 from beamfield.calibration.beam_table import BeamTable
-from beamfield.calibration.findings import blind_findings, left_out_findings
+from beamfield.calibration.findings import blind_findings, left_out_findings, noise_findings
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
 
 FINDER = RangeFinder.from_bearings(np.radians(np.arange(-180.0, 180.0, 10.0)), 8.0)
@@ -34,6 +36,14 @@ def readings(rng: np.random.Generator) -> np.ndarray:
     ranges = np.where(rng.random((N_SCANS, FINDER.n_beams)) < 0.1, 8.0, 3.0)
     ranges[:, [2, 3, 4, 35]] = 8.0
     return ranges
+
+
+def test_hits_anywhere_are_no_hits(rng):
+    _, table = log_and_table(readings(rng))
+    good = BeamParameters(0.9, 0.05, 0.0, 0.05, sigma_hit=0.3, lambda_short=0.5, sigma_slope=0.2)
+    assert noise_findings(good, table) == []
+    (finding,) = noise_findings(replace(good, sigma_slope=0.4), table)
+    assert "by 1.24 m at a range of 3.00 m" in finding.text
 
 
 def test_beams_that_never_return_are_named_with_the_mask_that_leaves_them_out(rng):

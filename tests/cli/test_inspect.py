@@ -119,6 +119,9 @@ def test_the_json_of_a_map_holds_the_same_in_si_units(capsys, map_path):
 def test_a_map_without_obstacles_or_without_free_cells_is_noted():
     assert "no cell is occupied" in map_text(map_facts(OccupancyGrid(np.zeros((2, 2)), 0.1)))
     assert "no cell is free" in map_text(map_facts(OccupancyGrid(np.ones((2, 2)), 0.1)))
+    inverted = np.ones((5, 5))
+    inverted[0, :2] = 0.0
+    assert "occupied cells outnumber free ones 12 to 1" in map_text(map_facts(OccupancyGrid(inverted, 0.1)))
 
 
 def test_unknown_cells_that_count_as_free_are_noted(capsys, map_path):

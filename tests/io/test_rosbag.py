@@ -196,10 +196,11 @@ def test_header_stamps_count_not_the_times_of_recording(tmp_path):
     assert read_bag(path).only_sensor().stamps.tolist() == [5.0, 6.0]
 
 
-def test_times_of_recording_replace_stamps_that_are_all_zero_with_a_note(tmp_path):
-    log = read_bag(MiniBag().scan(0.0, recorded=7.0).scan(0.0, recorded=8.0).write(tmp_path))
-    assert log.only_sensor().stamps.tolist() == [7.0, 8.0]
-    assert any("stamp is 0" in note for note in log.notes)
+def test_times_of_recording_replace_stamps_that_are_all_equal_with_a_note(tmp_path):
+    for stamp in (0.0, 5.0):
+        log = read_bag(MiniBag().scan(stamp, recorded=7.0).scan(stamp, recorded=8.0).write(tmp_path / f"{stamp:g}"))
+        assert log.only_sensor().stamps.tolist() == [7.0, 8.0]
+        assert any(f"stamp is {stamp:g};" in note for note in log.notes)
 
 
 def test_scans_that_swapped_places_on_the_network_are_sorted_with_a_note(tmp_path):

@@ -49,8 +49,21 @@ def test_scans_that_come_twice_keep_their_stamps(tmp_path: Path, drive: SensorLo
     assert any("20 of 40 scans repeat the one before" in note for note in found.notes)
 
 
-def test_stamps_that_are_no_numbers_are_lost():
-    assert resolve([[0.0, np.nan, 2.0]]).column is None
+def test_stamps_that_are_no_numbers_are_lost_and_a_single_one_is_named():
+    assert resolve([[0.0, np.nan, np.inf, np.nan]]).column is None
+    with pytest.raises(FormatError, match=r"run\.log:11: FLASER: expected a stamp in seconds, got nan"):
+        resolve([[0.0, np.nan, 2.0]])
+    assert resolve([[0.0, np.nan, 2.0], [5.0, 6.0, 7.0]]).column == 1
+
+
+def test_a_run_that_is_joined_to_itself_has_not_lost_its_stamps():
+    with pytest.raises(FormatError, match=r"run\.log:60: .* 0\.0.* after 49\.0"):
+        resolve([np.tile(np.arange(50.0), 2)])
+
+
+def test_stamps_in_another_unit_are_noted():
+    (note,) = resolve([np.arange(10) * 2e8]).notes
+    assert "scans are 2e+08 s apart: are the stamps in milliseconds or nanoseconds?" in note
 
 
 def test_few_short_steps_back_are_raised_with_a_note():

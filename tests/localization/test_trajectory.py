@@ -59,15 +59,29 @@ def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: Senso
     assert distances(fit, log)[fit.trusted].max() < 0.1
 
 
-def test_odometry_of_the_wrong_sign_is_put_right_and_said(drive: SensorLog, office: OccupancyGrid):
-    log = drive.select(np.arange(80))
-    poses = [np.zeros(3)]
-    for step in between(log.odometry[:-1], log.odometry[1:]):
-        poses.append(compose(poses[-1], step * [1.0, -1.0, -1.0]))
-    fit = fit_trajectory(replace(log, odometry=np.array(poses)), office)
+def test_odometry_of_the_wrong_sign_is_put_right_and_mirrored_scans_are_refused(drive: SensorLog):
+    cells, log = room(drive)
+    grid = OccupancyGrid.from_ros(cells, 0.05)
+    steps = between(log.odometry[:-1], log.odometry[1:])
+    fit = fit_trajectory(replace(log, odometry=chained(np.zeros(3), steps * [1.0, -1.0, -1.0])), grid)
     (finding,) = [one for one in fit.findings if one.name == "odometry-sign"]
     assert "with its turns reversed" in finding.text
     assert distances(fit, log).max() < 0.1
+    # They turn against the odometry too, and it is not the odometry that is wrong.
+    with pytest.raises(TrajectoryNotFoundError, match=r"only if its scans are mirrored .*; best start"):
+        fit_trajectory(replace(log, ranges=log.ranges[:, ::-1]), grid)
+
+
+def room(drive: SensorLog) -> tuple[np.ndarray, SensorLog]:
+    """Return a furnished room, cells of 0.05 m, and a short drive through it."""
+    cells = np.zeros((80, 120))
+    cells[[0, 1, -1, -2]] = cells[:, [0, 1, -1, -2]] = 100
+    cells[20:30, 20:40] = cells[50:56, 70:90] = 100
+    angle = np.linspace(0.0, 3.0, 60)
+    poses = np.column_stack([3.0 + 1.0 * np.sin(angle), 2.0 + 0.2 * np.cos(angle), -0.5 * angle])
+    expected = RayCaster(OccupancyGrid.from_ros(cells, 0.05)).expected_ranges(poses, drive.finder)
+    ranges = expected + np.random.default_rng(1).normal(0, 0.02, (60, 61))
+    return cells, SensorLog(drive.finder, 0.2 * np.arange(60), ranges, poses, poses)
 
 
 def test_slips_are_named_and_do_not_move_the_trajectory(drive: SensorLog, office: OccupancyGrid):
@@ -116,14 +130,8 @@ def test_a_corridor_without_ends_in_sight_is_not_sure(drive: SensorLog):
 
 
 def test_two_equal_rooms_are_refused_until_a_start_is_given(drive: SensorLog):
-    room = np.zeros((80, 120))
-    room[[0, 1, -1, -2]] = room[:, [0, 1, -1, -2]] = 100
-    room[20:30, 20:40] = room[50:56, 70:90] = 100
-    grid = OccupancyGrid.from_ros(np.hstack([room, room]), 0.05)
-    angle = np.linspace(0.0, 3.0, 60)
-    poses = np.column_stack([3.0 + 1.0 * np.sin(angle), 2.0 + 0.2 * np.cos(angle), -0.5 * angle])
-    ranges = RayCaster(grid).expected_ranges(poses, drive.finder) + np.random.default_rng(1).normal(0, 0.02, (60, 61))
-    log = SensorLog(drive.finder, 0.2 * np.arange(60), ranges, poses, poses)
+    cells, log = room(drive)
+    grid, poses = OccupancyGrid.from_ros(np.hstack([cells, cells]), 0.05), log.poses
     with pytest.raises(TrajectoryNotFoundError, match=r"equally well, give the start of one; best starts: .*; "):
         fit_trajectory(log, grid)
     fit = fit_trajectory(log, grid, start=poses[0] + [6.3, 0.3, 0.1])
@@ -140,6 +148,10 @@ def test_impossible_input_is_refused(drive: SensorLog, office: OccupancyGrid):
         fit_trajectory(some, OccupancyGrid(np.zeros((10, 10), np.float32), 0.1))
     with pytest.raises(InvalidInputError, match="backwards at scan 10"):
         fit_trajectory(some.select(np.r_[0:10, 5:10]), office)
+    with pytest.raises(InvalidInputError, match=r"shorter than .* in metres"):
+        fit_trajectory(replace(some, ranges=some.ranges / 1000.0), office)
+    with pytest.raises(TooLittleDataError, match=r"moves 0\.00 m and turns 0 degrees"):
+        fit_trajectory(replace(some, odometry=np.zeros((20, 3))), office)
     with pytest.raises(TooLittleDataError, match="2 scans"):
         fit_trajectory(some.select([0, 1]), office)
     with pytest.raises(TooLittleDataError, match="readings"):

@@ -12,6 +12,7 @@ from beamfield.calibration.evaluation import ModelScore
 from beamfield.calibration.selection import Selection
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import SensorLog
 
 # A fit that gains less than this per held-out beam (nats) over a uniform has learned hardly anything from the map: with
@@ -23,6 +24,9 @@ NOTABLE_SHARE_LEFT_OUT = 0.03
 FEWEST_OF_A_BEAM = 50
 MOST_OF_A_BLIND_BEAM = 0.01
 MOST_SECTORS = 5
+# Noise of a hit beyond this share of its range is of no range sensor: it is 0.14 in Wean Hall, whose walls are drawn
+# worst of our maps, and 1.1 in the mirror image of that map.
+WIDEST_NOISE = 1.0 / 3.0
 
 
 def selection_findings(selection: Selection) -> Iterator[Finding]:
@@ -63,6 +67,24 @@ def score_findings(scores: tuple[ModelScore, ...]) -> Iterator[Finding]:
                 do="See the figure of causes on the map: hits should lie on its walls. Then correct the map or the "
                 "poses.",
             )
+
+
+def noise_findings(fit: BeamParameters, table: BeamTable) -> list[Finding]:
+    """Warn of hits that scatter around the walls by much of their range."""
+    middle = float(np.median(table.expected_ranges))
+    noise = math.hypot(fit.sigma_hit, fit.sigma_slope * middle)
+    if noise <= WIDEST_NOISE * middle:
+        return []
+    return [
+        Finding(
+            "hits-anywhere",
+            "warning",
+            f"Hits scatter around the walls of the map by {noise:.2f} m at a range of {middle:.2f} m.",
+            {"noise": noise, "range": middle},
+            why="No range sensor is so bad: the map, the poses or the sensor's mount is wrong or mirrored.",
+            do="Look at the scans in the map with beamfield explore, and correct what is wrong.",
+        )
+    ]
 
 
 def cone_findings(log: SensorLog) -> Iterator[Finding]:

@@ -103,7 +103,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     with options.progress(arguments) as progress:
         given = _read(arguments, progress)
         with about_file(arguments.log):
-            parameters = _parameters(given, arguments, progress)
+            parameters, doubt = _parameters(given, arguments, progress)
+            given = replace(given, notes=(*given.notes, *doubt))
             model = _model(given, parameters)
             origin = provenance(arguments)
             reference = _reference(model, given, origin, arguments, progress)
@@ -204,13 +205,20 @@ def _sensor(
     return sensor, fitted, (*notes, *more)
 
 
-def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StageProgress) -> BeamParameters:
+def _parameters(
+    given: _Inputs, arguments: argparse.Namespace, progress: StageProgress
+) -> tuple[BeamParameters, tuple[str, ...]]:
+    """Return the parameters, and why they should not be used, if so."""
     from beamfield.calibration.calibrate import CalibrationOptions, calibrate
+    from beamfield.report.verdict import doubts
 
     if given.parameters is not None:
-        return given.parameters
-    options = CalibrationOptions(refine=False, seed=arguments.seed)
-    return calibrate(given.good, given.grid, options, progress=progress).parameters
+        return given.parameters, ()
+    learned = calibrate(
+        given.good, given.grid, CalibrationOptions(refine=False, seed=arguments.seed), progress=progress
+    )
+    reasons = doubts(learned)
+    return learned.parameters, (f"what good scans look like was learned all the same. {reasons}",) if reasons else ()
 
 
 def _model(given: _Inputs, parameters: BeamParameters) -> RangeMixtureModel:

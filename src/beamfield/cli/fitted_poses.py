@@ -88,8 +88,8 @@ def fit_in_map(
     if not sensor.has_odometry:
         raise FormatError(
             path,
-            f"{NO_POSE}, and without odometry none is fitted: scans alone slide along corridors; give poses with "
-            "--poses (beamfield trajectory makes some from scans, to be looked at)",
+            f"{NO_POSE}, and without odometry none is fitted: scans alone slide along corridors; see beamfield inspect "
+            "for what was read, or give poses with --poses (beamfield trajectory makes some of scans, to look at)",
         )
     if sensor.finder.opening_angle > 0.0:
         raise FormatError(path, f"{NO_POSE}, and none is fitted to the cones of a sonar; give poses with --poses")

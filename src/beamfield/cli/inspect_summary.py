@@ -16,6 +16,9 @@ from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 
 Facts = dict[str, Any]
 
+# Occupied cells to a free one: up to 4.8 in maps that people use (unknown space painted black), 33 in an inverted one.
+INVERTED = 8.0
+
 
 def map_facts(grid: OccupancyGrid, notes: Sequence[str] = ()) -> Facts:
     """Return size, place and categories of a map, with what its reader should know about the file."""
@@ -65,6 +68,10 @@ def _map_notes(grid: OccupancyGrid) -> list[str]:
         notes.append("no cell is occupied: no beam has an expected range in this map")
     if not grid.free.any():
         notes.append("no cell is free: no pose is plausible in this map")
+    elif (times := grid.occupied.sum() / grid.free.sum()) > INVERTED:
+        notes.append(
+            f"occupied cells outnumber free ones {times:.0f} to 1: are colours inverted (negate), or is unknown space black?"
+        )
     return notes
 
 

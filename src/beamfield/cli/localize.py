@@ -146,7 +146,9 @@ def _start(
     if arguments.start is not None:
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():
-            raise InvalidInputError(f"--start: {x:g} {y:g} is not in a free cell of {arguments.map}")
+            raise InvalidInputError(
+                f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (beamfield inspect MAP --out map.png draws it)"
+            )
         return sensor, PoseBelief.around([x, y, math.radians(degrees)])
     if arguments.anywhere or not sensor.has_poses:
         return sensor, None

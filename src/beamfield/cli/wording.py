@@ -22,7 +22,7 @@ _NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([
 # These are words of models and files as well: they are options where they stand for a value to give.
 # As the beginning of an error these are what was given.
 _LEADING = {"figure": "--only", "model": "--model", "section": "--section", "stack": "--stack"}
-_GIVEN = re.compile(r"(?<=give )max_range\b|(?<![\w/.'\"-])stamps='([^']*)'")
+_GIVEN = re.compile(r"(?<=give )(?P<name>max_range|min_range|mount)\b|(?<![\w/.'\"-])stamps='(?P<rule>[^']*)'")
 
 
 def in_options(text: str) -> str:
@@ -41,4 +41,6 @@ def in_options(text: str) -> str:
     head, colon, rest = text.partition(":")
     text = f"{_LEADING.get(head, head)}{colon}{rest}"
     text = _NAME.sub(lambda found: _OPTIONS[found[1]] + (f" {found[2]}" if found[2] is not None else ""), text)
-    return _GIVEN.sub(lambda found: "--max-range" if found[1] is None else f"--stamps {found[1]}", text)
+    return _GIVEN.sub(
+        lambda found: f"--{found['name'].replace('_', '-')}" if found["name"] else f"--stamps {found['rule']}", text
+    )

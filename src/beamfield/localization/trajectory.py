@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
+from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, wrap_angle
-from beamfield.kernels.trajectory import Walls
-from beamfield.localization.drive import Drive, chained, mirrored, prepare, with_points
-from beamfield.localization.ray_agreement import RayAgreement, ray_agreement
+from beamfield.localization.course_choice import StartHypothesis, choose_course
+from beamfield.localization.drive import Drive, chained, prepare, with_points
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_options import TrajectoryOptions
-from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
+from beamfield.localization.trajectory_start import Course
 from beamfield.localization.trajectory_trust import judge_trajectory, odometry_findings
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
@@ -30,39 +28,9 @@ from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int, int], None]
 
-# Nats that a scan costs if all of its beams pass walls.
-THROUGH_COST = 6.0
-# Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
-# buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
-MOST_COST = 4.6
-# A start that is given is believed against a worse fit.
-MOST_COST_FROM_START = 9.0
-# Two courses whose costs differ by less, in nats, are equally likely.
-SURELY_BETTER = 30.0
 FEWEST_SCANS, FEWEST_POINTS = 3, 100
-
-
-class StartHypothesis(NamedTuple):
-    """Where the log may have begun.
-
-    Parameters
-    ----------
-    pose
-        (3,) of the first scan, metres and radians.
-    cost
-        Nats that scans and corrections of the odometry cost, per scan; the best start has the least.
-    agrees, through
-        Shares of the beams: as long as the map says; longer, through its walls.
-    """
-
-    pose: FloatArray
-    cost: float
-    agrees: float
-    through: float
-
-    def __str__(self) -> str:
-        x, y, theta = self.pose
-        return f"({x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f} deg): {self.agrees:.0%} of the beams agree"
+# Metres, a radian of turning counting as a tenth of one: a robot that stands sees one place, of which maps have many.
+LEAST_WAY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +93,7 @@ class TrajectoryFit:
 
     def summary(self) -> str:
         """Return what was found in a few lines."""
-        deviation = position_deviations(self.covariances)
+        deviation = position_deviations(self.covariances)[self.trusted if self.trusted.any() else slice(None)]
         way = float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
         x, y, theta = self.poses[0]
         return (
@@ -255,7 +223,10 @@ def find_course(
         findings.append(_no_odometry())
     drive = prepare(log, odometry)
     _check_points(drive)
-    drive, course, hypotheses = _found(log, grid, drive, walls_of(grid), initial, findings, report)
+    _check_moves(drive)
+    drive, course, hypotheses, put_right = choose_course(log, grid, drive, walls_of(grid), initial, report)
+    if put_right:
+        findings.append(_wrong_sign(put_right))
     return FoundCourse(drive, course, hypotheses, tuple(findings))
 
 
@@ -288,9 +259,8 @@ def fit_course(
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
     trusted, more = judge_trajectory(drive, walls, fitted, cut, options or TrajectoryOptions())
     # Without odometry it is an alignment that slipped, not a wheel.
-    seen = (
-        one for one in odometry_findings(drive, found.course, fitted) if log.has_odometry or one.name != "wheel-slip"
-    )
+    of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale")
+    seen = (one for one in odometry_findings(drive, found.course, fitted) if one.name not in of_wheels)
     findings = [*found.findings, *seen, *more]
     return _result(log, fitted, trusted, findings, found.hypotheses)
 
@@ -298,7 +268,16 @@ def fit_course(
 def _check_points(drive: Drive) -> None:
     if len(drive.points) < FEWEST_POINTS:
         raise TooLittleDataError(
-            f"the scans have {len(drive.points)} readings with an end point; expected {FEWEST_POINTS}"
+            f"the scans have {len(drive.points)} readings with an end point; expected {FEWEST_POINTS}: beamfield "
+            "inspect shows what became of the others"
+        )
+
+
+def _check_moves(drive: Drive) -> None:
+    if drive.way[-1] < LEAST_WAY:
+        raise TooLittleDataError(
+            f"by its odometry, the robot moves {np.hypot(*drive.steps[:, :2].T).sum():.2f} m and turns "
+            f"{np.degrees(np.abs(drive.steps[:, 2]).sum()):.0f} degrees in all; a trajectory needs a drive"
         )
 
 
@@ -320,50 +299,6 @@ def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> Fl
     if not (0.0 <= col < grid.shape[1] and 0.0 <= row < grid.shape[0]):
         raise InvalidInputError(f"start: ({pose[0]:g} m, {pose[1]:g} m) lies off the map")
     return pose
-
-
-def _found(log: SensorLog, grid: OccupancyGrid, drive: Drive, walls: Walls, start: FloatArray | None,
-           findings: list[Finding], report: Progress) -> tuple[Drive, Course, tuple[StartHypothesis, ...]]:  # fmt: skip
-    """Return the course through the log, with odometry put right where its sign is wrong."""
-    limit = MOST_COST if start is None else MOST_COST_FROM_START
-    tried = []
-    for kind, steps in (("", drive), *mirrored(drive)):
-        stage = "searching the map" + (f", {kind}" if kind else "")
-        followed = follow_hypotheses(steps, grid, walls, start, partial(report, stage))
-        if not followed:
-            raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
-        best = cheapest_course(steps, followed, start)
-        judged = [
-            (_hypothesis(log, grid, steps, one), one) for one in (best, *other_courses(followed, best, start)[:3])
-        ]
-        judged.sort(key=lambda pair: pair[0].cost)
-        hypotheses, best = tuple(pair[0] for pair in judged[:2]), judged[0][1]
-        if hypotheses[0].cost <= limit:
-            break
-        tried.append(hypotheses)
-    else:
-        raise TrajectoryNotFoundError(
-            f"no trajectory through this map fits the log (another building, or wrong odometry?); {_named(tried[0])}"
-        )
-    if kind:
-        findings.append(_wrong_sign(kind))
-    if len(hypotheses) > 1 and (hypotheses[1].cost - hypotheses[0].cost) * len(drive.scans) < SURELY_BETTER:
-        raise TrajectoryNotFoundError(
-            f"two trajectories fit the log equally well, give the start of one; {_named(hypotheses)}"
-        )
-    return steps, best, hypotheses
-
-
-def _hypothesis(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Course) -> StartHypothesis:
-    agreement: RayAgreement = ray_agreement(log, grid, course.poses, drive.scans)
-    pose = course.poses[0].copy()
-    pose[2] = wrap_angle(pose[2])
-    cost = course.cost / len(drive.scans) + THROUGH_COST * agreement.through
-    return StartHypothesis(pose, cost, *agreement)
-
-
-def _named(hypotheses: tuple[StartHypothesis, ...]) -> str:
-    return "best starts: " + "; ".join(map(str, hypotheses))
 
 
 def _spread_out(drive: Drive, course: Course) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -396,5 +331,7 @@ def _no_odometry() -> Finding:
 def _wrong_sign(kind: str) -> Finding:
     return Finding(
         "odometry-sign", "warning", f"The odometry fits only {kind}; that was done.",
-        why="A robot that takes its odometry as it is gets lost.", do="Correct the sign where the odometry is made.",
+        why="A robot that takes its odometry as it is gets lost.",
+        do="Correct the sign where the odometry is made; if the direction is reversed, look whether it is the laser's "
+        "mount that is wrong by 180 degrees.",
     )  # fmt: skip

@@ -21,6 +21,8 @@ AGREES_SIGMAS, AGREES, AGREEMENT_WAY = 3.0, 0.1, 2.0
 SLIP, SLIP_TURN, SLIP_SIGMAS, SLIP_TIME = 0.15, np.radians(8.0), 4.0, 1.0
 # A gap in time, seconds and multiples of the usual step.
 GAP, GAP_STEPS = 5.0, 20.0
+# Wheels are seldom this far off; maps and units more often.
+SCALE = 0.05
 MOST_NAMED = 5
 
 
@@ -56,6 +58,7 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Fi
     """Name the times at which the odometry was wrong: resets, slips, being carried away, gaps."""
     since = drive.stamps - drive.stamps[0]
     findings = [
+        *_scale(fitted),
         *_carried(drive, course, since),
         *_resets(drive, since),
         *_slips(fitted, since),
@@ -94,6 +97,18 @@ def _around(drive: Drive, cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
         after = min(int(np.searchsorted(drive.scans, step + 1)), len(drive.scans) - 1)
         around[drive.scans[max(after - 1, 0)] : drive.scans[after] + 1] = True
     return around
+
+
+def _scale(fitted: Smoothed) -> list[Finding]:
+    scale = float(fitted.systematic[0])
+    if abs(scale) <= SCALE:
+        return []
+    return [Finding(
+        "odometry-scale", "warning", f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.",
+        {"scale": scale},
+        why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the poses.",
+        do="Measure a long wall, and compare it with the map and with a reading.",
+    )]  # fmt: skip
 
 
 def _carried(drive: Drive, course: Course, since: FloatArray) -> list[Finding]:

@@ -18,7 +18,7 @@ def longest_in(grid: OccupancyGrid) -> float:
 
 
 def require_metres(log: SensorLog, grid: OccupancyGrid) -> None:
-    """Refuse scans most of whose readings are longer than the map: they are in millimetres, or of elsewhere.
+    """Refuse scans most of whose readings are longer than the map, or shorter than a cell: another unit or place.
 
     Parameters
     ----------
@@ -28,11 +28,19 @@ def require_metres(log: SensorLog, grid: OccupancyGrid) -> None:
     Raises
     ------
     InvalidInputError
-        If half of the readings that hit something are longer than the map's diagonal.
+        If half of the readings that hit something are longer than the map's diagonal, or shorter than a cell.
     """
     ranges = log.ranges[:: max(1, len(log) // SCANS)]
     hits = ranges[np.isfinite(ranges) & (ranges < log.finder.max_range)]
-    if len(hits) and (middle := float(np.median(hits))) > longest_in(grid):
+    if not len(hits):
+        return
+    middle = float(np.median(hits))
+    if middle < grid.resolution:
+        raise InvalidInputError(
+            f"{log.finder.name or 'log'}: half of the readings are shorter than {middle:.4g} m, and a map's cell is "
+            f"{grid.resolution:.4g} m wide; expected readings in metres, and a map's resolution in metres per cell"
+        )
+    if middle > longest_in(grid):
         raise InvalidInputError(
             f"{log.finder.name or 'log'}: half of the readings are longer than {middle:.4g} m, and the map is "
             f"{longest_in(grid):.4g} m from corner to corner; expected readings in metres, "

@@ -294,7 +294,8 @@ def _resolve(path: Path) -> list[Path]:
     if storage is None:
         with path.open("rb") as file:
             start = file.read(16)
-        raise FormatError(path, f"not a ROS 1 bag, .mcap or .db3 file: it starts with {start!r}")
+        found = f"it starts with {start!r}" if start else "it is empty"
+        raise FormatError(path, f"not a ROS 1 bag, .mcap or .db3 file: {found}")
     if path.suffix != storage:
         raise FormatError(path, f"the content is a {storage} file, but the name ends in {path.suffix!r}")
     if storage != ".bag" and _listed_in_metadata(path):

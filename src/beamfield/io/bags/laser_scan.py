@@ -254,8 +254,8 @@ class LaserScanCollector:
 
     def _ordered_stamps(self) -> tuple[FloatArray, NDArray[np.intp]]:
         stamps = np.array(self._stamps)
-        if len(stamps) > 1 and not stamps.any():
-            self._notes.append(f"{self.topic}: every header stamp is 0; receive times are used instead")
+        if len(stamps) > 1 and (stamps == stamps[0]).all():
+            self._notes.append(f"{self.topic}: every header stamp is {stamps[0]:.10g}; receive times are used instead")
             stamps = np.array(self._recorded)
         return ordered_stamps(stamps, self.path, self.topic, self._notes)
 

@@ -31,6 +31,8 @@ from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 __all__ = ["read_bag", "read_bag_map"]
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+# Share of the scans beside the odometry that is worth a note.
+UNMATCHED = 0.2
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "tf/msg/TFMessage")
 
 
@@ -117,13 +119,16 @@ def read_bag(
         notes += [f"{scans.topic}: {note}" for note in found.notes]
         cone = OPENING_ANGLE if scans.topic in content.cones else 0.0
         poses = reference_at(scans.stamps)
+        driven = odometry.at(scans.stamps)
         _note_missing(scans.topic, poses, notes)
+        if odometry.track is not None:
+            _note_unmatched(scans.topic, scans.stamps, driven, odometry.track.stamps, notes)
         sensors[scans.topic] = SensorLog(
             finder=RangeFinder(beams, found.max_range, min_range=low, opening_angle=cone, name=scans.topic),
             stamps=scans.stamps,
             ranges=found.ranges,
             poses=poses,
-            odometry=odometry.at(scans.stamps),
+            odometry=driven,
             no_return=found.policy,
         )
     return ScanLog(sensors, odometry.track, str(path), tuple(notes))
@@ -203,3 +208,12 @@ def _note_missing(topic: str, poses: FloatArray, notes: list[str]) -> None:
     missing = int(np.count_nonzero(~np.isfinite(poses).all(axis=1)))
     if 0 < missing < len(poses):
         notes.append(f"{topic}: {missing} of {len(poses)} scans have no reference pose at their time")
+
+
+def _note_unmatched(topic: str, stamps: FloatArray, driven: FloatArray, times: FloatArray, notes: list[str]) -> None:
+    missing = int(np.count_nonzero(~np.isfinite(driven).all(axis=1)))
+    if missing > UNMATCHED * len(stamps) and len(times):
+        notes.append(
+            f"{topic}: {missing} of {len(stamps)} scans have no odometry at their time: they are from {stamps[0]:.3f} "
+            f"to {stamps[-1]:.3f} s, the odometry from {times[0]:.3f} to {times[-1]:.3f} s; do two clocks differ?"
+        )

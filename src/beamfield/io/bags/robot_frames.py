@@ -124,7 +124,7 @@ def _unconnected(content: BagContent, candidates: list[str], sensor_frames: list
     return FormatError(
         content.path,
         f"no chain of transforms connects {robot} and the sensor's frame {sensors}; the log has {frames.describe()}; "
-        "choose other topics, name the robot's frame, or give the sensor's mount",
+        "say base_frame, give mount, or choose other scans by sensor_topic",
     )
 
 

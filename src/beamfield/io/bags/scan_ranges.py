@@ -41,12 +41,11 @@ def resolve_limits(
         return low, high
     if min_range is not None and max_range is not None:
         raise InvalidInputError(f"expected 0 <= min_range < max_range < inf, got {min_range!r} and {max_range!r}")
+    wrong = "min_range" if max_range is not None or not 0.0 <= low < np.inf else "max_range"
     raise FormatError(
-        path,
-        f"expected limits 0 <= range_min < range_max < inf, got {low!r} and {high!r}; "
-        "give min_range and max_range yourself",
+        path, f"expected limits 0 <= range_min < range_max < inf, got {low!r} and {high!r}; give {wrong}",
         field=scans.topic,
-    )
+    )  # fmt: skip
 
 
 def resolve_scan_ranges(

@@ -32,10 +32,8 @@ class PoseLines:
         """Return the track with the stamps of the column that scans have; None if there is none, noting why."""
         if not self.poses:
             return None
-        if column is None:
-            notes.append(f"{name}: left out: scans are numbered, and these times cannot be matched to them")
-            return None
-        return sorted_track(np.stack(self.stamps)[:, column], np.stack(self.poses), name, notes)
+        stamps = np.stack(self.stamps)[:, column or 0]
+        return sorted_track(stamps, np.stack(self.poses), name, notes, numbered=column is None)
 
 
 @dataclass(eq=False)

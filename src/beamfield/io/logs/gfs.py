@@ -53,17 +53,20 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
             f"{n_beams} beams: the format does not give their bearings, known only for {sorted(SICK_BEARINGS)}",
             line=scans.lines[0], field="LASER_READING",
         )  # fmt: skip
+    chosen = options or TextOptions()
     start, step = SICK_BEARINGS[n_beams]
+    stamps = scans.resolve_stamps(chosen.stamps)
     beams = np.column_stack([np.zeros((n_beams, 2)), np.radians(start + step * np.arange(n_beams))])
     sensor, notes = scans.finish(
         beams,
-        options or TextOptions(),
+        chosen,
+        stamps=stamps,
         poses=_best_path(source, content.particles, content.parents),
         declared_max=_declared_max(content.parameters),
     )
     if sensor.has_poses:
         notes.append("LASER_READING: reference poses are the path of GMapping's best particle")
-    track = sorted_track(content.odometry_stamps, content.odometry, "ODOM", notes) if content.odometry else None
+    track = sorted_track(content.odometry_stamps, content.odometry, "ODOM", notes, numbered=stamps.column is None)
     return ScanLog({"LASER_READING": sensor}, track, str(source), tuple(notes), content.parameters)
 
 

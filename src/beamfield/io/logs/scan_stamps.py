@@ -17,6 +17,10 @@ StampRule = Literal["file", "order"]
 # Of the Intel log's 909 steps 4 go back, by 0.05 to 0.86 s; its heading shows that the order of the file is right.
 MAX_BACKWARD_STEP = 1.0
 MAX_BACKWARD_SHARE = 0.01
+# No time is longer, in nanoseconds since 1970 either.
+LONGEST = 1e19
+# Scans that are further apart come from no drive, but may have stamps in another unit.
+SLOW = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +52,15 @@ def resolve_stamps(
 ) -> ScanStamps:
     """Return stamps that do not decrease, from the first usable column of a file.
 
-    A column is usable if its stamps are finite, at least half of them differ (public logs exist whose stamps were
-    rounded until they are all equal), and they run forwards. Single steps back, at most 1 % of all and none longer than
-    1 s, pass: clocks of two computers differ. There the scans stay in the order of the file and the stamp that is too
-    early is raised to the one before it. In the Intel log, where this occurs, the heading turns steadily in the order
-    of the file and jumps back and forth in the order of the stamps.
+    A column is usable if its stamps are finite, at least half of them differ from the one before (public logs exist
+    whose stamps were rounded until they are all equal), and they run forwards. Single steps back, at most 1 % of all
+    and none longer than 1 s, pass: clocks of two computers differ. There the scans stay in the order of the file and
+    the stamp that is too early is raised to the one before it. In the Intel log, where this occurs, the heading turns
+    steadily in the order of the file and jumps back and forth in the order of the stamps.
 
     If no column is usable because the stamps are lost, scans are numbered, one second apart. If they run backwards
-    otherwise, that is an error, because two runs may have been joined or a clock was set.
+    otherwise, that is an error, because two runs may have been joined or a clock was set; so is a single one that is no
+    number.
 
     Parameters
     ----------
@@ -73,7 +78,7 @@ def resolve_stamps(
     Raises
     ------
     FormatError
-        If the stamps go backwards; line and values are named.
+        If the stamps go backwards, or one is no number; line and values are named.
     InvalidInputError
         If the rule is unknown.
     """
@@ -94,6 +99,8 @@ def resolve_stamps(
         return ScanStamps(numbered, None, (note,))
     for column in kept:
         stamps = table[:, column]
+        if not _are_times(stamps).all():
+            continue
         behind = np.maximum.accumulate(stamps) - stamps
         n_back = int(np.count_nonzero(np.diff(stamps) < 0.0))
         if behind.max() > MAX_BACKWARD_STEP or n_back > MAX_BACKWARD_SHARE * len(stamps):
@@ -106,8 +113,22 @@ def resolve_stamps(
                 f"{name}: {n_back} of {len(stamps)} stamps go backwards, by up to {behind.max():.3g} s; scans stay in "
                 "the order of the file, and those stamps are raised to the one before"
             )
+        rate = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+        if rate > SLOW:
+            notes.append(
+                f"{name}: scans are {rate:.3g} s apart: are the stamps in milliseconds or nanoseconds? Divide them, or "
+                "read with stamps='order'"
+            )
         return ScanStamps(np.maximum.accumulate(stamps), column, tuple(notes))
     stamps = table[:, kept[0]]
+    if not (known := _are_times(stamps)).all():
+        bad = int(np.argmin(known))
+        raise FormatError(
+            path,
+            f"expected a stamp in seconds, got {stamps[bad]:g}; mend or remove the line, or read with stamps='order'",
+            line=lines[bad],
+            field=name,
+        )
     steps = np.flatnonzero(np.diff(stamps) < 0.0)
     worst = int(steps[np.argmin(np.diff(stamps)[steps])])
     raise FormatError(
@@ -120,7 +141,11 @@ def resolve_stamps(
 
 
 def _is_lost(stamps: FloatArray) -> bool:
-    """Whether most scans have the stamp of another scan, or one that is not a number."""
-    if not np.isfinite(stamps).all():
+    """Whether most scans have the stamp of the scan before, or one that is not a number."""
+    if np.count_nonzero(_are_times(stamps)) <= len(stamps) / 2:
         return True
-    return len(stamps) > 1 and len(np.unique(stamps)) <= len(stamps) / 2
+    return len(stamps) > 1 and bool(np.count_nonzero(np.diff(stamps) == 0.0) >= len(stamps) / 2)
+
+
+def _are_times(stamps: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(stamps) < LONGEST)

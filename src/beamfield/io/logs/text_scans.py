@@ -225,8 +225,10 @@ def finite_pose(line: Line, pose: FloatArray, field: str | None = None) -> Float
     return np.array([x, y, wrap_angle(theta)])
 
 
-def sorted_track(stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str]) -> Track | None:
-    """Return a track sorted by its stamps; None if they are lost.
+def sorted_track(
+    stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str], *, numbered: bool = False
+) -> Track | None:
+    """Return a track sorted by its stamps; None if they are lost, the scans have none, or there are no poses.
 
     Messages of several programs reach a log in any order, and every pose has its own stamp, so sorting changes no data.
 
@@ -240,7 +242,14 @@ def sorted_track(stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str
         Name of the message, for notes.
     notes
         Where to add a note.
+    numbered
+        Whether the scans are numbered, so that no time can be matched to them.
     """
+    if not len(np.asarray(stamps)):
+        return None
+    if numbered:
+        notes.append(f"{name}: left out: scans are numbered, and these times cannot be matched to them")
+        return None
     times = np.asarray(stamps, dtype=np.float64)
     track = np.asarray(poses, dtype=np.float64)
     if not np.isfinite(times).all() or len(np.unique(times)) <= len(times) / 2:

@@ -58,6 +58,7 @@ def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanL
         raise FormatError(source, f"no scans: no line L among {len(odometry)} lines O")
     mount = scans.constant_mount(between(np.stack(scans.odometry), np.stack(lasers)), MOUNT_TOLERANCE)
     beams = np.column_stack([np.zeros((N_BEAMS, 2)), np.radians(-90.0 + np.arange(N_BEAMS))])
-    sensor, notes = scans.finish(compose(mount.round(4), beams), chosen)
-    track = sorted_track(odometry_stamps, odometry, "O", notes) if odometry else None
+    stamps = scans.resolve_stamps(chosen.stamps)
+    sensor, notes = scans.finish(compose(mount.round(4), beams), chosen, stamps=stamps)
+    track = sorted_track(odometry_stamps, odometry, "O", notes, numbered=stamps.column is None)
     return ScanLog({"L": sensor}, track, str(source), tuple(notes))

@@ -1,0 +1,161 @@
+"""Which course a log took through a map, and in what sense its odometry and scans were meant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from beamfield.errors import TrajectoryNotFoundError
+from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.kernels.trajectory import Walls
+from beamfield.localization.drive import Drive, mirrored, with_points
+from beamfield.localization.ray_agreement import ray_agreement
+from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.sensors import SensorLog
+
+Progress = Callable[[str, int, int], None]
+
+# Nats that a scan costs if all of its beams pass walls.
+THROUGH_COST = 6.0
+# Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
+# buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
+MOST_COST = 4.6
+# A start that is given is believed against a worse fit.
+MOST_COST_FROM_START = 9.0
+# Two courses whose costs differ by less, in nats, are equally likely.
+SURELY_BETTER = 30.0
+
+
+class StartHypothesis(NamedTuple):
+    """Where the log may have begun.
+
+    Parameters
+    ----------
+    pose
+        (3,) of the first scan, metres and radians.
+    cost
+        Nats that scans and corrections of the odometry cost, per scan; the best start has the least.
+    agrees, through
+        Shares of the beams: as long as the map says; longer, through its walls.
+    """
+
+    pose: FloatArray
+    cost: float
+    agrees: float
+    through: float
+
+    def __str__(self) -> str:
+        x, y, theta = self.pose
+        return f"({x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f} deg): {self.agrees:.0%} of the beams agree"
+
+
+class CourseChoice(NamedTuple):
+    """The course that was chosen.
+
+    Parameters
+    ----------
+    drive
+        The log, with odometry put right where its sign is wrong.
+    course
+        Rough poses.
+    hypotheses
+        Where the log may have begun, the best first.
+    put_right
+        What was changed about the odometry; empty if nothing.
+    """
+
+    drive: Drive
+    course: Course
+    hypotheses: tuple[StartHypothesis, ...]
+    put_right: str
+
+
+def choose_course(
+    log: SensorLog, grid: OccupancyGrid, drive: Drive, walls: Walls, start: FloatArray | None, report: Progress
+) -> CourseChoice:
+    """Return the course through the log, with odometry put right where its sign is wrong.
+
+    Parameters
+    ----------
+    log, grid, drive, walls
+        The log and the map, and both prepared.
+    start
+        (3,) where the first scan was taken, roughly; None if that is not known.
+    report
+        Called with (stage, done, total).
+
+    Raises
+    ------
+    TrajectoryNotFoundError
+        If no course fits, two fit equally well, or one fits only scans that are mirrored.
+    """
+    limit = MOST_COST if start is None else MOST_COST_FROM_START
+    search = partial(_hypotheses, grid=grid, walls=walls, start=start, report=report)
+    plain, turned, reversed_, both = ("", drive), *mirrored(drive)
+    first: tuple[StartHypothesis, ...] = ()
+    # Scans that turn against the odometry may be what is mirrored; only the map tells.
+    for (put_right, steps), unturned in ((plain, None), (turned, plain), (reversed_, None), (both, reversed_)):
+        judged = search(log, steps, put_right)
+        hypotheses = tuple(one for one, _ in judged[:2])
+        first = first or hypotheses
+        if hypotheses[0].cost > limit:
+            continue
+        equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
+        if unturned is not None:
+            _refuse_mirrored(log, unturned[1], search, hypotheses[0].cost + equal)
+        if len(hypotheses) > 1 and hypotheses[1].cost - hypotheses[0].cost < equal:
+            raise TrajectoryNotFoundError(
+                f"two trajectories fit the log equally well, give the start of one{more}; {_named(hypotheses)}"
+            )
+        return CourseChoice(steps, judged[0][1], hypotheses, put_right)
+    for _, steps in (plain, reversed_):
+        _refuse_mirrored(log, steps, search, limit)
+    raise TrajectoryNotFoundError(
+        f"no trajectory through this map fits the log (another building, or wrong odometry?); {_named(first)}"
+    )
+
+
+def _refuse_mirrored(
+    log: SensorLog, drive: Drive, search: Callable[..., list[tuple[StartHypothesis, Course]]], limit: float
+) -> None:
+    """Refuse a log that fits the map, at a cost up to the limit, if its scans are mirrored."""
+    finder = replace(log.finder, mounts=log.finder.mounts * [1.0, -1.0, -1.0])
+    image = replace(log, finder=finder)
+    judged = search(image, with_points(drive, image), "with its scans mirrored")
+    if judged[0][0].cost <= limit:
+        raise TrajectoryNotFoundError(
+            "the log fits the map only if its scans are mirrored (a lidar upside down, or the wrong sign of "
+            "angle_increment?): put that right in the sensor's frame or in the scans; "
+            f"{_named([one for one, _ in judged[:1]])}"
+        )
+
+
+def _hypotheses(
+    log: SensorLog, drive: Drive, name: str, *, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
+    report: Progress,
+) -> list[tuple[StartHypothesis, Course]]:  # fmt: skip
+    """Return courses through the log, the cheapest first."""
+    stage = "searching the map" + (f", {name}" if name else "")
+    followed = follow_hypotheses(drive, grid, walls, start, partial(report, stage))
+    if not followed:
+        raise TrajectoryNotFoundError("no place of the map looks like any place of the log")
+    best = cheapest_course(drive, followed, start)
+    judged = [(_hypothesis(log, grid, drive, one), one) for one in (best, *other_courses(followed, best, start)[:3])]
+    return sorted(judged, key=lambda pair: pair[0].cost)
+
+
+def _hypothesis(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Course) -> StartHypothesis:
+    agreement = ray_agreement(log, grid, course.poses, drive.scans)
+    pose = course.poses[0].copy()
+    pose[2] = wrap_angle(pose[2])
+    cost = course.cost / len(drive.scans) + THROUGH_COST * agreement.through
+    return StartHypothesis(pose, cost, *agreement)
+
+
+def _named(hypotheses: Sequence[StartHypothesis]) -> str:
+    return "best starts: " + "; ".join(map(str, hypotheses))

@@ -142,7 +142,8 @@ def search_blocks(blocks: Integers, bounds: Integers, points: Points, pyramid: B
                 # The best child goes on top, to be searched first: insert by (bound, falling key).
                 place = n
                 while place > 0 and not _beats(value, quarter, child[place - 1, 2], child[place - 1, 0] & 3):
-                    child[place] = child[place - 1]
+                    for j in range(3):  # a row copied as a whole takes 2 s to compile
+                        child[place, j] = child[place - 1, j]
                     place -= 1
                 child[place, 0], child[place, 1], child[place, 2] = r * 4 + quarter, c, value
                 n += 1

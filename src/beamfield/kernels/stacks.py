@@ -169,36 +169,39 @@ def look_up_ends(poses: Floats, frame: tuple[float, float, float], resolution: f
 
 
 @kernel
-def sum_ends(poses: Floats, frame: tuple[float, float, float], resolution: float, ends: Floats, terms: Floats,
-             off_map: float, sums: Floats) -> None:  # fmt: skip
+def sum_ends(poses: Floats, frame: tuple[float, float, float], resolution: float, shape: tuple[int, int],
+             ends: Floats, terms: Floats, sums: Floats) -> None:  # fmt: skip
     """Add up what the cells of all beams' end points hold.
 
     Parameters
     ----------
     poses, frame, resolution, ends
         As for `look_up_ends`, which finds the same cells.
+    shape
+        (rows, cols) of the grid, fewer than 2^31 cells.
     terms
-        (rows, cols) what each cell adds.
-    off_map
-        What an end point off the map adds.
+        (rows * cols + 1,) what each cell adds, row by row; the last is that of an end point off the map.
     sums
         (n,) overwritten.
     """
-    rows, cols = terms.shape
+    cells = np.empty(ends.shape[1], np.int32)
+    right, top, width, off_map = float(shape[1]), float(shape[0]), np.int32(shape[1]), np.int32(len(terms) - 1)
     cos_frame, sin_frame = math.cos(frame[2]), math.sin(frame[2])
     for i in range(len(poses)):
         dx, dy = poses[i, 0] - frame[0], poses[i, 1] - frame[1]
         x, y = cos_frame * dx + sin_frame * dy, cos_frame * dy - sin_frame * dx
         heading = poses[i, 2] - frame[2]
         c, s = math.cos(heading), math.sin(heading)
-        total = 0.0
-        for b in range(ends.shape[1]):
+        # A loop of its own, which is vectorised; with the sum in it, all takes 2 to 3 times as long.
+        for b in range(len(cells)):
             u = (x + (c * ends[0, b] - s * ends[1, b])) / resolution
             v = (y + (s * ends[0, b] + c * ends[1, b])) / resolution
-            if u >= 0.0 and v >= 0.0 and u < cols and v < rows:
-                total += terms[math.floor(v), math.floor(u)]
-            else:
-                total += off_map
+            inside = (u >= 0.0) & (v >= 0.0) & (u < right) & (v < top)
+            col, row = np.int32(u if inside else 0.0), np.int32(v if inside else 0.0)
+            cells[b] = row * width + col if inside else off_map
+        total = 0.0
+        for b in range(len(cells)):
+            total += terms[cells[b]]
         sums[i] = total
 
 

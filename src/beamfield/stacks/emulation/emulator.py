@@ -250,8 +250,9 @@ class FieldModel(StackModel[P, FieldEvidence], Generic[P]):
         distances = np.append(table.distance.ravel(), table.distance.dtype.type(np.inf))
         places = np.append(np.where(table.unknown.ravel(), UNKNOWN, KNOWN), OFF_MAP).astype(np.int8)
         cells = np.arange(len(places))
-        terms = self.beam_terms(self._evidence_of(cells, max_range, distances[None], places[None]))[0]
-        return CellTerms(table.grid, terms[:-1].reshape(table.distance.shape), float(terms[-1]))
+        return CellTerms(
+            table.grid, self.beam_terms(self._evidence_of(cells, max_range, distances[None], places[None]))[0]
+        )
 
     @abstractmethod
     def beam_values(self, evidence: FieldEvidence, parameters: P | None = None) -> FloatArray:

@@ -78,8 +78,7 @@ class CellTerms(NamedTuple):
 
     grid: OccupancyGrid
     terms: FloatArray
-    """(rows, cols)."""
-    off_map: float
+    """(rows * cols + 1,) row by row; the last is for an end point off the map."""
 
     def sums(self, poses: FloatArray, ends: FloatArray) -> FloatArray:
         """Return the sums (n,) over end points (2, k) in the robot frame at poses (n, 3)."""
@@ -88,7 +87,7 @@ class CellTerms(NamedTuple):
         x, y, yaw = self.grid.origin.tolist()
         run_in_blocks(
             lambda a, b: kernels.sum_ends(
-                rows[a:b], (x, y, yaw), self.grid.resolution, ends, self.terms, self.off_map, sums[a:b]
+                rows[a:b], (x, y, yaw), self.grid.resolution, self.grid.shape, ends, self.terms, sums[a:b]
             ),
             len(rows),
             work_per_row=ends.shape[1],

@@ -159,5 +159,5 @@ def test_a_scheduler_of_ones_own_is_asked_at_its_address():
     # Its workers are threads of this process.
     with cluster, set_threads(None), Engine(cluster.scheduler_address) as engine:
         np.testing.assert_array_equal(engine.reduce(draw, list(range(300)), add), in_pairs(list(map(draw, range(300)))))
-        assert engine.map(abs, [-1, -2, -2], key=str) == [1, 2, 2]
+        assert engine.map(abs, [-1, -2, -2]) == [1, 2, 2]
         set_threads(None)

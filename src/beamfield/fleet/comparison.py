@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
@@ -57,17 +57,13 @@ class Difference:
 
 
 @checked
-def compare_robots(
-    fit: FleetFit, *, within: Literal["fleet", "site"] = "fleet", false_discoveries: float = 0.05
-) -> tuple[Difference, ...]:
-    """Compare each robot's parameters with those of the others.
+def compare_robots(fit: FleetFit, *, false_discoveries: float = 0.05) -> tuple[Difference, ...]:
+    """Compare each robot's parameters with those of the others that have sensors of equal limits.
 
     Parameters
     ----------
     fit
         Of ``learn(by="robot")``.
-    within
-        Whether a robot is compared with the robots of the fleet, or of its site; of equal sensor limits in any case.
     false_discoveries
         The share of false ones among the differences found, in the mean over many fleets, is at most this.
 
@@ -91,13 +87,9 @@ def compare_robots(
     """
     if fit.by != "robot":
         raise InvalidInputError(f"fit: expected one by robot, got one by {fit.by}")
-    if within not in ("fleet", "site"):
-        raise InvalidInputError(f"within: expected fleet or site, got {within!r}")
     require(0.0 < false_discoveries < 1.0, "false_discoveries", "a share between 0 and 1", false_discoveries)
-    groups: dict[object, list[GroupFit]] = {}
-    for item in fit.fits:
-        groups.setdefault((item.limits, item.site if within == "site" else ""), []).append(item)
-    rows = [row for group in groups.values() for row in _rows(group)]
+    limits = sorted({item.limits for item in fit.fits})
+    rows = [row for one in limits for row in _rows([item for item in fit.fits if item.limits == one])]
     q_values = adjusted([p for *_, p in rows])
     found = []
     for (item, name, usual, p), q in zip(rows, q_values, strict=True):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from typing import Literal, NamedTuple
 
@@ -16,10 +17,9 @@ from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.engine import Engine
-from beamfield.fleet.learning import FleetFit, block_length, sensor_limits
+from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.run_record import RunRecord
-from beamfield.fleet.shard import Shard
-from beamfield.fleet.shard_passes import BATCH_ROWS, SensorLimits, metres
+from beamfield.fleet.shard_passes import BATCH_ROWS, Part, SensorLimits, metres, shard_parts
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
@@ -116,18 +116,13 @@ def daily_series(catalogue: Catalogue, engine: Engine, fleet: FleetFit) -> tuple
         If a shard is damaged.
     """
     parameters = {fit.limits: fit.parameters for fit in fleet.fits}
-    records = {record.run: record for record in catalogue.used}
-    parts = []
-    for shard in catalogue.shards():
-        record = records[shard.run]
-        limits = sensor_limits(record)
-        if limits not in parameters and fleet.left_out:
-            continue  # a sensor with too few beams to learn from
-        if fleet.by != "fleet" or limits not in parameters:
-            raise InvalidInputError("fleet: expected a fit by fleet of all sensors of the catalogue")
-        parts.append(_Part(shard, limits, parameters[limits], record.first_stamp, block_length(record)))
+    parts = shard_parts(catalogue)
+    if fleet.left_out:  # sensors with too few beams to learn from
+        parts = [part for part in parts if part.limits in parameters]
+    if fleet.by != "fleet" or not all(part.limits in parameters for part in parts):
+        raise InvalidInputError("fleet: expected a fit by fleet of all sensors of the catalogue")
     days: dict[tuple[str, str], dict[datetime.date, _Sums]] = {}
-    for part, sums in zip(parts, engine.map(_sums, parts), strict=True):
+    for part, sums in zip(parts, engine.map(partial(_sums, parameters=parameters), parts), strict=True):
         of_robot = days.setdefault((part.shard.site, part.shard.robot), {})
         day = part.shard.day
         of_robot[day] = _Sums(*(a + b for a, b in zip(of_robot[day], sums, strict=True))) if day in of_robot else sums
@@ -142,14 +137,6 @@ def daily_series(catalogue: Catalogue, engine: Engine, fleet: FleetFit) -> tuple
     )
 
 
-class _Part(NamedTuple):
-    shard: Shard
-    limits: SensorLimits
-    parameters: BeamParameters
-    first_stamp: float
-    block_s: float
-
-
 class _Sums(NamedTuple):
     """Of a robot's day; squares are those of blocks about the day's share.
 
@@ -162,11 +149,12 @@ class _Sums(NamedTuple):
     medians: FloatArray
 
 
-def _sums(part: _Part) -> _Sums:
+def _sums(part: Part, parameters: Mapping[SensorLimits, BeamParameters]) -> _Sums:
     beams: dict[int, FloatArray] = {}
     counts: dict[int, FloatArray] = {}
     medians = np.zeros(3)
-    sigma, offset = part.parameters.sigma_hit, part.parameters.range_offset
+    model = parameters[part.limits]
+    sigma, offset = model.sigma_hit, model.range_offset
     columns = ("stamp", "bearing", "range", "expected_range")
     for batch in part.shard.batches(columns, BATCH_ROWS):
         ranges, expected, hits = metres(batch["range"], batch["expected_range"], part.limits)
@@ -174,7 +162,7 @@ def _sums(part: _Part) -> _Sums:
         block = np.floor((batch["stamp"] - part.first_stamp) / part.block_s).astype(np.int64)
         residual = ranges - expected - offset
         no_return = ranges >= part.limits.max_range
-        spread = np.sqrt(sigma**2 + (part.parameters.sigma_slope * expected) ** 2)
+        spread = np.sqrt(sigma**2 + (model.sigma_slope * expected) ** 2)
         short = ~no_return & (residual < -_SHORT_SIGMAS * spread)
         is_hit = hits & (np.abs(residual) < max(_HIT_SIGMAS * sigma, _HIT_WINDOW))
         for number in np.unique(block):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import polygamma, psi, stdtr, stdtrit
@@ -30,8 +30,8 @@ _WORDS: dict[Fault, tuple[str, str, str]] = {
     "wheel-scale": ("too short", "too long", "distances of the odometry are"),
 }
 
-
 Sector = tuple[float, float]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def find_drift(series: Sequence[DailySeries], *, false_alarms: float = 0.05) -> 
     for family in families.values():
         noise = _usual_noise(family)
         changes = [_change(item, noise) for item in family]
-        rows += _worst_of_each_robot(family, changes)
+        rows += _changed(family, changes)
         rows += _unlike_from_first_day(family, changes, noise)
     rows.sort(key=lambda row: row.p_value)
     return tuple(
@@ -218,57 +218,50 @@ def _tail(t: FloatArray, dof: float, series: DailySeries) -> FloatArray:
     return np.asarray(stdtr(dof, -t) if series.cause else 2.0 * stdtr(dof, -np.abs(t)))
 
 
-def _worst_of_each_robot(family: list[DailySeries], changes: list[_Change | None]) -> list[Drift]:
-    rows = []
-    for members in _groups(family, key=lambda item: (item.site, item.robot)):
-        found = [(change, i) for i in members if (change := changes[i]) is not None]
-        if not found:
-            continue
-        surest, index = min(found, key=lambda pair: pair[0].p_value)
-        smear = [
-            (change, i)
-            for change, i in found
-            if i == index or (abs(change.day - surest.day) <= 1 and change.p_value < _BESIDE)
-        ]
-        change, worst = max(smear, key=lambda pair: abs(pair[0].size))
-        item = family[worst]
-        before = float(item.values[: change.day].mean())
-        row = _row(item, item.days[surest.day], change, before, surest.p_value * len(found), before_is_known=True)
-        rows.append(replace(row, bearings=_around(item.bearings, [family[i].bearings for _, i in smear])))
-    return rows
+class _Entry(NamedTuple):
+    """A series with its change, or its difference from the other robots, and the number that it is added to."""
+
+    change: _Change
+    series: DailySeries
+    known: float
 
 
-def _unlike_from_first_day(family: list[DailySeries], changes: list[_Change | None], noise: _Noise) -> list[Drift]:
-    found: dict[tuple[str, str], list[tuple[_Change, DailySeries, float]]] = {}
-    for members in _groups(family, key=lambda item: item.bearings):
+def _changed(family: list[DailySeries], changes: list[_Change | None]) -> Iterator[Drift]:
+    """Yield the most likely change of each robot."""
+    entries = [
+        _Entry(change, item, float(item.values[: change.day].mean()))
+        for item, change in zip(family, changes, strict=True)
+        if change is not None
+    ]
+    for of_robot in _grouped(entries, lambda entry: (entry.series.site, entry.series.robot)):
+        yield _row(of_robot, before_is_known=True)
+
+
+def _unlike_from_first_day(family: list[DailySeries], changes: list[_Change | None], noise: _Noise) -> Iterator[Drift]:
+    """Yield how each robot differs from the others before its change, if it has one."""
+    entries = []
+    for members in _grouped(list(zip(family, changes, strict=True)), lambda member: member[0].bearings):
         if len(members) < FEWEST_ROBOTS:
             continue
-        days = [_first_days(family[i], changes[i]) for i in members]
-        means = np.array([family[i].contrasts[:n].mean() for i, n in zip(members, days, strict=True)])
-        variances = np.array([_mean_variance(family[i], n, noise) for i, n in zip(members, days, strict=True)])
-        unlike = unlike_others(means, variances, [family[i].site for i in members])
-        for j, i in enumerate(members):
+        days = [_first_days(*member) for member in members]
+        means = np.array([item.contrasts[:n].mean() for (item, _), n in zip(members, days, strict=True)])
+        variances = np.array([_mean_variance(item, n, noise) for (item, _), n in zip(members, days, strict=True)])
+        unlike = unlike_others(means, variances, [item.site for item, _ in members])
+        for j, (item, _) in enumerate(members):
             size, p = float(means[j] - unlike.centres[j]), float(unlike.p_values[j])
-            if family[i].cause:
+            if item.cause:
                 p = 0.5 * p if size > 0.0 else 1.0
             change = _Change(0, size, float(unlike.errors[j]), unlike.dof, p)
-            now = float(family[i].values[: days[j]].mean())
-            found.setdefault((family[i].site, family[i].robot), []).append((change, family[i], now))
-    rows = []
-    for of_robot in found.values():
-        surest = min(of_robot, key=lambda entry: entry[0].p_value)
-        smear = [entry for entry in of_robot if entry is surest or entry[0].p_value < _BESIDE]
-        change, item, now = max(smear, key=lambda entry: abs(entry[0].size))
-        row = _row(item, None, change, now, surest[0].p_value * len(of_robot), before_is_known=False)
-        rows.append(replace(row, bearings=_around(item.bearings, [other.bearings for _, other, _ in smear])))
-    return rows
+            entries.append(_Entry(change, item, float(item.values[: days[j]].mean())))
+    for of_robot in _grouped(entries, lambda entry: (entry.series.site, entry.series.robot)):
+        yield _row(of_robot, before_is_known=False)
 
 
-def _groups(family: list[DailySeries], key: Callable[[DailySeries], Hashable]) -> list[list[int]]:
-    """Return the indices of series with equal keys, in their order."""
-    groups: dict[Hashable, list[int]] = {}
-    for i, item in enumerate(family):
-        groups.setdefault(key(item), []).append(i)
+def _grouped(items: list[T], key: Callable[[T], Hashable]) -> list[list[T]]:
+    """Return items with equal keys together, in their order."""
+    groups: dict[Hashable, list[T]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
     return list(groups.values())
 
 
@@ -290,10 +283,19 @@ def _around(worst: Sector | None, beside: list[Sector | None]) -> Sector | None:
     return (low + turn, high + turn) if low < -math.pi - 0.1 * half else (low, high)
 
 
-def _row(
-    item: DailySeries, since: datetime.date | None, change: _Change, known: float, p: float, *, before_is_known: bool
-) -> Drift:
-    """Return the row of a change from or to a known number; sizes of shares are those of their log odds."""
+def _row(of_robot: list[_Entry], *, before_is_known: bool) -> Drift:
+    """Return the row of a robot: its surest series tells when and how surely, the worst one of the smear how much.
+
+    Sizes of shares are those of their log odds, from or to the known number.
+    """
+    surest = min(of_robot, key=lambda entry: entry.change.p_value)
+    day = surest.change.day
+    smear = [
+        entry
+        for entry in of_robot
+        if entry is surest or (abs(entry.change.day - day) <= 1 and entry.change.p_value < _BESIDE)
+    ]
+    change, item, known = max(smear, key=lambda entry: abs(entry.change.size))
     reach = float(stdtrit(change.dof, 0.975)) * change.error
     sizes = np.array([change.size, change.size - reach, change.size + reach])
     sign = 1.0 if before_is_known else -1.0
@@ -303,8 +305,9 @@ def _row(
     size, low, high = (float(v) for v in sizes)
     before, after = (known, known + size) if before_is_known else (known - size, known)
     return Drift(
-        item.robot, item.site, item.fault, since, size, low, high, before, after, item.unit,
-        item.bearings, item.cause, min(p, 1.0),
+        item.robot, item.site, item.fault, item.days[day] if before_is_known else None, size, low, high, before, after,
+        item.unit, _around(item.bearings, [entry.series.bearings for entry in smear]), item.cause,
+        min(surest.change.p_value * len(of_robot), 1.0),
     )  # fmt: skip
 
 

@@ -100,7 +100,6 @@ class Engine:
         function: Callable[[Item], Result],
         items: Sequence[Item],
         *,
-        key: Callable[[Item], str] | None = None,
         lost: Callable[[Item], Result] | None = None,
         progress: Progress | None = None,
     ) -> list[Result]:
@@ -112,9 +111,6 @@ class Engine:
             Of a module, so that workers can import it; or a `functools.partial` of one.
         items
             What it is applied to; they and the results are sent between processes.
-        key
-            Names a task by its function and content: whoever else asks the same scheduler for it waits for the one
-            result. None: every call is its own.
         lost
             What stands for the result of an item whose workers die; None: an error ends the work.
         progress
@@ -125,7 +121,7 @@ class Engine:
         WorkersLostError
             If all workers that took an item died.
         """
-        results: dict[int, Result] = dict(self._results(function, items, key, lost, progress))
+        results: dict[int, Result] = dict(self._results(function, items, lost, progress))
         return [results[i] for i in range(len(items))]
 
     def reduce(
@@ -163,7 +159,7 @@ class Engine:
         blocks = [_Block(function, combine, items[start : start + size]) for start in range(0, len(items), size)]
         total = _Tree(combine, len(blocks))
         told = None if progress is None else lambda done, _: progress(min(done * size, len(items)), len(items))
-        for index, result in self._results(_reduce_block, blocks, None, None, told):
+        for index, result in self._results(_reduce_block, blocks, None, told):
             total.add(index, result)
         return total.value()
 
@@ -171,7 +167,6 @@ class Engine:
         self,
         function: Callable[[Item], Result],
         items: Sequence[Item],
-        key: Callable[[Item], str] | None,
         lost: Callable[[Item], Result] | None,
         progress: Progress | None,
     ) -> Iterator[tuple[int, Result]]:
@@ -179,42 +174,33 @@ class Engine:
         if self._client is None:
             found: Iterator[tuple[int, Result]] = ((i, function(item)) for i, item in enumerate(items))
         else:
-            found = self._from_workers(function, items, key, lost)
+            found = self._from_workers(function, items, lost)
         for done, (index, result) in enumerate(found):
             yield index, result
             if progress is not None:
                 progress(done + 1, len(items))
 
     def _from_workers(
-        self,
-        function: Callable[[Item], Result],
-        items: Sequence[Item],
-        key: Callable[[Item], str] | None,
-        lost: Callable[[Item], Result] | None,
+        self, function: Callable[[Item], Result], items: Sequence[Item], lost: Callable[[Item], Result] | None
     ) -> Iterator[tuple[int, Result]]:
         distributed = _require_distributed()
-        call = uuid.uuid4().hex
-        names = [f"beamfield-{f'{call}-{i}' if key is None else key(item)}" for i, item in enumerate(items)]
-        indices: dict[str, list[int]] = {}
-        for i, name in enumerate(names):
-            indices.setdefault(name, []).append(i)
-        first = {name: items[of[0]] for name, of in indices.items()}
-        died: list[str] = []
-        for name, result, error in self._outcomes(function, first):
+        indices = {f"beamfield-{uuid.uuid4().hex}": i for i in range(len(items))}
+        died: list[int] = []
+        for name, result, error in self._outcomes(function, {name: items[i] for name, i in indices.items()}):
             if isinstance(error, distributed.KilledWorker):
-                died.append(name)
+                died.append(indices[name])
                 continue
             if error is not None:
                 raise error
-            yield from ((i, result) for i in indices[name])
+            yield indices[name], result
         # What waited on a worker that another task killed is blamed with it: each once more, and alone.
-        for name in died:
-            ((_, result, error),) = self._outcomes(function, {f"{name}-alone-{call}": first[name]})
+        for i in died:
+            ((_, result, error),) = self._outcomes(function, {f"beamfield-{uuid.uuid4().hex}": items[i]})
             if isinstance(error, distributed.KilledWorker):
-                result = _lost(first[name], lost, error)
+                result = _lost(items[i], lost, error)
             elif error is not None:
                 raise error
-            yield from ((i, result) for i in indices[name])
+            yield i, result
 
     def _outcomes(
         self, function: Callable[[Item], Result], items: Mapping[str, Item]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,12 +13,10 @@ from beamfield.calibration.intrinsic.climb import climb
 from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
 from beamfield.calibration.intrinsic.likelihood import parameters_of, theta_of
-from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.engine import Engine
-from beamfield.fleet.run_record import RunRecord
-from beamfield.fleet.shard_passes import Part, SensorLimits, ShardedLikelihood, metres
+from beamfield.fleet.shard_passes import Part, SensorLimits, ShardedLikelihood, metres, shard_parts
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
@@ -29,8 +26,6 @@ LEVELS: tuple[By, ...] = ("fleet", "site", "robot")
 
 # The first answer rests on about this many beams, at most twice as many.
 SAMPLE_BEAMS = 100_000
-# A day of beams has no more blocks than this, so that what it sends back stays small.
-MOST_BLOCKS_OF_A_RUN = 64
 # No weight of the first answer is 0 for the full data: a cause may be too rare for the sample.
 LEAST_FIRST_WEIGHT = 1e-6
 TOLERANCE = 1e-10
@@ -111,8 +106,6 @@ def learn(
     *,
     by: By = "fleet",
     thin: int = 1,
-    fit_offset: bool = True,
-    first_answer: Callable[[str | None, BeamParameters], None] | None = None,
 ) -> FleetFit:
     """Learn the parameters of a fleet, of each site or of each robot, from the beams that are not held out.
 
@@ -129,11 +122,6 @@ def learn(
         What shares one set of parameters.
     thin
         Learn from one beam in this many: an answer soon, with wider intervals.
-    fit_offset
-        Learn `range_offset` too.
-    first_answer
-        Called with the site (None for the fleet) and the first answer, as soon as a thinned sample gives it; not with
-        `by` "robot".
 
     Returns
     -------
@@ -163,11 +151,8 @@ def learn(
     if by not in LEVELS:
         raise InvalidInputError(f"by: expected one of {', '.join(LEVELS)}, got {by!r}")
     as_count(thin, "thin", least=1)
-    groups = _groups(catalogue, by, thin, fit_offset)
-    if by == "robot":
-        outcomes = engine.map(_fit_here, groups)
-    else:
-        outcomes = [_fit(group, engine, first_answer) for group in groups]
+    groups = _groups(catalogue, by, thin)
+    outcomes = engine.map(_fit_here, groups) if by == "robot" else [_fit(group, engine) for group in groups]
     fits = tuple(item for item in outcomes if isinstance(item, GroupFit))
     left_out = tuple(
         (group.site, group.robot, item)
@@ -186,54 +171,32 @@ class _Group:
     robot: str | None
     limits: SensorLimits
     parts: tuple[Part, ...]
-    fit_offset: bool
 
 
-def sensor_limits(record: RunRecord) -> SensorLimits:
-    """Return the limits of a run's sensor."""
-    return SensorLimits(*(float(record.sensor[name]) for name in ("max_range", "min_range", "opening_angle")))
-
-
-def _groups(catalogue: Catalogue, by: By, thin: int, fit_offset: bool) -> list[_Group]:
-    records = {record.run: record for record in catalogue.used}
+def _groups(catalogue: Catalogue, by: By, thin: int) -> list[_Group]:
     parts: dict[tuple[str, str, SensorLimits], list[Part]] = {}
-    for shard in catalogue.shards():
-        record = records[shard.run]
-        limits = sensor_limits(record)
-        key = (shard.site if by != "fleet" else "", shard.robot if by == "robot" else "", limits)
-        part = Part(shard, limits, record.first_stamp, block_length(record), thin)
+    for part in shard_parts(catalogue, thin):
+        key = (part.shard.site if by != "fleet" else "", part.shard.robot if by == "robot" else "", part.limits)
         parts.setdefault(key, []).append(part)
     return [
-        _Group(site if by != "fleet" else None, robot if by == "robot" else None, limits, tuple(members), fit_offset)
+        _Group(site if by != "fleet" else None, robot if by == "robot" else None, limits, tuple(members))
         for (site, robot, limits), members in sorted(parts.items(), key=lambda item: item[0])
     ]
 
 
-def block_length(record: RunRecord) -> float:
-    """Return the length of the blocks of time of a run, seconds."""
-    duration = max(record.last_stamp - record.first_stamp, 1e-3)
-    return max(min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS), duration / MOST_BLOCKS_OF_A_RUN)
-
-
 def _fit_here(group: _Group) -> GroupFit | str:
     with Engine("serial") as engine:
-        return _fit(group, engine, None)
+        return _fit(group, engine)
 
 
-def _fit(
-    group: _Group,
-    engine: Engine,
-    first_answer: Callable[[str | None, BeamParameters], None] | None,
-) -> GroupFit | str:
+def _fit(group: _Group, engine: Engine) -> GroupFit | str:
     """Return the fit of a group, or why there is none."""
     limits = group.limits
-    problem = learning_problem(limits.max_range, min_range=limits.min_range, fit_offset=group.fit_offset)
+    problem = learning_problem(limits.max_range, min_range=limits.min_range, fit_offset=True)
     try:
         first = _from_sample(group, engine)
     except TooLittleDataError as error:
         return str(error)
-    if first_answer is not None:
-        first_answer(group.site, first)
     start = theta_of(first)
     start[:4] = np.maximum(start[:4], LEAST_FIRST_WEIGHT)
     start = problem.apply(start)
@@ -272,7 +235,7 @@ def _from_sample(group: _Group, engine: Engine) -> BeamParameters:
     ranges, expected = (np.concatenate([sample[i] for sample in samples]) for i in range(2))
     limits = group.limits
     return learn_intrinsic_parameters(
-        ranges, expected, limits.max_range, min_range=limits.min_range, fit_offset=group.fit_offset
+        ranges, expected, limits.max_range, min_range=limits.min_range, fit_offset=True
     ).parameters
 
 

@@ -22,6 +22,25 @@ LIGHTS: tuple[Light, ...] = ("red", "amber", "green", "grey")
 SERIOUS: Mapping[Fault, float] = {
     "dirty-lens": 0.05, "turned-mount": math.radians(0.5), "range-bias": 0.02, "wheel-scale": 0.01,
 }  # fmt: skip
+# Why a fault matters, and what to do.
+_ADVICE: Mapping[Fault, tuple[str, str]] = {
+    "dirty-lens": (
+        "The robot sees less there than it should, and may take dirt for obstacles.",
+        "Clean the window of the range finder{where}; if that does not help, look for scratches or what hides it.",
+    ),
+    "turned-mount": (
+        "Scans are turned against the map by as much: a robot localises worse and drives crooked.",
+        "See that the range finder is straight and screwed tight; else correct its described yaw by {degrees} degrees.",
+    ),
+    "range-bias": (
+        "Walls seem to be nearer or farther than they are, and docking misses by as much.",
+        "Measure a wall at a known distance with this range finder; calibrate it, or replace it.",
+    ),
+    "wheel-scale": (
+        "Odometry is off by as much on every metre, which a filter must make up for.",
+        "Check the tyres and their pressure; else correct the described radius of the wheels by {percent} %.",
+    ),
+}
 # A robot with so large a share of runs that cannot be used needs a look, and a site.
 MANY_LEFT_OUT, MANY_AT_A_SITE = 1 / 3, 0.1
 
@@ -88,46 +107,12 @@ def _urgency(drift: Drift) -> float:
 def _fault(drift: Drift) -> Finding:
     # Without the robot's name, which stands beside it.
     seen = drift.sentence.removeprefix(f"{drift.robot} ({drift.site}): ")
-    seen = seen[:1].upper() + seen[1:]
     values = {"size": drift.size, "low": drift.low, "high": drift.high, "q_value": drift.q_value}
-    if drift.fault == "dirty-lens":
-        return Finding(
-            "dirty-lens",
-            "warning",
-            seen,
-            values,
-            why="The robot sees less there than it should, and may take dirt for obstacles.",
-            do=f"Clean the window of the range finder{_sector(drift)}; if that does not help, look for scratches, and "
-            "for something that stands in its way.",
-        )
-    if drift.fault == "turned-mount":
-        return Finding(
-            "turned-mount",
-            "warning",
-            seen,
-            values,
-            why="Scans are turned against the map by as much: a robot localises worse and drives crooked.",
-            do="Check that the range finder sits straight and its screws are tight; else correct its yaw in the "
-            f"robot's description by {-math.degrees(drift.size):+.2g} degrees.",
-        )
-    if drift.fault == "range-bias":
-        return Finding(
-            "range-bias",
-            "warning",
-            seen,
-            values,
-            why="Walls seem to be nearer or farther than they are, and docking misses by as much.",
-            do="Measure a wall at a known distance with this range finder; calibrate it, or replace it.",
-        )
-    return Finding(
-        "wheel-scale",
-        "warning",
-        seen,
-        values,
-        why="Odometry is off by as much on every metre, which a filter must make up for.",
-        do="Check the tyres and their pressure; else correct the wheels' radius in the robot's description by "
-        f"{100.0 * drift.size:+.2g} %.",
+    why, do = _ADVICE[drift.fault]
+    do = do.format(
+        where=_sector(drift), degrees=f"{-math.degrees(drift.size):+.2g}", percent=f"{100.0 * drift.size:+.2g}"
     )
+    return Finding(drift.fault, "warning", seen[:1].upper() + seen[1:], values, why, do)
 
 
 def _sector(drift: Drift) -> str:

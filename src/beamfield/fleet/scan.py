@@ -88,8 +88,7 @@ def scan_fleet(
     open_jobs = [job for job, record in zip(jobs, records, strict=True) if record is None]
     done = iter(
         engine.map(
-            scan_run, open_jobs, key=lambda job: f"scan-{job.folder.shown}-{job.run}", lost=worker_died,
-            progress=lambda done, n: report("scanning logs", done, n),
+            scan_run, open_jobs, lost=worker_died, progress=lambda done, n: report("scanning logs", done, n)
         )
     )  # fmt: skip
     found = tuple(next(done) if record is None else record for record in records)

@@ -18,13 +18,18 @@ from beamfield.calibration.intrinsic.likelihood import (
     cut,
     mixture_of,
 )
+from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S
+from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.engine import Engine
+from beamfield.fleet.run_record import RunRecord
 from beamfield.fleet.shard import Shard
 from beamfield.geometry import FloatArray
 from beamfield.kernels import intrinsics as kernels
 
 # Beams in memory at a time; with their copies some 60 MB.
 BATCH_ROWS = 500_000
+# A day of beams has no more blocks than this, so that what it sends back stays small.
+MOST_BLOCKS_OF_A_RUN = 64
 Sums = TypeVar("Sums")
 Combine = Callable[[Sums, Sums], Sums]
 
@@ -85,6 +90,31 @@ class Part:
             ranges, expected, hits = metres(batch["range"], batch["expected_range"], self.limits)
             blocks = np.floor((batch["stamp"] - self.first_stamp) / self.block_s).astype(np.int64)
             yield ranges[hits], expected[hits], blocks[hits]
+
+
+def shard_parts(catalogue: Catalogue, thin: int = 1) -> list[Part]:
+    """Return the shards of a catalogue, and how their beams are read, by path.
+
+    Parameters
+    ----------
+    catalogue
+        With the beams.
+    thin
+        One beam in this many.
+    """
+    records = {record.run: record for record in catalogue.used}
+    parts = []
+    for shard in catalogue.shards():
+        record = records[shard.run]
+        duration = max(record.last_stamp - record.first_stamp, 1e-3)
+        block = max(min(LONGEST_BLOCK_S, duration / FEWEST_BLOCKS), duration / MOST_BLOCKS_OF_A_RUN)
+        parts.append(Part(shard, sensor_limits(record), record.first_stamp, block, thin))
+    return parts
+
+
+def sensor_limits(record: RunRecord) -> SensorLimits:
+    """Return the limits of a run's sensor."""
+    return SensorLimits(*(float(record.sensor[name]) for name in ("max_range", "min_range", "opening_angle")))
 
 
 def metres(

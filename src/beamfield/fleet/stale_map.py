@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.stats import false_discovery_control
 
-from beamfield.arguments import require
 from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.engine import Engine, Progress
 from beamfield.fleet.learning import FleetFit
@@ -31,6 +30,8 @@ from beamfield.short_repr import short_repr
 
 # What differs for good does so in at least half of the runs since then.
 LEAST_RUNS = 0.5
+# Accepted share of false places among those found.
+FALSE_DISCOVERIES = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +130,6 @@ def find_stale_places(
     engine: Engine,
     fit: FleetFit,
     *,
-    false_discoveries: float = 0.05,
     progress: Progress | None = None,
 ) -> tuple[StaleMap, ...]:
     """Find the places to map again, site by site.
@@ -142,19 +142,12 @@ def find_stale_places(
         Where beams are judged; each run once.
     fit
         Parameters of robots, sites or the fleet.
-    false_discoveries
-        Accepted share of false places among those found.
     progress
         Called with shards done and in all.
 
     Returns
     -------
-    One per site and map, by site.
-
-    Raises
-    ------
-    InvalidInputError
-        If `false_discoveries` is not between 0 and 1.
+    One per site and map, by site. Of the places found, 5 % may be false.
 
     Notes
     -----
@@ -175,7 +168,6 @@ def find_stale_places(
     Benjamini and Heller, "Screening for partial conjunction hypotheses", Biometrics 64, 2008, for what two or more must
     show. Probabilistic Robotics, section 6.3.1: unexpected objects make ranges shorter.
     """
-    require(0.0 < false_discoveries < 1.0, "false_discoveries", "a share between 0 and 1", false_discoveries)
     jobs, found = _jobs(catalogue, fit), list[StaleMap]()
     # One site at a time: that much is in memory.
     for (site, map_hash), some in groupby(jobs, key=lambda job: (job.shard.site, job.map_hash)):
@@ -184,7 +176,7 @@ def find_stale_places(
         counts = engine.map(count_places, mine, progress=show)
         grid = catalogue.grid(mine[0].record)
         runs = SiteRuns.of([job.shard for job in mine], counts, Lattice.over(grid, SIDE))
-        found.append(_stale_map(site, map_hash, grid, runs, false_discoveries))
+        found.append(_stale_map(site, map_hash, grid, runs))
     return tuple(found)
 
 
@@ -219,7 +211,7 @@ def _parameters(fit: FleetFit, record: RunRecord) -> BeamParameters | None:
     return None
 
 
-def _stale_map(site: str, map_hash: str, grid: OccupancyGrid, runs: SiteRuns, false_discoveries: float) -> StaleMap:
+def _stale_map(site: str, map_hash: str, grid: OccupancyGrid, runs: SiteRuns) -> StaleMap:
     not_asked = _not_asked(runs)
     runs = runs.without(not_asked)
     n = runs.lattice.rows * runs.lattice.cols
@@ -237,7 +229,7 @@ def _stale_map(site: str, map_hash: str, grid: OccupancyGrid, runs: SiteRuns, fa
     places = [
         place
         for reading, tally, visit, test, q in zip(READINGS, runs.tallies, visits, tests, q_values, strict=True)
-        for place in _places(_Found(reading, runs, tally, visit, test, q), q <= false_discoveries)
+        for place in _places(_Found(reading, runs, tally, visit, test, q), q <= FALSE_DISCOVERIES)
     ]
     places.sort(key=lambda place: (place.kind == "undecided", -place.readings))
     return StaleMap(

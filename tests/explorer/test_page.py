@@ -147,6 +147,10 @@ def test_keys_move_the_robot_and_go_through_the_log(opened):
     assert "scan 2 of 12" in page.locator(".time").text_content()
     canvas.press("r")
     assert pose(page)[0] == pytest.approx(5.0 / 11.0, abs=0.01)
+    canvas.press("b")
+    sync_api.expect(page.locator(".reading .note")).to_contain_text("Reading 40:")
+    canvas.press("n")
+    sync_api.expect(page.locator(".reading .note")).to_contain_text("Reading 0:")
     page.locator(".worst button").first.click()
     assert "scan 11 of 12" in page.locator(".time").text_content()
 

@@ -18,7 +18,7 @@ export function button(text, title, pressed = null) {
 }
 
 const KEYS = "Arrow keys move the robot, square brackets turn it, with shift less; comma and full stop change the scan; " +
-  "plus and minus zoom; h shows or hides the heat map; r returns to the reference pose.";
+  "plus and minus zoom; n and b go to the next reading and back; h shows or hides the heat map; r returns to the reference pose.";
 
 // One of two maps that show the same moment with two models.
 function view(letter) {
@@ -56,7 +56,7 @@ export function build(root, hasPlace) {
     resetTo: make("select", { "aria-label": "Set the values to those of another set" }),
     download: button("Download file", "Save the values as a parameter file"),
     density: make("canvas", { className: "plot empty", role: "img", "aria-label": "Density of one reading" }),
-    densityText: make("p", { className: "note", textContent: "Point at a reading on the map: the density of its range, what was measured, and its causes." }),
+    densityText: make("p", { className: "note", "aria-live": "polite", textContent: "Point at a reading on the map, or press n in it: the density of its range, what was measured, and its causes." }),
     play: button("Play", "Go through the log (space)"),
     scan: make("input", { type: "range", className: "scan", min: 0, step: 1, value: 0, "aria-label": "Scan" }),
     when: make("span", { className: "when" }),

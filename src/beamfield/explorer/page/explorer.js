@@ -11,6 +11,7 @@ import { degrees, minus, wrapped } from "./words.js";
 const HEAT_WIDTH = 4, AROUND = 12; // metres: of the heat map, and of the map at first
 const FRAME_MS = 100; // between two scans while playing
 const REST_MS = 350; // after which the robot counts as at rest
+const MOST_DRAWN = 2000; // points of the robot's way
 const HEAT_MS = 100; // between two heat maps: the page and the scores need the processors, too
 
 export async function mount(root, ask, place = null) {
@@ -36,6 +37,8 @@ class Explorer {
     this.values = start.sets.map((one) => ({ ...one.values }));
     this.beam = null; this.answer = null; this.scores = null; this.playing = null; this.showHeat = true;
     this.view = { x: this.pose[0], y: this.pose[1], scale: 30 };
+    const step = Math.ceil(start.poses.length / MOST_DRAWN);
+    this.way = start.poses.filter((_, k) => k % step === 0);
     this.views = page.views.map((view) => new MapView(view, this));
     this.comparison = new Comparison(this, () => { this.panels.showVerdict(); this.panels.drawTimeline(); this.panels.listWorst(); });
     this.panels = new Panels(this);
@@ -180,14 +183,14 @@ class Explorer {
     for (const view of this.views) {
       view.listen({
         moved: (pose) => { this.pose = pose; this.changed(); },
-        pointed: (beam) => { if (beam !== this.beam) { this.beam = beam; this.askDensity(); this.draw(); } },
+        pointed: (beam) => this.toReading(beam),
       });
       view.canvas.addEventListener("keydown", (event) => this.key(event, view));
     }
   }
 
   key(event, view) {
-    const small = event.shiftKey ? 0.2 : 1;
+    const small = event.shiftKey ? 0.2 : 1, { start } = this;
     const move = (x, y, turn) => { this.pose = [this.pose[0] + x, this.pose[1] + y, wrapped(this.pose[2] + turn)]; this.changed(); };
     const actions = {
       ArrowUp: () => move(0, 0.1 * small, 0), ArrowDown: () => move(0, -0.1 * small, 0),
@@ -195,6 +198,7 @@ class Explorer {
       "[": () => move(0, 0, 0.05), "]": () => move(0, 0, -0.05), "{": () => move(0, 0, 0.01), "}": () => move(0, 0, -0.01),
       ",": () => this.toScan(this.i - 1), ".": () => this.toScan(this.i + 1),
       "+": () => view.zoom(1.25), "-": () => view.zoom(0.8),
+      n: () => this.toReading(((this.beam ?? -1) + 1) % start.mounts.length), b: () => this.toReading(((this.beam ?? 0) || start.mounts.length) - 1),
       r: () => this.toReference(), h: () => this.toggleHeat(), " ": () => this.togglePlay(),
     };
     if (event.ctrlKey || event.metaKey || event.altKey || !actions[event.key]) return;
@@ -211,6 +215,10 @@ class Explorer {
     this.showTime();
     this.changed();
     this.scored();
+  }
+
+  toReading(beam) {
+    if (beam !== this.beam) { this.beam = beam; this.askDensity(); this.draw(); }
   }
 
   toReference() {

@@ -6,7 +6,7 @@ import { largest } from "./words.js";
 const ROBOT = 11, ARROW = 46, GRAB = 20, NEAR = 26;
 
 export class MapView {
-  // `state` has view, pose, picture, start, answer, run, beam and i; `set` and `heat` are this map's own.
+  // `state` has view, pose, way, picture, start, answer, run, beam and i; `set` and `heat` are this map's own.
   constructor({ canvas }, state) {
     Object.assign(this, { canvas, state, set: null, heat: null });
     this.measure();
@@ -56,8 +56,8 @@ export class MapView {
   }
 
   drawWays(context, colours) {
-    const { start, run, i } = this.state;
-    this.drawLine(context, start.poses, colours.quiet, 1.2);
+    const { way, run, i } = this.state;
+    this.drawLine(context, way, colours.quiet, 1.2);
     if (!run) return;
     this.drawLine(context, run.poses, colours.belief, 1.8);
     const at = run.updates.filter((k) => k <= i).pop();

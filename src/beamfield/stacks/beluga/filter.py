@@ -41,7 +41,7 @@ class BelugaFilterParameters:
     spatial_resolution_x, spatial_resolution_y, spatial_resolution_theta
         Sides of its bins, metres and radians.
     resample_interval
-        Particles are resampled at every so many-th update.
+        Particles are resampled at every n-th update.
     selective_resampling
         Only if the effective number of particles is below half their number.
     update_min_d, update_min_a

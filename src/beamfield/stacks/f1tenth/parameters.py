@@ -28,7 +28,7 @@ class F1tenthParameters:
     max_range
         Longest range, metres, whatever the sensor's: longer ones are taken for it.
     angle_step
-        Every so many-th beam is looked at.
+        Every n-th beam is looked at.
     theta_discretization
         Number of directions of the compressed distance transform and of the giant table.
     range_method

@@ -14,7 +14,7 @@ def read_mine(grid: bf.OccupancyGrid) -> bf.SensorLog:
     """Stand for your reader: fill in stamps (t,), ranges (t, k) and odometry (t, 3) from your files."""
     laser = bf.RangeFinder.from_bearings(np.radians(np.arange(-90.0, 91.0, 3.0)), max_range=12.0, mount=(0.2, 0.0, 0.0))
     sensor = bf.BeamParameters(z_hit=0.82, z_short=0.09, z_max=0.03, z_rand=0.06, sigma_hit=0.04, lambda_short=0.5)
-    log = bf.simulate_log(grid, laser, sensor, duration=120.0, scan_rate=2.0, seed=1).only_sensor()
+    log = bf.simulate_log(grid, laser, sensor, duration=80.0, scan_rate=2.0, seed=1).only_sensor()
     nowhere = np.full((len(log), 3), np.nan)  # no reference poses
     return bf.SensorLog(laser, log.stamps, log.ranges, poses=nowhere, odometry=log.poses)
 

@@ -59,7 +59,7 @@ def assert_never_falls(trace: tuple[float, ...]) -> None:
 @pytest.mark.parametrize("truth", [TRUTH, SLOPED], ids=["chapter", "offset and slope"])
 @pytest.mark.parametrize("finder", [LASER, RING], ids=["laser", "sonars"])
 def test_what_was_drawn_comes_back_within_its_standard_errors(finder, truth, low):
-    table = drawn_table(replace(finder, min_range=low), truth, 1500 if finder is LASER else 2500)
+    table = drawn_table(replace(finder, min_range=low), truth, 800 if finder is LASER else 1300)
     assert table.min_range == low
     assert table.n_no_measurement == 0  # nothing is drawn in the blind zone
     assert table.ranges.min() >= low

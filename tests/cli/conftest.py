@@ -35,3 +35,11 @@ def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))
     monkeypatch.setattr(pose_windows, "WindowOptions", partial(pose_windows.WindowOptions, near=100, far=25))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write pictures of likelihoods and of a robot's way empty, where only what is said about them is tested."""
+    monkeypatch.setattr("beamfield.figures.likelihood_over_map.likelihood_figure", lambda *_, **__: None)
+    monkeypatch.setattr("beamfield.figures.localization.localization_figure", lambda *_: None)
+    monkeypatch.setattr("beamfield.figures.gallery.save_figure", lambda _, path: path.touch())

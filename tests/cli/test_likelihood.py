@@ -68,6 +68,7 @@ def own_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("model", ["beam", "likelihood_field", "map_matching"])
 def test_the_maximum_is_printed_and_lies_at_the_reference(folder, tmp_path, capsys, model):
     assert run(folder, "--model", model, "--npz", str(tmp_path / "all.npz")) == 0
@@ -125,6 +126,7 @@ def _with_equal_poses(line: str) -> str:
     return " ".join(words)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_parameters_come_from_a_calibration(folder, tmp_path, capsys):
     parameters = tmp_path / "beam_model.yaml"
     parameters.write_text(
@@ -188,6 +190,7 @@ def summary(folder: Path, capsys, *words: str) -> str:
     return captured.out + captured.err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_learned_field_brings_its_exponent_and_number_of_beams(folder, tmp_path, capsys):
     parameters, finder = LikelihoodFieldParameters(0.8, 0.15, 0.1), make_log(make_grid()).finder
     path = tmp_path / "likelihood_field.yaml"
@@ -211,6 +214,7 @@ def test_a_learned_field_brings_its_exponent_and_number_of_beams(folder, tmp_pat
             assert "likelier still" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, capsys):
     beam = BeamParameters(0.8, 0.05, 0.05, 0.1, sigma_hit=0.1, lambda_short=0.5, range_offset=0.03)
     path = tmp_path / "beam_model.yaml"

@@ -111,6 +111,7 @@ def test_particles_are_kept_by_their_weights():
     assert kept[:, 0].mean() == pytest.approx(500.0, abs=20.0)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_json_has_what_the_docs_list(folder, capsys):
     assert run(folder, "--json", "--start", "-100", "0", "0", "-q", poses=False) == 2
     assert "free cell" in capsys.readouterr().err
@@ -122,6 +123,7 @@ def test_json_has_what_the_docs_list(folder, capsys):
     assert 0 < found["n_updates"] < 120
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
     assert run(folder, "--particles", "1000", poses=False) == 0
     text = capsys.readouterr().out
@@ -129,6 +131,7 @@ def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
     assert "no reference poses to judge by" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_start_given_is_where_it_starts(folder, capsys, drive):
     x, y, theta = drive.poses[0]
     words = ("--start", f"{x:.2f}", f"{y:.2f}", f"{np.degrees(theta):.0f}", "--json", "-q", "--seed", "4")
@@ -138,6 +141,7 @@ def test_a_start_given_is_where_it_starts(folder, capsys, drive):
     assert found["errors"]["mean"] < 0.1
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "words",
     [
@@ -151,6 +155,7 @@ def test_models_and_options_are_taken(folder, capsys, words):
     assert document(capsys)["errors"]["mean"] < 0.15
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_file_of_a_stack_runs_that_stacks_filter(folder, capsys):
     words = ("--params", "nav2.yaml", "--rerun", "way.rrd", "--mcap", "way.mcap")
     assert run(folder, *words, "--json", "-q", "--seed", "3") == 0
@@ -179,6 +184,7 @@ def test_what_makes_no_sense_is_refused_on_one_line(folder, capsys, words, what)
     assert not Path("beamfield_localization").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("log", "words"),
     [
@@ -197,6 +203,7 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
     assert (finding["values"]["way_m"] == 0.0) == (log == "still.log")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_odometry_in_millimetres_is_no_robots(folder, capsys):
     assert main(["localize", str(folder / "fast.log"), "--map", str(folder / "map.yaml")]) == 3
     assert "steps of the odometry are longer than a robot drives" in capsys.readouterr().err

@@ -272,7 +272,7 @@ def main() -> int:
             expected = expected_of(command, base / "world", base / "out")
             trial = Trial(command, expected, base / "world", base / "out")
             if arguments.quick:
-                trial.command = replace(command, kills=5)
+                trial.command = replace(command, kills=3)
             kill(trial, rng)
             fill_disk(trial)
             fill_small_disk(trial)

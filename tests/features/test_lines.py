@@ -46,7 +46,7 @@ def test_covariance_of_a_line_is_that_of_its_errors(rng, offset, sigma_bearing):
     ranges = 2.5 / facing
     hits = finder.mounts[:, :2] + ranges[:, None] * np.column_stack([np.cos(finder.bearings), np.sin(finder.bearings)])
     truth = np.array([rho, wrap_angle(0.7 + offset[2]), np.hypot(*(hits[order[-1]] - hits[order[0]]))])
-    squares, n = [], 1500
+    squares, n = [], 1000
     for _ in range(n):
         # A beam whose direction is off by e measures the range of that other direction.
         off = rng.normal(0.0, sigma_bearing, 60) if sigma_bearing else np.zeros(60)
@@ -67,7 +67,7 @@ def test_noise_that_grows_with_the_range_is_weighted_and_stated(rng):
     noise = RangeNoise(0.005, sigma_slope=0.005)
     finder = RangeFinder.from_bearings(np.linspace(0.0, 1.45, 150), 20.0)
     exact = 1.0 / np.cos(finder.bearings)
-    squares, n = [], 1000
+    squares, n = [], 500
     for _ in range(n):
         z = exact + rng.normal(0.0, np.hypot(0.005, 0.005 * exact))
         [sweep] = sweeps(Scan(z, finder))

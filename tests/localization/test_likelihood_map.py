@@ -98,7 +98,7 @@ def test_nothing_is_nan_and_only_free_cells_are_evaluated(grid, truth):
     ranges = np.array(noisy_scan(grid, truth, finder()).ranges)
     ranges[::3], ranges[1] = np.nan, np.inf
     impossible = BeamParameters(z_hit=1.0, z_short=0.0, z_max=0.0, z_rand=0.0, sigma_hit=0.05, lambda_short=0.5)
-    result = likelihood_map(BeamModel(grid, impossible), Scan(ranges, finder()), grid)
+    result = likelihood_map(BeamModel(grid, impossible), Scan(ranges, finder()), grid, headings=12)
     assert not np.isnan(result.log_likelihood).any()
     assert (result.log_likelihood[~result.evaluated] == -np.inf).all()
     assert (result.heading_index[~result.evaluated] == -1).all()

@@ -317,10 +317,12 @@ def test_the_chapters_form_can_be_copied_where_another_was_chosen(case):
 HALF_CIRCLE = np.radians(np.arange(-80, 81, 4.0))
 ONE_BEAM = np.zeros(1)
 DEGENERATE = {
-    "hits only, half a circle, no refinement, no date": (
+    "hits only whose noise grows, half a circle, one held-out block, long limit, no refinement, no date": (
         {
-            "truth": BeamParameters(1.0, 0.0, 0.0, 0.0, 0.05, 0.0),
+            "truth": BeamParameters(1.0, 0.0, 0.0, 0.0, 0.03, 0.0, 0.1, 0.02),
             "bearings": HALF_CIRCLE,
+            "options": CalibrationOptions(block_s=50.0),
+            "max_range": 80.0,
             "with_refinement": False,
             "start": 0.0,
         },
@@ -330,14 +332,6 @@ DEGENERATE = {
     "one beam and one expected range": (
         {"bearings": ONE_BEAM, "n_scans": 600, "same_place": True},
         {"opposite"},
-    ),
-    "one held-out block, long limit, noise that grows": (
-        {
-            "options": CalibrationOptions(block_s=50.0),
-            "max_range": 80.0,
-            "truth": BeamParameters(0.8, 0.1, 0.05, 0.05, 0.03, 0.3, 0.1, 0.02),
-        },
-        set(),
     ),
 }
 

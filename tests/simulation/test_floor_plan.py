@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -13,13 +11,9 @@ from beamfield.sensors import RangeFinder
 from beamfield.simulation.drawing import Arc, Box, Canvas, Thing
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.trajectory import clearance_map
+from tests.simulation.plans import plan
 
 SEEDS = range(4)
-
-
-@cache
-def plan(seed: int) -> OccupancyGrid:
-    return draw_floor_plan(seed=seed)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -13,20 +13,19 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import beams_from_uniforms, sample_beams
 from beamfield.sensors import RangeFinder, ScanLog, SensorLog
 from beamfield.simulation.dependence import Dependence
-from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from tests.simulation.plans import plan
 from tests.threads import forced_threads
 
 MAX_RANGE = 8.0
 TRUTH = BeamParameters(z_hit=0.7, z_short=0.15, z_max=0.05, z_rand=0.1, sigma_hit=0.05, lambda_short=0.6)
 FINDER = RangeFinder.from_bearings(np.deg2rad(np.linspace(-90, 90, 61)), MAX_RANGE, mount=(0.1, 0.0, 0.0))
-GRID = draw_floor_plan(seed=1)
 DEPENDENCE = Dependence(angle=np.deg2rad(9.0), time=0.5)
 
 
 def simulate(**options: object) -> ScanLog:
     arguments: dict[str, object] = {"duration": 120.0, "scan_rate": 5.0, "seed": 3} | options
-    return simulate_log(GRID, FINDER, TRUTH, **arguments)  # type: ignore[arg-type]
+    return simulate_log(plan(1), FINDER, TRUTH, **arguments)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +49,7 @@ def mixture_cdf(z: np.ndarray, z_star: np.ndarray, p: BeamParameters) -> np.ndar
 
 def uniforms(log: SensorLog, p: BeamParameters, rng: np.random.Generator) -> np.ndarray:
     """Randomised probability integral transform of each reading whose ray meets something; (t, k), NaN elsewhere."""
-    expected = RayCaster(GRID).expected_ranges(log.poses, log.finder)
+    expected = RayCaster(plan(1)).expected_ranges(log.poses, log.finder)
     returned = mixture_cdf(np.where(np.isinf(log.ranges), 0.0, log.ranges), expected, p)
     missing = 1.0 - p.z_max * rng.random(log.ranges.shape)
     u = np.where(np.isinf(log.ranges), missing, returned)
@@ -78,7 +77,7 @@ def test_dependent_readings_follow_the_mixture_beam_by_beam(rng: np.random.Gener
 
 
 def test_dependent_readings_keep_the_shares_of_causes(dependent: SensorLog) -> None:
-    expected = RayCaster(GRID).expected_ranges(dependent.poses, FINDER)
+    expected = RayCaster(plan(1)).expected_ranges(dependent.poses, FINDER)
     seen = expected < MAX_RANGE
     assert np.isinf(dependent.ranges)[seen].mean() == pytest.approx(TRUTH.z_max, abs=0.01)
     near = np.abs(dependent.ranges - expected) < 3 * TRUTH.sigma_hit
@@ -88,7 +87,7 @@ def test_dependent_readings_keep_the_shares_of_causes(dependent: SensorLog) -> N
 
 def test_wrong_readings_come_in_bursts_only_if_asked(independent: SensorLog, dependent: SensorLog) -> None:
     def resemblance(log: SensorLog) -> float:
-        expected = RayCaster(GRID).expected_ranges(log.poses, FINDER)
+        expected = RayCaster(plan(1)).expected_ranges(log.poses, FINDER)
         seen = expected < MAX_RANGE
         wrong = (np.abs(log.ranges - expected) > 0.3) & seen
         return float((wrong[:, :-1] & wrong[:, 1:]).sum() / (wrong[:, :-1] & seen[:, 1:]).sum())
@@ -100,7 +99,7 @@ def test_wrong_readings_come_in_bursts_only_if_asked(independent: SensorLog, dep
 
 def test_a_beam_that_meets_nothing_does_not_hit(independent: SensorLog, dependent: SensorLog) -> None:
     for log in (independent, dependent):
-        nothing = RayCaster(GRID).expected_ranges(log.poses, FINDER) >= MAX_RANGE
+        nothing = RayCaster(plan(1)).expected_ranges(log.poses, FINDER) >= MAX_RANGE
         assert nothing.sum() > 300
         share = np.isinf(log.ranges[nothing]).mean()
         assert share == pytest.approx(TRUTH.z_hit + TRUTH.z_max, abs=0.08)
@@ -108,7 +107,7 @@ def test_a_beam_that_meets_nothing_does_not_hit(independent: SensorLog, dependen
 
 def test_range_offset_and_slope_are_simulated(rng: np.random.Generator) -> None:
     shifted = replace(TRUTH, range_offset=0.05, sigma_slope=0.02)
-    log = simulate_log(GRID, FINDER, shifted, duration=60.0, scan_rate=5.0, seed=3).only_sensor()
+    log = simulate_log(plan(1), FINDER, shifted, duration=60.0, scan_rate=5.0, seed=3).only_sensor()
     u = uniforms(log, shifted, rng)
     assert stats.kstest(u[np.isfinite(u)], "uniform").pvalue > 0.01
     wrong = uniforms(log, TRUTH, rng)
@@ -150,7 +149,7 @@ def test_the_log_names_its_sensor_and_reports_progress() -> None:
     seen: list[tuple[int, int]] = []
     finder = replace(FINDER, name="/scan")
     log = simulate_log(
-        GRID, finder, TRUTH, duration=60.0, seed=1, progress=lambda done, total: seen.append((done, total))
+        plan(1), finder, TRUTH, duration=60.0, seed=1, progress=lambda done, total: seen.append((done, total))
     )
     assert list(log.sensors) == ["/scan"]
     assert seen[-1] == (600, 600)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,33 +14,32 @@ from beamfield.calibration.calibrate import Calibration, CalibrationOptions, cal
 from beamfield.cli.main import main
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import SensorLog
-from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from beamfield.simulation.sonar import sonar_ring
+from tests.simulation.plans import plan
 
 TRUTH = BeamParameters(z_hit=0.62, z_short=0.16, z_max=0.13, z_rand=0.09, sigma_hit=0.12, lambda_short=0.45)
 WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 OPTIONS = CalibrationOptions(refine=False)
-office = cache(partial(draw_floor_plan, seed=1))
 
 
 @cache
 def log_of(roughness: float) -> SensorLog:
     """Return two minutes of a ring of 16 sonars."""
     return simulate_log(
-        office(), sonar_ring(16), TRUTH, duration=120.0, scan_rate=4.0, seed=3, roughness=roughness
+        plan(1), sonar_ring(16), TRUTH, duration=120.0, scan_rate=4.0, seed=3, roughness=roughness
     ).only_sensor()
 
 
 @cache
 def fitted(roughness: float) -> Calibration:
-    return calibrate(log_of(roughness), office(), OPTIONS)
+    return calibrate(log_of(roughness), plan(1), OPTIONS)
 
 
 @pytest.mark.parametrize("n_sensors", [8, 16, 24])
 def test_rings_that_measure_as_the_model_says_give_the_truth_back(n_sensors: int) -> None:
-    log = simulate_log(office(), sonar_ring(n_sensors), TRUTH, duration=1440.0 / n_sensors, scan_rate=10.0, seed=3)
-    result = calibrate(log.only_sensor(), office(), OPTIONS)
+    log = simulate_log(plan(1), sonar_ring(n_sensors), TRUTH, duration=1440.0 / n_sensors, scan_rate=10.0, seed=3)
+    result = calibrate(log.only_sensor(), plan(1), OPTIONS)
     n = len(result.table)
     assert n > 8_000
     for name in WEIGHTS:
@@ -54,7 +53,7 @@ def test_rings_that_measure_as_the_model_says_give_the_truth_back(n_sensors: int
 
 def test_taken_as_beams_the_same_readings_fit_worse() -> None:
     log = log_of(1.0)
-    as_beams = calibrate(replace(log, finder=replace(log.finder, opening_angle=0.0)), office(), OPTIONS)
+    as_beams = calibrate(replace(log, finder=replace(log.finder, opening_angle=0.0)), plan(1), OPTIONS)
     assert as_beams.parameters.z_hit < fitted(1.0).parameters.z_hit - 0.2
 
 

@@ -104,4 +104,9 @@ def held_out_mask(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np
     >>> held_out_mask(np.arange(6) * 10.0, block_s=10.0).tolist()
     [False, True, False, False, True, True]
     """
-    return np.asarray(time_blocks(stamps, block_s) % 3 == 1)
+    return of_held_out(time_blocks(stamps, block_s))
+
+
+def of_held_out(blocks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether blocks of these numbers are held out: every third, from the second on."""
+    return np.asarray(blocks % 3 == 1)

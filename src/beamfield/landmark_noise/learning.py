@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from beamfield.arguments import checked
 from beamfield.calibration.evaluation import is_worth_it
+from beamfield.calibration.time_split import of_held_out
 from beamfield.detection_log import DetectionLog
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding
@@ -28,8 +29,6 @@ from beamfield.short_repr import short_repr
 FEWEST_SIGHTINGS = 20
 # EM approaches a spurious rate of 0 without end; below this many expected sightings it is there.
 NO_SIGHTING = 1e-3
-# Every third block is held out, as for beams.
-_EVERY = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +257,7 @@ def _distances_vary(table: SightingTable) -> bool:
 def _is_worth_it(table: SightingTable, plain: NoiseProblem, scaled: NoiseProblem) -> bool:
     """Return whether held-out blocks are enough more likely with a scale; no where there are too few blocks."""
     _, number = np.unique(table.blocks, return_inverse=True)
-    held_out, real = number % _EVERY == _EVERY // 2, table.landmarks >= 0
+    held_out, real = of_held_out(number), table.landmarks >= 0
     if not (real & held_out).any() or not (real & ~held_out).any():
         return False
     fitted_on, scored_on = table.subset(~held_out), table.subset(held_out)

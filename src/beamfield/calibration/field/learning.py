@@ -33,7 +33,7 @@ from beamfield.calibration.pose_windows import (
     window_block_s,
 )
 from beamfield.calibration.selection import SelectionOptions, select_scans
-from beamfield.calibration.time_split import time_blocks
+from beamfield.calibration.time_split import of_held_out, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
@@ -201,7 +201,7 @@ def learn_field_parameters(
     )
     length = window_block_s(log, grid, options, selection) if block_s is None else block_s
     blocks = time_blocks(log.stamps, length)
-    held_out = blocks % 3 == 1
+    held_out = of_held_out(blocks)
 
     # 1. z_hit, z_rand and sigma_hit by the density along each beam's axis.
     table = build_axis_table(log, grid, select_scans(log, grid, selection).used, seed=seed)

@@ -121,7 +121,9 @@ def test_a_map_without_obstacles_or_without_free_cells_is_noted():
     assert "no cell is free" in map_text(map_facts(OccupancyGrid(np.ones((2, 2)), 0.1)))
     inverted = np.ones((5, 5))
     inverted[0, :2] = 0.0
-    assert "occupied cells outnumber free ones 12 to 1" in map_text(map_facts(OccupancyGrid(inverted, 0.1)))
+    text = map_text(map_facts(OccupancyGrid(inverted, 0.1, [0.0, 0.0, 90.0])))
+    assert "occupied cells outnumber free ones 12 to 1" in text
+    assert "yaw is 90 radians: are these degrees?" in text
 
 
 def test_unknown_cells_that_count_as_free_are_noted(capsys, map_path):

@@ -179,7 +179,7 @@ def test_one_section_of_several_is_patched(good, tmp_path, capsys):
     words = ["translate", str(good), "--to", "nav2", "--patch", str(target)]
     assert main(words) == 1
     assert target.read_text() == TWO
-    assert "choose one by label or line" in capsys.readouterr().err
+    assert "give --section by label or line" in capsys.readouterr().err
     assert main([*words, "--patch-section", "/r2/amcl.ros__parameters"]) == 0
     assert target.read_text().startswith(TWO.replace("0.6", "0.947236"))
     assert main(["translate", str(good), "--to", "nav2", "--patch-section", "x"]) == 2

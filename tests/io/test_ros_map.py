@@ -203,7 +203,6 @@ LINE = {key: number for number, key in enumerate([*DEFAULTS, "mode"], start=1)}
         ("origin", "[1, 2]", "expected three numbers [x, y, yaw], got [1, 2]"),
         ("origin", "[1, 2, 3, 4]", "expected three numbers"),
         ("origin", "0", "expected three numbers"),
-        ("origin", "[0, 0, 90]", "expected a yaw in radians, within a full turn, got 90; degrees?"),
         ("origin", "{x: 1, y: 2, z: 3}", "expected three numbers"),
         ("origin", "[1, two, 3]", "origin.1: expected a number, got 'two'"),
         ("origin", "[1, 2, .nan]", "origin.2: expected a finite number, got nan"),

@@ -71,7 +71,7 @@ def test_what_conditions_take_out_by_default_is_not_there(write, condition, valu
 
 def test_of_two_robots_one_is_chosen_by_label_or_line(write):
     two = "\n".join(f'<group ns="{robot}">{node(param("laser_z_hit", z))}</group>' for robot, z in (("a", 1), ("b", 2)))
-    with pytest.raises(FormatError, match=r"choose one by label or line: 'a/amcl' \(line 2\), 'b/amcl' \(line 5\)"):
+    with pytest.raises(FormatError, match=r"give section by label or line: 'a/amcl' \(line 2\), 'b/amcl' \(line 5\)"):
         read_stack_file(write(two))
     assert read_stack_file(write(two), section="b/amcl").section.entries["laser_z_hit"].value == 2
     same = node(param("laser_z_hit", "1")) + "\n" + node(param("laser_z_hit", "2"))

@@ -148,6 +148,8 @@ def _check(arguments: argparse.Namespace) -> None:
 def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     from beamfield.io.parameters.beam_model_file import read_beam_model
 
+    saved = None if arguments.params is None else read_beam_model(arguments.params)
+    reference = None if arguments.good_scans is None else _read_reference(arguments.good_scans)
     progress("reading the map", 0, 1)
     grid = options.read_walls(arguments)
     progress("reading the log", 0, 1)
@@ -156,11 +158,7 @@ def _read(arguments: argparse.Namespace, progress: StageProgress) -> _Inputs:
     good, more = log, tuple[str, ...]()
     if not is_own:
         good, _, more = _sensor(arguments, arguments.good, arguments.good_poses, grid, progress)
-    parameters, limit = None, good.finder.max_range
-    if arguments.params is not None:
-        saved = read_beam_model(arguments.params)
-        parameters, limit = saved.parameters, saved.max_range
-    reference = None if arguments.good_scans is None else _read_reference(arguments.good_scans)
+    parameters, limit = (None, good.finder.max_range) if saved is None else (saved.parameters, saved.max_range)
     log, note = _with_limit(log, limit, arguments.log)
     good, _ = _with_limit(good, limit, arguments.good or arguments.log)
     is_own = is_own and reference is None

@@ -69,9 +69,9 @@ def _map_notes(grid: OccupancyGrid) -> list[str]:
     if not grid.free.any():
         notes.append("no cell is free: no pose is plausible in this map")
     elif (times := grid.occupied.sum() / grid.free.sum()) > INVERTED:
-        notes.append(
-            f"occupied cells outnumber free ones {times:.0f} to 1: are colours inverted (negate), or is unknown space black?"
-        )
+        notes.append(f"occupied cells outnumber free ones {times:.0f} to 1: inverted (negate), or unknown space black?")
+    if abs(grid.origin[2]) > 2.0 * math.pi:
+        notes.append(f"the origin's yaw is {grid.origin[2]:g} radians: are these degrees?")
     return notes
 
 

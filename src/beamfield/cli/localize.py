@@ -147,7 +147,7 @@ def _start(
         x, y, degrees = arguments.start
         if not grid.look_up(grid.free, [x, y]).all():
             raise InvalidInputError(
-                f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (beamfield inspect MAP --out map.png draws it)"
+                f"--start: {x:g} {y:g} is not in a free cell of {arguments.map} (see beamfield inspect MAP -o map.png)"
             )
         return sensor, PoseBelief.around([x, y, math.radians(degrees)])
     if arguments.anywhere or not sensor.has_poses:

@@ -115,7 +115,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{where}{error.strerror or error}", 1)
+        home = "; only the shell knows ~, and not after =: write $HOME" if str(error.filename).startswith("~") else ""
+        return _fail(f"{where}{error.strerror or error}{home}", 1)
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
     except Exception as error:

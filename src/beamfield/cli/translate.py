@@ -54,6 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, translate, write."""
+    from beamfield.stacks.registry import STACKS
     from beamfield.stacks.translation.translation import CHAPTER
 
     if arguments.out is not None and arguments.patch is not None:
@@ -63,6 +64,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     for name in ("patch", "out"):
         if arguments.to == CHAPTER and getattr(arguments, name) is not None:
             raise InvalidInputError(f"--{name}: is for files of a stack, chapter has none")
+    if arguments.to not in (*STACKS, CHAPTER):
+        raise InvalidInputError(f"--to: expected one of {', '.join((*STACKS, CHAPTER))}, got {arguments.to!r}")
     result, source, more = _translate(arguments)
     head = f"{result.stack} {result.model}, from {source} by beamfield {__version__}"
     said = [result.summary, *result.assumptions, *result.notes, *more]

@@ -22,7 +22,7 @@ _NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([
 # These are words of models and files as well: they are options where they stand for a value to give.
 # As the beginning of an error these are what was given.
 _LEADING = {"figure": "--only", "model": "--model", "section": "--section", "stack": "--stack"}
-_GIVEN = re.compile(r"(?<=give )(?P<name>max_range|min_range|mount)\b|(?<![\w/.'\"-])stamps='(?P<rule>[^']*)'")
+_GIVEN = re.compile(r"(?<=give )(?P<name>max_range|min_range|mount|section)\b|(?<![\w/.'\"-])stamps='(?P<rule>[^']*)'")
 
 
 def in_options(text: str) -> str:

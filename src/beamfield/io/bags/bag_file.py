@@ -317,7 +317,9 @@ def _storage_files(folder: Path) -> list[Path]:
 def _without_metadata(folder: Path) -> list[Path]:
     files = _storage_files(folder)
     if not files:
-        raise FormatError(folder, f"not a ROS 2 bag: the folder has no {METADATA}, .db3 or .mcap file")
+        raise FormatError(
+            folder, f"not a ROS 2 bag: no {METADATA}, .db3 or .mcap file in the folder; name a file in it"
+        )
     return files
 
 

@@ -182,10 +182,7 @@ def read_origin(yaml: YamlFile) -> NDArray[np.float64]:
     value = yaml.value("origin")
     if not isinstance(value, list) or len(value) != 3:
         raise yaml.error(f"expected three numbers [x, y, yaw], got {shorten(value)}", "origin")
-    origin = np.array([yaml.number("origin", i) for i in range(3)])
-    if abs(origin[2]) > 2.0 * np.pi:
-        raise yaml.error(f"expected a yaw in radians, within a full turn, got {origin[2]:g}; degrees?", "origin")
-    return origin
+    return np.array([yaml.number("origin", i) for i in range(3)])
 
 
 def middle_grey(free_thresh: float, occupied_thresh: float) -> int:

@@ -89,6 +89,8 @@ def named_numbers(
     FormatError
         If the section or a parameter is missing, a parameter is unknown or no finite number; names the line.
     """
+    if not isinstance(file.values, dict) or section not in file.values:
+        raise file.error(f"the key {section!r} is missing; expected a {section}.yaml of beamfield")
     given = file.value(section)
     if not isinstance(given, dict):
         raise file.error(f"expected the parameters' names and values, got {given!r}", section)

@@ -240,7 +240,7 @@ def _only(path: Path, sections: list[ParameterSection], label: str | None) -> Pa
         )
     if len(sections) > 1:
         labels = ", ".join(f"{section.label!r} (line {section.line})" for section in sections)
-        raise FormatError(path, f"several sections have such parameters; choose one by label or line: {labels}")
+        raise FormatError(path, f"several sections have such parameters, give section by label or line: {labels}")
     return sections[0]
 
 

@@ -6,11 +6,12 @@ import sys
 import threading
 import time
 from types import TracebackType
-from typing import NoReturn
-
-from tqdm import tqdm
+from typing import TYPE_CHECKING, NoReturn
 
 from beamfield.cli.terminal import complain
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 # Seconds between two looks at the clock: a stage that has nothing to count shows that the program is alive.
 TICK_S = 0.5
@@ -82,6 +83,9 @@ class StageProgress:
         if self._verbose or not sys.stderr.isatty():
             complain(f"{self._number}. {stage} ..." if self._verbose else f"{stage} ...")
             return
+        # Imported where a bar is drawn: it takes a fifth of the time of --help.
+        from tqdm import tqdm
+
         self._bar = tqdm(
             total=total, desc=stage, leave=False, file=sys.stderr, bar_format=TIMED if total <= 1 else COUNTED
         )

@@ -13,7 +13,7 @@ from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import CAUSES, beam_responsibilities
 from beamfield.report.colours import CAUSE_COLOURS, FIT, MODEL, QUIET
-from beamfield.report.drawing import NARROW, WIDE, legend, new_axes
+from beamfield.report.drawing import NARROW, WIDE, filled_steps, legend, new_axes
 from beamfield.report.panel import Panel, ReportFigure, one_picture, svg_panel
 from beamfield.report.range_bins import thinned
 from beamfield.report.text_table import plus_minus
@@ -89,9 +89,9 @@ def causes_by_bearing(calibration: Calibration, log: SensorLog) -> ReportFigure:
     base: FloatArray = np.zeros(n_bins)
     # Hits fill the rest, so that the axis can show the others large.
     for cause in (3, 1, 2):
-        axes.stairs(base + shares[cause], edges, baseline=base, fill=True, color=CAUSE_COLOURS[cause],
-                    label=CAUSES[cause])  # fmt: skip
-        base = base + shares[cause]
+        tops, name = base + shares[cause], CAUSES[cause]
+        filled_steps(axes, tops, edges, base=base, color=CAUSE_COLOURS[cause], label=name)
+        base = tops
     axes.set(xlim=(edges[0], edges[-1]), ylim=(0, min(1.0, max(float(base.max()) * 1.25, 0.02))))
     legend(axes, loc="upper right", ncols=3)
     worst = int(np.argmax(base))
@@ -161,7 +161,9 @@ def pose_shifts(calibration: Calibration) -> ReportFigure | None:
     x = "turn, counter-clockwise [deg]"
     turn, histogram = new_axes(NARROW, 3.6, title="Turn of the pose", x=x, y="number of scans", grid="y")
     degrees = np.degrees(shifts[:, 2])
-    histogram.hist(degrees, bins=24, color=FIT)
+    counts, edges = np.histogram(degrees, bins=24)
+    filled_steps(histogram, counts, edges, color=FIT)
+    histogram.set_ylim(0.0, 1.05 * float(counts.max()))
     histogram.axvline(0, color=MODEL, linewidth=0.8)
     moved = f"Shifts of {len(shifts)} refined poses, median length {np.median(np.hypot(*shifts[:, :2].T)):.3f} m."
     turned = f"Histogram of their turns, median {np.median(degrees):.2f} degrees."

@@ -14,7 +14,7 @@ from beamfield.geometry import FloatArray
 from beamfield.models.beam_density import CAUSES, beam_cdf
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.colours import CAUSE_COLOURS, DATA, MODEL, QUIET
-from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, log_scale, new_panel, style
+from beamfield.report.drawing import NARROW, WIDE, filled_steps, legend, legend_above, log_scale, new_panel, style
 from beamfield.report.panel import Panel, ReportFigure, one_picture, svg_panel
 from beamfield.report.range_bins import RangeBin, range_step, telling_bin, thinned, typical_bins
 
@@ -150,7 +150,7 @@ def _draw_near(axes: Axes, ranges: FloatArray, model: _Averaged, step: float) ->
     edges = _bin_edges(low, high, (high - low) / 60, step)
     counts, _ = np.histogram(ranges[ranges < model.max_range], edges)
     width = edges[1] - edges[0]
-    axes.stairs(counts / (len(ranges) * width), edges, fill=True, color=DATA, label="measured")
+    filled_steps(axes, counts / (len(ranges) * width), edges, color=DATA, label="measured")
     z = np.linspace(edges[0], edges[-1], 241)
     density = np.diff(model.cdf(z)) / np.diff(z)
     axes.plot((z[1:] + z[:-1]) / 2, density, color=MODEL, linewidth=1.4, label="fitted model")
@@ -172,14 +172,15 @@ def _draw_far(axes: Axes, ranges: FloatArray, model: _Averaged, step: float) -> 
     floor = 0.3 / (len(ranges) * widths[0])
     measured = counts / (len(ranges) * widths)
     fitted = np.diff(model.cdf(edges)) / widths
-    axes.stairs(np.maximum(measured, floor), edges, baseline=floor, fill=True, color=DATA)
-    axes.stairs(np.maximum(fitted, floor), edges, baseline=None, color=MODEL, linewidth=1.2)
+    filled_steps(axes, np.maximum(measured, floor), edges, base=floor, color=DATA)
+    steps = np.maximum(np.append(fitted, fitted[-1]), floor)
+    axes.plot(edges, steps, drawstyle="steps-post", color=MODEL, linewidth=1.2)
     share = float((ranges >= max_range).mean())
     gap = 0.01 * end if end == max_range else 0.06 * end
     bar = (edges[-1] + gap, edges[-1] + gap + 3 * widths[0])
     # The bar's area is the probability, as drawn in the chapter: one third of it per bin.
     height = max(share / (3 * widths[0]), floor)
-    axes.stairs([height], bar, baseline=floor, fill=True, color=CAUSE_COLOURS[2], alpha=0.6)
+    filled_steps(axes, [height], bar, base=floor, color=CAUSE_COLOURS[2], alpha=0.6)
     axes.hlines(max(z_max / (3 * widths[0]), floor), *bar, color=MODEL, linewidth=2.0)
     log_scale(axes)
     top = max(float(measured.max()), float(fitted.max()), 100 * floor) * 30

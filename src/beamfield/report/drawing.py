@@ -8,9 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
+from numpy.typing import ArrayLike
 
 from beamfield.report.colours import GRID, QUIET
 from beamfield.report.text_room import TextRoom
@@ -73,6 +75,30 @@ def style(axes: Axes, *, title: str = "", x: str = "", y: str = "", grid: str = 
         axes.set_title(title, fontsize=10, loc="left", color="#111111", fontweight="bold", y=1.0)
     axes.set_xlabel(x, fontsize=9, color="#222222")
     axes.set_ylabel(y, fontsize=9, color="#222222")
+
+
+def filled_steps(
+    axes: Axes, heights: ArrayLike, edges: ArrayLike, *, base: ArrayLike = 0.0, linewidth: float = 0.0, **look: Any
+) -> None:
+    """Fill under a histogram; `Axes.stairs` and `hist` look at every bin by itself to find the limits.
+
+    Parameters
+    ----------
+    axes
+        Where to draw.
+    heights, base
+        (n,) top and bottom of each bin; one base for all may be a number.
+    edges
+        (n + 1,).
+    linewidth
+        Of an outline.
+    look
+        For `Axes.fill_between`.
+    """
+    tops = np.asarray(heights, np.float64)
+    low = np.broadcast_to(np.asarray(base, np.float64), tops.shape)
+    below, above = (np.append(values, values[-1]) for values in (low, tops))
+    axes.fill_between(np.asarray(edges, np.float64), below, above, step="post", linewidth=linewidth, **look)
 
 
 def log_scale(axes: Axes) -> None:

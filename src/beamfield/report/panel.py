@@ -17,6 +17,7 @@ from PIL import Image
 from beamfield.report.colours import CAUSE_COLOURS, MODEL, THROUGH
 from beamfield.report.drawing import NARROW
 from beamfield.report.escape import escaped
+from beamfield.report.ruler import use_rulers
 
 # What a palette of 256 colours must keep, also as thin and as faint as figures draw it: median cut would give a few
 # pixels of one cause the colour of another.
@@ -89,6 +90,7 @@ def svg_panel(figure: Figure, name: str, alt: str) -> Panel:
         What a reader who cannot see it should know.
     """
     buffer = io.StringIO()
+    use_rulers(figure)
     with _DRAWING:
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})  # type: ignore[no-untyped-call]
     width, height = figure.get_size_inches() * 72.0
@@ -108,6 +110,7 @@ def png_panel(figure: Figure, alt: str, *, dpi: int = 144) -> Panel:
         Pixels per inch.
     """
     figure.set_dpi(dpi)
+    use_rulers(figure)
     canvas = FigureCanvasAgg(figure)
     with _DRAWING:
         canvas.draw()  # type: ignore[no-untyped-call]
@@ -129,7 +132,9 @@ def _palette(image: Image.Image) -> Image.Image:
     kept = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in KEPT_COLOURS])
     shades = np.concatenate([255 + share * (kept - 255) for share in KEPT_SHARES]).round().astype(np.uint8)
     shades = np.unique(shades, axis=0)
-    rest = image.quantize(256 - len(shades), method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).getpalette()
+    # Every other pixel tells which colours are frequent.
+    small = image.resize((max(1, image.width // 2), max(1, image.height // 2)), Image.Resampling.NEAREST)
+    rest = small.quantize(256 - len(shades), method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).getpalette()
     palette = Image.new("P", (1, 1))
     palette.putpalette([*shades.ravel().tolist(), *(rest or [])])
     return palette

@@ -1,12 +1,12 @@
-"""Localize real and simulated logs with the particle filter as the command does it, and print five tables.
+"""Localize real and simulated logs with the particle filter as the command does it, and print six tables.
 
 Run: python benchmarks/localize.py [FOLDER [SEEDS [TABLE ...]]]
 
 FOLDER holds the logs and maps (default: ../shared/data beside the checkout). They are other people's data and not part
 of this repository. The first table follows robots from a start known to 0.5 m and 15 degrees, and finds them from
-anywhere; the second does so with what Wean Hall 1 teaches; the third has other exponents; the fourth leaves out
-readings of people; the fifth finds robots again that were carried elsewhere. TABLE is accuracy, calibrated, exponents,
-people or recovery.
+anywhere; the second does so with what Wean Hall 1 teaches; the third starts in the middle of its logs, too; the fourth
+has other exponents; the fifth leaves out readings of people; the sixth finds robots again that were carried elsewhere.
+TABLE is accuracy, calibrated, starts, exponents, people or recovery.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from beamfield.calibration.calibrate import calibrate
 from beamfield.calibration.context.exponent import learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
-from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, PARTICLES_ANYWHERE
+from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS, PARTICLES_RECOVERING
 from beamfield.geometry import between, compose
 from beamfield.kernels.threads import set_threads
-from beamfield.localization.particle_filter import FilterOptions
+from beamfield.localization.particle_filter import FOUND_SPREAD, FilterOptions
 from beamfield.localization.recovery import PosesFromScan, Recovery
 from beamfield.localization.replay import ReplayErrors, judge_replay, reference_start
 from beamfield.localization.resampling import KldSampling
@@ -45,6 +45,7 @@ from real_logs import read_log_and_map
 from tables import print_table
 
 WEAN = "wean_hall/derived_wean.yaml"
+WEAN_LOGS = ("Wean Hall 1", "Wean Hall 3", "Wean Hall 5")
 LOGS = {
     **{f"Wean Hall {k}": (f"wean_hall/robotdata{k}.log.gz", WEAN, f"wean_hall/reference_robotdata{k}.csv.gz")
        for k in (1, 3, 5)},
@@ -59,8 +60,10 @@ LASER = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 181), 12.0)
 # Few and many people, who hide neighbouring beams for a while.
 CROWDED = tuple(BeamParameters(0.95 - share, share, 0.02, 0.03, 0.05, 0.3) for share in (0.1, 0.4, 0.7))
 BURSTS = Dependence(angle=0.3, time=1.0)
-# Found: within this distance of the reference in 95 % of the last fifth of the scans.
-FOUND_WITHIN = 0.5
+# Found: within this distance of the reference in 95 % of the last fifth of the scans. Wrong: farther than that.
+FOUND_WITHIN, WRONG_FROM = 0.5, 1.0
+# A robot that starts later in a log has so long to find its place, seconds.
+LEFT_TO_FIND = 50.0
 
 
 def model_of(kind: str, grid: OccupancyGrid, exponent: float) -> Any:
@@ -83,17 +86,72 @@ def followed(localizer: ScanLocalizer, log: SensorLog, seeds: int) -> list[Repla
     return [judge_replay(localizer.run(log, start, np.random.default_rng(seed)), log.poses) for seed in range(seeds)]
 
 
-def found_from_anywhere(localizer: ScanLocalizer, log: SensorLog, seeds: int) -> int:
-    """Return how many seeds find the robot from anywhere on the map."""
+class Start(NamedTuple):
+    """A start from anywhere on the map."""
+
+    found: bool
+    at_end: bool
+    sure_after: float
+    """Seconds, nan if never."""
+    sure_of_wrong: bool
+
+    @classmethod
+    def of(cls, localizer: ScanLocalizer, log: SensorLog, seed: int) -> Start:
+        """Start at a log's first scan."""
+        run = localizer.run(log, None, np.random.default_rng(seed))
+        distance = np.hypot(*(run.poses - log.poses)[:, :2].T)
+        known = distance[np.isfinite(distance)]
+        sure = np.trace(run.covariances[:, :2, :2], axis1=1, axis2=2) <= FOUND_SPREAD**2
+        return cls(
+            bool((known[-(len(known) // 5) :] < FOUND_WITHIN).mean() > 0.95),
+            bool(known[-1] < FOUND_WITHIN),
+            float(log.stamps[run.updates[sure][0]] - log.stamps[0]) if sure.any() else np.nan,
+            bool((sure & (distance[run.updates] > WRONG_FROM)).any()),
+        )
+
+
+def found_from_anywhere(localizer: ScanLocalizer, log: SensorLog, seeds: int) -> dict[str, Any]:
+    """Return how many seeds find the robot from anywhere on the map, and when the filter is sure."""
     log = log[reference_start(log)[0] :]
-    options = FilterOptions(n_particles=PARTICLES_ANYWHERE, kld=KldSampling(least=localizer.options.n_particles))
-    wide, found = replace(localizer, options=options), 0
-    for seed in range(seeds):
-        off = wide.run(log, None, np.random.default_rng(seed)).poses - log.poses
-        distance = np.hypot(off[:, 0], off[:, 1])
-        distance = distance[np.isfinite(distance)]
-        found += bool((distance[-(len(distance) // 5) :] < FOUND_WITHIN).mean() > 0.95)
-    return found
+    starts = [Start.of(localizer, log, seed) for seed in range(seeds)]
+    return {
+        "found from anywhere": f"{sum(one.found for one in starts)} of {seeds}",
+        "sure after [s]": round(float(np.nanmedian([one.sure_after for one in starts])), 1),
+        "sure of a wrong place": f"{sum(one.sure_of_wrong for one in starts)} of {seeds}",
+    }
+
+
+def starts(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return starts from anywhere every 10 s of three logs, by what weighs scans until the robot is found."""
+    rows: dict[str, list[Start]] = {}
+    field = learned_models(folder)["likelihood field"]
+    learned = ScanLocalizer(field.grid, field, USUAL_MOTION)
+    typical = localizer_of("likelihood field", field.grid)
+    ways = {
+        "typical values throughout": replace(typical, coarse=typical.model),
+        "learned values throughout": replace(learned, coarse=learned.model),
+        "the coarse field, then typical values": typical,
+        "the coarse field, then learned values": learned,
+    }
+    for name in WEAN_LOGS:
+        log = read_log_and_map(folder, *LOGS[name])[0]
+        since = log.stamps - log.stamps[0]
+        for second in np.arange(0.0, since[-1] - LEFT_TO_FIND, 10.0):
+            later = log[int(np.searchsorted(since, second)) :]
+            later = later[reference_start(later)[0] :]
+            for way, localizer in ways.items():
+                rows.setdefault(way, []).extend(Start.of(localizer, later, seed) for seed in range(seeds))
+    return [
+        {
+            "until found, and then": way,
+            "runs": len(of),
+            "at the right place at the end": f"{np.mean([one.at_end for one in of]):.0%}",
+            "sure of a wrong place": f"{np.mean([one.sure_of_wrong for one in of]):.0%}",
+            "not sure at the end": f"{np.mean(np.isnan([one.sure_after for one in of])):.0%}",
+            "sure after [s], median": round(float(np.nanmedian([one.sure_after for one in of])), 1),
+        }
+        for way, of in rows.items()
+    ]
 
 
 def numbers(errors: Sequence[ReplayErrors]) -> dict[str, Any]:
@@ -122,31 +180,45 @@ def accuracy(folder: Path, seeds: int) -> list[dict[str, Any]]:
             localizer = localizer_of(kind, grid)
             row = {"log": name, "model": kind, **numbers(followed(localizer, log, seeds))}
             if kind == "likelihood field":
-                row["found from anywhere"] = f"{found_from_anywhere(localizer, log, 2 * seeds)} of {2 * seeds}"
+                row |= found_from_anywhere(localizer, log, 2 * seeds)
             rows.append(row)
     return rows
 
 
 def calibrated(folder: Path, seeds: int) -> list[dict[str, Any]]:
     """Return one row per log of Wean Hall and model, with parameters and exponent learned from the first log."""
-    learned_from, grid = read_log_and_map(folder, *LOGS["Wean Hall 1"])
-    field = learn_field_parameters(learned_from, grid).parameters
-    models: dict[str, Any] = {
-        "likelihood field": LikelihoodFieldModel(grid, field, n_beams=60),
-        "beam model": BeamModel(grid, calibrate(learned_from, grid).parameters, n_beams=30),
-    }
     rows = []
-    for kind, model in models.items():
-        exponent = learn_exponent(model, learned_from, grid).drive.value
-        model = type(model)(grid, model.parameters, n_beams=model.n_beams, exponent=exponent)
-        localizer = ScanLocalizer(grid, model, USUAL_MOTION)
-        for name in ("Wean Hall 1", "Wean Hall 3", "Wean Hall 5"):
+    for kind, model in learned_models(folder).items():
+        localizer = ScanLocalizer(model.grid, model, USUAL_MOTION)
+        for name in WEAN_LOGS:
             log = read_log_and_map(folder, *LOGS[name])[0]
-            found = f"{found_from_anywhere(localizer, log, seeds)} of {seeds}" if kind == "likelihood field" else ""
-            rows.append(
-                {"log": name, "model": kind, **numbers(followed(localizer, log, seeds)), "found from anywhere": found}
-            )
+            row = {"log": name, "model": kind, **numbers(followed(localizer, log, seeds))}
+            found = found_from_anywhere(localizer, log, seeds) if kind in KINDS else {}
+            rows.append(row | ahead_and_sideways(localizer, log) | found)
     return rows
+
+
+def ahead_and_sideways(localizer: ScanLocalizer, log: SensorLog) -> dict[str, Any]:
+    """Return the standard deviations of the errors along and across the robot's heading, of one seed."""
+    first, start = reference_start(log)
+    run, known = localizer.run(log[first:], start, np.random.default_rng(0)), np.isfinite(log[first:].poses[:, 0])
+    ahead, left, _ = between(log[first:].poses[known], run.poses[known]).std(axis=0)
+    return {"ahead [m]": round(float(ahead), 3), "sideways [m]": round(float(left), 3)}
+
+
+def learned_models(folder: Path) -> dict[str, Any]:
+    """Return models with parameters and exponents of the first log of Wean Hall; one beam model has wide hits."""
+    log, grid = read_log_and_map(folder, *LOGS["Wean Hall 1"])
+    beam = calibrate(log, grid).parameters
+    models: dict[str, Any] = {
+        "likelihood field": LikelihoodFieldModel(grid, learn_field_parameters(log, grid).parameters, n_beams=60),
+        "beam model": BeamModel(grid, beam, n_beams=30),
+        "beam model, sigma_hit 0.3 m": BeamModel(grid, replace(beam, sigma_hit=0.3, sigma_slope=0.0), n_beams=30),
+    }
+    for kind, model in models.items():
+        exponent = learn_exponent(model, log, grid).drive.value
+        models[kind] = type(model)(grid, model.parameters, n_beams=model.n_beams, exponent=exponent)
+    return models
 
 
 def offices() -> dict[str, tuple[SensorLog, OccupancyGrid]]:
@@ -166,15 +238,7 @@ def exponents(folder: Path, seeds: int) -> list[dict[str, Any]]:
         log, grid = read_log_and_map(folder, *LOGS[name])
         for exponent in EXPONENTS:
             localizer = localizer_of("likelihood field", grid, exponent)
-            found = f"{found_from_anywhere(localizer, log, seeds)} of {seeds}"
-            rows.append(
-                {
-                    "log": name,
-                    "exponent": exponent,
-                    **numbers(followed(localizer, log, seeds)),
-                    "found from anywhere": found,
-                }
-            )
+            rows.append({"log": name, "exponent": exponent, **numbers(followed(localizer, log, seeds))})
     return rows
 
 
@@ -214,7 +278,7 @@ def recovery(folder: Path, seeds: int) -> list[dict[str, Any]]:
             localizer = localizer_of("likelihood field", grid)
             if numbers_ is not None:
                 options = FilterOptions(
-                    n_particles=PARTICLES_ANYWHERE,
+                    n_particles=PARTICLES_RECOVERING,
                     kld=KldSampling(least=localizer.options.n_particles),
                     recovery=Recovery(readings=INDEPENDENT_BEAMS, **numbers_),
                 )
@@ -253,6 +317,7 @@ def kidnapped(log: SensorLog) -> SensorLog:
 TABLES = {
     "accuracy": accuracy,
     "calibrated": calibrated,
+    "starts": starts,
     "exponents": exponents,
     "people": people,
     "recovery": recovery,

@@ -18,14 +18,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from beamfield.cli.localize import PARTICLES_ANYWHERE
 from beamfield.geometry import FloatArray, between
 from beamfield.localization.drive import chained
 from beamfield.localization.lost_robot import LEAST_AGREEMENT
-from beamfield.localization.particle_filter import FilterOptions
 from beamfield.localization.ray_agreement import scan_agreement
 from beamfield.localization.replay import PoseBelief, ReplayedFilter, reference_start
-from beamfield.localization.resampling import KldSampling
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings, read_filter_settings
@@ -54,7 +51,8 @@ def main(folder: Path, seeds: int) -> None:
                 mistaken = replace(part, odometry=odometry_with(part.odometry, np.array(signs)))
                 tried.setdefault(f"odometry {wrong}", []).append(agreement(replayed, mistaken, grid, start, 0))
         tried["other buildings"] = [
-            agreement(anywhere(elsewhere), part, elsewhere, None, 0) for elsewhere in other_maps(name, logs)
+            agreement(localizer_of("likelihood field", elsewhere), part, elsewhere, None, 0)
+            for elsewhere in other_maps(name, logs)
         ]
         for what, found in tried.items():
             rows.append({
@@ -79,13 +77,6 @@ def odometry_with(odometry: FloatArray, signs: FloatArray) -> FloatArray:
     steps = between(odometry[known][:-1], odometry[known][1:])
     changed[known] = chained(np.zeros(3), signs * steps)
     return changed
-
-
-def anywhere(grid: OccupancyGrid) -> ReplayedFilter:
-    """Return our filter as the command starts it where nothing is known."""
-    localizer = localizer_of("likelihood field", grid)
-    kld = KldSampling(least=localizer.options.n_particles)
-    return replace(localizer, options=FilterOptions(n_particles=PARTICLES_ANYWHERE, kld=kld))
 
 
 def other_maps(name: str, logs: Logs) -> Iterator[OccupancyGrid]:

@@ -30,6 +30,7 @@ def folder(tmp_path_factory, office, drive, truth) -> Path:
     log = drive[:120]
     write_map(office, place / "map.yaml")
     write_map(OccupancyGrid(np.ones((10, 10)), 0.1), place / "solid.yaml")
+    write_carmen(place / "short.log", ScanLog({"FLASER": log[:2]}, Track(log.stamps[:2], log.odometry[:2])))
     # One pose per scan: either a reference or odometry.
     write_carmen(place / "bare.log", ScanLog({"FLASER": log.with_poses(log.odometry)}))
     write_carmen(place / "drive.log", ScanLog({"FLASER": log}, Track(log.stamps, log.odometry)))
@@ -118,7 +119,7 @@ def test_json_has_what_the_docs_list(folder, capsys):
     assert run(folder, "--json", "-q") == 0
     found = document(capsys)
     assert {"filter", "start", "n_scans", "n_updates", "mean_particles", "updates_per_second", "last_pose",
-            "last_spread_m", "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
+            "last_spread_m", "sure_after_s", "errors", "found_after_s", "findings"} <= set(found)  # fmt: skip
     assert found["n_scans"] == 120
     assert 0 < found["n_updates"] < 120
 
@@ -129,6 +130,9 @@ def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
     text = capsys.readouterr().out
     assert "started from: anywhere on the map" in text
     assert "no reference poses to judge by" in text
+    assert "sure of the place from" in text
+    assert main(["localize", str(folder / "short.log"), "--map", str(folder / "map.yaml"), "--global"]) == 3
+    assert "The robot has not been found" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")

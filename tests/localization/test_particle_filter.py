@@ -132,6 +132,31 @@ def test_the_belief_over_five_rooms_is_that_of_a_grid_filter():
         np.testing.assert_allclose(np.bincount(cloud.poses[:, 0].astype(int), cloud.weights), belief, atol=0.012)
 
 
+@pytest.mark.parametrize("is_coarse", [False, True])
+def test_a_coarse_model_keeps_the_right_place_that_a_sharp_one_gives_up(is_coarse):
+    """Two places 10 m apart: errors of the map speak for the wrong one, ten times over, before the right one shows."""
+
+    class Places:
+        is_normalized = False
+
+        def __init__(self, power: float) -> None:
+            self.power = power
+
+        def log_likelihood(self, z, poses):
+            return np.where(poses[:, 0] > 5.0, self.power * z, 0.0)
+
+    options = FilterOptions(n_particles=500, resample_below=1.0, **ALWAYS)
+    own = ParticleFilter(Places(1.0), Shift(0.01), options, rng=1)
+    cloud = np.repeat([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]], 2000, axis=0)
+    own.start(cloud, coarse=Places(0.1) if is_coarse else None)
+    for t in range(20):
+        own.update(2.0 if t < 10 else -10.0, np.zeros(3))
+        if t == 12:
+            assert own.is_found != is_coarse
+    assert own.is_found
+    assert own.pose[0] == pytest.approx(0.0 if is_coarse else 10.0, abs=0.2)
+
+
 # A room that looks different from everywhere.
 def make_room() -> OccupancyGrid:
     cells = np.zeros((80, 110))

@@ -47,7 +47,10 @@ DEFAULT_BEAMS = 60
 # What a scan is worth to a filter, in independent beams: neighbours in a scan, and scans half a metre apart, err alike.
 # Measured in docs/evidence/localization.md.
 INDEPENDENT_BEAMS = 1.8
-PARTICLES, PARTICLES_ANYWHERE = 2000, 50_000
+PARTICLES, PARTICLES_RECOVERING = 2000, 50_000
+
+# Findings after which the poses are not to be trusted.
+PROBLEMS = {"robot-lost": "the robot is most likely lost", "not-found": "the robot has not been found"}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -124,9 +127,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
         document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
         wrote = _write(found, log, grid, film, document, arguments)
     notes = (*notes, *(finding.full_text for finding in found.findings))
+    names = {finding.name for finding in found.findings}
+    problem = next((text for name, text in PROBLEMS.items() if name in names), "")
     return Outcome(
         f"wrote {' and '.join(map(str, wrote))}", _summary(document, errors), document, notes, wrote,
-        code=0 if lost is None else 3, problem="" if lost is None else "the robot is most likely lost",
+        code=3 if problem else 0, problem=problem,
     )  # fmt: skip
 
 
@@ -169,7 +174,7 @@ def _filter(
 
     if is_stack_file(arguments.params):
         return stack_filter(log, grid, start, arguments)
-    localizer, rng = _localizer(log, grid, start, arguments), np.random.default_rng(arguments.seed)
+    localizer, rng = _localizer(log, grid, arguments), np.random.default_rng(arguments.seed)
 
     def run(film: Film, step: Step) -> Localization:
         def watch(i: int, update: Update) -> None:
@@ -181,9 +186,7 @@ def _filter(
     return run, "beamfield's own"
 
 
-def _localizer(
-    log: SensorLog, grid: OccupancyGrid, start: PoseBelief | None, arguments: argparse.Namespace
-) -> ScanLocalizer:
+def _localizer(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> ScanLocalizer:
     from beamfield.localization.particle_filter import FilterOptions
     from beamfield.localization.recovery import PosesFromScan, Recovery
     from beamfield.localization.resampling import KldSampling
@@ -192,13 +195,13 @@ def _localizer(
     from beamfield.models.gaussian_motion import USUAL_MOTION, GaussianMotion
 
     model = _model(log, grid, arguments)
-    least = arguments.particles or PARTICLES
-    wide = start is None or arguments.recovery
-    filter_options = FilterOptions(
-        n_particles=max(least, PARTICLES_ANYWHERE) if wide else least,
-        kld=KldSampling(least=least) if wide else None,
-        recovery=Recovery(readings=model.exponent * model.n_beams) if arguments.recovery else None,
-    )
+    filter_options = FilterOptions(n_particles=arguments.particles or PARTICLES)
+    if arguments.recovery:
+        filter_options = FilterOptions(
+            n_particles=max(filter_options.n_particles, PARTICLES_RECOVERING),
+            kld=KldSampling(least=filter_options.n_particles),
+            recovery=Recovery(readings=model.exponent * model.n_beams),
+        )
     times = arguments.odometry_error or 1.0
     motion = GaussianMotion(**{name: times * value for name, value in asdict(USUAL_MOTION).items()})
     return ScanLocalizer(
@@ -261,7 +264,10 @@ def _document(
 ) -> dict[str, Any]:
     import numpy as np
 
+    from beamfield.localization.particle_filter import FOUND_SPREAD, FOUND_TURN
+
     spread = np.sqrt(np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2))
+    sure = found.updates[(spread <= FOUND_SPREAD) & (found.covariances[:, 2, 2] <= FOUND_TURN**2)]
     # Not the mean: the first update makes the model's tables, and may compile.
     seconds = float(np.median(found.seconds))
     return {
@@ -272,6 +278,7 @@ def _document(
         "updates_per_second": 1.0 / seconds if seconds > 0.0 else None,
         "last_pose": [float(value) for value in found.poses[np.isfinite(found.poses).all(axis=1)][-1]],
         "last_spread_m": float(spread[-1]),
+        "sure_after_s": float(log.stamps[sure[0]] - log.stamps[0]) if len(sure) else None,
         "errors": None if errors is None else asdict(errors),
         "found_after_s": None if errors is None else _found_after(found, log),
         "findings": [asdict(finding) for finding in found.findings],
@@ -352,6 +359,8 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
         f"used {document['n_updates']} of {document['n_scans']} scans{speed}",
         f"ended at: {_pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",
     ]
+    if document["start"] is None and document["sure_after_s"] is not None:
+        lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are a best guess")
     if errors is None:
         return "\n".join([*lines, "no reference poses to judge by (beamfield trajectory fits some: --poses)"])
     found = document["found_after_s"]

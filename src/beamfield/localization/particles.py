@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -30,6 +31,11 @@ class Estimate(NamedTuple):
     """(3, 3) of the weighted deviations from it, m^2, m rad and rad^2, headings the short way round."""
     weight: float
     """Share of the belief that it stands for: 1 for the whole cloud."""
+
+    @property
+    def spread(self) -> float:
+        """Root of the summed variances of x and y, metres."""
+        return math.sqrt(self.covariance[0, 0] + self.covariance[1, 1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,17 @@ from beamfield.localization.replay import PoseBelief, Replay
 from beamfield.localization.short_readings import ShortReadings
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.base import MeasurementModel
+from beamfield.models.field_parameters import LikelihoodFieldParameters
+from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.motion import MotionModel
-from beamfield.sensors import Scan, SensorLog
+from beamfield.sensors import RangeFinder, Scan, SensorLog
 from beamfield.short_repr import short_repr
+
+# The field that weighs scans until a robot is found that can be anywhere. Two places are told apart over many metres,
+# on which the same errors of the map are seen again and again: by narrower fields, or scans that count more, the filter
+# is sure of a wrong place (docs/evidence/localization.md).
+COARSE = LikelihoodFieldParameters(z_hit=0.88, z_rand=0.12, sigma_hit=0.2)
+COARSE_BEAMS, COARSE_WORTH = 60, 1.8
 
 # Called after each measurement used: the index of its scan, and what it did.
 Watch = Callable[[int, Update], None]
@@ -58,8 +66,11 @@ class ScanLocalizer:
     options
         Of the filter.
     n_anywhere
-        Particles to begin with where the start is not known. They are weighed once; from then on there are as many as
-        the options say.
+        Particles to begin with where the start is not known. They are weighed once; from then on there are 5000 to
+        50,000 until the robot is found, and then as many as the options say.
+    coarse
+        Weighs scans where the start is not known, until the robot is found; None: a likelihood field with a sigma_hit
+        of 0.2 m, whose scans count as 1.8 independent beams.
     source
         Where poses come from in a recovery.
     short_readings
@@ -76,6 +87,7 @@ class ScanLocalizer:
     motion: MotionModel
     options: FilterOptions = field(default_factory=FilterOptions)
     n_anywhere: int = field(default=200_000, kw_only=True)
+    coarse: MeasurementModel[Scan] | None = field(default=None, kw_only=True)
     source: PoseSource[Scan] | None = field(default=None, kw_only=True)
     short_readings: ShortReadings | None = field(default=None, kw_only=True)
 
@@ -117,7 +129,7 @@ class ScanLocalizer:
         if not log.has_odometry:
             raise TooLittleDataError("log: no scan has odometry, which moves the particles; expected some")
         own = self._filter(rng)
-        own.start(self._cloud(start, rng))
+        own.start(self._cloud(start, rng), coarse=None if start is not None else self._coarse_model(log.finder))
         poses: FloatArray = np.full((len(log), 3), np.nan)
         used, updates, seconds = [], [], []
         counts = {"repeated-scans": 0, "impossible-scans": 0, "no-odometry": 0}
@@ -139,6 +151,7 @@ class ScanLocalizer:
                         watch(i, update)
             poses[i] = own.pose
         counts["odometry-jumps"] = own.odometry_jumps
+        counts["not-found"] = int(not own.is_found)
         counts["stamps-back"] = int((np.diff(log.stamps) < 0.0).sum())
         return Localization(
             poses,
@@ -154,6 +167,12 @@ class ScanLocalizer:
         return ParticleFilter(
             self.model, self.motion, self.options, source=self.source, short_readings=self.short_readings, rng=rng
         )
+
+    def _coarse_model(self, finder: RangeFinder) -> MeasurementModel[Scan]:
+        if self.coarse is not None:
+            return self.coarse
+        n = min(COARSE_BEAMS, finder.n_beams)
+        return LikelihoodFieldModel(self.grid, COARSE, n_beams=n, exponent=min(1.0, COARSE_WORTH / n))
 
     def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> FloatArray:
         if start is None:
@@ -190,6 +209,11 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
         "warning",
         "The odometry jumped {times} farther than a robot can drive or turn.",
         "The jumps were not followed: the particles stayed, spread by 0.3 m and 0.3 rad.",
+    ),
+    "not-found": (
+        "warning",
+        "The robot has not been found: at the end its particles are still spread over several places.",
+        "The poses are a best guess. Drive on, or give a start; beamfield trajectory searches by the whole log.",
     ),
     "stamps-back": (
         "warning",

@@ -81,7 +81,7 @@ class ShortReadings:
         rng
             Source of randomness, for the choice of particles.
         """
-        if not self._is_concentrated(belief):
+        if belief.whole.spread > self.widest_cloud:
             return scan
         poses = belief.poses[systematic_indices(belief.weights, self.n_poses, rng)]
         short = self.probability_short(scan, poses) > self.probability
@@ -96,7 +96,3 @@ class ShortReadings:
         expected = self._caster.expected_ranges(poses, scan.finder)
         probability = ndtr((expected - ranges) / self.sigma).mean(axis=0)
         return np.where(ranges < scan.finder.max_range, probability, 0.0)
-
-    def _is_concentrated(self, belief: Particles) -> bool:
-        covariance = belief.whole.covariance
-        return bool(covariance[0, 0] + covariance[1, 1] <= self.widest_cloud**2)

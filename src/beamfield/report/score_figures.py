@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from beamfield.calibration.calibrate import Calibration
-from beamfield.calibration.evaluation import Timeline, block_standard_error
-from beamfield.calibration.hit_forms import LEAST_GAIN
+from beamfield.calibration.evaluation import LEAST_GAIN, Timeline, block_standard_error
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray
 from beamfield.report.colours import DATA, FIT, HELD_OUT, QUIET
@@ -45,8 +45,8 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
     candidates = calibration.candidates
     if len(candidates) < 2:
         return None
-    height = 0.75 + 0.42 * len(candidates)
-    figure, axes = new_axes(NARROW, height, above=1, x="gain per held-out beam [nats]", grid="x")
+    x = "gain per held-out beam [nats]"
+    figure, axes = new_axes(NARROW, 0.75 + 0.42 * len(candidates), above=1, x=x, grid="x")
     _dots(axes, [(form_name(c), c.gain, c.gain_se, c.chosen) for c in candidates], decimals=4)
     # A span of less than the least gain that counts would blow noise up.
     low, high = axes.get_xlim()
@@ -55,15 +55,17 @@ def candidate_plot(calibration: Calibration) -> ReportFigure | None:
         axes.axvline(LEAST_GAIN, color=HELD_OUT, linewidth=1.0, linestyle="--", label="least gain worth a parameter")
         legend_above(axes)
     axes.axvline(0.0, color=QUIET, linewidth=0.8)
+    axes.xaxis.set_major_locator(MaxNLocator(3))
     said = "; ".join(f"{form_name(c)} {plus_minus(c.gain, c.gain_se)}" for c in candidates)
     return one_picture(
         "candidates",
         "Which form of the hit component",
         figure,
         f"Dot plot of held-out gains: {said}",
-        f"{form_line(calibration)} A range offset lets hits lie beside the expected range (walls drawn too thick or "
-        "too thin); a sigma slope lets the noise grow with range. The filled dot is the form that was kept: a "
-        f"further parameter must gain {LEAST_GAIN:g} nats per held-out beam and twice the standard error.",
+        f"{form_line(calibration)} Gains are over {form_name(candidates[0])}. A range offset lets hits lie beside the "
+        "expected range (walls drawn too thick or too thin); a sigma slope lets the noise grow with range. The filled "
+        f"dot is the form that was kept: a further parameter must gain {LEAST_GAIN:g} nats per held-out beam and twice "
+        "the standard error.",
         "Section 6.3.2; Figure 6.6 (narrower peaks at shorter range)",
     )
 

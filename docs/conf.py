@@ -50,6 +50,8 @@ html_title = "beamfield"
 html_copy_source = False
 html_show_sourcelink = False
 html_context = {"default_mode": "auto"}
+# No pages stand below it.
+html_sidebars = {"choose": []}
 html_theme_options = {
     "navbar_align": "left",
     "navbar_persistent": ["search-button"],

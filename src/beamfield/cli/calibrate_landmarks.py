@@ -54,8 +54,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Read, learn, write."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.files.atomic import check_writable, write_file
+    from beamfield.io.files.bag_storage import BAG_SUFFIXES
     from beamfield.io.parameters.landmark_model_file import landmark_model_text
-    from beamfield.io.read_log import BAG_SUFFIXES
     from beamfield.io.read_sightings_log import read_sightings_log
     from beamfield.landmark_noise.learning import learn_landmark_parameters
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import ScanLog
 
-_BAGS = (".bag", ".mcap", ".db3")
-
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
@@ -100,9 +98,10 @@ def _known(path: Path) -> BeamfieldError | None:
 
 def _map_of_bag(path: Path, no_log: FormatError) -> OccupancyGrid:
     """Return the map of a bag that holds no scans; if there is none either, say why it is no log."""
+    from beamfield.io.files.bag_storage import BAG_SUFFIXES
     from beamfield.io.read_map import read_map
 
-    if not (path.is_dir() or path.suffix in _BAGS):
+    if not (path.is_dir() or path.suffix in BAG_SUFFIXES):
         raise no_log
     from beamfield.io.bags.bag_file import BagFile
     from beamfield.io.bags.map_topic import OCCUPANCY_GRID

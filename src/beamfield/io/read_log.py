@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.files.bag_storage import BAG_SUFFIXES, storage_of
 from beamfield.io.files.text_lines import is_number, read_lines
 from beamfield.io.logs.carmen import read_carmen
 from beamfield.io.logs.carmen_messages import CARMEN_SCANS
@@ -32,8 +33,6 @@ SUPPORTED = (
     "and .mcap"
 )
 
-BAG_SUFFIXES = (".bag", ".db3", ".mcap")
-BAG_MAGICS = (b"#ROSBAG", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 # Lines without any known word after which a file is given up; odometry may come long before the first scan.
 UNKNOWN_LINES = 100
 
@@ -159,10 +158,7 @@ def _adjusted(log: ScanLog, mask: Sequence[tuple[float, float]], opening_angle: 
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
         return any(file.name == "metadata.yaml" or file.suffix in BAG_SUFFIXES for file in path.iterdir())
-    if path.suffix in BAG_SUFFIXES:
-        return True
-    with path.open("rb") as file:
-        return file.read(16).startswith(BAG_MAGICS)
+    return path.suffix in BAG_SUFFIXES or storage_of(path) is not None
 
 
 def _only(log: ScanLog, asked: tuple[str, ...]) -> ScanLog:

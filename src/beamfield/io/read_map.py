@@ -6,13 +6,13 @@ import os
 from pathlib import Path
 
 from beamfield.errors import FormatError, InvalidInputError
+from beamfield.io.files.bag_storage import BAG_SUFFIXES
 from beamfield.io.maps.map_image import MAX_PIXELS
 from beamfield.io.maps.ros_map import read_ros_map
 from beamfield.io.maps.wean_map import read_wean_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 _PICTURES = (".pgm", ".png", ".bmp")
-_BAGS = (".bag", ".mcap", ".db3")
 
 
 def read_map(path: str | os.PathLike[str], *, topic: str | None = None, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
@@ -38,7 +38,7 @@ def read_map(path: str | os.PathLike[str], *, topic: str | None = None, max_pixe
         As the file system says.
     """
     source = Path(path)
-    if source.is_dir() or source.suffix in _BAGS:
+    if source.is_dir() or source.suffix in BAG_SUFFIXES:
         # Here, because only bags need the extra package that reads them.
         from beamfield.io.bags.reader import read_bag_map
 
@@ -53,5 +53,5 @@ def read_map(path: str | os.PathLike[str], *, topic: str | None = None, max_pixe
     if source.suffix.lower() in _PICTURES:
         raise FormatError(source, "a picture has no resolution or origin: give the map_server YAML file that names it")
     raise FormatError(
-        source, f"expected a map ending in .yaml, .yml, .dat, .dat.gz, {', '.join(_BAGS)} or a bag folder"
+        source, f"expected a map ending in .yaml, .yml, .dat, .dat.gz, {', '.join(BAG_SUFFIXES)} or a bag folder"
     )

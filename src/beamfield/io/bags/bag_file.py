@@ -17,12 +17,12 @@ from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 from beamfield.errors import BeamfieldError, FormatError, InvalidInputError, MissingDependencyError
 from beamfield.io.bags.unpacking import Allowance, check_storage, limit_chunks, unpack_file, unpack_message
 from beamfield.io.files.atomic import scratch_folder
+from beamfield.io.files.bag_storage import storage_of
 from beamfield.io.files.yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
 METADATA = "metadata.yaml"
 MAX_METADATA_BYTES = 2**20  # a thousand topics need less
 
@@ -290,7 +290,7 @@ def _resolve(path: Path) -> list[Path]:
     """Return what to open for a path that a user names."""
     if path.is_dir():
         return [path] if (path / METADATA).is_file() else _without_metadata(path)
-    storage = _storage_of(path)
+    storage = storage_of(path)
     if storage is None:
         with path.open("rb") as file:
             start = file.read(16)
@@ -301,13 +301,6 @@ def _resolve(path: Path) -> list[Path]:
     if storage != ".bag" and _listed_in_metadata(path):
         return [path.parent]
     return [path]
-
-
-def _storage_of(path: Path) -> str | None:
-    """Return which kind of file it is, by its first bytes."""
-    with path.open("rb") as file:
-        start = file.read(16)
-    return next((suffix for suffix, magic in MAGIC.items() if start.startswith(magic)), None)
 
 
 def _storage_files(folder: Path) -> list[Path]:

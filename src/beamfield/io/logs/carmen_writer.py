@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import io
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -59,11 +58,7 @@ def write_carmen(path: str | Path, log: ScanLog, *, sensor: str | None = None) -
         )
     ).encode("ascii")
     if str(path).endswith(".gz"):
-        packed = io.BytesIO()
-        # No name and no time inside, so that the same log gives the same bytes.
-        with gzip.GzipFile(filename="", mode="wb", fileobj=packed, mtime=0) as stream:
-            stream.write(text)
-        text = packed.getvalue()
+        text = gzip.compress(text, mtime=0)  # no time inside, so that the same log gives the same bytes
     write_file(path, text)
 
 

@@ -11,6 +11,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
 from beamfield.io.parameters.document import (
     COUNTING,
+    check_limits,
     counting_section,
     document_text,
     named_numbers,
@@ -61,10 +62,7 @@ def beam_model_text(
     intervals, provenance
         As for `beamfield.io.parameters.document.document_text`.
     """
-    counting = {}
-    if n_beams is not None:
-        single = exponent if single_scan_exponent is None else single_scan_exponent
-        counting = counting_section(exponent, single, n_beams)
+    counting = {} if n_beams is None else counting_section(exponent, single_scan_exponent, n_beams)
     document: dict[str, Any] = {
         "beam_model": {**_rounded(parameters), **counting},
         "sensor": sensor_section(finder),
@@ -108,8 +106,7 @@ def read_beam_model(path: str | Path) -> SavedBeamModel:
     max_range = file.number("sensor", "max_range")
     sensor = file.value("sensor")
     min_range = file.number("sensor", "min_range") if isinstance(sensor, dict) and "min_range" in sensor else 0.0
-    if not 0.0 <= min_range < max_range:
-        raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
+    check_limits(file, min_range, max_range)
     try:
         return SavedBeamModel(**values, **counting, max_range=max_range, min_range=min_range)
     except InvalidInputError as error:

@@ -105,11 +105,17 @@ def named_numbers(
     return values
 
 
-def counting_section(exponent: float, single_scan_exponent: float, n_beams: int) -> dict[str, Any]:
-    """Return how much beams count, with six digits."""
+def check_limits(file: YamlFile, min_range: float, max_range: float) -> None:
+    """Raise unless the sensor's limits in a file make sense."""
+    if not 0.0 <= min_range < max_range:
+        raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
+
+
+def counting_section(exponent: float, single_scan_exponent: float | None, n_beams: int) -> dict[str, Any]:
+    """Return how much beams count, with six digits; one scan on its own as much if None is given."""
     return {
         "exponent": six_digits(exponent),
-        "single_scan_exponent": six_digits(single_scan_exponent),
+        "single_scan_exponent": six_digits(exponent if single_scan_exponent is None else single_scan_exponent),
         "n_beams": int(n_beams),
     }
 

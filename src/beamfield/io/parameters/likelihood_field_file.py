@@ -10,6 +10,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
 from beamfield.io.parameters.document import (
     COUNTING,
+    check_limits,
     counting_section,
     document_text,
     named_numbers,
@@ -58,9 +59,8 @@ def likelihood_field_text(
     rounded = {name: six_digits(getattr(parameters, name)) for name in PARAMETERS}
     if rounded["z_hit"] + rounded["z_rand"] > 1.0:
         rounded["z_rand"] = round(1.0 - rounded["z_hit"], 12)
-    single = exponent if single_scan_exponent is None else single_scan_exponent
     document = {
-        "likelihood_field": {**rounded, **counting_section(exponent, single, n_beams)},
+        "likelihood_field": {**rounded, **counting_section(exponent, single_scan_exponent, n_beams)},
         "sensor": sensor_section(finder),
     }
     return document_text(HEADER, document, intervals=intervals, provenance=provenance)
@@ -100,8 +100,7 @@ def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
     values = named_numbers(file, "likelihood_field", (*PARAMETERS, *COUNTING), required=REQUIRED)
     counting = read_counting(file, "likelihood_field", values)
     min_range, max_range = file.number("sensor", "min_range"), file.number("sensor", "max_range")
-    if not 0.0 <= min_range < max_range:
-        raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
+    check_limits(file, min_range, max_range)
     weights = (values[name] for name in PARAMETERS)
     try:
         return SavedLikelihoodField(*weights, **counting, max_range=max_range, min_range=min_range)

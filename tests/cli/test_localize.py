@@ -225,6 +225,8 @@ def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsy
     assert "no free cell" in capsys.readouterr().err
     assert main(["localize", str(folder / "bare.log"), "--map", str(folder / "map.yaml")]) == 1
     assert "no scan has odometry" in capsys.readouterr().err
+    assert run(folder, "--global", "--max-range", "0.2") == 1
+    assert "no reading of any scan hits anything" in capsys.readouterr().err
 
 
 def test_a_scan_is_worth_what_the_file_says_however_many_beams_are_used():

@@ -99,10 +99,13 @@ def test_a_reset_and_missing_odometry_are_bridged_and_said(drive: SensorLog, off
     log = drive.select(np.arange(100))
     odometry = log.odometry.copy()
     odometry[50:] = between(odometry[50] - [9.0, 0.0, 0.0], odometry[50:])
-    odometry[:3] = np.nan
+    odometry[:3] = odometry[80:] = np.nan
     fit = fit_trajectory(replace(log, odometry=odometry, stamps=np.repeat(log.stamps[::2], 2)), office)
-    assert {"odometry-reset", "odometry-missing"} <= names(fit)
-    assert distances(fit, log).mean() < 0.04
+    assert {"odometry-reset", "odometry-missing", "odometry-gap"} <= names(fit)
+    assert distances(fit, log)[:80].mean() < 0.04
+    # Where odometry has ended, the robot may drive on.
+    assert fit.trusted[3:48].all()
+    assert not fit.trusted[90:].any()
 
 
 def test_without_odometry_scans_are_aligned_in_its_place(drive: SensorLog, office: OccupancyGrid):

@@ -144,6 +144,10 @@ def _start(
 
     if not sensor.has_odometry:
         raise FormatError(arguments.log, "no scan has odometry, which moves the particles")
+    if not ((sensor.ranges > 0.0) & (sensor.ranges < sensor.finder.max_range)).any():
+        raise FormatError(
+            arguments.log, "no reading of any scan hits anything; see what was read with beamfield inspect"
+        )
     if not grid.free.any():
         raise FormatError(arguments.map, "the map has no free cell, so there is no place for the robot")
     with about_file(arguments.log):

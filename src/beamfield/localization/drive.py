@@ -36,8 +36,8 @@ class Drive:
         (n,) indices of the scans that are held to the map.
     points, first
         End points (m, 2) of these in the robot's frame; those of the i-th are points[first[i]:first[i + 1]].
-    n_unknown
-        Scans whose odometry was interpolated.
+    unknown
+        (t,) scans whose odometry was interpolated.
     """
 
     stamps: FloatArray
@@ -46,7 +46,7 @@ class Drive:
     scans: NDArray[np.int64]
     points: FloatArray
     first: NDArray[np.int64]
-    n_unknown: int
+    unknown: NDArray[np.bool_]
 
     @property
     def steps_between_scans(self) -> FloatArray:
@@ -84,7 +84,7 @@ def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
     steps[broken] = 0.0
     scans = _spread(steps, log.stamps)
     points, first = _points(log, scans)
-    return Drive(log.stamps, steps, broken, scans, points, first, int(np.count_nonzero(~known)))
+    return Drive(log.stamps, steps, broken, scans, points, first, np.asarray(~known))
 
 
 def with_points(drive: Drive, log: SensorLog) -> Drive:

@@ -24,6 +24,8 @@ GAP, GAP_STEPS = 5.0, 20.0
 # Wheels are seldom this far off; maps and units more often.
 SCALE = 0.05
 MOST_NAMED = 5
+# Seconds from the nearest odometry after which a robot may be anywhere.
+BRIDGED = 2.0
 
 
 def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[np.bool_], options: TrajectoryOptions
@@ -35,8 +37,13 @@ def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[
     usual = float(np.median(agreement))
     weak = (position > options.max_deviation) | (heading > options.max_heading_deviation)
     poor = agreement < options.least_agreement * usual
-    carried = _around(drive, cut)
+    carried, lost = _around(drive, cut), _far_from_odometry(drive)
     findings = []
+    if lost.any():
+        findings.append(_stretches(
+            "odometry-gap", lost, drive, {}, f"there is no odometry within {BRIDGED:g} s",
+            "it begins late, ends early, or has another clock than the scans", "Record the odometry throughout",
+        ))  # fmt: skip
     if weak.any():
         worst = float(position.max())
         findings.append(_stretches(
@@ -51,7 +58,7 @@ def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[
             f"agree, elsewhere {usual:.0%}", "the world differs from the map, or the robot is elsewhere",
             "Look at these scans with beamfield check",
         ))  # fmt: skip
-    return ~(weak | poor | carried), [finding for finding in findings if finding is not None]
+    return ~(weak | poor | carried | lost), [finding for finding in findings if finding is not None]
 
 
 def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Finding]:
@@ -64,11 +71,11 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Fi
         *_slips(fitted, since),
         *time_gaps(drive.stamps),
     ]
-    if drive.n_unknown:
-        which = "1 scan has" if drive.n_unknown == 1 else f"{drive.n_unknown} scans have"
+    if n_unknown := int(np.count_nonzero(drive.unknown)):
+        which = "1 scan has" if n_unknown == 1 else f"{n_unknown} scans have"
         findings.append(Finding(
             "odometry-missing", "warning", f"{which} no odometry; it was interpolated.",
-            {"scans": float(drive.n_unknown)},
+            {"scans": float(n_unknown)},
             why="Slips in between are not seen.", do="Record the odometry for as long as the scans.",
         ))  # fmt: skip
     return findings
@@ -109,6 +116,15 @@ def _scale(fitted: Smoothed) -> list[Finding]:
         why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the poses.",
         do="Measure a long wall, and compare it with the map and with a reading.",
     )]  # fmt: skip
+
+
+def _far_from_odometry(drive: Drive) -> NDArray[np.bool_]:
+    """Return the scans (t,) that are far in time from all odometry."""
+    known = drive.stamps[~drive.unknown]
+    after = np.searchsorted(known, drive.stamps).clip(max=len(known) - 1)
+    before = (np.searchsorted(known, drive.stamps, side="right") - 1).clip(min=0)
+    away = np.minimum(np.abs(drive.stamps - known[before]), np.abs(known[after] - drive.stamps))
+    return np.asarray(away > BRIDGED)
 
 
 def _carried(drive: Drive, course: Course, since: FloatArray) -> list[Finding]:

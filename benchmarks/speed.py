@@ -202,7 +202,10 @@ def numpy_e_step(z: FloatArray, expected: FloatArray, max_range: float, theta: F
 def distances(grid: OccupancyGrid) -> Case:
     """Return the distance map beside SciPy's exact transform."""
     occupied = grid.occupied
-    scipys = lambda: distance_transform_edt(~occupied) * grid.resolution  # noqa: E731
+
+    def scipys() -> FloatArray:
+        return np.asarray(distance_transform_edt(~occupied) * grid.resolution)
+
     off = np.abs(distance_to_obstacles(grid) - scipys()).max()
     return Case(
         "distance map", lambda: distance_to_obstacles(grid), scipys, "SciPy", occupied.size, "ns per cell",

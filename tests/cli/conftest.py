@@ -16,7 +16,7 @@ def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Try few settings and numbers of beams for a stack: which are tried is tested elsewhere."""
-    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=20)
+    few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=12)
     monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
     monkeypatch.setattr(replay_choice, "OF_RAYS", few)
     monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))

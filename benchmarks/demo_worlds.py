@@ -23,7 +23,7 @@ from beamfield.simulation.odometry import OdometryNoise
 from beamfield.simulation.trajectory import DriveOptions
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
-from beamfield.stacks.fit.replay_choice import shifted_map
+from beamfield.stacks.fit.replay_runs import shifted_map
 from tables import print_table
 
 SEEDS = range(10)

@@ -27,7 +27,8 @@ from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.fit import fit_stack
 from beamfield.stacks.fit.motion_candidates import BEFORE, motion_candidates
-from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay, replay_options, shifted_map
+from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay, replay_options
+from beamfield.stacks.fit.replay_runs import shifted_map
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
 from half_maps import LOGS, HalfMaps, HalfMapSettings, half_maps
@@ -83,11 +84,11 @@ def choose(stack: str, model: str, place: Place) -> tuple[ReplayChoice, float]:
         FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())
     )
     amount = replay_options(before, place.log, 0)
-    segments = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
+    stretches = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
     choice = choose_by_replay(
         before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},
         motion_candidates(before, place.log, place.error, place.error / 4.0),
-        0.5 * place.grid.resolution if described.half_cell_low else 0.0, segments, place.grid, amount,
+        0.5 * place.grid.resolution if described.half_cell_low else 0.0, stretches, place.grid, amount,
     )  # fmt: skip
     return choice, time.process_time() - began
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from beamfield.calibration.pose_windows import WindowOptions
 from beamfield.cli.calibrate_replay import Replayed
-from beamfield.cli.calibrate_stack import _said
+from beamfield.cli.calibrate_stack import _said, fit_for_stack
 from beamfield.cli.main import main
 from beamfield.io.read_map import read_map
 from beamfield.stacks.files.filter_file import read_filter_settings
@@ -185,6 +187,20 @@ def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tm
     assert mine.read_text() == MINE
     assert "need 5 of each" in json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["missing"]
     assert "no values for nav2" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_where_scans_tell_nothing_nothing_is_replayed_or_written(monkeypatch):
+    blind = SimpleNamespace(mean=0.2, coverage=1.0)  # as with the map of another building
+    fit = SimpleNamespace(chosen=SimpleNamespace(crossed=blind, held_out=blind), options=WindowOptions())
+    monkeypatch.setattr("beamfield.cli.calibrate_stack._fits", lambda *_: [fit])
+    monkeypatch.setattr("beamfield.cli.calibrate_stack.replay_fit", lambda *_: pytest.fail("replayed"))
+    job = SimpleNamespace(arguments=SimpleNamespace(stack="nav2"))
+    part = fit_for_stack(job, None, None, None, {})
+    assert part.problem.startswith(
+        "no values for nav2: with the best ones 4 scans tell 0.20 nats of where the robot is"
+    )
+    assert part.problem.endswith("(0.69); do log, poses and map belong together?")
+    assert part.files == {}
 
 
 def test_motion_noise_that_a_file_has_no_place_for_is_said():

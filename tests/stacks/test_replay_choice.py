@@ -29,19 +29,18 @@ from beamfield.stacks.f1tenth.filter import F1tenthFilterParameters
 from beamfield.stacks.f1tenth.motion import F1tenthMotion
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
-from beamfield.stacks.fit import replay_choice
+from beamfield.stacks.fit import replay_runs
 from beamfield.stacks.fit.kept_runs import KeptRuns, kept_runs
 from beamfield.stacks.fit.motion_candidates import MotionCandidates, motion_candidates
 from beamfield.stacks.fit.replay_choice import (
     ReplayOptions,
-    ReplaySetting,
     _of_equals,
-    _Replays,
     choose_by_replay,
     clipped,
     costs,
     replay_options,
 )
+from beamfield.stacks.fit.replay_runs import Replays, ReplaySetting
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.mrpt.filter import MrptFilterParameters
 from beamfield.stacks.mrpt.motion import MrptMotion
@@ -50,7 +49,7 @@ from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.ros1.motion import Ros1Motion
 
-FEW = ReplayOptions(runs=10, most_stretches=2, longest=16)
+FEW = ReplayOptions(runs=10, most_stretches=2, longest=12)
 GOOD = {f"alpha{i}": 0.02 for i in range(1, 5)}
 ABSURD = {f"alpha{i}": 2.0 for i in range(1, 5)}
 KIND = "likelihood_field_prob"
@@ -74,17 +73,17 @@ def nav2_filter(**motion: float) -> FilterSettings:
 
 
 @pytest.fixture(scope="module")
-def segments(drive):
+def stretches(drive):
     return cut_segments(drive, 0.25, 0.2, most=FEW.most_stretches, longest=FEW.longest)
 
 
 @pytest.fixture(scope="module")
-def repaired(office, segments):
+def repaired(office, stretches):
     told: list[tuple[str, int, int]] = []
     choice = choose_by_replay(
         nav2_filter(**ABSURD), {"before": SENSOR}, MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None),
         0.5 * office.resolution,
-        segments, office, FEW, progress=lambda *words: told.append(words),
+        stretches, office, FEW, progress=lambda *words: told.append(words),
     )  # fmt: skip
     assert {"replay: racing 3 settings", "replay: judging the choice"} < {stage for stage, _, _ in told}
     assert all(0 <= done < total for _, done, total in told)
@@ -103,11 +102,11 @@ def test_absurd_motion_noise_is_repaired(repaired, office):
     assert "sensor" not in repaired.parts
 
 
-def test_values_that_nothing_beats_are_kept(office, segments):
+def test_values_that_nothing_beats_are_kept(office, stretches):
     own = nav2_filter(**GOOD)
     worse = replace(SENSOR, z_hit=0.0, z_rand=1.0)  # says nothing
     motions = MotionCandidates({"before": {}, "absurd": ABSURD}, GOOD)
-    choice = choose_by_replay(own, {"before": SENSOR, "fitted": worse}, motions, 0.0, segments, office, FEW)
+    choice = choose_by_replay(own, {"before": SENSOR, "fitted": worse}, motions, 0.0, stretches, office, FEW)
     assert not choice.is_better
     assert choice.chosen is choice.finalist is choice.before
     assert choice.chosen.filter.motion == own.motion
@@ -116,16 +115,16 @@ def test_values_that_nothing_beats_are_kept(office, segments):
     assert "none of 4 settings did better" in replay_verdict(choice)
 
 
-def test_seeds_that_are_missing_are_run_and_no_others(office, segments, monkeypatch):
+def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, monkeypatch):
     own = ReplaySetting("before", "before", 0.0, nav2_filter())
     runs: list[int] = []
 
-    def counted(replayed, log, seeds, *, name):
+    def counted(replayed, log, seeds, **options):
         runs.extend(seeds)
-        return run_trials(replayed, log, seeds, name=name)
+        return run_trials(replayed, log, seeds, **options)
 
-    monkeypatch.setattr(replay_choice, "run_trials", counted)
-    stepwise, at_once = (_Replays(segments.choosing, ["a"], office, replace(FEW, seed=7), KeptRuns()) for _ in range(2))
+    monkeypatch.setattr(replay_runs, "run_trials", counted)
+    stepwise, at_once = (Replays(stretches[:1], office, 10, 7, KeptRuns()) for _ in range(2))
     first = stepwise.of([own], 1)[own.key]
     (grown,), (whole,) = stepwise.of([own], 3)[own.key], at_once.of([own], 3)[own.key]
     assert runs == [7, 8, 9, 7, 8, 9]
@@ -134,17 +133,17 @@ def test_seeds_that_are_missing_are_run_and_no_others(office, segments, monkeypa
     assert first[0].seeds == stepwise.of([own], 1)[own.key][0].seeds == (7,)
 
 
-def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, segments, tmp_path, monkeypatch):
+def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches, tmp_path, monkeypatch):
     before, motions = nav2_filter(**ABSURD), MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
-    inputs = before, {"before": SENSOR}, motions, 0.5 * office.resolution, segments, office, FEW
+    inputs = before, {"before": SENSOR}, motions, 0.5 * office.resolution, stretches, office, FEW
     runs: list[int] = []
 
-    def counted(replayed, log, seeds, *, name):
+    def counted(replayed, log, seeds, **options):
         runs.extend(seeds)
-        return run_trials(replayed, log, seeds, name=name)
+        return run_trials(replayed, log, seeds, **options)
 
     def interrupt(stage: str, done: int, _: int) -> None:
-        if (stage, done) == ("replay: judging the choice", 1):
+        if stage.startswith("replay: comparing the best") and done == 1:
             raise KeyboardInterrupt
 
     def choose(given=inputs, progress=None):
@@ -152,14 +151,14 @@ def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, segments, 
         with kept_runs(tmp_path / "cache", given) as kept:
             return choose_by_replay(*given, progress, kept)
 
-    monkeypatch.setattr(replay_choice, "run_trials", counted)
+    monkeypatch.setattr(replay_runs, "run_trials", counted)
     with pytest.raises(KeyboardInterrupt):
         choose(progress=interrupt)
     begun = len(runs)
     (left,) = (tmp_path / "cache").iterdir()
     content = left.read_bytes()
     resumed = choose()
-    assert 0 < len(runs) < begun
+    assert 0 < begun < begun + len(runs) == 4 * 2 * 10  # of four settings all seeds on each stretch, none twice
     assert not list((tmp_path / "cache").iterdir())
     for measure in set(MEASURES) - {"update_ms"}:
         for one, other in zip(repaired.trials_finalist, resumed.trials_finalist, strict=True):
@@ -175,7 +174,7 @@ def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, segments, 
 
 def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
     text, document = replay_tables(repaired), replay_as_dict(repaired)
-    assert "Use the new values: replayed in nav2's own filter, emulated, on 1 stretch of this log, 10 runs" in text
+    assert "Use the new values: replayed in nav2's own filter, emulated, on 2 stretches of this log, 20 runs" in text
     assert f"{repaired.error.before:.3f} m before and {repaired.error.after:.3f} m after" in text
     assert document["error"]["high"] < 0.0
     assert document["chosen"]["parameters"]["alpha3"] == 0.02
@@ -183,14 +182,13 @@ def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
     assert "alpha 0.02" in replay_markup(repaired)
 
 
-def test_stretches_take_turns_and_only_what_follows_the_lead_in_is_judged(drive):
-    segments = cut_segments(drive, 0.1, 0.1, most=4, longest=1000)
-    in_turn = [segment for pair in zip(*segments, strict=True) for segment in pair]
-    assert len(in_turn) == 4
-    judged = [np.flatnonzero(np.isfinite(segment.poses[:, 0])) for segment in in_turn]
-    stamps = [segment.stamps[scans] for segment, scans in zip(in_turn, judged, strict=True)]
-    for segment, scans in zip(in_turn, judged, strict=True):
-        updates = update_scans(segment.odometry, 0.1, 0.1)
+def test_of_a_stretch_only_what_follows_the_lead_in_is_judged(drive):
+    stretches = cut_segments(drive, 0.1, 0.1, most=4, longest=1000)
+    assert len(stretches) == 4
+    judged = [np.flatnonzero(np.isfinite(stretch.poses[:, 0])) for stretch in stretches]
+    stamps = [stretch.stamps[scans] for stretch, scans in zip(stretches, judged, strict=True)]
+    for stretch, scans in zip(stretches, judged, strict=True):
+        updates = update_scans(stretch.odometry, 0.1, 0.1)
         assert scans[0] == 0
         assert 0.4 < np.searchsorted(updates, scans[1]) / len(updates) < 0.6
     for one, other in pairwise(stamps):
@@ -198,9 +196,8 @@ def test_stretches_take_turns_and_only_what_follows_the_lead_in_is_judged(drive)
 
 
 def test_stretches_of_a_long_log_are_cut_to_what_is_affordable(drive):
-    segments = cut_segments(drive, 0.1, 0.1, most=2, longest=13)
-    for segment in (*segments.choosing, *segments.judging):
-        assert len(update_scans(segment.odometry, 0.1, 0.1)) == pytest.approx(26, abs=2)
+    for stretch in cut_segments(drive, 0.1, 0.1, most=2, longest=13):
+        assert len(update_scans(stretch.odometry, 0.1, 0.1)) == pytest.approx(26, abs=2)
 
 
 def test_a_short_drive_is_too_little(drive):
@@ -309,9 +306,8 @@ def test_of_settings_as_good_the_one_nearest_to_safe_noise_is_taken():
     ]
 
     def chosen(*costs: float, alpha: float | None = 0.04) -> str:
-        by_key = {one.key: cost for one, cost in zip(settings, costs, strict=True)}
         safe = None if alpha is None else Nav2Motion(**{f"alpha{i}": alpha for i in range(1, 5)})
-        return _of_equals(settings, by_key, safe).motion
+        return _of_equals(settings, np.array(costs), safe).motion
 
     assert chosen(-2.0, -1.95, -1.99) == "b"
     assert chosen(-1.95, -1.95, -2.0) == "b"

@@ -58,7 +58,7 @@ def replay_fit(
         if before is None:
             return Replayed(None, f"the particle filter of {fit.model.stack} is not emulated")
         options = replay_options(before, sensor, job.arguments.seed)
-        segments = cut_segments(
+        stretches = cut_segments(
             sensor, *before.update_distances, most=options.most_stretches, longest=options.longest,
         )  # fmt: skip
     except (FormatError, TooLittleDataError) as problem:  # a value that only the filter reads, or a short drive
@@ -71,7 +71,7 @@ def replay_fit(
     sensors = {BEFORE: fit.before.parameters}
     if fit.chosen is not fit.before:
         sensors["fitted"] = fit.parameters
-    inputs = before, sensors, motions, _shift(job, before, grid), segments, grid, options
+    inputs = before, sensors, motions, _shift(job, before, grid), stretches, grid, options
     try:
         with kept_runs(_cache_folder(), inputs) as kept:
             choice = choose_by_replay(*inputs, job.progress, kept)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
     from beamfield.sensors import SensorLog
     from beamfield.stacks.files.parameter_file import StackFile
     from beamfield.stacks.fit.fit import StackFit
+
+# Nats of a window that the best values must have on the map that the log belongs to. So much is known by who knows only
+# that the robot is at the reference, not elsewhere on the map: its prior is a half.
+LEAST_SCORE = math.log(2.0)
 
 
 def add_stack_options(parser: argparse.ArgumentParser) -> None:
@@ -88,17 +93,16 @@ def fit_for_stack(
     from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
     from beamfield.report.stack_section import StackResult, stack_as_dict, stack_section, stack_tables
-    from beamfield.stacks.fit.fit import net_score
     from beamfield.stacks.registry import STACKS
 
     stack = job.arguments.stack
     try:
         fits = _fits(job, sensor, grid, result)
+        best = _best(fits)
     except TooLittleDataError as error:
         why = f"no values for {stack}: {error}"
         section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
         return ReportPart("stack", why, {"stack": stack, "missing": str(error)}, section, {}, problem=why)
-    best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
     replayed = replay_fit(job, sensor, grid, best, motion)
     found = StackResult(fits, best, replayed.choice, replayed.why_not)
     record = _record(found) if found.covers else ""
@@ -148,6 +152,20 @@ def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: C
         )
         for model in models
     ]  # fmt: skip
+
+
+def _best(fits: Sequence[StackFit]) -> StackFit:
+    """Return the fit of the best model, if scans tell anything with its values."""
+    from beamfield.stacks.fit.fit import net_score
+
+    best = max(fits, key=lambda fit: net_score(fit.chosen.crossed))
+    score = best.chosen.held_out.mean
+    if score < LEAST_SCORE:
+        raise TooLittleDataError(
+            f"with the best ones {best.options.scans} scans tell {score:.2f} nats of where the robot is, less than "
+            f"that it is near its reference pose at all ({LEAST_SCORE:.2f}); do log, poses and map belong together?"
+        )
+    return best
 
 
 def _window_options(job: CalibrationJob) -> WindowOptions:

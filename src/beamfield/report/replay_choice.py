@@ -13,7 +13,8 @@ from beamfield.report.escape import escaped
 from beamfield.report.page import table
 from beamfield.report.text_table import aligned
 from beamfield.stacks.fit.motion_candidates import BEFORE
-from beamfield.stacks.fit.replay_choice import ReplayChoice, ReplaySetting
+from beamfield.stacks.fit.replay_choice import ReplayChoice
+from beamfield.stacks.fit.replay_runs import ReplaySetting
 
 _HEADER = ("", "position error [m]", "difference, 95 % interval", "lost runs", "inside 95 %")
 _PARTS = {
@@ -76,7 +77,7 @@ def replay_as_dict(choice: ReplayChoice) -> dict[str, Any]:
         "chosen": _setting_as_dict(choice.chosen),
         "finalist": _setting_as_dict(choice.finalist),
         "settings": choice.n_settings,
-        "stretches": {"choosing": choice.n_choosing, "judging": len(choice.trials_before)},
+        "stretches": len(choice.trials_before),
         "runs": choice.n_runs,
         "error": _comparison_as_dict(choice.error),
         "cost": _comparison_as_dict(choice.cost),
@@ -89,8 +90,8 @@ def replay_as_dict(choice: ReplayChoice) -> dict[str, Any]:
 def _what(choice: ReplayChoice) -> str:
     return (
         f"{choice.n_settings} settings of sensor, motion noise and map origin were replayed in the emulated filter of "
-        f"{choice.before.filter.stack}; the best on every other stretch of the log is judged on the rest, over "
-        f"{choice.n_runs} runs. Each starts a stretch earlier from a belief 0.5 m and 15 "
+        f"{choice.before.filter.stack}; on each stretch of the log the best on all others is judged, over "
+        f"{choice.n_runs} runs. Each starts a stretch earlier from a belief 0.25 m and 6 "
         "degrees wide, and counts as 1 m off at most."
     )
 

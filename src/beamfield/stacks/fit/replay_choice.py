@@ -2,37 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
-from itertools import product
+from itertools import chain, product
 from math import ceil, log, sqrt
 from typing import Any
 
 import numpy as np
 
 from beamfield.calibration.odometry.windows import update_scans
+from beamfield.geometry import FloatArray
 from beamfield.localization.replay import ReplayErrors
 from beamfield.localization.replay_comparison import FEWEST_SEEDS, ReplayComparison, ReplayTrials, compare_trials
-from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.kept_runs import KeptRuns
 from beamfield.stacks.fit.motion_candidates import BEFORE, MotionCandidates
-from beamfield.stacks.fit.replay_segments import USUAL_DISTANCES, ReplaySegments
+from beamfield.stacks.fit.replay_runs import Key, Progress, Replays, ReplaySetting
+from beamfield.stacks.fit.replay_segments import USUAL_DISTANCES
 from beamfield.stacks.registry import model_named
-
-Progress = Callable[[str, int, int], None]
-# Names of the sensor's and the motion's values, and the shift of the origin, metres.
-Key = tuple[str, str, float]
 
 # A run that is farther off counts as so far, metres: lost runs count, but not how far they went.
 FARTHEST = 1.0
 # No reference is better than this, metres.
 NEAREST = 0.001
-# Seeds of the race's first round, how many settings come into the second, and how many motion noises into the last.
+# Seeds of the race's first round, how many settings come into the second, and how many with the best sensor's values
+# into the last; there the best with other values of the sensor runs as well.
 FIRST_SEEDS, KEPT, LAST = 2, 6, 3
+OWN = Key(BEFORE, BEFORE, 0.0)
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
 # An error counts this many times more than it is, per share of the updates that the particles' 95 % ellipse lacks of
@@ -59,7 +57,7 @@ class ReplayOptions:
     """
 
     runs: int = 60
-    most_stretches: int = 12
+    most_stretches: int = 8
     longest: int = 40
     seed: int = 0
 
@@ -91,31 +89,6 @@ def _scans_per_update(settings: FilterSettings, log: SensorLog) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class ReplaySetting:
-    """One setting of everything that is chosen.
-
-    Parameters
-    ----------
-    sensor, motion
-        Where its parameters come from: "before" for the user's.
-    shift
-        What is added to the map's x and y origin, metres.
-    filter
-        All parameters.
-    """
-
-    sensor: str
-    motion: str
-    shift: float
-    filter: FilterSettings
-
-    @property
-    def key(self) -> Key:
-        """What tells it from others."""
-        return self.sensor, self.motion, self.shift
-
-
-@dataclass(frozen=True, eq=False)
 class ReplayChoice:
     """What replay decided.
 
@@ -124,12 +97,13 @@ class ReplayChoice:
     before
         The user's setting.
     finalist
-        The best on the stretches for choosing; the same if that was the user's.
+        The best over all stretches; the same if that was the user's.
     is_better
-        Whether the finalist won: on the judging stretches its cost is surely lower, and neither its error nor the share
-        of lost runs is surely higher.
+        Whether the finalist won: its cost is surely lower, and neither its error nor the share of lost runs is surely
+        higher.
     trials_before, trials_finalist
-        Their runs on the judging stretches, paired.
+        Runs on each stretch, paired: of the user's setting, and of the one that the other stretches choose, mostly the
+        finalist. No stretch judges what it has chosen.
     error
         Mean position error of a run, no more than 1 m: before and finalist.
     cost
@@ -137,8 +111,8 @@ class ReplayChoice:
         where every setting is far off so count no more than others.
     parts
         By "sensor", "motion" or "origin", as far as the finalist differs in it: the error without and with it.
-    n_settings, n_choosing
-        How many settings were tried, and on how many stretches.
+    n_settings
+        How many settings were tried.
     """
 
     before: ReplaySetting
@@ -150,7 +124,6 @@ class ReplayChoice:
     cost: ReplayComparison
     parts: Mapping[str, ReplayComparison]
     n_settings: int
-    n_choosing: int
 
     @property
     def chosen(self) -> ReplaySetting:
@@ -168,7 +141,7 @@ def choose_by_replay(
     sensors: Mapping[str, Any],
     motions: MotionCandidates,
     shift: float,
-    segments: ReplaySegments,
+    stretches: Sequence[SensorLog],
     grid: OccupancyGrid,
     options: ReplayOptions | None = None,
     progress: Progress | None = None,
@@ -176,10 +149,12 @@ def choose_by_replay(
 ) -> ReplayChoice:
     """Choose sensor parameters, motion noise and the map's origin by replaying the stack's filter.
 
-    All combinations of sensor and motion race on every other stretch of the log, with few seeds and then the best with
-    more; all motion noises are compared with the best sensor's values. They race with the map's origin set right, where
-    that is possible: that the program reads its map half a cell off is known, and only a surely greater error there
-    speaks against it. What is left is judged against the user's on the other stretches, which had no part in the race.
+    All combinations of sensor and motion race with few seeds, and then the best with more; all motion noises are
+    compared with the best sensor's values. They race with the map's origin set right, where that is possible: that the
+    program reads its map half a cell off is known, and only a surely greater error speaks against it. Of what is left
+    the stretches of the log choose together, and keep the user's motion noise or sensor if other values are not surely
+    better. They judge crosswise: on each one the setting that the others choose runs against the user's. A few
+    stretches disagree too much for half of them to choose and half to judge.
 
     Parameters
     ----------
@@ -191,8 +166,8 @@ def choose_by_replay(
         Parameters of the motion model.
     shift
         What sets the map's x and y origin right for the program, metres; 0 if it reads maps as they are.
-    segments
-        Stretches of the log.
+    stretches
+        Of the log, two or more, from `cut_segments`.
     grid
         The map.
     options
@@ -204,23 +179,42 @@ def choose_by_replay(
     """
     options, kept = options or ReplayOptions(), kept or KeptRuns()
     settings = {
-        (sensor, motion, shift): ReplaySetting(
+        Key(sensor, motion, shift): ReplaySetting(
             sensor, motion, shift,
             replace(before, sensor=sensors[sensor], motion=replace(before.motion, **motions.by_name[motion])),
         )
         for sensor, motion, shift in product(sensors, motions.by_name, {0.0, shift})
     }  # fmt: skip
-    own = settings[BEFORE, BEFORE, 0.0]
+    own = settings[OWN]
     raced = [one for one in settings.values() if one.shift == shift or one is own]
-    choosing = _Replays(segments.choosing, segments.names[0], grid, options, kept)
+    replays = Replays(stretches, grid, options.seeds(len(stretches)), options.seed, kept)
     safe = None if motions.safe is None else replace(before.motion, **motions.safe)
-    best = _race(raced, choosing, safe, progress)
-    finalist = _with_origin_or_without(best, settings[best.sensor, best.motion, 0.0], choosing)
-    without = _without_each_part(settings, finalist)
-    judging = _Replays(segments.judging, segments.names[1], grid, options, kept)
-    judged = {one.key: one for one in (own, finalist, *without.values())}
-    trials = judging.of(judged.values(), judging.n_seeds, "judging the choice", progress)
-    before_, after = trials[own.key], trials[finalist.key]
+    last = _race(raced, replays, progress)
+    by_stretch = _costs_by_stretch(replays.of(last, replays.n_seeds, f"comparing the best {len(last)}", progress))
+
+    def choose(asked: Sequence[int]) -> ReplaySetting:
+        best = _of_equals(last, by_stretch[:, asked].mean(axis=1), safe)
+        for part in ("motion", "sensor"):
+            plain = settings[best.key._replace(**{part: BEFORE})]
+            if plain is not best and not _is_surely_cheaper(best, plain, replays, asked):
+                best = plain
+        return best
+
+    everywhere = range(len(stretches))
+    best = choose(everywhere)
+    finalist = _with_origin_or_without(best, settings[best.key._replace(origin=0.0)], replays)
+    crossed = [own] * len(stretches)
+    if finalist is not own:
+        choices = [choose([other for other in everywhere if other != i]) for i in everywhere]
+        crossed = [one if one is own else settings[one.key._replace(origin=finalist.shift)] for one in choices]
+    without = _without_each_part(settings, finalist, crossed)
+    judged = {one.key: one for one in (own, *crossed, *chain(*without.values()))}
+    trials = replays.of(judged.values(), replays.n_seeds, "judging the choice", progress)
+
+    def on_each(chosen: Sequence[ReplaySetting]) -> list[ReplayTrials]:
+        return [trials[one.key][i] for i, one in enumerate(chosen)]
+
+    before_, after = trials[own.key], on_each(crossed)
     error, cost = _compared(before_, after, clipped), _compared(before_, after, costs)
     return ReplayChoice(
         before=own,
@@ -230,15 +224,9 @@ def choose_by_replay(
         trials_finalist=tuple(after),
         error=error,
         cost=cost,
-        parts={name: _compared(trials[rival.key], after, clipped) for name, rival in without.items()},
+        parts={name: _compared(on_each(rivals), after, clipped) for name, rivals in without.items()},
         n_settings=len(raced) + (best.shift > 0.0),
-        n_choosing=len(segments.choosing),
     )
-
-
-def shifted_map(grid: OccupancyGrid, shift: float) -> OccupancyGrid:
-    """Return the map with another origin."""
-    return replace(grid, origin=grid.origin + np.array([shift, shift, 0.0])) if shift else grid
 
 
 def clipped(trials: ReplayTrials) -> ReplayTrials:
@@ -260,86 +248,45 @@ def _counted(trials: ReplayTrials, count: Callable[[ReplayErrors], float]) -> Re
     return replace(trials, errors=tuple(replace(one, mean=count(one)) for one in trials.errors))
 
 
-class _Replays:
-    """Runs of settings on some stretches, none made twice."""
+def _race(settings: list[ReplaySetting], replays: Replays, progress: Progress | None) -> list[ReplaySetting]:
+    """Return the settings worth all seeds.
 
-    def __init__(
-        self,
-        stretches: Sequence[SensorLog],
-        names: Sequence[str],
-        grid: OccupancyGrid,
-        options: ReplayOptions,
-        kept: KeptRuns,
-    ) -> None:
-        self._stretches, self._names, self._grid, self._first = stretches, names, grid, options.seed
-        self._kept = kept
-        self.n_seeds = options.seeds(len(stretches))
-        self._runs: dict[Key, list[ReplayTrials]] = {}
-
-    def of(
-        self, settings: Iterable[ReplaySetting], n_seeds: int, stage: str = "", progress: Progress | None = None
-    ) -> dict[Key, list[ReplayTrials]]:
-        """Return the runs of settings with so many seeds on each stretch."""
-        chosen = list(settings)
-        for done, one in enumerate(chosen):
-            if progress is not None and stage:
-                progress(f"replay: {stage}", done, len(chosen))
-            self._run(one, n_seeds)
-        return {one.key: [_first_of(trials, n_seeds) for trials in self._runs[one.key]] for one in chosen}
-
-    def _run(self, setting: ReplaySetting, n_seeds: int) -> None:
-        """Run the seeds that are missing."""
-        known = self._runs.get(setting.key, [])
-        seeds = range(self._first + (len(known[0]) if known else 0), self._first + n_seeds)
-        if not seeds:
-            return
-        replayed = setting.filter.filter(shifted_map(self._grid, setting.shift))
-        new = [
-            self._kept.of((name, setting.key, seeds), partial(run_trials, replayed, log, seeds, name=name))
-            for log, name in zip(self._stretches, self._names, strict=True)
-        ]
-        self._runs[setting.key] = [_joined(*pair) for pair in zip(known, new, strict=True)] if known else new
-
-
-def _first_of(trials: ReplayTrials, n: int) -> ReplayTrials:
-    return replace(trials, seeds=trials.seeds[:n], errors=trials.errors[:n])
-
-
-def _joined(one: ReplayTrials, other: ReplayTrials) -> ReplayTrials:
-    return replace(one, seeds=one.seeds + other.seeds, errors=one.errors + other.errors)
-
-
-def _race(settings: list[ReplaySetting], replays: _Replays, safe: Any, progress: Progress | None) -> ReplaySetting:
-    """Return the best setting on the stretches for choosing; `safe` is a motion model, or None.
-
-    Two rounds find the sensor's values; with those, all motion noises are compared, the best of them with all seeds.
+    Two rounds find the sensor's values; with those, all motion noises are compared. The best of them are returned, and
+    the best with other values of the sensor.
     """
     some = max(FIRST_SEEDS + 1, replays.n_seeds // 3)
 
-    def best_first(raced: Sequence[ReplaySetting], n_seeds: int, stage: str) -> dict[Key, float]:
-        trials = replays.of(raced, n_seeds, stage, progress)
-        cost = {key: float(np.mean([costs(one).mean("mean") for one in runs])) for key, runs in trials.items()}
-        return dict(sorted(cost.items(), key=lambda item: item[1]))
+    def best_first(raced: Sequence[ReplaySetting], n_seeds: int, stage: str) -> list[ReplaySetting]:
+        cost = _costs_by_stretch(replays.of(raced, n_seeds, stage, progress)).mean(axis=1)
+        return [raced[i] for i in np.argsort(cost, kind="stable")]
 
-    by_key = {one.key: one for one in settings}
-    left = [by_key[key] for key in best_first(settings, FIRST_SEEDS, f"racing {len(settings)} settings")][:KEPT]
-    sensor, _, shift = next(iter(best_first(left, some, f"racing the best {len(left)}")))
+    left = best_first(settings, FIRST_SEEDS, f"racing {len(settings)} settings")[:KEPT]
+    left = best_first(left, some, f"racing the best {len(left)}")
+    sensor, _, shift = left[0].key
+    others = [one for one in left if one.sensor != sensor][:1]
     left = [one for one in settings if (one.sensor, one.shift) == (sensor, shift)]
-    left = [by_key[key] for key in best_first(left, some, "comparing motion noise")][:LAST]
-    return _of_equals(left, best_first(left, replays.n_seeds, f"comparing the best {len(left)}"), safe)
+    return best_first(left, some, "comparing motion noise")[:LAST] + others
 
 
-def _of_equals(settings: Sequence[ReplaySetting], cost: Mapping[Key, float], safe: Any) -> ReplaySetting:
-    """Return the best setting, or one about as good whose motion noise is nearer to the safe one, if known."""
-    best = min(settings, key=lambda one: cost[one.key])
+def _costs_by_stretch(trials: Mapping[Key, Sequence[ReplayTrials]]) -> FloatArray:
+    """Return the mean cost (n, s) of n settings on s stretches."""
+    return np.array([[costs(one).mean("mean") for one in runs] for runs in trials.values()])
+
+
+def _of_equals(settings: Sequence[ReplaySetting], cost: FloatArray, safe: Any) -> ReplaySetting:
+    """Return the best setting by costs (n,), or one about as good whose motion noise is nearer to the safe one.
+
+    Only settings with the same sensor are about as good: which sensor's values are best, noise does not tell.
+    """
+    best = settings[int(np.argmin(cost))]
     if safe is None:
         return best
-    as_good = [one for one in settings if cost[one.key] <= cost[best.key] + AS_GOOD]
 
-    def apart(one: ReplaySetting) -> float:
-        return abs(log(_noise(one.filter.motion) / _noise(safe)))
+    def apart(i: int) -> tuple[float, float]:
+        return abs(log(_noise(settings[i].filter.motion) / _noise(safe))), float(cost[i])
 
-    return min(as_good, key=lambda one: (apart(one), cost[one.key]))
+    as_good = [i for i, one in enumerate(settings) if one.sensor == best.sensor and cost[i] <= cost.min() + AS_GOOD]
+    return settings[min(as_good, key=apart)]
 
 
 def _noise(motion: Any) -> float:
@@ -349,7 +296,14 @@ def _noise(motion: Any) -> float:
     return max(LEAST_NOISE, sum(numbers))
 
 
-def _with_origin_or_without(shifted: ReplaySetting, plain: ReplaySetting, replays: _Replays) -> ReplaySetting:
+def _is_surely_cheaper(one: ReplaySetting, other: ReplaySetting, replays: Replays, asked: Sequence[int]) -> bool:
+    """Return whether a setting's cost on some stretches is lower than another's for sure."""
+    trials = replays.of((one, other), replays.n_seeds)
+    after, before = ([trials[which.key][i] for i in asked] for which in (one, other))
+    return _compared(before, after, costs).is_lower
+
+
+def _with_origin_or_without(shifted: ReplaySetting, plain: ReplaySetting, replays: Replays) -> ReplaySetting:
     """Return the setting with the map's origin set right, unless its error is surely higher."""
     if shifted is plain:
         return plain
@@ -357,13 +311,12 @@ def _with_origin_or_without(shifted: ReplaySetting, plain: ReplaySetting, replay
     return plain if _compared(trials[plain.key], trials[shifted.key], clipped).is_higher else shifted
 
 
-def _without_each_part(settings: Mapping[Key, ReplaySetting], finalist: ReplaySetting) -> dict[str, ReplaySetting]:
-    """Return the finalist with each part as it was before, as far as it was changed."""
-    sensor, motion, shift = finalist.key
-    without = {
-        "sensor": (BEFORE, motion, shift), "motion": (sensor, BEFORE, shift), "origin": (sensor, motion, 0.0),
-    }  # fmt: skip
-    return {name: settings[key] for name, key in without.items() if key != finalist.key}
+def _without_each_part(
+    settings: Mapping[Key, ReplaySetting], finalist: ReplaySetting, crossed: Sequence[ReplaySetting]
+) -> dict[str, list[ReplaySetting]]:
+    """Return settings with each part as it was before, as far as the finalist differs in it."""
+    changed = [name for name in Key._fields if getattr(finalist.key, name) != getattr(OWN, name)]
+    return {name: [settings[one.key._replace(**{name: getattr(OWN, name)})] for one in crossed] for name in changed}
 
 
 def _compared(

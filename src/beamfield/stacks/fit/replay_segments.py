@@ -1,10 +1,9 @@
-"""A log cut into stretches for replaying filters: those that a choice is made on, and those that judge it."""
+"""A log cut into stretches for replaying filters."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,28 +18,13 @@ FEWEST_UPDATES, USUAL_UPDATES = 12, 25
 USUAL_DISTANCES = 0.25, 0.2
 
 
-class ReplaySegments(NamedTuple):
-    """Stretches of one log in turn, each with the one before it, in which a filter starts.
+def cut_segments(
+    log: SensorLog, update_min_d: float, update_min_a: float, *, most: int, longest: int
+) -> tuple[SensorLog, ...]:
+    """Cut a log into stretches with as many updates of a filter each, every one with that before it as a lead-in.
 
     What leads in is not judged: it has no reference poses but for the first scan's, from which the filter starts. Where
     places look alike, particles from a wide start need long to gather, which would count for more than all tracking.
-    """
-
-    choosing: tuple[SensorLog, ...]
-    judging: tuple[SensorLog, ...]
-
-    @property
-    def names(self) -> tuple[list[str], list[str]]:
-        """What the stretches of both kinds are called."""
-        return [f"stretch {2 * i + 1}" for i in range(len(self.choosing))], [
-            f"stretch {2 * i + 2}" for i in range(len(self.judging))
-        ]
-
-
-def cut_segments(
-    log: SensorLog, update_min_d: float, update_min_a: float, *, most: int, longest: int
-) -> ReplaySegments:
-    """Cut a log into an even number of stretches with as many updates of a filter each.
 
     Parameters
     ----------
@@ -50,7 +34,7 @@ def cut_segments(
         Motion between two updates, metres and radians. Where the filter takes every scan (0 for both), stretches are
         as long as those of amcl.
     most
-        Stretches at most, even.
+        Stretches at most, two or more.
     longest
         Updates of a stretch at most, and as many lead in: of a long log the rest is left out.
 
@@ -68,10 +52,9 @@ def cut_segments(
             f"a replay needs {3 * FEWEST_UPDATES} updates of the filter with reference poses, this drive has "
             f"{len(updates)}"
         )
-    n = 2 * int(np.clip((len(updates) // USUAL_UPDATES - 1) // 2, 1, most // 2))
+    n = int(np.clip(len(updates) // USUAL_UPDATES - 1, 2, most))
     parts = np.array_split(updates, n + 1)
-    segments = [_judged_after(log, lead[-longest:], part[:longest]) for lead, part in pairwise(parts)]
-    return ReplaySegments(tuple(segments[::2]), tuple(segments[1::2]))
+    return tuple(_judged_after(log, lead[-longest:], part[:longest]) for lead, part in pairwise(parts))
 
 
 def _judged_after(log: SensorLog, lead: NDArray[np.int64], judged: NDArray[np.int64]) -> SensorLog:

@@ -195,7 +195,7 @@ def choose_by_replay(
     def choose(asked: Sequence[int]) -> ReplaySetting:
         best = _of_equals(last, by_stretch[:, asked].mean(axis=1), safe)
         for part in ("motion", "sensor"):
-            plain = settings[best.key._replace(**{part: BEFORE})]
+            plain = settings[best.key._replace(**{part: getattr(OWN, part)})]
             if plain is not best and not _is_surely_cheaper(best, plain, replays, asked):
                 best = plain
         return best

@@ -225,7 +225,7 @@ def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsy
     assert "no free cell" in capsys.readouterr().err
     assert main(["localize", str(folder / "bare.log"), "--map", str(folder / "map.yaml")]) == 1
     assert "no scan has odometry" in capsys.readouterr().err
-    assert run(folder, "--global", "--max-range", "0.2") == 1
+    assert run(folder, "--mask=-180:179.9") == 1
     assert "no reading of any scan hits anything" in capsys.readouterr().err
 
 

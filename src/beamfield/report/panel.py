@@ -17,7 +17,6 @@ from PIL import Image
 from beamfield.report.colours import CAUSE_COLOURS, MODEL, THROUGH
 from beamfield.report.drawing import NARROW
 from beamfield.report.escape import escaped
-from beamfield.report.ruler import use_rulers
 
 # What a palette of 256 colours must keep, also as thin and as faint as figures draw it: median cut would give a few
 # pixels of one cause the colour of another.
@@ -90,7 +89,6 @@ def svg_panel(figure: Figure, name: str, alt: str) -> Panel:
         What a reader who cannot see it should know.
     """
     buffer = io.StringIO()
-    use_rulers(figure)
     with _DRAWING:
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})  # type: ignore[no-untyped-call]
     width, height = figure.get_size_inches() * 72.0
@@ -110,7 +108,6 @@ def png_panel(figure: Figure, alt: str, *, dpi: int = 144) -> Panel:
         Pixels per inch.
     """
     figure.set_dpi(dpi)
-    use_rulers(figure)
     canvas = FigureCanvasAgg(figure)
     with _DRAWING:
         canvas.draw()  # type: ignore[no-untyped-call]

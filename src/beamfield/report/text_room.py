@@ -73,19 +73,19 @@ def _below(ax: Axes) -> float:
 
 def _right(ax: Axes) -> float:
     # Half of the last label below stands out.
-    return PAD + 0.5 * CHARACTER * _longest(ax.xaxis) * tick_size(ax.xaxis)
+    return PAD + 0.5 * CHARACTER * _longest(ax.xaxis) * _tick_size(ax.xaxis)
 
 
 def _above(ax: Axes) -> float:
     title = max((ax.get_title(loc=place) for place in ("left", "center", "right")), key=len)
     if title:
         return PAD + TITLE_GAP + _height(title, float(ax.title.get_fontsize()))
-    return PAD + 0.5 * LINE * tick_size(ax.yaxis)
+    return PAD + 0.5 * LINE * _tick_size(ax.yaxis)
 
 
 def _beside(axis: Axis, tick_label: float) -> float:
     """Room for ticks and their labels of so many times the size of the font; for ticks alone where they have none."""
-    return TICK + (tick_label * tick_size(axis) if shows_labels(axis) else 0.0)
+    return TICK + (tick_label * _tick_size(axis) if _has_labels(axis) else 0.0)
 
 
 def _label(axis: Axis) -> float:
@@ -99,14 +99,12 @@ def _longest(axis: Axis) -> int:
     return max(map(len, labels), default=0)
 
 
-def shows_labels(axis: Axis) -> bool:
-    """Say whether an axis has labels at its ticks."""
+def _has_labels(axis: Axis) -> bool:
     sides = ("labelbottom", "labelleft")
     return any(axis.get_tick_params().get(side, False) for side in sides)
 
 
-def tick_size(axis: Axis) -> float:
-    """Return the size of the font of tick labels, points."""
+def _tick_size(axis: Axis) -> float:
     return float(axis.get_tick_params().get("labelsize", 9.0))
 
 

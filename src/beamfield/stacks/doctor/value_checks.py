@@ -10,7 +10,7 @@ from typing import Any
 from beamfield.finding import Finding
 from beamfield.io.files.yaml_file import shorten
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.files.typed_values import MOST
+from beamfield.stacks.files.typed_values import MOST, Unusable, typed_fields
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.stack import Stack, counterpart
 from beamfield.stacks.syntax.parameter_text import ROS_2_KEY, Entry
@@ -27,8 +27,7 @@ _OTHER_PREFIXES = (
 
 def unusable_values(subject: Subject) -> Iterator[Finding]:
     """Find values of the wrong type, out of range, infinite or NaN, and models that the program does not have."""
-    for name, fault, message in subject.typed.unusable:
-        value: Any = subject.file.section.entries[name].value
+    for value, (name, fault, message) in _unusable(subject):
         if fault == "filled-in":
             yield subject.finding(
                 "filled-in-at-start", "info", f"{name} {message}",
@@ -102,7 +101,8 @@ def foreign_names(subject: Subject) -> Iterator[Finding]:
     for stack in dict.fromkeys(foreign[name] for name in rest):
         yield _foreign(subject, [name for name in rest if foreign[name] == stack], stack, "", False)
     for name in strange:
-        near = difflib.get_close_matches(name, own, n=1, cutoff=SIMILAR)
+        near = [one for one in own if sorted(one) == sorted(name)]  # two letters swapped
+        near = near or difflib.get_close_matches(name, own, n=1, cutoff=SIMILAR)
         if name not in foreign and near and near[0] not in entries and not name.startswith(_OTHER_PREFIXES):
             yield subject.finding(
                 "misspelt-name", "warning", f"{name} looks like {near[0]}, which the file does not have",
@@ -124,6 +124,16 @@ def stack_guess(subject: Subject) -> Iterator[Finding]:
         f"the same values mean different things there{density}",
         f"pass --stack {' or '.join(stack.name for stack in others)} if that is what the robot runs",
     )  # fmt: skip
+
+
+def _unusable(subject: Subject) -> Iterator[tuple[Any, Unusable]]:
+    """Yield what cannot be used of the measurement model's values, the motion model's and the particles'."""
+    for item in subject.typed.unusable:
+        yield subject.file.section.entries[item.name].value, item
+    described, file = subject.stack.filter, subject.file.of_filter
+    for kind in () if described is None else (described.motion, described.parameters):
+        for item in typed_fields(file, kind).unusable:
+            yield file.section.entries[item.name].value, item
 
 
 def _unknown_model(subject: Subject, value: str) -> Finding:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, cast
 
 from beamfield.errors import FormatError
@@ -73,11 +73,6 @@ def read_filter_settings(file: StackFile) -> FilterSettings:
         known = ", ".join(stack.title for stack in STACKS.values() if stack.filter is not None)
         message = f"the particle filter of {file.program.title} is not emulated, only those of {known}"
         raise FormatError(file.section.path, message)
-    whole = file if described.section is None else replace(file, section=described.section(file.section))
-    return FilterSettings(
-        file.stack,
-        file.model,
-        checked_values(file),
-        checked_fields(whole, described.motion),
-        checked_fields(whole, described.parameters),
-    )
+    sensor, whole = checked_values(file), file.of_filter
+    motion, particles = (checked_fields(whole, kind) for kind in (described.motion, described.parameters))
+    return FilterSettings(file.stack, file.model, sensor, motion, particles)

@@ -6,7 +6,7 @@ import math
 import shutil
 import stat
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -67,6 +67,14 @@ class StackFile:
     def is_typed(self) -> bool:
         """Whether the program declares each parameter's type and stops if the file has another."""
         return self.program.is_typed and not self.is_of_other_node
+
+    @property
+    def of_filter(self) -> StackFile:
+        """The file with the parameters of motion model and particles, which some programs keep elsewhere in it."""
+        described = self.program.filter
+        if described is None or described.section is None:
+            return self
+        return replace(self, section=described.section(self.section))
 
     def name_in_file(self, name: str) -> str:
         """Return what this file calls a parameter of the stack's dataclass."""

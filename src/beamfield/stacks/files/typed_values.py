@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import Field, fields
+from dataclasses import Field, fields, replace
 from typing import Any, Literal, NamedTuple
 
 from beamfield.errors import FormatError, InvalidInputError
@@ -48,42 +48,53 @@ class TypedValues(NamedTuple):
 
 
 def typed_values(file: StackFile) -> TypedValues:
-    """Return the stack's parameters that a file asks for, and the values that cannot be used."""
+    """Return the parameters of the measurement model that a file asks for, and the values that cannot be used."""
     model, key = file.described_model, file.program.model_key
-    kind = model.parameters
+    typed = typed_fields(file, model.parameters, key)
+    # The program runs its default where the file names no model of it.
+    return typed._replace(parameters=replace(typed.parameters, **{key: model.in_file[0]})) if key else typed
+
+
+def typed_fields(file: StackFile, kind: type[Any], key: str = "") -> TypedValues:
+    """Return parameters that a file asks for, and the values that cannot be used.
+
+    Parameters
+    ----------
+    file
+        From `read_stack_file`.
+    kind
+        The parameters' dataclass; its defaults hold where the file says nothing.
+    key
+        The one that names the measurement model, if that is among them.
+    """
     usable = file.defaults_of(kind)
     unusable: list[Unusable] = []
     for item in fields(kind):
         name = file.name_in_file(item.name)
         entry = file.section.entries.get(name)
+        is_model = bool(key) and item.name == key
         # Files of a program that refuses unknown models were refused before; `file.model` says what theirs is.
-        if entry is None or (item.name == key and not file.program.unknown_model):
+        if entry is None or (is_model and not file.program.unknown_model):
             continue
         value, wrong = _read(file, entry, item)
         if wrong is None or wrong[0] == "integer":
-            wrong = _refusal(kind, usable, item.name, value, is_model=item.name == key) or wrong
+            wrong = _refusal(kind, usable, item.name, value, is_model=is_model) or wrong
         if wrong is not None:
             unusable.append(Unusable(name, *wrong))
         if wrong is None or wrong[0] == "integer":
             usable[item.name] = value
-    if key:
-        # The program runs its default where the file names no model of it.
-        usable[key] = model.in_file[0]
     return TypedValues(kind(**usable), tuple(unusable))
 
 
 def checked_values(file: StackFile) -> Any:
-    """Return the stack's parameters that a file asks for.
+    """Return the parameters of the measurement model that a file asks for.
 
     Raises
     ------
     FormatError
         If a value cannot be used; names the line.
     """
-    typed = typed_values(file)
-    for item in typed.unusable:
-        raise file.section.error(item.name, item.message)
-    return typed.parameters
+    return _checked(file, typed_values(file))
 
 
 def checked_fields(file: StackFile, kind: type[Any]) -> Any:
@@ -91,28 +102,21 @@ def checked_fields(file: StackFile, kind: type[Any]) -> Any:
 
     Parameters
     ----------
-    file
-        From `read_stack_file`.
-    kind
-        Their dataclass; its defaults hold where the file says nothing.
+    file, kind
+        As for `typed_fields`.
 
     Raises
     ------
     FormatError
         If a value cannot be used; names the line.
     """
-    usable = file.defaults_of(kind)
-    for item in fields(kind):
-        name = file.name_in_file(item.name)
-        entry = file.section.entries.get(name)
-        if entry is None:
-            continue
-        value, wrong = _read(file, entry, item)
-        wrong = wrong or _refusal(kind, usable, item.name, value, is_model=False)
-        if wrong is not None:
-            raise file.section.error(name, wrong[1])
-        usable[item.name] = value
-    return kind(**usable)
+    return _checked(file, typed_fields(file, kind))
+
+
+def _checked(file: StackFile, typed: TypedValues) -> Any:
+    for item in typed.unusable:
+        raise file.section.error(item.name, item.message)
+    return typed.parameters
 
 
 def _read(file: StackFile, entry: Entry, item: Field[Any]) -> tuple[Any, tuple[Fault, str] | None]:

@@ -88,7 +88,7 @@ def test_counts_are_repeated_beams(theta):
 
 
 def test_derivatives_are_those_of_the_log_likelihood(theta):
-    z, expected = beams()
+    z, expected = beams(100)
     z = np.where(np.abs(z - expected) > 0.5, np.minimum(z, expected), z)  # no outliers that only underflow explains
     likelihood = IntrinsicLikelihood(z, expected, MAX_RANGE)
     _, gradient, hessian = likelihood.derivatives(theta)

@@ -89,7 +89,7 @@ def test_the_wrong_map_file_of_the_pioneer_is_found_out(data: Path, pioneer: Sen
     assert finding.values["scale"] == pytest.approx(1.032, abs=0.012)
 
 
-@pytest.mark.parametrize("name", ["intel", "freiburg-079", "belgioioso"])
+@pytest.mark.parametrize("name", ["freiburg-079", "belgioioso"])
 def test_logs_without_a_map_are_calibrated_on_the_maps_of_their_halves(data: Path, name: str):
     log = sensor_log(data, f"carmen_radish_corrected/{name}-corrected.log.gz")
     log = log.select(np.arange(min(len(log), 800)))

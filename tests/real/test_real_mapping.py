@@ -18,22 +18,16 @@ from beamfield.models.histogram_matching import HistogramMatchingModel
 from beamfield.models.map_matching import MapMatchingModel
 from beamfield.sensors import SensorLog
 
-# Least share of hits within one cell of an occupied one; resolution in metres. Halls with people, glass and far walls
-# (acapulco, edmonton, fhw) and the outdoor campus are less sharp than offices.
+# Least share of hits within one cell of an occupied one; resolution in metres. A hall with people, glass and far walls
+# (acapulco) and the outdoor campus are less sharp than offices.
 LOGS = {
     "acapulco": (0.70, 0.05),
-    "aces": (0.86, 0.05),
-    "belgioioso": (0.92, 0.05),
     "csail": (0.93, 0.05),
-    "edmonton": (0.75, 0.05),
-    "fhw": (0.80, 0.05),
-    "freiburg-079": (0.90, 0.05),
     "freiburg-campus": (0.75, 0.1),
     "infinite-corridor": (0.85, 0.05),
     "intel": (0.94, 0.05),
-    "orebro": (0.89, 0.05),
 }
-OFFICES = ("belgioioso", "freiburg-079", "intel")
+OFFICES = ("freiburg-079", "intel")
 
 
 @cache

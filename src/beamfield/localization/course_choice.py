@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from beamfield.errors import TrajectoryNotFoundError
+from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels.trajectory import Walls
-from beamfield.localization.drive import Drive, mirrored, with_points
+from beamfield.localization.drive import Drive, chained, mirrored, with_points
 from beamfield.localization.ray_agreement import ray_agreement
 from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
 from beamfield.maps.occupancy import OccupancyGrid
@@ -54,8 +55,8 @@ class StartHypothesis(NamedTuple):
         return f"({x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f} deg): {self.agrees:.0%} of the beams agree"
 
 
-class CourseChoice(NamedTuple):
-    """The course that was chosen.
+class FoundCourse(NamedTuple):
+    """Where a log was recorded, before its poses are fitted.
 
     Parameters
     ----------
@@ -65,19 +66,26 @@ class CourseChoice(NamedTuple):
         Rough poses.
     hypotheses
         Where the log may have begun, the best first.
-    put_right
-        What was changed about the odometry; empty if nothing.
+    findings
+        What is wrong with the odometry.
     """
 
     drive: Drive
     course: Course
     hypotheses: tuple[StartHypothesis, ...]
-    put_right: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def odometry(self) -> FloatArray:
+        """(t, 3) the odometry as it was used: signs put right, and standing over steps that no robot makes."""
+        poses = chained(np.zeros(3), self.drive.steps)
+        poses[:, 2] = wrap_angle(poses[:, 2])
+        return poses
 
 
 def choose_course(
     log: SensorLog, grid: OccupancyGrid, drive: Drive, walls: Walls, start: FloatArray | None, report: Progress
-) -> CourseChoice:
+) -> FoundCourse:
     """Return the course through the log, with odometry put right where its sign is wrong.
 
     Parameters
@@ -112,7 +120,8 @@ def choose_course(
             raise TrajectoryNotFoundError(
                 f"two trajectories fit the log equally well, give the start of one{more}; {_named(hypotheses)}"
             )
-        return CourseChoice(steps, judged[0][1], hypotheses, put_right)
+        findings = (_wrong_sign(put_right),) if put_right else ()
+        return FoundCourse(steps, judged[0][1], hypotheses, findings)
     for _, steps in (plain, reversed_):
         _refuse_mirrored(log, steps, search, limit)
     raise TrajectoryNotFoundError(
@@ -159,3 +168,12 @@ def _hypothesis(log: SensorLog, grid: OccupancyGrid, drive: Drive, course: Cours
 
 def _named(hypotheses: Sequence[StartHypothesis]) -> str:
     return "best starts: " + "; ".join(map(str, hypotheses))
+
+
+def _wrong_sign(kind: str) -> Finding:
+    return Finding(
+        "odometry-sign", "warning", f"The odometry fits only {kind}; that was done.",
+        why="A robot that takes its odometry as it is gets lost.",
+        do="Correct the sign where the odometry is made; if the direction is reversed, look whether it is the laser's "
+        "mount that is wrong by 180 degrees.",
+    )  # fmt: skip

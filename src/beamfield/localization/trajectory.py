@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding, worst_first
-from beamfield.geometry import FloatArray, as_pose, wrap_angle
-from beamfield.localization.course_choice import StartHypothesis, choose_course
+from beamfield.geometry import FloatArray, as_pose
+from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
 from beamfield.localization.drive import Drive, chained, prepare, with_points
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
@@ -182,52 +181,20 @@ def fit_trajectory(
     return fit_course(log, grid, find_course(log, grid, start=start, progress=progress), options, progress)
 
 
-class FoundCourse(NamedTuple):
-    """Where a log was recorded, before its poses are fitted.
-
-    Parameters
-    ----------
-    drive
-        The log, with odometry put right where its sign is wrong.
-    course
-        Rough poses.
-    hypotheses
-        Where the log may have begun, the best first.
-    findings
-        What is wrong with the odometry.
-    """
-
-    drive: Drive
-    course: Course
-    hypotheses: tuple[StartHypothesis, ...]
-    findings: tuple[Finding, ...]
-
-    @property
-    def odometry(self) -> FloatArray:
-        """(t, 3) the odometry as it was used: signs put right, and standing over steps that no robot makes."""
-        poses = chained(np.zeros(3), self.drive.steps)
-        poses[:, 2] = wrap_angle(poses[:, 2])
-        return poses
-
-
 def find_course(
     log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | None = None, progress: Progress | None = None
 ) -> FoundCourse:
     """Find roughly where a robot drove: the first step of `fit_trajectory`, with its parameters and errors."""
     report = progress or (lambda _stage, _done, _total: None)
     initial = _checked(log, grid, start)
-    findings: list[Finding] = []
     odometry = log.odometry
     if not log.has_odometry:
         odometry = odometry_from_scans(log, lambda done, total: report("aligning scans", done, total))
-        findings.append(_no_odometry())
     drive = prepare(log, odometry)
     _check_points(drive)
     _check_moves(drive)
-    drive, course, hypotheses, put_right = choose_course(log, grid, drive, walls_of(grid), initial, report)
-    if put_right:
-        findings.append(_wrong_sign(put_right))
-    return FoundCourse(drive, course, hypotheses, tuple(findings))
+    found = choose_course(log, grid, drive, walls_of(grid), initial, report)
+    return found if log.has_odometry else found._replace(findings=(_no_odometry(), *found.findings))
 
 
 def fit_course(
@@ -325,13 +292,4 @@ def _no_odometry() -> Finding:
     return Finding(
         "no-odometry", "warning", "The log has no odometry: each scan was aligned with the one before in its place.",
         why="Along corridors, scans alone slide.", do="Record the odometry (docs/recording.md).",
-    )  # fmt: skip
-
-
-def _wrong_sign(kind: str) -> Finding:
-    return Finding(
-        "odometry-sign", "warning", f"The odometry fits only {kind}; that was done.",
-        why="A robot that takes its odometry as it is gets lost.",
-        do="Correct the sign where the odometry is made; if the direction is reversed, look whether it is the laser's "
-        "mount that is wrong by 180 degrees.",
     )  # fmt: skip

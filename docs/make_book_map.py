@@ -159,8 +159,8 @@ def definitions() -> Iterator[Definition]:
                 yield Definition(module, node.name, cited(" ".join(_docstrings(node))))
 
 
-def _docstrings(node: ast.AST) -> Iterator[str]:
-    for inner in ast.walk(node):
+def _docstrings(node: ast.FunctionDef | ast.ClassDef) -> Iterator[str]:
+    for inner in (node, *node.body):
         if isinstance(inner, (ast.FunctionDef, ast.ClassDef)):
             yield ast.get_docstring(inner) or ""
 
@@ -169,7 +169,7 @@ def imports() -> dict[str, list[Path]]:
     """Return which test files import a module or one of its names."""
     users: dict[str, list[Path]] = {}
     for path in sorted(TESTS.rglob("test_*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("beamfield."):
                 module = (node.module or "").removeprefix("beamfield.")
                 for name in {module, *(f"{module}.{alias.name}" for alias in node.names)}:

@@ -1,5 +1,7 @@
 """The Python in README.md and docs/ runs, the commands there are commands, and links lead to files.
 
+Notebooks run where the site is built (`make site`), which stops at their first error.
+
 Blocks of one document run one after the other, as a reader would type them. Most begin with things a user has: a log, a
 map, particles. `STAND_INS` gives them small ones and thereby says what a document takes for granted; a document that is
 not in it must run as it stands.
@@ -66,10 +68,7 @@ DEEP = {
     "beamfield.simulation.sonar",
 }
 # What a document needs besides beamfield; without, its Python does not run.
-NEEDS = {
-    "fleet": ("distributed", "pyarrow", "fsspec", "polars", "duckdb", "pandas"),
-    "notebooks/fleet": ("distributed", "pyarrow", "fsspec"),
-}
+NEEDS = {"fleet": ("distributed", "pyarrow", "fsspec", "polars", "duckdb", "pandas")}
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
 
@@ -298,7 +297,7 @@ def test_documents_and_examples_come_in_by_the_front_door(path: Path):
     assert [name for name in re.findall(r"\bbf\.(\w+)", whole) if name not in bf.__all__] == []
 
 
-@pytest.mark.parametrize("path", WITH_PYTHON, ids=name_of)
+@pytest.mark.parametrize("path", [path for path in WITH_PYTHON if path not in NOTEBOOKS], ids=name_of)
 def test_the_python_of_a_document_runs(path: Path, world: World, tmp_path, monkeypatch):
     for package in NEEDS.get(name_of(path), ()):
         pytest.importorskip(package)

@@ -22,6 +22,7 @@ from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.models.beam_parameters import BeamParameters
+from beamfield.report.scan_fit_figures import fit_of_own_log
 
 FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html")
 
@@ -209,7 +210,10 @@ def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, out: Pa
         assert getattr(text, name) == pytest.approx(getattr(bag, name), rel=5e-3, abs=1e-4), name
 
 
-def test_without_a_map_one_is_drawn_and_the_report_says_so(world: Path, tmp_path: Path):
+def test_without_a_map_one_is_drawn_and_the_report_says_so(world: Path, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(
+        "beamfield.report.html.report_figures", lambda *given: [fit_of_own_log(given[3], map_from_log=True)]
+    )
     log, out = str(world / "log.carmen"), tmp_path / "out"
     assert main(["calibrate", log, "--out", str(out), "--quiet", "--resolution", "0.1"]) == 0
     report = (out / "report.html").read_text()

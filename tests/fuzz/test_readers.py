@@ -14,7 +14,7 @@ from tests.fuzz.worker import Stream, compiled_once, read_inputs
 
 SEED = "1"
 # By how long one takes: bags and commands need ten to thirty times as long as a page of text.
-FEW, SOME, MANY = 8, 40, 120
+FEW, SOME, MANY = 5, 25, 80
 SLOW = ("bag1", "db3", "mcap", "ros2_folder", "translate_patch", "calibrate_patch", "inspect_", "doctor")
 MEDIUM = ("map_yaml", "pgm", "png", "bmp", "beam_model", "field_model", "landmark_model", "stack_yaml")
 

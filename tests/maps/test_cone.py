@@ -138,12 +138,12 @@ def test_cones_agree_with_clipped_squares(rng):
     for density, width in [(0.003, 30.0), (0.01, 12.0), (0.002, 70.0), (0.2, 25.0), (0.02, 150.0), (0.6, 5.0)]:
         occupied = rng.random((45, 70)) < density
         caster = ConeCaster(OccupancyGrid(occupied.astype(np.float32), 1.0))
-        origins = np.column_stack([rng.uniform(-4, [74, 49], (40, 2)), rng.uniform(-4, 4, 40)])
+        origins = np.column_stack([rng.uniform(-4, [74, 49], (20, 2)), rng.uniform(-4, 4, 20)])
         ranges = caster.cast(origins, deg(width), 40.0)
         wanted = [clip_cells(*origin, deg(width) / 2, occupied, 40.0) for origin in origins]
         # An apex in a free cell is off all squares; in an occupied one, both say 0.
         np.testing.assert_allclose(ranges, wanted, rtol=1e-12, atol=1e-12)
-        assert len(np.unique(ranges)) > 15 or density == 0.6
+        assert len(np.unique(ranges)) > 5 or density == 0.6
 
 
 def test_cones_agree_with_clipped_squares_where_edges_meet_corners_and_borders(rng):

@@ -16,7 +16,7 @@ from tests.maps.test_raycast_properties import as_origins, rays
 grids = arrays.arrays(bool, st.tuples(st.integers(1, 7), st.integers(1, 40)))
 # Halves of these, added to directions of small whole numbers, run through corners and along borders again.
 openings = st.sampled_from([0.0, 1e-9, 0.1, np.pi / 4, np.pi / 2, 2 * np.arctan2(1, 2), 2 * np.arctan2(1, 3), 3.0])
-relaxed = settings(max_examples=150, derandomize=True)
+relaxed = settings(max_examples=80, derandomize=True)
 
 
 def caster_of(occupied, resolution=1.0, origin=(0.0, 0.0, 0.0)):

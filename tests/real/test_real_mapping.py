@@ -24,7 +24,6 @@ LOGS = {
     "acapulco": (0.70, 0.05),
     "csail": (0.93, 0.05),
     "freiburg-campus": (0.75, 0.1),
-    "infinite-corridor": (0.85, 0.05),
     "intel": (0.94, 0.05),
 }
 OFFICES = ("freiburg-079", "intel")
@@ -55,10 +54,9 @@ def test_maps_are_sharp_and_would_not_be_with_poses_ten_centimetres_off(data, na
 
 
 @pytest.mark.real
-@pytest.mark.parametrize("name", OFFICES)
-def test_scans_that_drew_no_map_are_found_in_it(data, name, rng):
-    log = read(data, name)
-    search = GlobalSearch(map_of_every_other_scan(data, name))
+def test_scans_that_drew_no_map_are_found_in_it(data, rng):
+    log = read(data, "intel")
+    search = GlobalSearch(map_of_every_other_scan(data, "intel"))
     found = 0
     for i in np.linspace(1, len(log) - 1, 12).astype(int) // 2 * 2 - 1:
         window = SearchWindow(log.poses[i] + rng.uniform(-8.0, 8.0, 3))

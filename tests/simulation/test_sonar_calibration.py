@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
+from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.cli.main import main
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.sensors import SensorLog
 from beamfield.simulation.log import simulate_log
 from beamfield.simulation.sonar import sonar_ring
 from tests.simulation.plans import plan
@@ -23,22 +20,14 @@ WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
 OPTIONS = CalibrationOptions(refine=False)
 
 
-@cache
-def log_of(roughness: float) -> SensorLog:
-    """Return two minutes of a ring of 16 sonars."""
-    return simulate_log(
-        plan(1), sonar_ring(16), TRUTH, duration=120.0, scan_rate=4.0, seed=3, roughness=roughness
-    ).only_sensor()
+def fitted(roughness: float) -> BeamParameters:
+    """Return what is learned from two minutes of a ring of 16 sonars."""
+    log = simulate_log(plan(1), sonar_ring(16), TRUTH, duration=120.0, scan_rate=4.0, seed=3, roughness=roughness)
+    return calibrate(log.only_sensor(), plan(1), OPTIONS).parameters
 
 
-@cache
-def fitted(roughness: float) -> Calibration:
-    return calibrate(log_of(roughness), plan(1), OPTIONS)
-
-
-@pytest.mark.parametrize("n_sensors", [8, 16, 24])
-def test_rings_that_measure_as_the_model_says_give_the_truth_back(n_sensors: int) -> None:
-    log = simulate_log(plan(1), sonar_ring(n_sensors), TRUTH, duration=1440.0 / n_sensors, scan_rate=10.0, seed=3)
+def test_rings_that_measure_as_the_model_says_give_the_truth_back() -> None:
+    log = simulate_log(plan(1), sonar_ring(24), TRUTH, duration=60.0, scan_rate=10.0, seed=3)
     result = calibrate(log.only_sensor(), plan(1), OPTIONS)
     n = len(result.table)
     assert n > 8_000
@@ -51,14 +40,8 @@ def test_rings_that_measure_as_the_model_says_give_the_truth_back(n_sensors: int
     assert result.parameters.lambda_short == pytest.approx(TRUTH.lambda_short, abs=0.25)
 
 
-def test_taken_as_beams_the_same_readings_fit_worse() -> None:
-    log = log_of(1.0)
-    as_beams = calibrate(replace(log, finder=replace(log.finder, opening_angle=0.0)), plan(1), OPTIONS)
-    assert as_beams.parameters.z_hit < fitted(1.0).parameters.z_hit - 0.2
-
-
 def test_smooth_walls_move_hits_to_z_max() -> None:
-    rough, smooth = fitted(1.0).parameters, fitted(0.1).parameters
+    rough, smooth = fitted(1.0), fitted(0.1)
     lost = rough.z_hit - smooth.z_hit
     assert lost > 0.2
     assert smooth.z_max - rough.z_max == pytest.approx(lost, abs=0.05)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.arguments import checked, require
+from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.localization.replay import Replay
 from beamfield.sensors import SensorLog
@@ -78,8 +78,7 @@ def kidnapped(log: SensorLog, share: float = 1.0 / 3.0) -> tuple[SensorLog, int]
     TooLittleDataError
         If fewer than two scans on a side of the cut have odometry.
     """
-    if not 0.0 < share < 1.0:
-        raise InvalidInputError(f"share: expected a number between 0 and 1, got {share}")
+    require(0.0 < share < 1.0, "share", "a number between 0 and 1", share)
     usable = np.flatnonzero(np.isfinite(log.odometry).all(axis=1))
     before = round(0.5 * (1.0 - share) * len(usable))
     after = len(usable) - before

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, check_magnitude, checked
+from beamfield.arguments import check_fields, check_magnitude, checked, keep, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
+from beamfield.geometry import FloatArray, as_pose, as_poses, transform_points, wrap_angle
 from beamfield.kernels import global_search as kernels
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import distance_to_obstacles
@@ -64,14 +64,9 @@ class SearchWindow:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        center = np.array(as_poses(self.center, "center"))
-        if center.shape != (3,):
-            raise InvalidInputError(f"center: expected (x, y, theta), got shape {center.shape}")
-        center.flags.writeable = False
-        object.__setattr__(self, "center", center)
+        keep(self, center=as_pose(self.center, "center"))
         for name in ("width", "height", "turn"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
+            require(0.0 <= getattr(self, name) < np.inf, name, "a finite number >= 0", getattr(self, name))
 
     @classmethod
     def whole_map(cls, grid: OccupancyGrid) -> SearchWindow:
@@ -203,9 +198,7 @@ class GlobalSearch:
         longest = max(self.grid.shape) * self.grid.resolution
         if self.sigma > longest:
             raise InvalidInputError(f"sigma: expected at most the map's longer side, {longest:g} m, got {self.sigma}")
-        values = _field(self.grid, self.sigma)
-        values.flags.writeable = False
-        object.__setattr__(self, "_field", values)
+        keep(self, _field=_field(self.grid, self.sigma))
 
     @checked
     def search(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_magnitude, checked
+from beamfield.arguments import check_magnitude, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
@@ -182,8 +182,7 @@ def likelihood_map(
     """
     check_takes_poses_alone(model)
     shape = _lattice_shape(grid, resolution)
-    if not 1 <= headings <= MAX_HEADINGS:
-        raise InvalidInputError(f"headings: expected 1 to {MAX_HEADINGS}, got {headings}")
+    require(1 <= headings <= MAX_HEADINGS, "headings", f"1 to {MAX_HEADINGS}", headings)
     mask = _mask(grid, shape, resolution, where)
     rows, cols = np.nonzero(mask)
     angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
@@ -220,8 +219,7 @@ def _mask(
     """Return which cells (rows, cols) of the lattice to evaluate."""
     if isinstance(where, np.ndarray):
         mask = where.astype(np.bool_)
-        if mask.shape != shape:
-            raise InvalidInputError(f"where: expected a mask of shape {shape}, got {mask.shape}")
+        require(mask.shape == shape, "where", f"a mask of shape {shape}", mask.shape)
     elif where == "all":
         mask = np.ones(shape, np.bool_)
     elif where in ("free", "known"):

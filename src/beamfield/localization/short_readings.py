@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr
 
-from beamfield.arguments import as_count, check_fields, check_magnitude
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import as_count, check_fields, check_magnitude, require
 from beamfield.geometry import FloatArray
 from beamfield.localization.particles import Particles
 from beamfield.localization.resampling import systematic_indices
@@ -65,8 +64,7 @@ class ShortReadings:
         check_magnitude("sigma", self.sigma)
         check_magnitude("widest_cloud", self.widest_cloud)
         as_count(self.n_poses, "n_poses", least=1)
-        if not 0.5 < self.probability < 1.0:
-            raise InvalidInputError(f"probability: expected a number between 0.5 and 1, got {self.probability}")
+        require(0.5 < self.probability < 1.0, "probability", "a number between 0.5 and 1", self.probability)
         object.__setattr__(self, "_caster", RayCaster(self.grid))
 
     def leave_out(self, scan: Scan, belief: Particles, rng: np.random.Generator) -> Scan:

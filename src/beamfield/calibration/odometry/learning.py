@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, checked
+from beamfield.arguments import as_floats, checked, require
 from beamfield.calibration.odometry.findings import odometry_findings
 from beamfield.calibration.odometry.held_out import (
     HeldOut,
@@ -141,14 +141,12 @@ def calibrate_odometry(
 
 
 @checked
-def learn_systematic_errors(
-    log: SensorLog, options: OdometryOptions | None = None, *, covariances: ArrayLike | None = None
-) -> SystematicErrors:
+def learn_systematic_errors(log: SensorLog, *, covariances: ArrayLike | None = None) -> SystematicErrors:
     """Learn only the systematic errors of a log's odometry, with their covariance; much faster than all of it.
 
     Parameters
     ----------
-    log, options, covariances
+    log, covariances
         As for `calibrate_odometry`.
 
     Returns
@@ -160,7 +158,7 @@ def learn_systematic_errors(
     InvalidInputError, TooLittleDataError
         As for `calibrate_odometry`.
     """
-    fit, _, _ = _cut(log, options or OdometryOptions(), covariances)
+    fit, _, _ = _cut(log, OdometryOptions(), covariances)
     return fit.systematic_errors()[0]
 
 
@@ -293,8 +291,7 @@ def _pose_covariances(log: SensorLog, covariances: ArrayLike | None, options: Od
         deviations = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
         return np.broadcast_to(np.diag(deviations**2), (len(log), 3, 3))
     given = as_floats(covariances, "covariances")
-    if given.shape != (len(log), 3, 3):
-        raise InvalidInputError(f"covariances: expected shape ({len(log)}, 3, 3), got {given.shape}")
+    require(given.shape == (len(log), 3, 3), "covariances", f"shape ({len(log)}, 3, 3)", given.shape)
     posed = np.isfinite(log.poses).all(axis=1)
     if not np.isfinite(given[posed]).all():
         raise InvalidInputError("covariances: expected finite numbers wherever there is a pose")

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, require
 from beamfield.calibration.odometry.noise_family import NoiseFamily
 from beamfield.calibration.odometry.noise_fit import fit_levels, matched_levels
 from beamfield.calibration.odometry.windows import OdometryWindows
@@ -64,8 +64,7 @@ class OdometryOptions:
                 raise InvalidInputError(f"{name}: expected a finite positive number, got {value}")
         if self.window < 1:
             raise InvalidInputError(f"window: expected at least 1, got {self.window}")
-        if not 0.0 < self.level < 1.0:
-            raise InvalidInputError(f"level: expected a share between 0 and 1, got {self.level}")
+        require(0.0 < self.level < 1.0, "level", "a share between 0 and 1", self.level)
 
 
 @dataclass(frozen=True)

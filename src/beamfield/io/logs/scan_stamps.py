@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.arguments import require
+from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
 
 StampRule = Literal["file", "order"]
@@ -82,8 +83,7 @@ def resolve_stamps(
     InvalidInputError
         If the rule is unknown.
     """
-    if rule not in ("file", "order"):
-        raise InvalidInputError(f"stamps: expected 'file' or 'order', got {rule!r}")
+    require(rule in ("file", "order"), "stamps", "'file' or 'order'", rule)
     table = np.asarray(columns, dtype=np.float64)
     numbered = np.arange(len(table), dtype=np.float64)
     if rule == "order":

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from beamfield.arguments import checked
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
 from beamfield.calibration.cross_fit import CrossFitMaps, cross_fit_table
-from beamfield.calibration.cross_fit_result import (
-    cross_fit_findings,
-    wall_variance,
-    with_clutter,
-    without_wall_error,
-)
+from beamfield.calibration.cross_fit_result import cross_fit_findings, wall_variance, with_clutter, without_wall_error
 from beamfield.calibration.evaluation import (
     DEFAULTS,
     ModelScore,

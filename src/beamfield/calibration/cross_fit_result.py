@@ -36,11 +36,7 @@ FEW_USED = 0.25
 
 
 def with_clutter(
-    parameters: BeamParameters,
-    intervals: IntervalResult,
-    n_beams: int,
-    clutter: BeamTable,
-    options: CalibrationOptions,
+    parameters: BeamParameters, intervals: IntervalResult, n_beams: int, clutter: BeamTable, options: CalibrationOptions
 ) -> tuple[BeamParameters, IntervalResult]:
     """Average the weights over beams that met walls and beams that met clutter.
 
@@ -87,9 +83,7 @@ def with_clutter(
         ends["lambda_short"] = min(low, fit.lambda_short), max(high, fit.lambda_short)
     errors = {name: average(intervals.standard_errors[name], there.standard_errors[name]) for name in names}
     return replace(parameters, **weights), replace(
-        intervals,
-        intervals={**intervals.intervals, **ends},
-        standard_errors={**intervals.standard_errors, **errors},
+        intervals, intervals={**intervals.intervals, **ends}, standard_errors={**intervals.standard_errors, **errors}
     )
 
 

@@ -74,12 +74,7 @@ class PoseLattice:
     @classmethod
     @checked
     def over_map(
-        cls,
-        grid: OccupancyGrid,
-        *,
-        resolution: float = 0.1,
-        headings: int = 72,
-        where: Literal["free", "all"] = "free",
+        cls, grid: OccupancyGrid, *, resolution: float = 0.1, headings: int = 72, where: Literal["free", "all"] = "free"
     ) -> PoseLattice:
         """Cover a map, with all headings.
 

@@ -284,11 +284,7 @@ def judge_change(
     lost = [sum(one.n_lost for one in trials) for trials in (before, after)]
     harmless = not any(one.is_higher for one in by_log.values()) and lost[1] <= lost[0]
     return ReplayVerdict(
-        is_better=overall.is_lower and harmless,
-        overall=overall,
-        by_log=by_log,
-        lost_before=lost[0],
-        lost_after=lost[1],
+        is_better=overall.is_lower and harmless, overall=overall, by_log=by_log, lost_before=lost[0], lost_after=lost[1]
     )
 
 

@@ -8,12 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beamfield.geometry import FloatArray, between, wrap_angle, wrapped
-from beamfield.kernels.motion import (
-    EXACT,
-    fill_gaussian_samples,
-    fill_rotation_log_densities,
-    fill_rotation_samples,
-)
+from beamfield.kernels.motion import EXACT, fill_gaussian_samples, fill_rotation_log_densities, fill_rotation_samples
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,7 @@ from beamfield.arguments import as_floats, checked, require
 from beamfield.calibration.intrinsic.climb import Climb, climb
 from beamfield.calibration.intrinsic.identifiability import Mode, identifiability_findings
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
-from beamfield.calibration.intrinsic.likelihood import (
-    IntrinsicLikelihood,
-    parameters_of,
-    theta_of,
-)
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of, theta_of
 from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.intrinsic.starts import MOST_STARTS, data_driven_starts
 from beamfield.errors import InvalidInputError, TooLittleDataError

@@ -237,8 +237,17 @@ class RayCaster:
         InvalidInputError
             As for `cast`.
         """
-        ahead = RangeFinder.from_bearings([0.0], max_range)
-        return self.expected_hits(as_poses(origins, "origins"), ahead)[..., 0, :]
+        rays = as_poses(origins, "origins")
+        cells = np.empty((*rays.shape[:-1], 2), np.int32)
+        rows, results = pose_rows(rays), cells.reshape(-1, 2)
+        frame, terrain, ahead = frame_of(self.grid), self._terrain(max_range), kernels.one_beam()
+
+        def work(start: int, stop: int) -> None:
+            part = results[start:stop]
+            kernels.trace_fan(rows[start:stop], frame, ahead, terrain, np.empty(len(part)), part, False)
+
+        run_in_blocks(work, len(rows))
+        return cells
 
     def fill_sums_on_device(
         self, poses: FloatArray, finder: RangeFinder, ranges: FloatArray, view: BeamView, out: FloatArray

@@ -63,7 +63,7 @@ def kept_information_figure(world: FigureWorld) -> Figure:
     size = (12.0, float(np.clip(3.6 * aspect, 4.0, 9.0))) if beside else (8.4, float(np.clip(22.0 * aspect, 6.0, 18.0)))
     figure = new_figure(*size)
     axes = figure.subplots(*((1, 3) if beside else (3, 1)))
-    densities = [posterior.position_mass() / RESOLUTION**2 for _, posterior in panels]
+    densities = [position_mass(posterior) / RESOLUTION**2 for _, posterior in panels]
     top = max(float(np.nanmax(density)) for density in densities)
     for ax, (title, posterior), density in zip(axes, panels, densities, strict=True):
         image = draw_posterior(posterior, density, world.grid, ax, top)
@@ -102,6 +102,13 @@ def _scan_with_corners(world: FigureWorld) -> int:
     posed = np.flatnonzero(np.isfinite(world.log.poses).all(axis=1))
     tried = posed[np.linspace(0, len(posed) - 1, min(len(posed), SCANS_TRIED)).astype(int)]
     return int(max(tried, key=lambda index: len(find_corners(find_lines(world.log.scan(index), noise)))))
+
+
+def position_mass(posterior: PosePosterior) -> np.ndarray:
+    """Return the probability of each position (rows, cols), headings summed; NaN where there is no cell."""
+    mass = np.full(posterior.lattice.inside.shape, np.nan)
+    mass[posterior.lattice.inside] = np.exp(posterior.log_mass).sum(axis=1)
+    return mass
 
 
 def draw_posterior(

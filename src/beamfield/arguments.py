@@ -211,8 +211,7 @@ def check_magnitude(name: str, sigma: float) -> None:
     InvalidInputError
         If it is not from 1e-12 to 1e9.
     """
-    if not SMALLEST <= sigma <= LARGEST:
-        raise InvalidInputError(f"{name}: expected a positive number from {SMALLEST:g} to {LARGEST:g}, got {sigma}")
+    require(SMALLEST <= sigma <= LARGEST, name, f"a positive number from {SMALLEST:g} to {LARGEST:g}", sigma)
 
 
 def _blame(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], error: Exception) -> None:

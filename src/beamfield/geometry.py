@@ -14,6 +14,8 @@ from beamfield.errors import InvalidInputError
 FloatArray = NDArray[np.float64]
 # OpenBLAS computes dot products of up to 10,000 numbers without further threads.
 BLAS_ALONE = 9_000
+# Single poses as plain numbers: a step of arrays of one pose takes 50 us, and a filter makes several for each scan.
+Pose = tuple[float, float, float]
 
 
 def as_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
@@ -283,3 +285,20 @@ def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> FloatArray:
     x, y, z, w = (as_floats(value, name) for name, value in zip("xyzw", (x, y, z, w), strict=True))
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def step_between(a: Pose, b: Pose) -> Pose:
+    """Return the pose of b seen from a, as `between` does, of single poses."""
+    dx, dy, cos, sin = b[0] - a[0], b[1] - a[1], math.cos(a[2]), math.sin(a[2])
+    return cos * dx + sin * dy, cos * dy - sin * dx, wrapped(b[2] - a[2])
+
+
+def after_step(a: Pose, step: Pose) -> Pose:
+    """Return the pose that is reached from a by a step, as `compose` does, of single poses."""
+    cos, sin = math.cos(a[2]), math.sin(a[2])
+    return a[0] + cos * step[0] - sin * step[1], a[1] + sin * step[0] + cos * step[1], wrapped(a[2] + step[2])
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle in (-pi, pi], as `wrap_angle` does, of a single one."""
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)

@@ -224,7 +224,7 @@ def test_windows_that_make_no_sense_are_refused():
         SearchWindow([0.0, 0.0, 0.0], -1.0)
     with pytest.raises(InvalidInputError, match=r"turn: .* got nan"):
         SearchWindow([0.0, 0.0, 0.0], turn=np.nan)
-    with pytest.raises(InvalidInputError, match=r"center: expected \(x, y, theta\), got shape \(1, 3\)"):
+    with pytest.raises(InvalidInputError, match=r"center: expected shape \(3,\), got \(1, 3\)"):
         SearchWindow([[0.0, 0.0, 0.0]])
     with pytest.raises(InvalidInputError, match="center: expected finite numbers"):
         SearchWindow([0.0, np.nan, 0.0])

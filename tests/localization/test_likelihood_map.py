@@ -117,20 +117,14 @@ def test_a_scan_without_a_measurement_is_as_likely_everywhere(grid):
         assert (result.log_likelihood[result.evaluated] == 0.0).all()
 
 
-def test_a_mask_chooses_the_cells(grid, truth):
-    scan = noisy_scan(grid, truth, finder())
-    mask = np.zeros((40, 60), bool)
-    mask[14, 21] = True
-    result = likelihood_map(wide_model(grid), scan, grid, where=mask)
-    assert result.n_poses == 72
-    assert result.best_cell == result.cell_of(truth) == (14, 21)
+def test_free_cells_are_evaluated_and_found_by_pose(grid, truth):
+    result = likelihood_map(wide_model(grid), noisy_scan(grid, truth, finder()), grid, headings=8)
+    # Centres of the lattice lie on corners of the map's cells, and belong to the cell above.
+    np.testing.assert_array_equal(result.evaluated, grid.free[1::2, 1::2])
+    assert result.n_poses == 8 * result.evaluated.sum()
+    assert result.cell_of(truth) == (14, 21)
     assert result.cell_of(np.array([100.0, 0.0, 0.0])) is None
-    assert result.share_above(result.log_likelihood[14, 21]) == 0.0
-    every = likelihood_map(wide_model(grid), scan, grid, where="all", headings=8)
-    known = likelihood_map(wide_model(grid), scan, grid, where="known", headings=8)
-    assert every.evaluated.all()
-    assert not known.evaluated[30:, 45:].any()
-    assert known.evaluated[:30].all()
+    assert result.share_above(result.log_likelihood[result.best_cell]) == 0.0
 
 
 def test_progress_ends_with_the_total(grid, truth):
@@ -146,11 +140,8 @@ def test_progress_ends_with_the_total(grid, truth):
         ({"resolution": 0.0}, "resolution: expected a positive"),
         ({"resolution": 1e-5}, "more than"),
         ({"headings": 0}, "headings: expected 1 to 3600, got 0"),
-        ({"where": "walls"}, "where: expected 'free', 'known', 'all' or a mask, got 'walls'"),
-        ({"where": np.ones((2, 2), bool)}, r"expected a mask of shape \(40, 60\)"),
-        ({"where": np.zeros((40, 60), bool)}, "no cell to evaluate"),
     ],
-    ids=["step", "fine", "headings", "word", "shape", "empty"],
+    ids=["step", "fine", "headings"],
 )
 def test_what_makes_no_sense_is_refused(grid, options, message):
     with pytest.raises(InvalidInputError, match=message):

@@ -290,6 +290,14 @@ def test_an_impossible_measurement_changes_no_weight(room, recovery):
     assert np.isfinite(own.belief.poses).all()
 
 
+def test_weights_that_start_accepts_are_drawn_by_after_an_impossible_measurement():
+    """A sum that misses 1 by what single precision leaves is no error, whenever the weights are looked at."""
+    own = ParticleFilter(Given(-np.inf), GaussianMotion(), FilterOptions(n_particles=100, **ALWAYS), rng=0)
+    own.start(np.zeros((100, 3)), np.full(100, (1.0 + 5e-7) / 100) * np.repeat([0.1, 1.9], 50))
+    assert own.update(None, np.zeros(3)).is_impossible
+    assert len(own.belief) == 100
+
+
 def test_particles_of_no_weight_stay_so_however_likely():
     values = np.array([-1000.0, 500.0])
     own = ParticleFilter(Given(values), GaussianMotion(), FilterOptions(resample_below=0.0), rng=0)

@@ -14,8 +14,7 @@ from beamfield.localization.resampling import (
     KldSampling,
     PoseBins,
     bin_numbers,
-    effective_size,
-    kld_indices,
+    draw_enough,
     systematic_indices,
 )
 
@@ -81,12 +80,13 @@ def test_drawing_stops_as_soon_as_there_are_enough_for_the_bins_hit(rng):
     weights = rng.random(3000)
     weights /= weights.sum()
     kld = KldSampling(least=20, error=0.2, bins=PoseBins(0.7, 12))
-    indices = kld_indices(weights, poses, 100_000, kld, rng)
+    bins, n_bins = bin_numbers(poses, kld.bins)[:2]
+    indices = draw_enough(weights, bins, n_bins, 100_000, kld, rng)
     keys = np.column_stack([np.floor(poses[:, :2] / 0.7), np.floor((poses[:, 2] % (2 * np.pi)) / (2 * np.pi) * 12)])
     for n in (len(indices), len(indices) - 1):
         k = len(np.unique(keys[indices[:n]], axis=0))
         assert (n >= kld.particles_needed(k)) == (n == len(indices))
-    assert len(kld_indices(weights, poses, 50, kld, rng)) == 50
+    assert len(draw_enough(weights, bins, n_bins, 50, kld, rng)) == 50
 
 
 def test_bins_are_numbered_as_a_dictionary_would(rng):
@@ -110,11 +110,8 @@ def test_bad_numbers_are_refused(rng):
             systematic_indices(weights, 3, rng)
     with pytest.raises(InvalidInputError, match="n: expected at least 1"):
         systematic_indices([1.0], 0, rng)
-    with pytest.raises(InvalidInputError, match="one per weight"):
-        kld_indices([1.0], np.zeros((2, 3)), 5, KldSampling(), rng)
     for options in ({"least": 0}, {"error": 0.0}, {"probability": 1.0}):
         with pytest.raises(InvalidInputError, match=next(iter(options))):
             KldSampling(**options)
     with pytest.raises(InvalidInputError, match="cell"):
         PoseBins(0.0)
-    assert effective_size([0.5, 0.5, 0.0]) == pytest.approx(2.0)

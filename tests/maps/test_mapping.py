@@ -287,10 +287,10 @@ def test_sharpness_falls_when_poses_are_wrong(rng):
     assert share_of_hits_in_obstacles(world, as_log(np.full((60, 90), np.inf), poses, finder)) == 0.0
 
 
-def test_tolerance_of_sharpness_is_a_distance():
+def test_a_hit_counts_as_sharp_in_the_cell_of_an_obstacle_and_in_the_next():
     world = OccupancyGrid([[1.0, 0.0, 0.0, 0.0]], 0.5)
-    log = as_log([[0.3]], [(1.0, 0.25, 0.0)], AHEAD)  # ends in the third cell
-    assert [share_of_hits_in_obstacles(world, log, tolerance=d) for d in (0.0, 0.5, 0.6, 1.0)] == [0.0, 0.0, 1.0, 1.0]
+    logs = [as_log([[0.3]], [(x, 0.25, 0.0)], AHEAD) for x in (0.0, 0.5, 1.0)]  # ends in the first, second, third cell
+    assert [share_of_hits_in_obstacles(world, log) for log in logs] == [1.0, 1.0, 0.0]
 
 
 def test_chunks_do_not_matter(monkeypatch, rng):

@@ -204,7 +204,7 @@ def test_where_a_field_ends_makes_no_difference(room, rng):
     """Past 8 sigma a hit is lost in z_rand: the continued field may stop there."""
     scan = random_scan(rng)
     poses = np.column_stack([rng.uniform(-12, 12, (500, 2)), rng.uniform(-3, 3, 500)])
-    wide = LikelihoodFieldModel.from_distances(DistanceField.from_grid(room, margin=15.0), PARAMETERS)
+    wide = LikelihoodFieldModel(room, PARAMETERS, distances=DistanceField.from_grid(room, margin=15.0))
     np.testing.assert_allclose(model_of(room).log_likelihood(scan, poses), wide.log_likelihood(scan, poses), rtol=1e-7)
 
 

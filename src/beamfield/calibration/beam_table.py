@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -25,7 +25,7 @@ Progress = Callable[[int, int], None]
 # Scans per call of the ray caster: keeps memory small and progress alive.
 SCANS_PER_CHUNK = 256
 COLUMNS = ("ranges", "expected_ranges", "scan", "beam", "stamps")
-COUNTS = ("n_no_measurement", "n_unknown", "n_too_close")
+COUNTS = ("n_no_measurement", "n_unknown", "n_unsure", "n_too_close")
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +151,11 @@ def build_beam_table(
         parts.append(caster.cast(log, chosen[start : start + SCANS_PER_CHUNK]))
         if progress is not None and len(chosen):
             progress(min(start + SCANS_PER_CHUNK, len(chosen)), len(chosen))
+    return join_tables(parts)
+
+
+def join_tables(parts: Sequence[BeamTable]) -> BeamTable:
+    """Return the beams of tables of one sensor as one table, one after the other."""
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
     joined |= {name: sum(getattr(part, name) for part in parts) for name in COUNTS}
     return replace(parts[0], **joined)

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from beamfield.arguments import checked
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
 from beamfield.calibration.cross_fit import CrossFitMaps, cross_fit_table
-from beamfield.calibration.cross_fit_result import (
-    cross_fit_findings,
-    wall_variance,
-    with_clutter,
-    without_wall_error,
-)
+from beamfield.calibration.cross_fit_result import cross_fit_findings, wall_variance, with_clutter, without_wall_error
 from beamfield.calibration.evaluation import (
     DEFAULTS,
     ModelScore,
@@ -40,8 +35,8 @@ from beamfield.calibration.findings import (
     selection_findings,
     table_findings,
 )
-from beamfield.calibration.hit_forms import Candidate, Progress, fit_candidates
-from beamfield.calibration.intrinsic.block_intervals import IntervalResult, block_intervals
+from beamfield.calibration.hit_forms import Candidate, Progress, fit_candidates, form_intervals
+from beamfield.calibration.intrinsic.block_intervals import IntervalResult
 from beamfield.calibration.intrinsic.em import LearningResult
 from beamfield.calibration.opposite_beams import OppositeBeams, map_findings, opposite_beams
 from beamfield.calibration.options import CalibrationOptions
@@ -213,7 +208,7 @@ def calibrate(
     Sections 6.3.2 and 6.3.3, Table 6.2.
     """
     options = options or CalibrationOptions()
-    report = progress or _silent
+    report = progress or (lambda _stage, _done, _total: None)
     whole = grid.whole if isinstance(grid, CrossFitMaps) else grid
     if not whole.occupied.any():
         raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
@@ -235,7 +230,9 @@ def calibrate(
     fit = chosen.result.parameters
     fitted = table.select(~held_out & ~table.hits_nothing)
     report("intervals", 0, 1)
-    intervals = _intervals(fitted, chosen, options)
+    intervals = form_intervals(
+        fitted, fit, options.hold, options.block_s, offset=chosen.has_offset, slope=chosen.has_slope
+    )
     from_table: Iterable[Finding] = table_findings(table)
     if isinstance(grid, CrossFitMaps):
         if clutter is not None:
@@ -291,10 +288,6 @@ def calibrate(
     )
 
 
-def _silent(stage: str, done: int, total: int) -> None:
-    """Report nothing."""
-
-
 def _cast(
     log: SensorLog,
     grid: OccupancyGrid | CrossFitMaps,
@@ -327,22 +320,6 @@ def _require_beams(table: BeamTable, held_out: NDArray[np.bool_], selection: Sel
                 f"{table.n_nan} are NaN, {table.n_too_close} too close, {table.n_unknown} cross unknown space, "
                 f"{nothing} hit nothing{question}"
             )
-
-
-def _intervals(table: BeamTable, chosen: Candidate, options: CalibrationOptions) -> IntervalResult:
-    """Return intervals from the beams that the parameters were fitted to."""
-    return block_intervals(
-        table.ranges,
-        table.expected_ranges,
-        table.stamps,
-        table.max_range,
-        chosen.result.parameters,
-        min_range=table.min_range,
-        fit_offset=chosen.has_offset,
-        fit_sigma_slope=chosen.has_slope,
-        hold=options.hold,
-        block_s=options.block_s,
-    )
 
 
 def _refine(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.arguments import checked
-from beamfield.calibration.beam_table import BeamTable, UnknownRule, build_beam_table
+from beamfield.calibration.beam_table import BeamTable, UnknownRule, build_beam_table, join_tables
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.maps.drawn_walls import CLUTTER, LINE, NOTHING, UNSEEN, UNSURE, ranges_to_walls
 from beamfield.maps.hit_counts import FREE_AFTER_ONE_PASS, HitCounts, count_hits, grid_of_counts
@@ -199,18 +199,5 @@ def _tables_of_walls(log: SensorLog, counts: HitCounts, scans: NDArray[np.bool_]
 
 
 def _in_order_of_scans(parts: list[BeamTable]) -> BeamTable:
-    scan = np.concatenate([part.scan for part in parts])
-    order = np.argsort(scan, kind="stable")
-    return BeamTable(
-        np.concatenate([part.ranges for part in parts])[order],
-        np.concatenate([part.expected_ranges for part in parts])[order],
-        scan[order],
-        np.concatenate([part.beam for part in parts])[order],
-        np.concatenate([part.stamps for part in parts])[order],
-        parts[0].max_range,
-        sum(part.n_no_measurement for part in parts),
-        sum(part.n_unknown for part in parts),
-        parts[0].min_range,
-        sum(part.n_unsure for part in parts),
-        sum(part.n_too_close for part in parts),
-    )
+    joined = join_tables(parts)
+    return joined.select(np.argsort(joined.scan, kind="stable"))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.cross_fit import CrossFitMaps
-from beamfield.calibration.intrinsic.block_intervals import IntervalResult, block_intervals
-from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
+from beamfield.calibration.hit_forms import form_intervals, learn_form
+from beamfield.calibration.intrinsic.block_intervals import IntervalResult
 from beamfield.calibration.options import CalibrationOptions
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
@@ -36,11 +36,7 @@ FEW_USED = 0.25
 
 
 def with_clutter(
-    parameters: BeamParameters,
-    intervals: IntervalResult,
-    n_beams: int,
-    clutter: BeamTable,
-    options: CalibrationOptions,
+    parameters: BeamParameters, intervals: IntervalResult, n_beams: int, clutter: BeamTable, options: CalibrationOptions
 ) -> tuple[BeamParameters, IntervalResult]:
     """Average the weights over beams that met walls and beams that met clutter.
 
@@ -69,25 +65,8 @@ def with_clutter(
     if len(clutter) < FEWEST_IN_CLUTTER:
         return parameters, intervals
     hold = {name: value for name, value in options.hold.items() if name in (*WEIGHTS, "lambda_short")}
-    fit = learn_intrinsic_parameters(
-        clutter.ranges,
-        clutter.expected_ranges,
-        clutter.max_range,
-        min_range=clutter.min_range,
-        fit_offset=True,
-        hold=hold,
-    ).parameters
-    there = block_intervals(
-        clutter.ranges,
-        clutter.expected_ranges,
-        clutter.stamps,
-        clutter.max_range,
-        fit,
-        min_range=clutter.min_range,
-        fit_offset=True,
-        hold=hold,
-        block_s=options.block_s,
-    )
+    fit = learn_form(clutter, hold, offset=True).parameters
+    there = form_intervals(clutter, fit, hold, options.block_s, offset=True)
     share = n_beams / (n_beams + len(clutter))
 
     def average(here: float, there: float) -> float:
@@ -104,9 +83,7 @@ def with_clutter(
         ends["lambda_short"] = min(low, fit.lambda_short), max(high, fit.lambda_short)
     errors = {name: average(intervals.standard_errors[name], there.standard_errors[name]) for name in names}
     return replace(parameters, **weights), replace(
-        intervals,
-        intervals={**intervals.intervals, **ends},
-        standard_errors={**intervals.standard_errors, **errors},
+        intervals, intervals={**intervals.intervals, **ends}, standard_errors={**intervals.standard_errors, **errors}
     )
 
 

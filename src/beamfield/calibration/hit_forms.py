@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.beam_table import BeamTable
 from beamfield.calibration.evaluation import block_standard_error, is_worth_it, log_density
+from beamfield.calibration.intrinsic.block_intervals import IntervalResult, block_intervals
 from beamfield.calibration.intrinsic.em import LearningResult, learn_intrinsic_parameters
 from beamfield.calibration.options import CalibrationOptions, Choice
 from beamfield.geometry import FloatArray
+from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
 
 Progress = Callable[[str, int, int], None]
@@ -93,7 +95,7 @@ def fit_candidates(
     results: list[LearningResult] = []
     for number, (offset, slope) in enumerate(forms):
         progress("learning", number, len(forms))
-        results.append(_learn(fitted, options, offset=offset, slope=slope))
+        results.append(learn_form(fitted, options.hold, offset=offset, slope=slope))
     progress("learning", len(forms), len(forms))
     densities = [log_density(judged, result.parameters) for result in results]
     gains = [density - densities[0] for density in densities]
@@ -113,7 +115,10 @@ def fit_candidates(
     )
 
 
-def _learn(table: BeamTable, options: CalibrationOptions, *, offset: bool, slope: bool) -> LearningResult:
+def learn_form(
+    table: BeamTable, hold: Mapping[str, float], *, offset: bool = False, slope: bool = False
+) -> LearningResult:
+    """Learn the parameters of one form of the hit component from a table's beams; see `learn_intrinsic_parameters`."""
     return learn_intrinsic_parameters(
         table.ranges,
         table.expected_ranges,
@@ -121,7 +126,31 @@ def _learn(table: BeamTable, options: CalibrationOptions, *, offset: bool, slope
         min_range=table.min_range,
         fit_offset=offset,
         fit_sigma_slope=slope,
-        hold=options.hold,
+        hold=hold,
+    )
+
+
+def form_intervals(
+    table: BeamTable,
+    parameters: BeamParameters,
+    hold: Mapping[str, float],
+    block_s: float | None,
+    *,
+    offset: bool = False,
+    slope: bool = False,
+) -> IntervalResult:
+    """Return the intervals of parameters that were learned from these beams; see `block_intervals`."""
+    return block_intervals(
+        table.ranges,
+        table.expected_ranges,
+        table.stamps,
+        table.max_range,
+        parameters,
+        min_range=table.min_range,
+        fit_offset=offset,
+        fit_sigma_slope=slope,
+        hold=hold,
+        block_s=block_s,
     )
 
 

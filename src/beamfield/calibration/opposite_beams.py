@@ -92,12 +92,7 @@ def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) 
             replicates.append(_robust_line(mapped[rest], measured[rest]))
     scale_se, widening_se = jackknife_error(np.array(replicates)) if len(replicates) > 1 else (np.nan, np.nan)
     return OppositeBeams(
-        n_pairs,
-        float(np.median(measured - mapped)),
-        scale,
-        float(scale_se),
-        widening,
-        float(widening_se),
+        n_pairs, float(np.median(measured - mapped)), scale, float(scale_se), widening, float(widening_se)
     )
 
 

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, require
 from beamfield.calibration.beam_table import UnknownRule
 from beamfield.calibration.selection import SelectionOptions
-from beamfield.errors import InvalidInputError
 
 Choice = Literal["auto", "on", "off"]
 
@@ -54,5 +53,4 @@ class CalibrationOptions:
             ("range_offset", ("auto", "on", "off")),
             ("sigma_slope", ("auto", "on", "off")),
         ):
-            if getattr(self, name) not in allowed:
-                raise InvalidInputError(f"{name}: expected one of {allowed}, got {getattr(self, name)!r}")
+            require(getattr(self, name) in allowed, name, f"one of {allowed}", getattr(self, name))

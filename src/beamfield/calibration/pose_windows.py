@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from beamfield.arguments import require
 from beamfield.calibration.selection import SelectionOptions, select_scans
 from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -76,13 +77,10 @@ class WindowOptions:
             if getattr(self, name) < least:
                 raise InvalidInputError(f"{name}: expected at least {least}, got {getattr(self, name)}")
         for name in ("spread", "turn_spread", "reference_error", "reference_turn_error"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a positive number, got {getattr(self, name)}")
+            require(0.0 < getattr(self, name) < np.inf, name, "a positive number", getattr(self, name))
         for name in ("travel", "turn"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a number >= 0, got {getattr(self, name)}")
-        if not 0.0 <= self.far_share < 1.0:
-            raise InvalidInputError(f"far_share: expected a number in [0, 1), got {self.far_share}")
+            require(0.0 <= getattr(self, name) < np.inf, name, "a number >= 0", getattr(self, name))
+        require(0.0 <= self.far_share < 1.0, "far_share", "a number in [0, 1)", self.far_share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, require
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.maps.occupancy import OccupancyGrid
@@ -65,8 +65,7 @@ class SelectionOptions:
         check_fields(self)
         for name in ("min_travel", "min_turn", "max_turn_rate", "max_jump", "max_jump_turn", "min_scans"):
             value = getattr(self, name)
-            if not value >= 0:
-                raise InvalidInputError(f"{name}: expected a number >= 0, got {value}")
+            require(value >= 0, name, "a number >= 0", value)
 
 
 @dataclass(frozen=True, eq=False)

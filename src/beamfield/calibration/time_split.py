@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 
 # Beams of one scan and of scans within some 20 s depend on each other; shorter blocks would share their errors.
@@ -75,8 +76,7 @@ def block_length(stamps: ArrayLike, block_s: float | None = None) -> float:
     if block_s is None:
         times = np.asarray(stamps, dtype=np.float64)
         return min(LONGEST_BLOCK_S, float(np.ptp(times)) / FEWEST_BLOCKS) if times.size else 0.0
-    if not block_s > 0:
-        raise InvalidInputError(f"block_s: expected a positive number of seconds, got {block_s}")
+    require(block_s > 0, "block_s", "a positive number of seconds", block_s)
     return float(block_s)
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import checked, require
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.straight_line import Line, axes
 from beamfield.geometry import FloatArray, wrap_angle
@@ -47,10 +46,8 @@ def find_corners(
     InvalidInputError
         If a limit makes no sense.
     """
-    if not max_distance > 0.0:
-        raise InvalidInputError(f"max_distance: expected a positive number of metres, got {max_distance}")
-    if not 0.0 < min_turn < np.pi / 2:
-        raise InvalidInputError(f"min_turn: expected (0, pi/2) radians, got {min_turn}")
+    require(max_distance > 0.0, "max_distance", "a positive number of metres", max_distance)
+    require(0.0 < min_turn < np.pi / 2, "min_turn", "(0, pi/2) radians", min_turn)
     corners = []
     for number in sorted({line.sweep for line in lines}):
         of_sweep = [line for line in lines if line.sweep == number]

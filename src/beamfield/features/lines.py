@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.features.partition import straight_pieces
 from beamfield.features.straight_line import Line, fit_line
@@ -63,8 +63,7 @@ def find_lines(
     """
     if min_points < 3:
         raise InvalidInputError(f"min_points: expected at least 3, got {min_points}")
-    if not min_length >= 0.0:
-        raise InvalidInputError(f"min_length: expected a number of metres >= 0, got {min_length}")
+    require(min_length >= 0.0, "min_length", "a number of metres >= 0", min_length)
     lines = []
     for number, sweep in enumerate(sweeps(scan)):
         runs = split_at_gaps(sweep, noise, max_gap=max_gap)

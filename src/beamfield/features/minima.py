@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import checked, require
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.sweep import RangeNoise, Sweep, split_at_gaps, sweeps
 from beamfield.geometry import FloatArray
@@ -64,8 +63,7 @@ def find_local_minima(
     InvalidInputError
         If a limit makes no sense.
     """
-    if not 0.0 < half_width < np.pi / 4:
-        raise InvalidInputError(f"half_width: expected (0, pi/4) radians, got {half_width}")
+    require(0.0 < half_width < np.pi / 4, "half_width", "(0, pi/4) radians", half_width)
     found = []
     for sweep in sweeps(scan):
         if np.ptp(sweep.origins, axis=0).max() > 1e-5:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtr, ndtri
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.features.feature import Feature, polar_jacobian
 from beamfield.features.straight_line import fit_line
@@ -97,10 +97,8 @@ def find_poles(
     """
     if min_points < 3:
         raise InvalidInputError(f"min_points: expected at least 3, got {min_points}")
-    if not max_diameter > 0.0:
-        raise InvalidInputError(f"max_diameter: expected a positive number of metres, got {max_diameter}")
-    if not clearance > 0.0:
-        raise InvalidInputError(f"clearance: expected a positive number of metres, got {clearance}")
+    require(max_diameter > 0.0, "max_diameter", "a positive number of metres", max_diameter)
+    require(clearance > 0.0, "clearance", "a positive number of metres", clearance)
     poles = []
     for sweep in sweeps(scan):
         for run in split_at_gaps(sweep, noise, max_gap=max_gap):

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import check_fields, require
 from beamfield.geometry import FloatArray
 from beamfield.sensors import Scan, usable_ranges
 
@@ -46,12 +45,9 @@ class RangeNoise:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0.0 < self.sigma_range < np.inf:
-            raise InvalidInputError(f"sigma_range: expected a positive number of metres, got {self.sigma_range}")
-        if not 0.0 <= self.sigma_bearing < np.inf:
-            raise InvalidInputError(f"sigma_bearing: expected a number of radians >= 0, got {self.sigma_bearing}")
-        if not 0.0 <= self.sigma_slope < np.inf:
-            raise InvalidInputError(f"sigma_slope: expected a number >= 0, got {self.sigma_slope}")
+        require(0.0 < self.sigma_range < np.inf, "sigma_range", "a positive number of metres", self.sigma_range)
+        require(0.0 <= self.sigma_bearing < np.inf, "sigma_bearing", "a number of radians >= 0", self.sigma_bearing)
+        require(0.0 <= self.sigma_slope < np.inf, "sigma_slope", "a number >= 0", self.sigma_slope)
 
     def along(self, ranges: ArrayLike) -> FloatArray:
         """Return the standard deviation along the beam at ranges in metres, same shape, metres."""
@@ -176,8 +172,7 @@ def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float = 0.5) -> l
     G. A. Borges and M.-J. Aldon, "Line extraction in 2D range images for mobile robotics", Journal of Intelligent and
     Robotic Systems 40, 2004.
     """
-    if not max_gap > 0.0:
-        raise InvalidInputError(f"max_gap: expected a positive number of metres, got {max_gap}")
+    require(max_gap > 0.0, "max_gap", "a positive number of metres", max_gap)
     places = np.flatnonzero(sweep.returned)
     if len(places) == 0:
         return []

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.sensors import NoReturnPolicy
@@ -121,8 +122,7 @@ def resolve_no_return(
 
 def _check(rule: NoReturnRule, declared_max: float | None, max_range: float | None) -> None:
     if isinstance(rule, str):
-        if rule not in ("detect", "none"):
-            raise InvalidInputError(f"no_return: expected 'detect', 'none' or a tuple of metres, got {rule!r}")
+        require(rule in ("detect", "none"), "no_return", "'detect', 'none' or a tuple of metres", rule)
     elif not all(np.isfinite(v) and v >= 0.0 for v in rule):
         raise InvalidInputError(f"no_return: expected values >= 0 in metres, got {rule!r}")
     for name, limit in (("declared_max", declared_max), ("max_range", max_range)):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray, interpolate_poses, wrap_angle, yaw_from_quaternion
 from beamfield.io.files.atomic import write_file
@@ -140,8 +140,7 @@ def attach_poses(log: ScanLog, track: Track, *, max_gap: float = MAX_GAP) -> Sca
     InvalidInputError
         If no scan gets a pose, or indices or times show that the trajectory belongs to another log.
     """
-    if not max_gap > 0.0:
-        raise InvalidInputError(f"max_gap: expected seconds > 0, got {max_gap!r}")
+    require(max_gap > 0.0, "max_gap", "seconds > 0", max_gap)
     by_index = isinstance(track, IndexedTrack) and len(log.sensors) == 1
     sensors, notes = {}, list(log.notes)
     for name, sensor in log.sensors.items():

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from beamfield.arguments import require
 from beamfield.calibration.block_errors import share_interval
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.landmark_noise.em import NoiseLikelihood, NoiseTheta, climb_noise
@@ -96,10 +96,8 @@ def noise_intervals(
     Korn and Graubard, "Confidence intervals for proportions with small expected number of positive counts estimated
     from survey data", Survey Methodology 24, 1998.
     """
-    if n_replicates < 2:
-        raise InvalidInputError(f"n_replicates: expected at least 2, got {n_replicates}")
-    if not 0.0 < level < 1.0:
-        raise InvalidInputError(f"level: expected a share between 0 and 1, got {level}")
+    require(n_replicates >= 2, "n_replicates", "at least 2", n_replicates)
+    require(0.0 < level < 1.0, "level", "a share between 0 and 1", level)
     _, number = np.unique(blocks, return_inverse=True)
     n_blocks = int(number.max()) + 1
     if n_blocks == 1:

@@ -202,13 +202,7 @@ def learn_landmark_parameters(
     if climb.theta.spurious_rate * len(table) < NO_SIGHTING:
         climb = replace(climb, theta=climb.theta._replace(spurious_rate=0.0))
     intervals = noise_intervals(
-        likelihood,
-        table.blocks,
-        climb.theta,
-        n_replicates=n_replicates,
-        level=level,
-        seed=seed,
-        progress=progress,
+        likelihood, table.blocks, climb.theta, n_replicates=n_replicates, level=level, seed=seed, progress=progress
     )
     of_landmark = likelihood.e_step(climb.theta)[1]
     residuals = _remaining(table, climb.theta)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beamfield.arguments import require
 from beamfield.calibration.time_split import time_blocks
 from beamfield.detection_log import DetectionLog
 from beamfield.detections import SPURIOUS, UNKNOWN
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, wrap_angle
 from beamfield.indices import subset_of
 from beamfield.maps.landmarks import LandmarkMap
@@ -110,8 +110,7 @@ def sighting_table(
         If an id is not in the map (it is named), or the mount or the length is not one.
     """
     sensor = as_poses(mount, "mount")
-    if sensor.shape != (3,):
-        raise InvalidInputError(f"mount: expected shape (3,), got {sensor.shape}")
+    require(sensor.shape == (3,), "mount", "shape (3,)", sensor.shape)
     blocks = _blocks(log, block_s)
     counts = [len(seen) for seen in log.detections]
     which = np.repeat(np.arange(len(log)), counts)

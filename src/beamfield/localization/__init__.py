@@ -8,7 +8,7 @@ from beamfield.lazy_names import lazy_names
 
 _NAMES = {
     "fitted_poses": ("cross_fit_poses",),
-    "global_search": ("SearchWindow",),
+    "search_window": ("SearchWindow",),
     "particle_filter": ("FilterOptions",),
     "particles": ("belief_poses", "free_poses"),
     "recovery": ("FreePoses", "PosesFromLandmarks", "PosesFromScan", "Recovery"),

@@ -3,7 +3,7 @@
 # ruff: noqa: I001 - several names a line, as in the front door's
 
 from beamfield.localization.fitted_poses import cross_fit_poses as cross_fit_poses
-from beamfield.localization.global_search import SearchWindow as SearchWindow
+from beamfield.localization.search_window import SearchWindow as SearchWindow
 from beamfield.localization.particle_filter import FilterOptions as FilterOptions
 from beamfield.localization.particles import belief_poses as belief_poses, free_poses as free_poses
 from beamfield.localization.recovery import (

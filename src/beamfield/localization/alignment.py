@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_count, checked
+from beamfield.arguments import as_count, checked, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, wrap_angle
+from beamfield.geometry import FloatArray, as_pose, wrap_angle
 from beamfield.kernels import scan_field as kernels
 from beamfield.localization.alignment_covariance import sandwich_covariance
 from beamfield.localization.weak_direction import START_DEVIATION, weigh_slides
@@ -303,13 +303,10 @@ def _covariance(points: FloatArray, field: ScanField, fit: _Fit, free: NDArray[n
 
 def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: float) -> FloatArray:
     """Return the initial pose, a copy."""
-    start = np.array(as_poses(initial, "initial"))
-    if start.shape != (3,):
-        raise InvalidInputError(f"initial: expected shape (3,), got {start.shape}")
+    start = as_pose(initial, "initial")
     if len(search) != 2 or not all(0.0 <= half < np.inf for half in search):
         raise InvalidInputError(f"search: expected half-widths >= 0 in metres and radians, got {search!r}")
-    if not 0.0 < threshold < 1.0:
-        raise InvalidInputError(f"threshold: expected a share between 0 and 1, got {threshold}")
+    require(0.0 < threshold < 1.0, "threshold", "a share between 0 and 1", threshold)
     return start
 
 

@@ -5,12 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from beamfield.arguments import check_fields
-from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray
-
-# Single poses as plain numbers: a step of arrays of one pose takes 50 us, and a filter makes several for each scan.
-Pose = tuple[float, float, float]
+from beamfield.arguments import check_fields, require
+from beamfield.geometry import FloatArray, Pose, after_step, step_between
 
 
 @dataclass(frozen=True)
@@ -42,8 +38,7 @@ class OdometryLimits:
     def __post_init__(self) -> None:
         check_fields(self)
         for name in ("speed", "turn_rate", "slack", "slack_turn"):
-            if not 0.0 < getattr(self, name) <= math.inf:
-                raise InvalidInputError(f"{name}: expected a number > 0, got {getattr(self, name)}")
+            require(0.0 < getattr(self, name) <= math.inf, name, "a number > 0", getattr(self, name))
 
 
 class ContinuousOdometry:
@@ -105,19 +100,3 @@ class ContinuousOdometry:
             math.hypot(step[0], step[1]) <= most.slack + most.speed * seconds
             and abs(step[2]) <= most.slack_turn + most.turn_rate * seconds
         )
-
-
-def step_between(a: Pose, b: Pose) -> Pose:
-    """Return the pose of b seen from a, as `beamfield.geometry.between` does."""
-    dx, dy, cos, sin = b[0] - a[0], b[1] - a[1], math.cos(a[2]), math.sin(a[2])
-    return cos * dx + sin * dy, cos * dy - sin * dx, _wrapped(b[2] - a[2])
-
-
-def after_step(a: Pose, step: Pose) -> Pose:
-    """Return the pose that is reached from a by a step, as `beamfield.geometry.compose` does."""
-    cos, sin = math.cos(a[2]), math.sin(a[2])
-    return a[0] + cos * step[0] - sin * step[1], a[1] + sin * step[0] + cos * step[1], _wrapped(a[2] + step[2])
-
-
-def _wrapped(angle: float) -> float:
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.localization.replay import Replay
 from beamfield.sensors import SensorLog
@@ -17,6 +17,8 @@ FOUND_DISTANCE = 0.5
 FOUND_SHARE = 0.95
 # The last scans, a share of all, must be among them: fewer may be close by chance.
 FOUND_LAST = 0.2
+# Of a log in which the robot is carried elsewhere so many scans are cut out, a share of all.
+CUT_SHARE = 1.0 / 3.0
 
 
 @checked
@@ -57,15 +59,13 @@ def time_to_find(replay: Replay, log: SensorLog, first: int = 0) -> float | None
 
 
 @checked
-def kidnapped(log: SensorLog, share: float = 1.0 / 3.0) -> tuple[SensorLog, int]:
+def kidnapped(log: SensorLog) -> tuple[SensorLog, int]:
     """Return a log in which the robot is carried elsewhere: the middle is cut out and odometry does not notice.
 
     Parameters
     ----------
     log
         With odometry.
-    share
-        Of the scans that are cut out, in the middle.
 
     Returns
     -------
@@ -73,18 +73,14 @@ def kidnapped(log: SensorLog, share: float = 1.0 / 3.0) -> tuple[SensorLog, int]
 
     Raises
     ------
-    InvalidInputError
-        If the share is not between 0 and 1.
     TooLittleDataError
         If fewer than two scans on a side of the cut have odometry.
     """
-    if not 0.0 < share < 1.0:
-        raise InvalidInputError(f"share: expected a number between 0 and 1, got {share}")
     usable = np.flatnonzero(np.isfinite(log.odometry).all(axis=1))
-    before = round(0.5 * (1.0 - share) * len(usable))
+    before = round(0.5 * (1.0 - CUT_SHARE) * len(usable))
     after = len(usable) - before
     if before < 2:
-        raise TooLittleDataError(f"log: {len(usable)} scans have odometry, too few to cut out {share:.0%} of them")
+        raise TooLittleDataError(f"log: {len(usable)} scans have odometry, too few to cut out {CUT_SHARE:.0%} of them")
     kept = log.select(np.concatenate([usable[:before], usable[after:]]))
     odometry: FloatArray = np.array(kept.odometry)
     odometry[before:] = compose(odometry[before - 1], between(odometry[before], odometry[before:]))

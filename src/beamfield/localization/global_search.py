@@ -8,11 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_fields, check_magnitude, checked
+from beamfield.arguments import check_fields, check_magnitude, checked, keep
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
+from beamfield.geometry import FloatArray, as_poses, transform_points
 from beamfield.kernels import global_search as kernels
 from beamfield.kernels.threads import run_in_blocks
+from beamfield.localization.search_window import LEVELS, SNAP, SearchLattice, SearchWindow
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
@@ -21,74 +22,8 @@ from beamfield.short_repr import short_repr
 
 # Field values are stored as whole multiples of 1 / STEPS.
 STEPS = 255
-# Points this far below a cell border, in cells, are on it.
-SNAP = 1e-9
-# The coarsest blocks have 2^5 = 32 candidates a side. Measured on windows of 20 m at 5 cm, 16, 32 and 64 are alike;
-# over whole buildings 64 is a quarter faster.
-LEVELS = 6
-# Entries of the largest table, 8 bytes each.
-MAX_ENTRIES = 50_000_000
 # Blocks in the first round of the search; each round has twice as many.
 FIRST_ROUND = 16
-
-
-@dataclass(frozen=True, eq=False)
-class SearchWindow:
-    """The poses among which to search.
-
-    Parameters
-    ----------
-    center
-        (3,) pose in the middle, metres and radians.
-    width, height
-        Extent along the x and y axis of the grid, metres.
-    turn
-        Extent of the heading, radians; 2 pi or more: all headings.
-
-    Raises
-    ------
-    InvalidInputError
-        If the centre is not a pose or an extent is negative or not finite.
-
-    Examples
-    --------
-    >>> window = SearchWindow.whole_map(OccupancyGrid([[0.0, 0.0, 0.0, 1.0]], resolution=0.5))
-    >>> window.center.tolist(), window.width, window.height
-    ([1.0, 0.25, 0.0], 2.0, 0.5)
-    """
-
-    center: FloatArray
-    width: float = 20.0
-    height: float = 20.0
-    turn: float = 2.0 * np.pi
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        center = np.array(as_poses(self.center, "center"))
-        if center.shape != (3,):
-            raise InvalidInputError(f"center: expected (x, y, theta), got shape {center.shape}")
-        center.flags.writeable = False
-        object.__setattr__(self, "center", center)
-        for name in ("width", "height", "turn"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
-
-    @classmethod
-    def whole_map(cls, grid: OccupancyGrid) -> SearchWindow:
-        """Return the window that covers a map, at all headings.
-
-        Parameters
-        ----------
-        grid
-            The map.
-
-        Returns
-        -------
-        A window around the middle of the map.
-        """
-        rows, cols = grid.shape
-        x, y = grid.to_map([cols / 2.0, rows / 2.0])
-        return cls(np.array([x, y, 0.0]), cols * grid.resolution, rows * grid.resolution)
 
 
 class Candidate(NamedTuple):
@@ -203,9 +138,7 @@ class GlobalSearch:
         longest = max(self.grid.shape) * self.grid.resolution
         if self.sigma > longest:
             raise InvalidInputError(f"sigma: expected at most the map's longer side, {longest:g} m, got {self.sigma}")
-        values = _field(self.grid, self.sigma)
-        values.flags.writeable = False
-        object.__setattr__(self, "_field", values)
+        keep(self, _field=_field(self.grid, self.sigma))
 
     @checked
     def search(
@@ -235,7 +168,7 @@ class GlobalSearch:
         if len(apart) != 2 or not all(0.0 <= value < np.inf for value in apart):
             raise InvalidInputError(f"apart: expected metres and radians >= 0, got {apart}")
         points = _points(z)
-        lattice = _Lattice.of(self.grid, window, self.angle_step)
+        lattice = SearchLattice.of(self.grid, window, self.angle_step)
         if len(points) == 0:
             return SearchResult(Candidate(window.center, 0.0), None, False, 0, lattice.n_candidates, 0)
         problem = self._prepare(points, lattice)
@@ -277,7 +210,7 @@ class GlobalSearch:
         values = self._field[np.where(inside, row, 0).astype(np.int64), np.where(inside, col, 0).astype(np.int64)]
         return np.asarray(np.where(inside, values, 0).mean(axis=-1, dtype=np.float64) / STEPS)
 
-    def _prepare(self, points: FloatArray, lattice: _Lattice) -> _Problem:
+    def _prepare(self, points: FloatArray, lattice: SearchLattice) -> _Problem:
         """Cut out the part of the field that matters and build its pyramid."""
         lattice.check_size(len(points))
         cells = lattice.first_cells(points)
@@ -293,85 +226,17 @@ class GlobalSearch:
         return _Problem.of(relative, pyramid, lattice)
 
 
-class _Lattice(NamedTuple):
-    """The candidates: their number along each axis, and where the first one is, in the grid's cells."""
-
-    grid: OccupancyGrid
-    n_rows: int
-    n_cols: int
-    first: FloatArray
-    headings: FloatArray
-    step: float
-
-    @classmethod
-    def of(cls, grid: OccupancyGrid, window: SearchWindow, angle_step: float) -> _Lattice:
-        for name, extent, step in (
-            ("width", window.width, grid.resolution), ("height", window.height, grid.resolution),
-            ("angle_step", min(window.turn, 2.0 * np.pi), angle_step),
-        ):  # fmt: skip
-            if not extent <= MAX_ENTRIES * step:
-                raise InvalidInputError(f"{name}: {extent:g} in steps of {step:g} are more than {MAX_ENTRIES:,} poses")
-        # 20 m at 5 cm are 400 steps, also where the division gives 399.999.
-        n_cols, n_rows = (2 * int(side / grid.resolution / 2.0 + SNAP) + 1 for side in (window.width, window.height))
-        if window.turn >= 2.0 * np.pi - SNAP:
-            n_headings = int(np.ceil(2.0 * np.pi / angle_step - SNAP))
-            step = 2.0 * np.pi / n_headings
-            offsets = np.arange(n_headings) * step
-        else:
-            half = int(window.turn / angle_step / 2.0 + SNAP)
-            step = angle_step
-            offsets = np.arange(-half, half + 1) * step
-        first = grid.to_cells(window.center[:2]) - [n_cols // 2, n_rows // 2]
-        return cls(grid, n_rows, n_cols, first, window.center[2] + offsets, step)
-
-    @property
-    def n_candidates(self) -> int:
-        return len(self.headings) * self.n_rows * self.n_cols
-
-    def check_size(self, n_points: int) -> None:
-        """Refuse a search whose tables would fill the memory."""
-        blocks = (self.n_rows / 2 ** (LEVELS - 1) + 1) * (self.n_cols / 2 ** (LEVELS - 1) + 1)
-        if len(self.headings) * (n_points + blocks) > MAX_ENTRIES:
-            raise InvalidInputError(
-                f"window: {len(self.headings)} headings of {self.n_rows} x {self.n_cols} poses are too many for "
-                f"{n_points} points; search a smaller window, or with a larger angle_step"
-            )
-
-    def first_cells(self, points: FloatArray) -> NDArray[np.int64]:
-        """Return (n, 2, p) row and column of the points at the first candidate of each heading."""
-        turn = self.headings - self.grid.origin[2]
-        poses = np.column_stack([np.tile(self.first * self.grid.resolution, (len(turn), 1)), turn])
-        cells = transform_points(poses[:, None, :], points) / self.grid.resolution
-        limits = np.clip(np.floor(cells + SNAP), -(2**40), 2**40)
-        return np.ascontiguousarray(np.moveaxis(limits.astype(np.int64)[..., ::-1], -1, 1))
-
-    def pose(self, key: int) -> FloatArray:
-        """Return the pose of a candidate."""
-        heading, rest = divmod(key, self.n_rows * self.n_cols)
-        row, col = divmod(rest, self.n_cols)
-        place = self.grid.to_map(self.first + np.array([col, row]))
-        return np.array([*place, float(wrap_angle(self.headings[heading]))])
-
-    def neighbourhood(self, key: int, distance: float, turn: float) -> NDArray[np.int64]:
-        """Return what `search_blocks` must leave out around a candidate."""
-        heading, rest = divmod(key, self.n_rows * self.n_cols)
-        row, col = divmod(rest, self.n_cols)
-        near = np.abs(wrap_angle(self.headings - self.headings[heading])) <= turn + SNAP
-        square = int(min(distance / self.grid.resolution, 1e9) ** 2 + SNAP)
-        return np.concatenate([[row, col, square, 0], near.astype(np.int64)])
-
-
 class _Problem(NamedTuple):
     """One search: points, pyramid, and the coarsest blocks in the order in which they are searched."""
 
     points: NDArray[np.int32]
     pyramid: NDArray[np.uint8]
-    lattice: _Lattice
+    lattice: SearchLattice
     blocks: NDArray[np.int64]
     bounds: NDArray[np.int64]
 
     @classmethod
-    def of(cls, points: NDArray[np.int32], pyramid: NDArray[np.uint8], lattice: _Lattice) -> _Problem:
+    def of(cls, points: NDArray[np.int32], pyramid: NDArray[np.uint8], lattice: SearchLattice) -> _Problem:
         side = 1 << (LEVELS - 1)
         shape = len(points), -(-lattice.n_rows // side), -(-lattice.n_cols // side)
         bounds = np.empty(shape, np.int64)

@@ -76,12 +76,6 @@ def off_band(signed: FloatArray, noise: HitNoise) -> FloatArray:
     return np.asarray(np.maximum(signed - noise.high, 0.0) + np.minimum(signed - noise.low, 0.0))
 
 
-def hit_weights(residual: FloatArray, noise: HitNoise) -> FloatArray:
-    """Return the probabilities that readings are hits."""
-    hit = np.exp(-0.5 * (residual / noise.sigma) ** 2)
-    return np.asarray(hit / (hit + noise.clutter))
-
-
 def _near(signed: FloatArray, walls: Walls) -> tuple[FloatArray, float]:
     """Return the distances of end points that may be hits, not too many, and how far that is."""
     reach = max(REACH, REACH_CELLS * walls.resolution)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
@@ -87,8 +88,7 @@ def widened_field_for_lattice(
 
 
 def _heading_step(resolution: float, headings: int) -> float:
-    if not 0.0 < resolution < np.inf:
-        raise InvalidInputError(f"resolution: expected a positive number of metres, got {resolution}")
+    require(0.0 < resolution < np.inf, "resolution", "a positive number of metres", resolution)
     if headings < 1:
         raise InvalidInputError(f"headings: expected at least 1, got {headings}")
     return 2.0 * np.pi / headings

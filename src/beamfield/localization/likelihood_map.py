@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import check_magnitude, checked
+from beamfield.arguments import check_magnitude, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose, invert, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
@@ -133,13 +133,12 @@ def likelihood_map(
     *,
     resolution: float = 0.10,
     headings: int = 72,
-    where: Literal["free", "known", "all"] | BoolArray = "free",
     progress: Progress | None = None,
 ) -> LikelihoodMap:
     """Evaluate p(z | x, m) over all x and y of a map, maximised over theta: Figure 6.7b.
 
-    The lattice has the map's origin; its cells have the given side. A cell is worth the likelihood of the pose at its
-    centre with the best of the headings.
+    The lattice has the map's origin; its cells have the given side. A cell whose centre is free is worth the likelihood
+    of the pose there with the best of the headings.
 
     Parameters
     ----------
@@ -154,9 +153,6 @@ def likelihood_map(
         Side of the lattice's cells, metres.
     headings
         Number of headings, equally spaced over the circle from 0 on.
-    where
-        The cells to evaluate, by what the map says at their centre: "free" ones, "known" ones (free or occupied),
-        "all"; or a mask (rows, cols) of the lattice.
     progress
         Called with how many cells are done, and of how many.
 
@@ -169,8 +165,7 @@ def likelihood_map(
     Raises
     ------
     InvalidInputError
-        If a number is out of range, the mask does not fit, no cell is to be evaluated, or the model weighs poses
-        together.
+        If a number is out of range, no cell is free, or the model weighs poses together.
 
     Notes
     -----
@@ -182,9 +177,8 @@ def likelihood_map(
     """
     check_takes_poses_alone(model)
     shape = _lattice_shape(grid, resolution)
-    if not 1 <= headings <= MAX_HEADINGS:
-        raise InvalidInputError(f"headings: expected 1 to {MAX_HEADINGS}, got {headings}")
-    mask = _mask(grid, shape, resolution, where)
+    require(1 <= headings <= MAX_HEADINGS, "headings", f"1 to {MAX_HEADINGS}", headings)
+    mask = _free_cells(grid, shape, resolution)
     rows, cols = np.nonzero(mask)
     angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
     values, index = np.full(shape, -np.inf), np.full(shape, -1, np.int16)
@@ -214,27 +208,13 @@ def _lattice_shape(grid: OccupancyGrid, resolution: float) -> tuple[int, int]:
     return int(rows), int(cols)
 
 
-def _mask(
-    grid: OccupancyGrid, shape: tuple[int, int], resolution: float, where: Literal["free", "known", "all"] | BoolArray
-) -> BoolArray:
-    """Return which cells (rows, cols) of the lattice to evaluate."""
-    if isinstance(where, np.ndarray):
-        mask = where.astype(np.bool_)
-        if mask.shape != shape:
-            raise InvalidInputError(f"where: expected a mask of shape {shape}, got {mask.shape}")
-    elif where == "all":
-        mask = np.ones(shape, np.bool_)
-    elif where in ("free", "known"):
-        # A centre on a border belongs to the cell above, as everywhere; the last one may lie past the map's edge.
-        rows, cols = (
-            np.floor((np.arange(n) + 0.5) * resolution / grid.resolution + 1e-9).astype(np.int64) for n in shape
-        )
-        inside = np.ix_(rows < grid.shape[0], cols < grid.shape[1])
-        categories = grid.free if where == "free" else ~grid.unknown
-        mask = np.zeros(shape, np.bool_)
-        mask[inside] = categories[np.ix_(rows[rows < grid.shape[0]], cols[cols < grid.shape[1]])]
-    else:
-        raise InvalidInputError(f"where: expected 'free', 'known', 'all' or a mask, got {where!r}")
+def _free_cells(grid: OccupancyGrid, shape: tuple[int, int], resolution: float) -> BoolArray:
+    """Return which cells (rows, cols) of the lattice have a centre in a free cell of the map."""
+    # A centre on a border belongs to the cell above, as everywhere; the last one may lie past the map's edge.
+    rows, cols = (np.floor((np.arange(n) + 0.5) * resolution / grid.resolution + 1e-9).astype(np.int64) for n in shape)
+    inside = np.ix_(rows < grid.shape[0], cols < grid.shape[1])
+    mask = np.zeros(shape, np.bool_)
+    mask[inside] = grid.free[np.ix_(rows[rows < grid.shape[0]], cols[cols < grid.shape[1]])]
     if not mask.any():
-        raise InvalidInputError(f"where: no cell to evaluate; the map has {int(grid.free.sum())} free cells")
+        raise InvalidInputError("grid: expected a map with free cells where a robot may be, got none")
     return mask

@@ -9,16 +9,10 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked
+from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
-from beamfield.localization.continuous_odometry import (
-    ContinuousOdometry,
-    OdometryLimits,
-    Pose,
-    after_step,
-    step_between,
-)
+from beamfield.geometry import FloatArray, Pose, after_step, as_poses, step_between
+from beamfield.localization.continuous_odometry import ContinuousOdometry, OdometryLimits
 from beamfield.localization.particles import Estimate, Particles
 from beamfield.localization.recovery import LikelihoodAverages, PoseSource, Recovery, reweigh
 from beamfield.localization.resampling import IndexArray, KldSampling, PoseBins, draw_enough, systematic_indices
@@ -81,11 +75,9 @@ class FilterOptions:
         check_fields(self)
         as_count(self.n_particles, "n_particles", least=1, most=10_000_000)
         for name in ("update_distance", "update_turn"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise InvalidInputError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
+            require(0.0 <= getattr(self, name) < math.inf, name, "a finite number >= 0", getattr(self, name))
         for name in ("resample_below", "least_effective"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InvalidInputError(f"{name}: expected a share from 0 to 1, got {getattr(self, name)}")
+            require(0.0 <= getattr(self, name) <= 1.0, name, "a share from 0 to 1", getattr(self, name))
         if self.kld is not None and self.kld.least > self.n_particles:
             raise InvalidInputError(
                 f"kld: expected least at most n_particles, {self.n_particles}, got {self.kld.least}"

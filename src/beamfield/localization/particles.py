@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import as_count, as_floats, check_fields, checked
+from beamfield.arguments import as_count, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.kernels import particles as kernels
 from beamfield.localization.replay import PoseBelief
-from beamfield.localization.resampling import IndexArray, PoseBins, bin_numbers
+from beamfield.localization.resampling import IndexArray, PoseBins, as_weights, bin_numbers
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.short_repr import short_repr
 
@@ -72,14 +72,11 @@ class Particles:
     def __post_init__(self) -> None:
         check_fields(self)
         poses = np.ascontiguousarray(as_poses(self.poses))
-        if poses.ndim != 2 or not len(poses):
-            raise InvalidInputError(f"poses: expected shape (n, 3) with n at least 1, got {poses.shape}")
+        require(poses.ndim == 2 and len(poses), "poses", "shape (n, 3) with n at least 1", poses.shape)
         if self.weights is None:
             weights: FloatArray = np.full(len(poses), 1.0 / len(poses))
         else:
-            weights = np.ascontiguousarray(as_floats(self.weights, "weights"))
-            if weights.shape != (len(poses),) or not (weights >= 0.0).all() or abs(weights.sum() - 1.0) > 1e-6:
-                raise InvalidInputError(f"weights: expected {len(poses)} numbers >= 0 with the sum 1")
+            weights = as_weights(self.weights, len(poses))
         object.__setattr__(self, "poses", poses)
         object.__setattr__(self, "weights", weights)
 
@@ -171,9 +168,14 @@ def free_poses(grid: OccupancyGrid, n: int, rng: np.random.Generator) -> FloatAr
         If the map has no free cell, or n < 1.
     """
     n = as_count(n, "n", least=1)
+    require_free(grid)
     rows, cols = np.nonzero(grid.free)
-    if not len(rows):
-        raise InvalidInputError("grid: the map has no free cell, so there is no place for the robot")
     chosen = rng.integers(0, len(rows), n)
     within = (np.column_stack([cols[chosen], rows[chosen]]) + rng.random((n, 2))) * grid.resolution
     return compose(grid.origin, np.column_stack([within, rng.uniform(-np.pi, np.pi, n)]))
+
+
+def require_free(grid: OccupancyGrid) -> None:
+    """Refuse a map without a free cell."""
+    if not grid.free.any():
+        raise InvalidInputError("grid: the map has no free cell, so there is no place for the robot")

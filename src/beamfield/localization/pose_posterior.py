@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import as_count, check_fields, check_magnitude, checked
+from beamfield.arguments import as_count, check_fields, check_magnitude, checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel, check_takes_poses_alone
 from beamfield.short_repr import short_repr
 
-Progress = Callable[[int, int], None]
-
-# Poses per call of a model: progress moves, memory does not.
+# Poses per call of a model: memory does not grow.
 POSES_PER_CHUNK = 200_000
 # 8 bytes each, several arrays.
 MAX_POSES = 200_000_000
@@ -64,8 +61,7 @@ class PoseLattice:
     def __post_init__(self) -> None:
         check_fields(self)
         for name in ("resolution", "heading_step"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InvalidInputError(f"{name}: expected a positive, finite number, got {getattr(self, name)}")
+            require(0.0 < getattr(self, name) < np.inf, name, "a positive, finite number", getattr(self, name))
         if self.heading_step * len(self.headings) > 2.0 * np.pi * (1.0 + 1e-9):
             raise InvalidInputError(
                 f"headings: {len(self.headings)} cells of {self.heading_step:g} rad are more than a full turn"
@@ -78,12 +74,7 @@ class PoseLattice:
     @classmethod
     @checked
     def over_map(
-        cls,
-        grid: OccupancyGrid,
-        *,
-        resolution: float = 0.1,
-        headings: int = 72,
-        where: Literal["free", "all"] = "free",
+        cls, grid: OccupancyGrid, *, resolution: float = 0.1, headings: int = 72, where: Literal["free", "all"] = "free"
     ) -> PoseLattice:
         """Cover a map, with all headings.
 
@@ -109,8 +100,7 @@ class PoseLattice:
         """
         check_magnitude("resolution", resolution)
         as_count(headings, "headings", least=1, most=MAX_POSES)
-        if where not in ("free", "all"):
-            raise InvalidInputError(f"where: expected 'free' or 'all', got {where!r}")
+        require(where in ("free", "all"), "where", "'free' or 'all'", where)
         # The sides of a map are rarely exact multiples in floating point.
         sides = [max(1.0, float(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape]
         if not sides[0] * sides[1] * headings <= MAX_POSES:
@@ -171,11 +161,6 @@ class PoseLattice:
         """Number of cells in x, y and theta."""
         return int(self.inside.sum()) * len(self.headings)
 
-    @property
-    def cell_volume(self) -> float:
-        """Of one cell, metres^2 radians."""
-        return self.resolution**2 * self.heading_step
-
     def centres(self) -> FloatArray:
         """Return the middles of the cells that are inside, row by row.
 
@@ -185,27 +170,6 @@ class PoseLattice:
         """
         rows, cols = np.nonzero(self.inside)
         return transform_points(self.corner, (np.column_stack([cols, rows]) + 0.5) * self.resolution)
-
-    def halved(self) -> PoseLattice:
-        """Return the same region in steps half as wide.
-
-        Returns
-        -------
-        A lattice with eight cells for each one.
-
-        Raises
-        ------
-        InvalidInputError
-            If these are too many, as for the class.
-        """
-        quarter = 0.25 * self.heading_step
-        return PoseLattice(
-            self.corner,
-            0.5 * self.resolution,
-            np.kron(self.inside, np.ones((2, 2), np.bool_)),
-            wrap_angle(np.add.outer(self.headings, [-quarter, quarter]).ravel()),
-            0.5 * self.heading_step,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,11 +212,6 @@ class PosePosterior:
         """
         return max(0.0, self.prior_entropy - self.entropy)
 
-    @property
-    def differential_entropy(self) -> float:
-        """Entropy of the density over x, y, theta: that of the cells plus the log of a cell's metres^2 radians."""
-        return self.entropy + float(np.log(self.lattice.cell_volume))
-
     def divergence_from(self, other: PosePosterior) -> float:
         """Return the Kullback-Leibler divergence sum p log(p / q) to another posterior q on the same lattice.
 
@@ -277,17 +236,6 @@ class PosePosterior:
             difference = np.where(p > 0.0, self.log_mass - other.log_mass, 0.0)
             return max(0.0, float(np.where(p > 0.0, p * difference, 0.0).sum()))
 
-    def position_mass(self) -> FloatArray:
-        """Return the probability of each position, headings summed.
-
-        Returns
-        -------
-        (rows, cols); NaN where there is no cell.
-        """
-        mass: FloatArray = np.full(self.lattice.inside.shape, np.nan)
-        mass[self.lattice.inside] = np.exp(self.log_mass).sum(axis=1)
-        return mass
-
     def best_pose(self) -> FloatArray:
         """Return the middle of the most probable cell; of equal ones the first.
 
@@ -300,12 +248,10 @@ class PosePosterior:
 
 
 @checked
-def pose_posterior(
-    model: MeasurementModel[Any], z: Any, lattice: PoseLattice, *, progress: Progress | None = None
-) -> PosePosterior:
+def pose_posterior(model: MeasurementModel[Any], z: Any, lattice: PoseLattice) -> PosePosterior:
     """Return the posterior over the cells of a lattice, from the likelihood at their middles.
 
-    Steps must be narrower than the peaks of the likelihood: `PoseLattice.halved` tells, or
+    Steps must be narrower than the peaks of the likelihood: then half the steps leave `information` as it is.
     `beamfield.localization.lattice_noise` widens the peaks.
 
     Parameters
@@ -316,8 +262,6 @@ def pose_posterior(
         What it measures.
     lattice
         Where the robot may be.
-    progress
-        Called with the number of poses done and in total.
 
     Returns
     -------
@@ -357,8 +301,6 @@ def pose_posterior(
         poses[..., :2] = part[:, None]
         poses[..., 2] = lattice.headings
         values[start : start + step] = model.log_likelihood(z, poses)
-        if progress is not None:
-            progress(min(start + step, len(centres)) * h, lattice.n_poses)
     return posterior_of(values, lattice)
 
 
@@ -384,8 +326,7 @@ def posterior_of(log_likelihood: FloatArray, lattice: PoseLattice) -> PosePoster
         If every value is -inf.
     """
     shape = (int(lattice.inside.sum()), len(lattice.headings))
-    if log_likelihood.shape != shape:
-        raise InvalidInputError(f"log_likelihood: expected shape {shape}, got {log_likelihood.shape}")
+    require(log_likelihood.shape == shape, "log_likelihood", f"shape {shape}", log_likelihood.shape)
     top = float(log_likelihood.max())
     if np.isnan(top) or top == np.inf:
         raise InvalidInputError(f"log_likelihood: expected numbers below infinity, got {top}")

@@ -8,12 +8,12 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from beamfield.arguments import as_count, check_fields, check_magnitude
+from beamfield.arguments import as_count, check_fields, check_magnitude, require
 from beamfield.detections import Detections
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import particles as kernels
-from beamfield.localization.particles import free_poses
+from beamfield.localization.particles import free_poses, require_free
 from beamfield.localization.resampling import systematic_indices
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.base import MeasurementModel
@@ -67,8 +67,7 @@ class Recovery:
                 f"{self.alpha_fast}"
             )
         check_magnitude("readings", self.readings)
-        if not 0.0 < self.most <= 1.0:
-            raise InvalidInputError(f"most: expected a probability above 0, got {self.most}")
+        require(0.0 < self.most <= 1.0, "most", "a probability above 0", self.most)
 
 
 class LikelihoodAverages:
@@ -150,7 +149,7 @@ class FreePoses:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_free(self.grid)
+        require_free(self.grid)
 
     def draw(self, z: object, n: int, rng: np.random.Generator) -> FloatArray:  # noqa: ARG002
         """Draw n poses; the measurement does not matter."""
@@ -195,7 +194,7 @@ class PosesFromScan:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_free(self.grid)
+        require_free(self.grid)
         as_count(self.n_candidates, "n_candidates", least=1, most=100_000_000)
         if not 1.0 <= self.least_effective <= self.n_candidates:
             raise InvalidInputError(f"least_effective: expected 1 to {self.n_candidates}, got {self.least_effective}")
@@ -295,8 +294,3 @@ def _flatten(weights: FloatArray, log_likelihood: FloatArray, target: float, tri
             high = middle
     power = math.exp(low)
     return power, kernels.fill_weights(weights, log_likelihood, power, trial)[1]
-
-
-def _require_free(grid: OccupancyGrid) -> None:
-    if not grid.free.any():
-        raise InvalidInputError("grid: the map has no free cell, so there is no place for the robot")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
-from beamfield.arguments import as_floats, check_fields, checked
+from beamfield.arguments import as_floats, check_fields, checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, wrap_angle
 from beamfield.maps.occupancy import BoolArray
@@ -119,8 +119,7 @@ class Replay:
         }  # fmt: skip
         for name, shape in shapes.items():
             array = np.asarray(getattr(self, name))
-            if array.shape != shape:
-                raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
+            require(array.shape == shape, name, f"shape {shape}", array.shape)
             if name in ("means", "covariances") and not np.isfinite(array).all():
                 raise InvalidInputError(f"{name}: expected finite numbers")
         if u and not (self.updates[0] >= 0 and self.updates[-1] < t and (np.diff(self.updates) > 0).all()):
@@ -238,8 +237,7 @@ def judge_replay(replay: Replay, reference: ArrayLike) -> ReplayErrors:
     (0.05, 1.0, False)
     """
     truth = as_floats(reference, "reference")
-    if truth.shape != replay.poses.shape:
-        raise InvalidInputError(f"reference: expected shape {replay.poses.shape}, got {truth.shape}")
+    require(truth.shape == replay.poses.shape, "reference", f"shape {replay.poses.shape}", truth.shape)
     known: BoolArray = np.asarray(np.isfinite(truth).all(axis=1))
     scans = known & np.isfinite(replay.poses).all(axis=1)
     judged = known[replay.updates]

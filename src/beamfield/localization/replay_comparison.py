@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
-from beamfield.arguments import as_count, check_fields, checked
+from beamfield.arguments import as_count, check_fields, checked, require
 from beamfield.data_frame import data_frame
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -245,8 +245,7 @@ def compare_trials(
     True
     """
     as_count(replicates, "replicates", least=100)
-    if not 0.5 <= level < 1.0:
-        raise InvalidInputError(f"level: expected a share from 0.5 to 1, got {level}")
+    require(0.5 <= level < 1.0, "level", "a share from 0.5 to 1", level)
     _check_pairs(before, after)
     rng = np.random.default_rng(0) if rng is None else rng
     gains = [b.column(measure) - a.column(measure) for a, b in zip(before, after, strict=True)]
@@ -285,11 +284,7 @@ def judge_change(
     lost = [sum(one.n_lost for one in trials) for trials in (before, after)]
     harmless = not any(one.is_higher for one in by_log.values()) and lost[1] <= lost[0]
     return ReplayVerdict(
-        is_better=overall.is_lower and harmless,
-        overall=overall,
-        by_log=by_log,
-        lost_before=lost[0],
-        lost_after=lost[1],
+        is_better=overall.is_lower and harmless, overall=overall, by_log=by_log, lost_before=lost[0], lost_after=lost[1]
     )
 
 

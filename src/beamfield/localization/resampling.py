@@ -9,14 +9,14 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_count, as_floats, check_fields, check_magnitude, checked
+from beamfield.arguments import as_count, as_floats, check_fields, check_magnitude, checked, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray
 from beamfield.kernels import particles as kernels
 
 IndexArray = NDArray[np.int64]
 # The weights' sum may miss 1 by so much.
-SUM_TOLERANCE = 1e-9
+SUM_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,8 @@ class KldSampling:
     def __post_init__(self) -> None:
         check_fields(self)
         as_count(self.least, "least", least=1)
-        if not 0.0 < self.error < math.inf:
-            raise InvalidInputError(f"error: expected a positive, finite number, got {self.error}")
-        if not 0.0 < self.probability < 1.0:
-            raise InvalidInputError(f"probability: expected a number between 0 and 1, got {self.probability}")
+        require(0.0 < self.error < math.inf, "error", "a positive, finite number", self.error)
+        require(0.0 < self.probability < 1.0, "probability", "a number between 0 and 1", self.probability)
 
     def particles_needed(self, n_bins: ArrayLike) -> NDArray[np.int64]:
         """Return how many particles are enough for so many occupied bins: the bound (7) of Fox, and at least `least`.
@@ -146,13 +144,12 @@ def systematic_indices(weights: ArrayLike, n: int, rng: np.random.Generator) -> 
     [0, 0, 2, 3]
     """
     out = np.empty(as_count(n, "n", least=1), np.int64)
-    kernels.draw_systematically(_checked_weights(weights), rng.random(), out)
+    kernels.draw_systematically(as_weights(weights), rng.random(), out)
     return out
 
 
-@checked
-def kld_indices(
-    weights: ArrayLike, poses: ArrayLike, most: int, kld: KldSampling, rng: np.random.Generator
+def draw_enough(
+    weights: FloatArray, bins: IndexArray, n_bins: int, most: int, kld: KldSampling, rng: np.random.Generator
 ) -> IndexArray:
     """Draw indices by weight, as many as the bins that are hit need.
 
@@ -163,8 +160,8 @@ def kld_indices(
     ----------
     weights
         (m,) at least 0, with the sum 1.
-    poses
-        (m, 3) of the particles.
+    bins, n_bins
+        (m,) bin of each particle, and how many there are, as `bin_numbers` says.
     most
         Most draws.
     kld
@@ -175,32 +172,6 @@ def kld_indices(
     Returns
     -------
     (n,) indices, in no order.
-
-    Raises
-    ------
-    InvalidInputError
-        If the weights or poses are not that, or most < 1.
-    """
-    values = _checked_weights(weights)
-    bins, n_bins = bin_numbers(as_poses(poses).reshape(-1, 3), kld.bins)[:2]
-    if len(bins) != len(values):
-        raise InvalidInputError(f"poses: expected one per weight, {len(values)}, got {len(bins)}")
-    return draw_enough(values, bins, n_bins, as_count(most, "most", least=1), kld, rng)
-
-
-def draw_enough(
-    weights: FloatArray, bins: IndexArray, n_bins: int, most: int, kld: KldSampling, rng: np.random.Generator
-) -> IndexArray:
-    """Do as `kld_indices` with weights that are known to be some, and bins that are numbered.
-
-    Parameters
-    ----------
-    weights
-        (m,).
-    bins, n_bins
-        (m,) bin of each particle, and how many there are.
-    most, kld, rng
-        As there.
     """
     out = np.empty(most, np.int64)
     enough = kld.particles_needed(np.arange(n_bins + 1))
@@ -228,26 +199,11 @@ def bin_numbers(poses: FloatArray, bins: PoseBins) -> tuple[IndexArray, int, Ind
     return numbers, n_bins, keys[:n_bins], slots
 
 
-def effective_size(weights: ArrayLike) -> float:
-    """Return 1 / sum of squared weights: how many equal particles are worth as much.
-
-    Parameters
-    ----------
-    weights
-        (n,) with the sum 1.
-
-    Examples
-    --------
-    >>> effective_size([0.25, 0.25, 0.25, 0.25]), effective_size([1.0, 0.0])
-    (4.0, 1.0)
-    """
-    return float(1.0 / np.square(_checked_weights(weights)).sum())
-
-
-def _checked_weights(weights: ArrayLike) -> FloatArray:
+def as_weights(weights: ArrayLike, n: int | None = None) -> FloatArray:
+    """Return weights as an array (n,), any n by default; refuse those below 0, and those whose sum is not 1."""
     values = np.ascontiguousarray(as_floats(weights, "weights"))
-    if values.ndim != 1 or not len(values):
-        raise InvalidInputError(f"weights: expected shape (n,) with n at least 1, got {values.shape}")
+    shape = (max(values.size, 1) if n is None else n,)
+    require(values.shape == shape, "weights", f"shape {shape}", values.shape)
     total = float(values.sum())
     if not (values >= 0.0).all() or abs(total - 1.0) > SUM_TOLERANCE:
         raise InvalidInputError(f"weights: expected numbers >= 0 with the sum 1, got the sum {total:.9g}")

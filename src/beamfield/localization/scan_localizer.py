@@ -220,11 +220,7 @@ _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
         "The stamps run backwards {times}.",
         "The order of the log was kept: time only tells a fast robot from a jump of the odometry.",
     ),
-    "repeated-scans": (
-        "info",
-        "{n} of {t} scans repeat the one before, stamp and readings.",
-        "They were used once.",
-    ),
+    "repeated-scans": ("info", "{n} of {t} scans repeat the one before, stamp and readings.", "They were used once."),
     "impossible-scans": (
         "warning",
         "{n} scans used are impossible at every particle.",

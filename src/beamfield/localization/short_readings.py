@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr
 
-from beamfield.arguments import as_count, check_fields, check_magnitude
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import check_fields, check_magnitude, require
 from beamfield.geometry import FloatArray
 from beamfield.localization.particles import Particles
 from beamfield.localization.resampling import systematic_indices
@@ -16,6 +15,11 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import Scan, usable_ranges
 from beamfield.short_repr import short_repr
+
+# Nothing is left out while the root of the summed variances of x and y is wider, metres.
+WIDEST_CLOUD = 0.5
+# Particles whose expected ranges are computed, drawn by weight.
+N_POSES = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +40,6 @@ class ShortReadings:
         Standard deviation of a hit, metres.
     probability
         From which on a reading is left out, in (0.5, 1).
-    widest_cloud
-        Root of the summed variances of x and y, metres, beyond which nothing is left out.
-    n_poses
-        Particles whose expected ranges are computed, drawn by weight.
 
     Raises
     ------
@@ -54,8 +54,6 @@ class ShortReadings:
     grid: OccupancyGrid
     sigma: float = field(default=0.1, kw_only=True)
     probability: float = field(default=0.99, kw_only=True)
-    widest_cloud: float = field(default=0.5, kw_only=True)
-    n_poses: int = field(default=50, kw_only=True)
     _caster: RayCaster = field(init=False, repr=False)
 
     __repr__ = short_repr
@@ -63,10 +61,7 @@ class ShortReadings:
     def __post_init__(self) -> None:
         check_fields(self)
         check_magnitude("sigma", self.sigma)
-        check_magnitude("widest_cloud", self.widest_cloud)
-        as_count(self.n_poses, "n_poses", least=1)
-        if not 0.5 < self.probability < 1.0:
-            raise InvalidInputError(f"probability: expected a number between 0.5 and 1, got {self.probability}")
+        require(0.5 < self.probability < 1.0, "probability", "a number between 0.5 and 1", self.probability)
         object.__setattr__(self, "_caster", RayCaster(self.grid))
 
     def leave_out(self, scan: Scan, belief: Particles, rng: np.random.Generator) -> Scan:
@@ -81,9 +76,9 @@ class ShortReadings:
         rng
             Source of randomness, for the choice of particles.
         """
-        if belief.whole.spread > self.widest_cloud:
+        if belief.whole.spread > WIDEST_CLOUD:
             return scan
-        poses = belief.poses[systematic_indices(belief.weights, self.n_poses, rng)]
+        poses = belief.poses[systematic_indices(belief.weights, N_POSES, rng)]
         short = self.probability_short(scan, poses) > self.probability
         return Scan(np.where(short, np.nan, scan.ranges), scan.finder, scan.stamp) if short.any() else scan
 

@@ -65,8 +65,8 @@ class Smoothed:
     ----------
     poses, covariances
         (t, 3) and (t, 3, 3).
-    systematic, systematic_covariance
-        (3,) and (3, 3): scale errors of odometry's distances and turns, and its radians per metre.
+    systematic
+        (3,) scale errors of odometry's distances and turns, and its radians per metre.
     noise
         As estimated.
     step_errors, step_variances
@@ -78,7 +78,6 @@ class Smoothed:
     poses: FloatArray
     covariances: FloatArray
     systematic: FloatArray
-    systematic_covariance: FloatArray
     noise: Noise
     step_errors: FloatArray
     step_variances: FloatArray
@@ -121,7 +120,7 @@ def smooth(drive: Drive, walls: Walls, poses: FloatArray, cut: NDArray[np.bool_]
     cautious = replace(noise, steps=wheels)
     solved = _Solved(state, *_linearised(drive, walls, state, cut, cautious).solve(0.0)[2:])
     progress(ROUNDS, ROUNDS)
-    return Smoothed(poses, solved.honest_covariances(walls, on_faces), state.systematic, solved.systematic, noise,
+    return Smoothed(poses, solved.honest_covariances(walls, on_faces), state.systematic, noise,
                     _step_errors(drive, state), _variances(drive, noise, cut), converged)  # fmt: skip
 
 
@@ -136,7 +135,6 @@ class _Solved:
     state: _State
     covariances: FloatArray
     cross: FloatArray
-    systematic: FloatArray
     shifts: FloatArray
 
     def honest_covariances(self, walls: Walls, on_faces: bool) -> FloatArray:
@@ -177,7 +175,7 @@ class _System:
     corner: FloatArray
     corner_right: FloatArray
 
-    def solve(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    def solve(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return moves of the poses and the systematic errors, the marginals, and the poses' moves if hits shift."""
         n = len(self.diagonal)
         diagonal = self.diagonal.copy()
@@ -196,7 +194,7 @@ class _System:
         cross += np.einsum("nip,pq,njq->nij", onto[:-1], inverse, onto[1:])
         shifted = inverse @ np.einsum("nip,ni->p", self.border, solution[..., 1])
         moves = solution[..., 0] - onto @ systematic
-        return moves, systematic, covariances, cross, inverse, solution[..., 1] + onto @ shifted
+        return moves, systematic, covariances, cross, solution[..., 1] + onto @ shifted
 
 
 def _linearised(drive: Drive, walls: Walls, state: _State, cut: NDArray[np.bool_], noise: Noise) -> _System:

@@ -85,11 +85,6 @@ class TrajectoryFit:
         """The poses with their stamps, for writing."""
         return Track(self.stamps, self.poses)
 
-    @property
-    def trusted_poses(self) -> FloatArray:
-        """(t, 3) the poses, NaN where they are not trusted: what `SensorLog.with_poses` takes."""
-        return np.where(self.trusted[:, None], self.poses, np.nan)
-
     def summary(self) -> str:
         """Return what was found in a few lines."""
         deviation = position_deviations(self.covariances)[self.trusted if self.trusted.any() else slice(None)]

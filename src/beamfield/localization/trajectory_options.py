@@ -6,8 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from beamfield.arguments import check_fields
-from beamfield.errors import InvalidInputError
+from beamfield.arguments import check_fields, require
 
 
 @dataclass(frozen=True)
@@ -37,5 +36,4 @@ class TrajectoryOptions:
     def __post_init__(self) -> None:
         check_fields(self)
         for item in fields(self):
-            if not 0.0 < getattr(self, item.name) < np.inf:
-                raise InvalidInputError(f"{item.name}: expected a number > 0, got {getattr(self, item.name)}")
+            require(0.0 < getattr(self, item.name) < np.inf, item.name, "a number > 0", getattr(self, item.name))

@@ -12,7 +12,8 @@ from beamfield.geometry import FloatArray, compose, invert, transform_points, wr
 from beamfield.kernels import trajectory as kernels
 from beamfield.kernels.trajectory import HitNoise, StepNoise, Walls
 from beamfield.localization.drive import Drive, chained
-from beamfield.localization.global_search import GlobalSearch, SearchWindow
+from beamfield.localization.global_search import GlobalSearch
+from beamfield.localization.search_window import SearchWindow
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.range_scale import longest_in
 

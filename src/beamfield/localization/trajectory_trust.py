@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,47 +40,42 @@ def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[
     weak = (position > options.max_deviation) | (heading > options.max_heading_deviation)
     poor = agreement < options.least_agreement * usual
     carried, lost = _around(drive, cut), _far_from_odometry(drive)
-    findings = []
-    if lost.any():
-        findings.append(_stretches(
+    worst = float(position.max())
+    findings = [
+        *_stretches(
             "odometry-gap", lost, drive, {}, f"there is no odometry within {BRIDGED:g} s",
             "it begins late, ends early, or has another clock than the scans", "Record the odometry throughout",
-        ))  # fmt: skip
-    if weak.any():
-        worst = float(position.max())
-        findings.append(_stretches(
+        ),
+        *_stretches(
             "weak-stretch", weak, drive, {"worst_m": worst},
             f"too little holds the position there: its standard deviation is up to {worst:.2f} m",
             "a corridor without ends in sight, or no walls", "Drive where more walls are in sight",
-        ))  # fmt: skip
-    if poor.any():
-        findings.append(_stretches(
+        ),
+        *_stretches(
             "poor-fit-stretch", poor & ~weak, drive, {"usual_share": usual},
             f"the scans do not fit the map there: less than {options.least_agreement * usual:.0%} of the readings "
             f"agree, elsewhere {usual:.0%}", "the world differs from the map, or the robot is elsewhere",
             "Look at these scans with beamfield check",
-        ))  # fmt: skip
-    return ~(weak | poor | carried | lost), [finding for finding in findings if finding is not None]
+        ),
+    ]  # fmt: skip
+    return ~(weak | poor | carried | lost), findings
 
 
-def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> list[Finding]:
+def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterator[Finding]:
     """Name the times at which the odometry was wrong: resets, slips, being carried away, gaps."""
     since = drive.stamps - drive.stamps[0]
-    findings = [
-        *_scale(fitted),
-        *_carried(drive, course, since),
-        *_resets(drive, since),
-        *_slips(fitted, since),
-        *time_gaps(drive.stamps),
-    ]
+    yield from _scale(fitted)
+    yield from _carried(drive, course, since)
+    yield from _resets(drive, since)
+    yield from _slips(fitted, since)
+    yield from time_gaps(drive.stamps)
     if n_unknown := int(np.count_nonzero(drive.unknown)):
         which = "1 scan has" if n_unknown == 1 else f"{n_unknown} scans have"
-        findings.append(Finding(
+        yield Finding(
             "odometry-missing", "warning", f"{which} no odometry; it was interpolated.",
             {"scans": float(n_unknown)},
             why="Slips in between are not seen.", do="Record the odometry for as long as the scans.",
-        ))  # fmt: skip
-    return findings
+        )  # fmt: skip
 
 
 def _agreement(drive: Drive, walls: Walls, fitted: Smoothed) -> FloatArray:
@@ -106,16 +103,16 @@ def _around(drive: Drive, cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return around
 
 
-def _scale(fitted: Smoothed) -> list[Finding]:
+def _scale(fitted: Smoothed) -> Iterator[Finding]:
     scale = float(fitted.systematic[0])
-    if abs(scale) <= SCALE:
-        return []
-    return [Finding(
-        "odometry-scale", "warning", f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.",
-        {"scale": scale},
-        why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the poses.",
-        do="Measure a long wall, and compare it with the map and with a reading.",
-    )]  # fmt: skip
+    if abs(scale) > SCALE:
+        yield Finding(
+            "odometry-scale", "warning",
+            f"Distances of the odometry and of scans in the map differ by {abs(scale):.1%}.", {"scale": scale},
+            why="The wheels' scale, the map's or that of the ranges is wrong; with one of the last two, so are the "
+            "poses.",
+            do="Measure a long wall, and compare it with the map and with a reading.",
+        )  # fmt: skip
 
 
 def _far_from_odometry(drive: Drive) -> NDArray[np.bool_]:
@@ -127,36 +124,28 @@ def _far_from_odometry(drive: Drive) -> NDArray[np.bool_]:
     return np.asarray(away > BRIDGED)
 
 
-def _carried(drive: Drive, course: Course, since: FloatArray) -> list[Finding]:
-    found = []
+def _carried(drive: Drive, course: Course, since: FloatArray) -> Iterator[Finding]:
     for jump in course.jumps:
         a, b = course.poses[jump - 1], course.poses[jump]
         distance, when = float(np.hypot(*(b - a)[:2])), float(since[drive.scans[jump]])
-        found.append(Finding(
+        yield Finding(
             "kidnapped", "warning",
             f"The robot was carried {distance:.1f} m {when:.1f} s after the first scan, or its odometry failed there.",
             {"time_s": when, "distance_m": distance},
             why="Nothing but the scans says where it went on; they are right only if the map is distinct there.",
             do="Split the log there if that was no accident.",
-        ))  # fmt: skip
-    return found
+        )  # fmt: skip
 
 
-def _resets(drive: Drive, since: FloatArray) -> list[Finding]:
+def _resets(drive: Drive, since: FloatArray) -> Iterator[Finding]:
     times = since[1:][drive.broken]
-    if not len(times):
-        return []
-    text = f"The odometry jumps {_at(times)}, as after a reset; these steps were not used."
-    return [
-        Finding(
-            "odometry-reset",
-            "warning",
-            text,
+    if len(times):
+        yield Finding(
+            "odometry-reset", "warning",
+            f"The odometry jumps {_at(times)}, as after a reset; these steps were not used.",
             {"count": float(len(times)), "time_s": float(times[0])},
-            why="There only scans hold the trajectory.",
-            do="Look for a restart of the base at these times.",
-        )
-    ]
+            why="There only scans hold the trajectory.", do="Look for a restart of the base at these times.",
+        )  # fmt: skip
 
 
 def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:
@@ -182,14 +171,13 @@ def _slips(fitted: Smoothed, since: FloatArray) -> list[Finding]:
     return sorted(found, key=lambda one: -one.values["distance_m"])[:MOST_NAMED]
 
 
-def time_gaps(stamps: FloatArray) -> list[Finding]:
+def time_gaps(stamps: FloatArray) -> Iterator[Finding]:
     """Name the times at which scans are missing for long."""
     steps, since = np.diff(stamps), stamps - stamps[:1]
     gaps = steps > max(GAP, GAP_STEPS * float(np.median(steps))) if len(steps) else np.zeros(0, bool)
-    if not gaps.any():
-        return []
-    text = f"There is no scan for up to {steps.max():.1f} s, {_at(since[:-1][gaps])}; odometry bridges it."
-    return [Finding("time-gap", "info", text, {"longest_s": float(steps.max())})]
+    if gaps.any():
+        text = f"There is no scan for up to {steps.max():.1f} s, {_at(since[:-1][gaps])}; odometry bridges it."
+        yield Finding("time-gap", "info", text, {"longest_s": float(steps.max())})
 
 
 def _at(times: FloatArray) -> str:
@@ -198,15 +186,15 @@ def _at(times: FloatArray) -> str:
 
 
 def _stretches(name: str, where: NDArray[np.bool_], drive: Drive, values: dict[str, float], text: str, why: str,
-               do: str) -> Finding | None:  # fmt: skip
+               do: str) -> Iterator[Finding]:  # fmt: skip
     runs = _runs(where)
     if not runs:
-        return None
+        return
     since = drive.stamps - drive.stamps[0]
     longest = sorted(runs, key=lambda run: run[0] - run[1])[:MOST_NAMED]
     times = ", ".join(f"{since[a]:.1f} to {since[b]:.1f} s" for a, b in sorted(longest))
     share = float(where.mean())
-    return Finding(
+    yield Finding(
         name, "warning", f"{share:.1%} of the scans are not trusted ({times} after the first): {text}.",
         {"share": share, "stretches": float(len(runs)), **values}, why=f"The reason may be: {why}.", do=f"{do}.",
     )  # fmt: skip

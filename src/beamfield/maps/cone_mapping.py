@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import checked
+from beamfield.arguments import check_magnitude, checked
 from beamfield.geometry import FloatArray, compose
 from beamfield.kernels import mapping as kernels
 from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
-from beamfield.maps.log_odds import check_resolution, check_size, grid_of_log_odds, lengths_and_kinds
+from beamfield.maps.log_odds import check_size, grid_of_log_odds, lengths_and_kinds
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
 
@@ -80,7 +80,7 @@ def build_cone_map(
     Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985: evidence of occupancy on the arc is
     weighed against evidence of emptiness before it is entered.
     """
-    check_resolution(resolution)
+    check_magnitude("resolution", resolution)
     readings = _readings(ranges, finder, resolution, inverse_model)
     first, shape = _extent(readings, finder, poses, resolution, max_cells)
     starts = np.column_stack([poses[:, :2] / resolution - first, np.cos(poses[:, 2]), np.sin(poses[:, 2])])

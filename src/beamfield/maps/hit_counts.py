@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import check_magnitude
 from beamfield.errors import TooLittleDataError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import mapping as kernels
 from beamfield.maps.followed_beams import FollowedBeams, followed_beams
 from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
-from beamfield.maps.log_odds import check_resolution, check_size, grid_of_log_odds
+from beamfield.maps.log_odds import check_size, grid_of_log_odds
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.occupancy_mapper import MAX_CELLS
 from beamfield.sensors import SensorLog
@@ -103,7 +104,7 @@ def count_hits(
     InvalidInputError
         If the resolution is not positive, or the map would have more than 10^8 cells; nothing is allocated then.
     """
-    check_resolution(resolution)
+    check_magnitude("resolution", resolution)
     posed = np.isfinite(log.poses).all(axis=1)
     chosen = np.flatnonzero(scans & posed)
     if len(chosen) == 0:

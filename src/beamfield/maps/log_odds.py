@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import check_magnitude
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import mapping as kernels
@@ -45,22 +44,6 @@ def lengths_and_kinds(
         z[far] = model.longest_hit
     z[kinds == kernels.SKIP] = 0.0
     return z, kinds
-
-
-def check_resolution(resolution: float) -> None:
-    """Refuse a side of cells that is none.
-
-    Parameters
-    ----------
-    resolution
-        Metres.
-
-    Raises
-    ------
-    InvalidInputError
-        If it is not from 1e-12 to 1e9.
-    """
-    check_magnitude("resolution", resolution)
 
 
 def check_size(size: FloatArray, resolution: float, max_cells: int) -> None:

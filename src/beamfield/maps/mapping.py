@@ -206,10 +206,8 @@ def scan_map(scan: Scan, *, resolution: float, inverse_model: InverseSensorModel
     return mapper.to_grid()
 
 
-def share_of_hits_in_obstacles(
-    grid: OccupancyGrid, log: SensorLog, *, poses: ArrayLike | None = None, tolerance: float | None = None
-) -> float:
-    """Return how many of a log's hits end in an occupied cell of a map, or within `tolerance` of one.
+def share_of_hits_in_obstacles(grid: OccupancyGrid, log: SensorLog) -> float:
+    """Return how many of a log's hits end in an occupied cell of a map, or in one beside it.
 
     A measure of sharpness: where poses are wrong, walls are drawn twice, beams pass what others hit, and hits end in
     cells that the map holds for free. Moving objects and glass lower it too.
@@ -219,30 +217,19 @@ def share_of_hits_in_obstacles(
     grid
         The map.
     log
-        The scans.
-    poses
-        (t, 3) poses of the robot; None takes the log's reference poses.
-    tolerance
-        Metres; by default one cell.
+        The scans, with reference poses.
 
     Returns
     -------
     Share in [0, 1] of the readings below max_range; 0 if there are none.
-
-    Raises
-    ------
-    InvalidInputError
-        If there is not one pose per scan.
     """
     from scipy.ndimage import maximum_filter  # takes a third of a second to import
 
-    radius = 1 if tolerance is None else int(np.ceil(tolerance / grid.resolution))
-    near = maximum_filter(grid.occupied, 2 * radius + 1, mode="constant") if radius else grid.occupied
+    near = maximum_filter(grid.occupied, 3, mode="constant")
     hits = inside = 0
-    track = _poses_of(log, poses)
     for start in range(0, len(log), SCANS_PER_CHUNK):
         part = slice(start, start + SCANS_PER_CHUNK)
-        points = hit_points(log.ranges[part], log.finder, track[part])
+        points = hit_points(log.ranges[part], log.finder, log.poses[part])
         hits += len(points)
         inside += int(np.count_nonzero(grid.look_up(near, points)))
     return inside / max(hits, 1)

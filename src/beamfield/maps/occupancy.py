@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -182,8 +183,8 @@ class OccupancyGrid:
             return transform_points(self.origin, as_floats(cells, "cells") * self.resolution)
 
     @checked
-    def look_up(self, mask: BoolArray, points: ArrayLike, *, outside: bool = False) -> BoolArray:
-        """Return the value of a mask at points of the map.
+    def look_up(self, mask: NDArray[Any], points: ArrayLike, *, outside: float = False) -> NDArray[Any]:
+        """Return the value of a mask, or of any table of the map's cells, at points.
 
         Parameters
         ----------
@@ -196,7 +197,7 @@ class OccupancyGrid:
 
         Returns
         -------
-        (...) bool.
+        (...) bool, or what the table holds.
         """
         rows, cols = self.shape
         # A cell off the map on each side stands for all beyond, however far.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import checked
+from beamfield.arguments import check_magnitude, checked
 from beamfield.kernels import mapping as kernels
 from beamfield.maps.followed_beams import FollowedBeams, followed_beams
 from beamfield.maps.inverse_sensor import InverseSensorModel, log_odds_steps
-from beamfield.maps.log_odds import check_resolution, check_size, grid_of_log_odds
+from beamfield.maps.log_odds import check_size, grid_of_log_odds
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
 
@@ -47,7 +47,7 @@ class OccupancyMapper:
     def __init__(
         self, resolution: float, *, inverse_model: InverseSensorModel | None = None, max_cells: int = MAX_CELLS
     ) -> None:
-        check_resolution(resolution)
+        check_magnitude("resolution", resolution)
         self.resolution = float(resolution)
         self.inverse_model = InverseSensorModel() if inverse_model is None else inverse_model
         self.max_cells = max_cells

@@ -21,9 +21,9 @@ from beamfield.models.wrapped_normal import sample_wrapped
 
 # With a grid, drawing stops when less than one pose in so many lies in free space.
 MAX_DRAWS_PER_POSE = 10_000
-# 2.4 GB.
 # From so many standard deviations below 0 on, the mass is that of its leading term, density / a^2, to 3e-8.
 FAR_BELOW = -1e4
+# 2.4 GB.
 MOST_POSES = 100_000_000
 # Poses drawn at a time, at most.
 MAX_BATCH = 1_000_000

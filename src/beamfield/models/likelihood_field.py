@@ -75,7 +75,7 @@ class LikelihoodFieldModel:
         "continued": past the map's edges the distance is measured on, as far as a hit reaches, so that a wall on the
         edge has two sides. "far": everything off the map has the distance max_distance (as in AMCL).
     distances
-        Distances to obstacles; worked out from the map unless `from_distances` brings them.
+        Distances to obstacles; worked out from the map by default.
     unknown
         What an end point in an unknown cell, or off the map, is worth.
 
@@ -181,24 +181,6 @@ class LikelihoodFieldModel:
         if (rows + 2) * (cols + 2) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"distances: expected fewer than 2^32 cells, got {rows} x {cols}")
         self._make_tables()
-
-    @classmethod
-    @checked
-    def from_distances(
-        cls, distances: DistanceField, parameters: LikelihoodFieldParameters, **options: Any
-    ) -> LikelihoodFieldModel:
-        """Build the model from distances that are known already.
-
-        Parameters
-        ----------
-        distances
-            Of the map, and perhaps past its edges.
-        parameters
-            As for the class.
-        **options
-            unknown, interpolation, exponent, n_beams and device of the class.
-        """
-        return cls(distances.grid, parameters, distances=distances, **options)
 
     @property
     def table_bytes(self) -> int:

@@ -108,9 +108,7 @@ class LineDetections:
             keep(self, ids=as_ids(self.ids, k, UNKNOWN))
 
     @classmethod
-    def from_lines(
-        cls, lines: Iterable[MeasuredLine], ids: ArrayLike | None = None, stamp: float = 0.0
-    ) -> LineDetections:
+    def from_lines(cls, lines: Iterable[MeasuredLine]) -> LineDetections:
         """Take the lines of a scan as `beamfield.features.lines.find_lines` returns them.
 
         Those are in the robot's frame, so that the model needs no mount.
@@ -119,8 +117,6 @@ class LineDetections:
         ----------
         lines
             Lines of one scan, perhaps none.
-        ids, stamp
-            As for the class.
 
         Returns
         -------
@@ -136,8 +132,6 @@ class LineDetections:
             np.array([line.measurement[:2] for line in found]),
             np.array([line.covariance[:2, :2] for line in found]).reshape(-1, 2, 2),
             np.array([[*line.start, *line.end] for line in found]),
-            ids,  # type: ignore[arg-type]
-            stamp,
         )
 
     def __len__(self) -> int:

@@ -7,13 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beamfield.geometry import FloatArray, between, wrap_angle
-from beamfield.kernels.motion import (
-    EXACT,
-    fill_gaussian_samples,
-    fill_rotation_log_densities,
-    fill_rotation_samples,
-)
+from beamfield.geometry import FloatArray, between, wrap_angle, wrapped
+from beamfield.kernels.motion import EXACT, fill_gaussian_samples, fill_rotation_log_densities, fill_rotation_samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +167,8 @@ def rotations_and_translation(odometry: FloatArray, shortest: float) -> tuple[fl
     dx, dy = float(after[0] - before[0]), float(after[1] - before[1])
     translation = math.hypot(dx, dy)
     bearing = math.atan2(dy, dx) - float(before[2])
-    rotation_1 = 0.0 if translation < shortest else _wrapped(bearing)
-    return rotation_1, translation, _wrapped(float(after[2] - before[2]) - rotation_1)
+    rotation_1 = 0.0 if translation < shortest else wrapped(bearing)
+    return rotation_1, translation, wrapped(float(after[2] - before[2]) - rotation_1)
 
 
 def from_line(rotation: float) -> float:
@@ -181,9 +176,5 @@ def from_line(rotation: float) -> float:
 
     Driving backwards is a first rotation of a half turn; it is not to be as noisy as one.
     """
-    angle = abs(_wrapped(rotation))
+    angle = abs(wrapped(rotation))
     return min(angle, math.pi - angle)
-
-
-def _wrapped(angle: float) -> float:
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)

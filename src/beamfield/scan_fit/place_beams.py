@@ -195,11 +195,6 @@ def _range_of_expected(
 
 def _distance_to_map(grid: OccupancyGrid, points: FloatArray) -> FloatArray:
     """Return the distance of points to the surface of the nearest mapped obstacle, metres; 0 off the map."""
-    distance = distance_to_obstacles(grid)
-    rows, cols = grid.shape
-    place = np.floor(np.clip(grid.to_cells(points), -1.0, [cols, rows])).astype(np.int64)
-    col, row = place[:, 0], place[:, 1]
-    inside = (col >= 0) & (row >= 0) & (col < cols) & (row < rows)
-    found = distance[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+    found = grid.look_up(distance_to_obstacles(grid), points, outside=0.0)
     # From centre to centre: the surfaces are nearer by up to a cell.
-    return np.where(inside, np.maximum(found - grid.resolution, 0.0), 0.0)
+    return np.maximum(found - grid.resolution, 0.0)

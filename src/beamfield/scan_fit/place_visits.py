@@ -85,10 +85,7 @@ class Visits:
 
     def counts(self, n_places: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return (n_places,) in how many visits each place differed, and how many there were."""
-        return (
-            np.bincount(self.place[self.differs], minlength=n_places),
-            np.bincount(self.place, minlength=n_places),
-        )
+        return (np.bincount(self.place[self.differs], minlength=n_places), np.bincount(self.place, minlength=n_places))
 
     def in_windows(self, cols: int) -> Visits:
         """Return the visits to windows of 2 x 2 squares, each numbered as its lowest, of a lattice with `cols` columns.

@@ -54,26 +54,22 @@ class LearnedExponent:
         limit.
     coverage
         Share of the held-out posteriors whose 90 % region holds the truth.
-    coverage_fitted
-        The same of those that it was learned from.
     score, score_se
         Mean log of the held-out posteriors' density at the truth over the prior's, and its standard error, nats; 0 for
         beams that say nothing.
     score_independent
         The score with exponent 1.
-    n_fitted, n_held_out
-        Number of posteriors.
+    n_held_out
+        Their number.
     """
 
     value: float
     interval: tuple[float, float]
     if_reference_exact: float
     coverage: float
-    coverage_fitted: float
     score: float
     score_se: float
     score_independent: float
-    n_fitted: int
     n_held_out: int
 
 
@@ -283,13 +279,11 @@ def _learn(
     nearest = np.argsort(truths)[:N_NEAREST]
     exact = suited_exponent(each[:, :, nearest].mean(axis=(1, 2)))
     interval = _interval(power, covered, blocks[~held_out])
-    (fit,) = score_exponents(values[~held_out], np.array([power]), rivals, options)
     judged, independent = score_exponents(values[held_out], np.array([power, 1.0]), rivals, options)
     score_se = block_standard_error(judged.log_score, blocks[held_out])
     return LearnedExponent(
-        power, interval, exact, judged.coverage_at(LEVEL), fit.coverage_at(LEVEL), judged.mean, score_se,
-        independent.mean, int((~held_out).sum()), int(held_out.sum()),
-    )  # fmt: skip
+        power, interval, exact, judged.coverage_at(LEVEL), judged.mean, score_se, independent.mean, int(held_out.sum())
+    )
 
 
 def _interval(power: float, covered: FloatArray, blocks: NDArray[np.int64]) -> tuple[float, float]:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from beamfield.arguments import require
 from beamfield.calibration.context.evidence import BeamEvidence, Evidence, FieldEvidence
 from beamfield.calibration.context.exponent import EXPONENTS, LEVEL, score_exponents, suited_exponent
 from beamfield.calibration.context.posterior_judge import LOWEST, PosteriorScores
 from beamfield.calibration.pose_windows import Rivals, Window, WindowOptions, cut_windows, draw_rivals
-from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -82,7 +82,6 @@ def learn_in_context(
     grid: OccupancyGrid,
     *,
     options: WindowOptions | None = None,
-    block_s: float | None = None,
 ) -> ContextLearning:
     """Return the parameters and the exponent whose posteriors over drives of a few scans are best.
 
@@ -102,7 +101,7 @@ def learn_in_context(
         Scans with reference poses in the map frame.
     grid
         The map.
-    options, block_s
+    options
         How drives are cut from the log, see `cut_windows`.
 
     Raises
@@ -118,7 +117,7 @@ def learn_in_context(
     """
     options = options or WindowOptions()
     rivals = draw_rivals(options, grid)
-    windows = cut_windows(log, grid, rivals, options, None, block_s)
+    windows = cut_windows(log, grid, rivals, options)
     parts = [[window for window in windows if window.fold == fold] for fold in range(3)]
     followed, stopping, held_out = (_evidence(model, log, part) for part in parts)
     both = [followed.log_likelihood(followed.start), stopping.log_likelihood(stopping.start)]
@@ -225,7 +224,6 @@ def _evidence(
     model: RangeMixtureModel | LikelihoodFieldModel, log: SensorLog, windows: Sequence[Window]
 ) -> BeamEvidence | FieldEvidence:
     if isinstance(model, LikelihoodFieldModel):
-        if model.unknown != "free":
-            raise InvalidInputError(f"unknown: expected a field with 'free', got {model.unknown!r}")
+        require(model.unknown == "free", "unknown", "a field with 'free'", model.unknown)
         return FieldEvidence(model, log, windows)
     return BeamEvidence(model, log, windows)

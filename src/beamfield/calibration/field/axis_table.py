@@ -82,12 +82,7 @@ class _Classes(NamedTuple):
 
 
 def build_axis_table(
-    log: SensorLog,
-    grid: OccupancyGrid,
-    scans: ArrayLike,
-    *,
-    most_beams: int = MOST_BEAMS,
-    seed: int = 0,
+    log: SensorLog, grid: OccupancyGrid, scans: ArrayLike, *, most_beams: int = MOST_BEAMS, seed: int = 0
 ) -> AxisTable:
     """Follow the axes of the beams of the given scans, from their reference poses to max_range.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import require
 from beamfield.calibration.context.exponent import (
     LEVEL,
     ExponentLearning,
@@ -34,7 +35,7 @@ from beamfield.calibration.pose_windows import (
 )
 from beamfield.calibration.selection import SelectionOptions, select_scans
 from beamfield.calibration.time_split import of_held_out, time_blocks
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -193,8 +194,7 @@ def learn_field_parameters(
     ----------
     Probabilistic Robotics, 6.4.1: (6.33), (6.34), Table 6.3; 6.3.4 for the exponent.
     """
-    if n_beams < 1:
-        raise InvalidInputError(f"n_beams: expected at least 1, got {n_beams}")
+    require(n_beams >= 1, "n_beams", "at least 1", n_beams)
     n_beams = min(n_beams, log.finder.n_beams)
     options = WindowOptions(
         reference_error=reference_error, reference_turn_error=reference_error / REFERENCE_LEVER, seed=seed

@@ -235,11 +235,7 @@ def _checked_stamps(stamps: ArrayLike, n: int) -> FloatArray:
 
 
 def _derivatives_of_blocks(
-    z: FloatArray,
-    expected: FloatArray,
-    blocks: NDArray[np.int64],
-    theta: FloatArray,
-    problem: LearningProblem,
+    z: FloatArray, expected: FloatArray, blocks: NDArray[np.int64], theta: FloatArray, problem: LearningProblem
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gradient of each block's log-likelihood, (b, 8), and the Hessian of all, (8, 8)."""
     order = np.argsort(blocks, kind="stable")

@@ -8,15 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import as_floats, checked
+from beamfield.arguments import as_floats, checked, require
 from beamfield.calibration.intrinsic.climb import Climb, climb
 from beamfield.calibration.intrinsic.identifiability import Mode, identifiability_findings
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
-from beamfield.calibration.intrinsic.likelihood import (
-    IntrinsicLikelihood,
-    parameters_of,
-    theta_of,
-)
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of, theta_of
 from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.calibration.intrinsic.starts import MOST_STARTS, data_driven_starts
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -207,7 +203,7 @@ def learn_intrinsic_parameters(
             f"hold z_max: expected more than 0 because {likelihood.n_max:g} readings are at max_range, got 0"
         )
 
-    report = progress or _silent
+    report = progress or (lambda _stage, _count: None)
     sample = likelihood.thinned(SCREENING_BEAMS)
     starts = data_driven_starts(sample, problem, n_starts)
     if initial is not None:
@@ -229,10 +225,6 @@ def learn_intrinsic_parameters(
         climbs.append(_joined(so_far, rest) if sample is likelihood else rest)
     climbs.sort(key=lambda item: -item.objective)
     return _result(likelihood, problem, climbs, n_counted, n_excluded, n_no_measurement)
-
-
-def _silent(stage: str, count: int) -> None:
-    """Report nothing."""
 
 
 def checked_beams(
@@ -265,10 +257,8 @@ def _column(name: str, values: ArrayLike, least: float = 0.0, *, may_be_nan: boo
 
 
 def _check_options(n_starts: int, tolerance: float, max_iterations: int) -> None:
-    if not 1 <= n_starts <= MOST_STARTS:
-        raise InvalidInputError(f"n_starts: expected 1 to {MOST_STARTS}, got {n_starts}")
-    if not 0.0 < tolerance < np.inf:
-        raise InvalidInputError(f"tolerance: expected a positive number of nats per beam, got {tolerance}")
+    require(1 <= n_starts <= MOST_STARTS, "n_starts", f"1 to {MOST_STARTS}", n_starts)
+    require(0.0 < tolerance < np.inf, "tolerance", "a positive number of nats per beam", tolerance)
     if max_iterations < 1:
         raise InvalidInputError(f"max_iterations: expected at least 1, got {max_iterations}")
 

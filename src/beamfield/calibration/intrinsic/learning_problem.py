@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import require
 from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, OFFSET, RATE, SLOPE, VARIANCE
 from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.errors import InvalidInputError
@@ -133,8 +134,7 @@ def learning_problem(
     for name, value in hold.items():
         if name not in _POSITIONS:
             raise InvalidInputError(f"hold: expected names among {', '.join(_POSITIONS)}, got {name!r}")
-        if not np.isfinite(value):
-            raise InvalidInputError(f"hold {name}: expected a finite number, got {value}")
+        require(np.isfinite(value), f"hold {name}", "a finite number", value)
     if not fit_offset:
         hold.setdefault("range_offset", 0.0)
     if not fit_sigma_slope:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, require
 from beamfield.calibration.intrinsic.likelihood import N_PARAMETERS, RATE, VARIANCE
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -56,12 +56,10 @@ class IntrinsicPriors:
             raise InvalidInputError(f"weight_counts: expected names among {', '.join(_WEIGHTS)}, got {unknown[0]!r}")
         counts = {**self.weight_counts, "sigma_beams": self.sigma_beams, "short_beams": self.short_beams}
         for name, count in counts.items():
-            if not 0.0 <= count < np.inf:
-                raise InvalidInputError(f"{name}: expected a number of beams >= 0, got {count}")
+            require(0.0 <= count < np.inf, name, "a number of beams >= 0", count)
         for name in ("sigma_hit", "mean_short"):
             length = getattr(self, name)
-            if not 0.0 < length < np.inf:
-                raise InvalidInputError(f"{name}: expected a positive number of metres, got {length}")
+            require(0.0 < length < np.inf, name, "a positive number of metres", length)
 
     @property
     def counts(self) -> FloatArray:

@@ -95,10 +95,10 @@ def judged(log_density: FloatArray, blocks: Blocks) -> HeldOut:
     return HeldOut(density, by_block)
 
 
-def jackknife_intervals(estimate: FloatArray, without: FloatArray, level: float) -> FloatArray:
+def jackknife_intervals(estimate: FloatArray, without: FloatArray) -> FloatArray:
     """Return intervals (k, 2) of estimates (k,) from those (b, k) without each block; infinite for too few blocks."""
     deviation = np.sqrt(np.diag(jackknife_covariance(without, len(estimate))))
-    reach = float(stdtrit(max(len(without) - 1, 1), 0.5 + 0.5 * level)) * deviation
+    reach = float(stdtrit(max(len(without) - 1, 1), 0.975)) * deviation
     return np.column_stack([estimate - reach, estimate + reach])
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, checked
+from beamfield.arguments import as_floats, checked, require
 from beamfield.calibration.odometry.findings import odometry_findings
 from beamfield.calibration.odometry.held_out import (
     HeldOut,
@@ -141,14 +141,12 @@ def calibrate_odometry(
 
 
 @checked
-def learn_systematic_errors(
-    log: SensorLog, options: OdometryOptions | None = None, *, covariances: ArrayLike | None = None
-) -> SystematicErrors:
+def learn_systematic_errors(log: SensorLog, *, covariances: ArrayLike | None = None) -> SystematicErrors:
     """Learn only the systematic errors of a log's odometry, with their covariance; much faster than all of it.
 
     Parameters
     ----------
-    log, options, covariances
+    log, covariances
         As for `calibrate_odometry`.
 
     Returns
@@ -160,7 +158,7 @@ def learn_systematic_errors(
     InvalidInputError, TooLittleDataError
         As for `calibrate_odometry`.
     """
-    fit, _, _ = _cut(log, options or OdometryOptions(), covariances)
+    fit, _, _ = _cut(log, OdometryOptions(), covariances)
     return fit.systematic_errors()[0]
 
 
@@ -181,14 +179,14 @@ def _cut(
     if not unit.any():
         raise TooLittleDataError("the odometry never moves")
     is_noise = not_faults(windows.residuals, windows.reference, unit[None])
-    return _WindowFit(windows, is_noise, options.level), len(scans) - 1, cut
+    return _WindowFit(windows, is_noise), len(scans) - 1, cut
 
 
 class _WindowFit:
     """The windows that are no faults, and what is learned from them with and without each block."""
 
-    def __init__(self, windows: OdometryWindows, is_noise: NDArray[np.bool_], level: float) -> None:
-        self.windows, self.kept, self.level = windows, is_noise, level
+    def __init__(self, windows: OdometryWindows, is_noise: NDArray[np.bool_]) -> None:
+        self.windows, self.kept = windows, is_noise
         self.residuals, self.reference = windows.residuals[is_noise], windows.reference[is_noise]
         self.blocks = blocks_of(windows.first[is_noise], windows.length)
 
@@ -207,7 +205,7 @@ class _WindowFit:
             covariance = self.reference[inside] + np.tensordot(left, units[:, inside], 1)
             density[inside] = log_densities(self.residuals[inside], covariance)
             without.append(np.log(left))
-        intervals = np.exp(jackknife_intervals(np.log(levels), np.array(without), self.level))
+        intervals = np.exp(jackknife_intervals(np.log(levels), np.array(without)))
         levels[~units.any(axis=(1, 2, 3))] = 0.0  # no window shows it: nothing turns, for example
         score = judged(density, self.blocks)
         estimates = tuple(_estimate(*map(float, row)) for row in np.column_stack([levels, intervals]))
@@ -230,7 +228,7 @@ class _WindowFit:
         everything = np.ones(len(self.residuals), dtype=np.bool_)
         errors, left, alpha = self._in_turn(design, unit, everything, None)
         without = np.array([self._in_turn(design, unit, rest, np.array([alpha]))[0] for _, rest in self._rests()])
-        intervals = jackknife_intervals(errors, without, self.level)
+        intervals = jackknife_intervals(errors, without)
         shown = np.flatnonzero(left < LEAST_KNOWN)
         found = {SYSTEMATIC[i]: Estimate(float(errors[i]), *map(float, intervals[i])) for i in shown}
         covariance = jackknife_covariance(without, len(errors))[np.ix_(shown, shown)]
@@ -293,8 +291,7 @@ def _pose_covariances(log: SensorLog, covariances: ArrayLike | None, options: Od
         deviations = np.array([options.reference_error, options.reference_error, options.reference_turn_error])
         return np.broadcast_to(np.diag(deviations**2), (len(log), 3, 3))
     given = as_floats(covariances, "covariances")
-    if given.shape != (len(log), 3, 3):
-        raise InvalidInputError(f"covariances: expected shape ({len(log)}, 3, 3), got {given.shape}")
+    require(given.shape == (len(log), 3, 3), "covariances", f"shape ({len(log)}, 3, 3)", given.shape)
     posed = np.isfinite(log.poses).all(axis=1)
     if not np.isfinite(given[posed]).all():
         raise InvalidInputError("covariances: expected finite numbers wherever there is a pose")

@@ -38,14 +38,11 @@ class OdometryOptions:
     floor
         No alpha is advised below this: it survives a fault of the odometry. An alpha 5 times too small loses the robot,
         one 4 times too large costs little.
-    level
-        Share of the intervals that are to hold the truth.
 
     Raises
     ------
     InvalidInputError
-        If a number is not finite and in its range: distances, angles and floor >= 0, errors > 0, window >= 1, level
-        in (0, 1).
+        If a number is not finite and in its range: distances, angles and floor >= 0, errors > 0, window >= 1.
     """
 
     update_min_d: float = 0.25
@@ -54,7 +51,6 @@ class OdometryOptions:
     reference_error: float = 0.04
     reference_turn_error: float = 0.01
     floor: float = 0.02
-    level: float = 0.95
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -64,8 +60,6 @@ class OdometryOptions:
                 raise InvalidInputError(f"{name}: expected a finite positive number, got {value}")
         if self.window < 1:
             raise InvalidInputError(f"window: expected at least 1, got {self.window}")
-        if not 0.0 < self.level < 1.0:
-            raise InvalidInputError(f"level: expected a share between 0 and 1, got {self.level}")
 
 
 @dataclass(frozen=True)

@@ -126,11 +126,7 @@ def update_scans(odometry: FloatArray, min_distance: float, min_turn: float) -> 
 
 
 def cut_odometry_windows(
-    odometry: FloatArray,
-    poses: FloatArray,
-    covariances: FloatArray,
-    scans: NDArray[np.int64],
-    length: int,
+    odometry: FloatArray, poses: FloatArray, covariances: FloatArray, scans: NDArray[np.int64], length: int
 ) -> OdometryWindows:
     """Compare odometry and reference over every `length` update steps.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
+from beamfield.arguments import require
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.bags.bag_file import BagFile, BagMessage
@@ -176,8 +177,7 @@ def _camera(message: BagMessage) -> CameraIntrinsics:
         raise InvalidInputError(
             f"roi: expected whole images, got an offset of {content.roi.x_offset}, {content.roi.y_offset}"
         )
-    if matrix.shape != (9,):
-        raise InvalidInputError(f"K: expected 9 numbers, got {matrix.size}")
+    require(matrix.shape == (9,), "K", "9 numbers", matrix.size)
     if not matrix.any():
         raise InvalidInputError("K: the camera is not calibrated, all numbers are 0")
     return CameraIntrinsics(

@@ -42,8 +42,7 @@ class Transforms:
 
     def __matmul__(self, b_from_c: Transforms) -> Transforms:
         return Transforms(
-            self.translation + rotate(self.rotation, b_from_c.translation),
-            _multiply(self.rotation, b_from_c.rotation),
+            self.translation + rotate(self.rotation, b_from_c.translation), _multiply(self.rotation, b_from_c.rotation)
         )
 
     def inverse(self) -> Transforms:

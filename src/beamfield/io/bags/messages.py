@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError, MissingDependencyError
 from beamfield.geometry import FloatArray
 from beamfield.sensors import RangeFinder
@@ -56,8 +57,7 @@ class MessageMaker:
 
     def time(self, stamp: float) -> Any:
         """Return a builtin_interfaces/Time."""
-        if not 0.0 <= stamp < 2**31:
-            raise InvalidInputError(f"stamps: expected seconds within [0, 2^31), as ROS 2 times are, got {stamp}")
+        require(0.0 <= stamp < 2**31, "stamps", "seconds within [0, 2^31), as ROS 2 times are", stamp)
         second = math.floor(stamp)
         nanosecond = round((stamp - second) * 1e9)
         return self.new("builtin_interfaces/msg/Time", second + nanosecond // 10**9, nanosecond % 10**9)
@@ -177,8 +177,7 @@ def write_messages(
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-    if storage not in plugins:
-        raise InvalidInputError(f"storage: expected 'mcap' or 'sqlite3', got {storage!r}")
+    require(storage in plugins, "storage", "'mcap' or 'sqlite3'", storage)
     connections: dict[str, Any] = {}
     with Writer(folder, version=9, storage_plugin=plugins[storage]) as writer:
         for message in messages:

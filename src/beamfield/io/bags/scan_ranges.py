@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import require
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.bags.laser_scan import LaserScans
@@ -88,8 +89,7 @@ def resolve_scan_ranges(
         return ResolvedRanges(ranges, max_range, NoReturnPolicy(explanation="not looked for, as asked"))
     if not isinstance(rule, str):
         return _given(ranges, max_range, rule)
-    if rule != "detect":
-        raise InvalidInputError(f"no_return: expected 'detect', 'none' or a tuple of metres, got {rule!r}")
+    require(rule == "detect", "no_return", "'detect', 'none' or a tuple of metres", rule)
     with np.errstate(invalid="ignore"):
         declared = float(np.mean(ranges >= max_range))
     zero = ranges == 0.0

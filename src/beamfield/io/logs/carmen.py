@@ -11,7 +11,7 @@ from beamfield.geometry import FloatArray, between, compose, interpolate_poses, 
 from beamfield.io.logs.carmen_laser import bearings, declared_max, declared_mount, ring_and_cone
 from beamfield.io.logs.carmen_messages import CarmenMessages, read_carmen_messages
 from beamfield.io.logs.carmen_writer import write_carmen
-from beamfield.io.logs.text_scans import LonePoses, TextOptions, TextScans
+from beamfield.io.logs.text_scans import DEFAULTS, LonePoses, TextOptions, TextScans
 from beamfield.sensors import ScanLog, SensorLog, Track
 
 __all__ = ["read_carmen", "write_carmen"]
@@ -21,7 +21,7 @@ CONSTANT = 2e-3
 SAME_FRAME = 0.1
 
 
-def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+def read_carmen(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
     """Read a log of the Carnegie Mellon robot navigation toolkit.
 
     FLASER and RLASER have two poses: the laser's, and the robot's in the frame of the odometry.
@@ -67,10 +67,9 @@ def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog
     CARMEN manual, "logger and playback": the messages and their fields.
     """
     content = read_carmen_messages(Path(path))
-    chosen = options or TextOptions()
-    names = _sensors_to_read(content, chosen)
+    names = _sensors_to_read(content, options)
     notes = list(content.notes)
-    resolved = {name: content.scans[name].resolve_stamps(chosen.stamps) for name in names}
+    resolved = {name: content.scans[name].resolve_stamps(options.stamps) for name in names}
     column = next((r.column for r in resolved.values()), 0)
     odometry_notes: list[str] = []
     odometry = content.odometry.track("ODOM", column, odometry_notes)
@@ -80,7 +79,7 @@ def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog
     for name in names:
         scans, stamps = content.scans[name], resolved[name]
         directions = bearings(content, name, len(scans.ranges[0]), notes)
-        placed = _place(content, scans, stamps.seconds, odometry, chosen.lone_poses, notes)
+        placed = _place(content, scans, stamps.seconds, odometry, options.lone_poses, notes)
         follows |= placed.odometry_follows
         poses = placed.poses
         if truth is not None:
@@ -89,7 +88,7 @@ def read_carmen(path: str | Path, options: TextOptions | None = None) -> ScanLog
         radius, opening = ring_and_cone(content, name)
         sensors[name], found = scans.finish(
             _beam_mounts(placed.mount, directions, radius),
-            chosen,
+            options,
             stamps=stamps,
             poses=poses,
             odometry=placed.odometry,

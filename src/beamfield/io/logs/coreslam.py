@@ -8,7 +8,7 @@ import numpy as np
 
 from beamfield.errors import FormatError
 from beamfield.io.files.text_lines import word_lines
-from beamfield.io.logs.text_scans import TextOptions, TextScans
+from beamfield.io.logs.text_scans import DEFAULTS, TextOptions, TextScans
 from beamfield.sensors import ScanLog
 
 N_BEAMS = 682
@@ -20,7 +20,7 @@ FRONT = 384 - 44
 MIN_RANGE = 0.02
 
 
-def read_coreslam(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+def read_coreslam(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
     """Read a log of the CoreSLAM examples.
 
     Word 1 of a line is the time in microseconds, words 3 and 4 count the ticks of the wheels, words 25 to 706 are 682
@@ -55,6 +55,6 @@ def read_coreslam(path: str | Path, options: TextOptions | None = None) -> ScanL
     if not len(scans):
         raise FormatError(source, "no scans: the file is empty")
     beams = np.column_stack([np.zeros((N_BEAMS, 2)), (np.arange(N_BEAMS) - FRONT) * STEP])
-    sensor, notes = scans.finish(beams, options or TextOptions(), declared_min=MIN_RANGE)
+    sensor, notes = scans.finish(beams, options, declared_min=MIN_RANGE)
     notes.append("laser: wheel ticks are not read as odometry, because the file does not give their length")
     return ScanLog({"laser": sensor}, None, str(source), tuple(notes))

@@ -10,13 +10,13 @@ from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, between, compose
 from beamfield.io.files.text_lines import word_lines
 from beamfield.io.logs.carmen_messages import LaserMessage, parse_laser_message, require_same_geometry
-from beamfield.io.logs.text_scans import TextOptions, TextScans, finite_pose
+from beamfield.io.logs.text_scans import DEFAULTS, TextOptions, TextScans, finite_pose
 from beamfield.sensors import ScanLog
 
 MOUNT_TOLERANCE = 2e-3
 
 
-def read_g2o(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+def read_g2o(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
     """Read a pose graph with scans.
 
     ``VERTEX_SE2 id x y theta`` is followed by the CARMEN message ``ROBOTLASER1`` of the scan taken there. The vertex is
@@ -61,6 +61,6 @@ def read_g2o(path: str | Path, options: TextOptions | None = None) -> ScanLog:
     bearings = first.geometry.start + first.geometry.resolution * np.arange(n_beams)
     beams = np.column_stack([np.zeros((n_beams, 2)), bearings])
     declared = first.max_range if 0.0 < first.max_range < np.inf else None
-    sensor, notes = scans.finish(compose(mount.round(6), beams), options or TextOptions(), declared_max=declared)
+    sensor, notes = scans.finish(compose(mount.round(6), beams), options, declared_max=declared)
     notes.append("ROBOTLASER1: reference poses are the vertices of the graph; there is no odometry")
     return ScanLog({"ROBOTLASER1": sensor}, None, str(source), tuple(notes))

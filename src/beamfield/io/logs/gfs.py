@@ -12,13 +12,13 @@ from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.io.files.text_lines import Line, word_lines
 from beamfield.io.logs.carmen_laser import SICK_BEARINGS
-from beamfield.io.logs.text_scans import ABSURD, TextOptions, TextScans, finite_pose, sorted_track
+from beamfield.io.logs.text_scans import ABSURD, DEFAULTS, TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog
 
 IGNORED = ("ODO_UPDATE", "FRAME", "NEFF")
 
 
-def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+def read_gfs(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
     """Read a log of GMapping.
 
     ``LASER_READING n ranges x y theta ts`` has raw odometry. ``SM_UPDATE p`` and p times ``x y theta log_weight``
@@ -53,13 +53,12 @@ def read_gfs(path: str | Path, options: TextOptions | None = None) -> ScanLog:
             f"{n_beams} beams: the format does not give their bearings, known only for {sorted(SICK_BEARINGS)}",
             line=scans.lines[0], field="LASER_READING",
         )  # fmt: skip
-    chosen = options or TextOptions()
     start, step = SICK_BEARINGS[n_beams]
-    stamps = scans.resolve_stamps(chosen.stamps)
+    stamps = scans.resolve_stamps(options.stamps)
     beams = np.column_stack([np.zeros((n_beams, 2)), np.radians(start + step * np.arange(n_beams))])
     sensor, notes = scans.finish(
         beams,
-        chosen,
+        options,
         stamps=stamps,
         poses=_best_path(source, content.particles, content.parents),
         declared_max=_declared_max(content.parameters),

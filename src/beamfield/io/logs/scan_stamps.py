@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -9,7 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.arguments import require
+from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
 
 StampRule = Literal["file", "order"]
@@ -82,8 +84,7 @@ def resolve_stamps(
     InvalidInputError
         If the rule is unknown.
     """
-    if rule not in ("file", "order"):
-        raise InvalidInputError(f"stamps: expected 'file' or 'order', got {rule!r}")
+    require(rule in ("file", "order"), "stamps", "'file' or 'order'", rule)
     table = np.asarray(columns, dtype=np.float64)
     numbered = np.arange(len(table), dtype=np.float64)
     if rule == "order":
@@ -98,43 +99,55 @@ def resolve_stamps(
         )
         return ScanStamps(numbered, None, (note,))
     for column in kept:
-        stamps = table[:, column]
-        if not _are_times(stamps).all():
-            continue
-        behind = np.maximum.accumulate(stamps) - stamps
-        n_back = int(np.count_nonzero(np.diff(stamps) < 0.0))
-        if behind.max() > MAX_BACKWARD_STEP or n_back > MAX_BACKWARD_SHARE * len(stamps):
-            continue
-        notes = [f"{name}: stamps are those of column {column + 1}, the first is not usable"] if column else []
-        if repeated is not None and repeated.any():
-            notes.append(f"{name}: {repeated.sum()} of {len(stamps)} scans repeat the one before, stamp and readings")
-        if n_back:
-            notes.append(
-                f"{name}: {n_back} of {len(stamps)} stamps go backwards, by up to {behind.max():.3g} s; scans stay in "
-                "the order of the file, and those stamps are raised to the one before"
+        if _are_usable(table[:, column]):
+            notes = _notes(table[:, column], column, repeated)
+            return ScanStamps(
+                np.maximum.accumulate(table[:, column]), column, tuple(f"{name}: {note}" for note in notes)
             )
-        rate = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-        if rate > SLOW:
-            notes.append(
-                f"{name}: scans are {rate:.3g} s apart: are the stamps in milliseconds or nanoseconds? Divide them, or "
-                "read with stamps='order'"
-            )
-        return ScanStamps(np.maximum.accumulate(stamps), column, tuple(notes))
-    stamps = table[:, kept[0]]
+    raise _refused(path, name, lines, table[:, kept[0]])
+
+
+def _are_usable(stamps: FloatArray) -> bool:
+    """Return whether all are times, and hardly any of them go back."""
+    if not _are_times(stamps).all():
+        return False
+    behind = np.maximum.accumulate(stamps) - stamps
+    n_back = np.count_nonzero(np.diff(stamps) < 0.0)
+    return bool(behind.max() <= MAX_BACKWARD_STEP and n_back <= MAX_BACKWARD_SHARE * len(stamps))
+
+
+def _notes(stamps: FloatArray, column: int, repeated: NDArray[np.bool_] | None) -> Iterator[str]:
+    """Say what is unusual about stamps that are used."""
+    if column:
+        yield f"stamps are those of column {column + 1}, the first is not usable"
+    if repeated is not None and repeated.any():
+        yield f"{repeated.sum()} of {len(stamps)} scans repeat the one before, stamp and readings"
+    steps = np.diff(stamps)
+    if n_back := int(np.count_nonzero(steps < 0.0)):
+        behind = (np.maximum.accumulate(stamps) - stamps).max()
+        yield (
+            f"{n_back} of {len(stamps)} stamps go backwards, by up to {behind:.3g} s; scans stay in the order of the "
+            "file, and those stamps are raised to the one before"
+        )
+    if len(steps) and (rate := float(np.median(steps))) > SLOW:
+        yield (
+            f"scans are {rate:.3g} s apart: are the stamps in milliseconds or nanoseconds? Divide them, or read with "
+            "stamps='order'"
+        )
+
+
+def _refused(path: str | Path, name: str, lines: list[int], stamps: FloatArray) -> FormatError:
     if not (known := _are_times(stamps)).all():
         bad = int(np.argmin(known))
-        raise FormatError(
-            path,
-            f"expected a stamp in seconds, got {stamps[bad]:g}; mend or remove the line, or read with stamps='order'",
-            line=lines[bad],
-            field=name,
-        )
-    steps = np.flatnonzero(np.diff(stamps) < 0.0)
-    worst = int(steps[np.argmin(np.diff(stamps)[steps])])
-    raise FormatError(
+        text = f"expected a stamp in seconds, got {stamps[bad]:g}; mend or remove the line, or read with stamps='order'"
+        return FormatError(path, text, line=lines[bad], field=name)
+    steps = np.diff(stamps)
+    worst = int(np.argmin(steps))
+    return FormatError(
         path,
-        f"the stamps run backwards: {stamps[worst + 1]:.6f} s after {stamps[worst]:.6f} s ({len(steps)} steps back in "
-        f"{len(stamps)} scans); read with stamps='order' if the order of the file is right",
+        f"the stamps run backwards: {stamps[worst + 1]:.6f} s after {stamps[worst]:.6f} s "
+        f"({np.count_nonzero(steps < 0.0)} steps back in {len(stamps)} scans); read with stamps='order' if the order "
+        "of the file is right",
         line=lines[worst + 1],
         field=name,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
 from beamfield.io.files.text_lines import Line, word_lines
-from beamfield.io.logs.text_scans import TextOptions, TextScans, finite_pose
+from beamfield.io.logs.text_scans import DEFAULTS, TextOptions, TextScans, finite_pose
 from beamfield.sensors import ScanLog
 
 MEASUREMENTS, POSES = "measurement.txt", "poses.txt"
@@ -24,7 +24,7 @@ def is_sonar_log(folder: Path) -> bool:
     return (folder / MEASUREMENTS).is_file() and (folder / POSES).is_file()
 
 
-def read_sonar_log(folder: str | Path, options: TextOptions | None = None) -> ScanLog:
+def read_sonar_log(folder: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
     """Read a folder with ``measurement.txt`` (t r1 ... r8) and ``poses.txt`` (t x y theta), line by line.
 
     Times in milliseconds, ranges and positions in millimetres, headings in tenths of a degree. The eight sonars look
@@ -45,7 +45,6 @@ def read_sonar_log(folder: str | Path, options: TextOptions | None = None) -> Sc
         time.
     """
     root = Path(folder)
-    chosen = options or TextOptions()
     scans = TextScans(root / MEASUREMENTS, "sonar")
     poses = word_lines(root / POSES)
     for line in word_lines(root / MEASUREMENTS):
@@ -63,10 +62,10 @@ def read_sonar_log(folder: str | Path, options: TextOptions | None = None) -> Sc
     mounts = np.column_stack([np.zeros((len(BEARINGS_DEG), 2)), np.radians(BEARINGS_DEG)])
     nothing = np.full((len(scans), 3), np.nan)
     given = np.stack(scans.poses)
-    reference = chosen.lone_poses == "reference"
+    reference = options.lone_poses == "reference"
     sensor, notes = scans.finish(
         mounts,
-        chosen,
+        options,
         poses=given if reference else nothing,
         odometry=nothing if reference else given,
         opening_angle=float(np.radians(OPENING_ANGLE_DEG)),

@@ -46,6 +46,9 @@ class TextOptions:
         return self.sensors is None or name in self.sensors
 
 
+DEFAULTS = TextOptions()
+
+
 @dataclass(eq=False)
 class TextScans:
     """Collects the scans of one sensor, line by line.

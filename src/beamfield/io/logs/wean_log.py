@@ -9,7 +9,7 @@ import numpy as np
 from beamfield.errors import FormatError
 from beamfield.geometry import between, compose
 from beamfield.io.files.text_lines import word_lines
-from beamfield.io.logs.text_scans import TextOptions, TextScans, finite_pose, sorted_track
+from beamfield.io.logs.text_scans import DEFAULTS, TextOptions, TextScans, finite_pose, sorted_track
 from beamfield.sensors import ScanLog
 
 N_BEAMS = 180
@@ -18,7 +18,7 @@ CENTIMETRES = np.array([0.01, 0.01, 1.0])
 MOUNT_TOLERANCE = 1e-3
 
 
-def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanLog:
+def read_wean_log(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
     """Read a log of O lines (odometry) and L lines (laser scans).
 
     ``O x y theta ts`` and ``L x y theta xl yl thetal r1 ... r180 ts``: the robot's and the laser's pose in the frame of
@@ -38,7 +38,6 @@ def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanL
         If a line is neither, is cut off or has something else than numbers, or the mount is not constant.
     """
     source = Path(path)
-    chosen = options or TextOptions()
     scans = TextScans(source, "L")
     lasers, odometry, odometry_stamps = [], [], []
     for line in word_lines(source):
@@ -58,7 +57,7 @@ def read_wean_log(path: str | Path, options: TextOptions | None = None) -> ScanL
         raise FormatError(source, f"no scans: no line L among {len(odometry)} lines O")
     mount = scans.constant_mount(between(np.stack(scans.odometry), np.stack(lasers)), MOUNT_TOLERANCE)
     beams = np.column_stack([np.zeros((N_BEAMS, 2)), np.radians(-90.0 + np.arange(N_BEAMS))])
-    stamps = scans.resolve_stamps(chosen.stamps)
-    sensor, notes = scans.finish(compose(mount.round(4), beams), chosen, stamps=stamps)
+    stamps = scans.resolve_stamps(options.stamps)
+    sensor, notes = scans.finish(compose(mount.round(4), beams), options, stamps=stamps)
     track = sorted_track(odometry_stamps, odometry, "O", notes, numbered=stamps.column is None)
     return ScanLog({"L": sensor}, track, str(source), tuple(notes))

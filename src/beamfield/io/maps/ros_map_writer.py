@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.atomic import atomic_files
 from beamfield.io.files.yaml_file import read_yaml
@@ -45,8 +46,7 @@ def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | 
         As the file system says; existing files stay as they were.
     """
     yaml_path = Path(path)
-    if yaml_path.suffix not in (".yaml", ".yml"):
-        raise InvalidInputError(f"path of a map: expected a name ending in .yaml or .yml, got {yaml_path.name!r}")
+    require(yaml_path.suffix in (".yaml", ".yml"), "path of a map", "a name ending in .yaml or .yml", yaml_path.name)
     if mode is None:
         mode = _lossless_mode(grid)
     if mode == "trinary":
@@ -154,7 +154,6 @@ def _number(value: float) -> str:
 def _yaml_name(name: str) -> str:
     if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", name):
         return name
-    if not name.isprintable():
-        raise InvalidInputError(f"path of a map: expected a printable name, got {name!r}")
+    require(name.isprintable(), "path of a map", "a printable name", name)
     escaped = name.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'

@@ -63,10 +63,7 @@ def beam_model_text(
         As for `beamfield.io.parameters.document.document_text`.
     """
     counting = {} if n_beams is None else counting_section(exponent, single_scan_exponent, n_beams)
-    document: dict[str, Any] = {
-        "beam_model": {**_rounded(parameters), **counting},
-        "sensor": sensor_section(finder),
-    }
+    document: dict[str, Any] = {"beam_model": {**_rounded(parameters), **counting}, "sensor": sensor_section(finder)}
     if finder.opening_angle > 0.0:
         # Radians: parameters of cones mean nothing to a model of beams.
         document["sensor"]["opening_angle"] = float(finder.opening_angle)

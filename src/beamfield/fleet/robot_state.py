@@ -144,28 +144,26 @@ def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> It
         )
 
 
-def site_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
-    """Return what to know of sites many of whose runs cannot be used, whatever the robot.
+def site_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
+    """Yield what to know of sites many of whose runs cannot be used, whatever the robot.
 
     Parameters
     ----------
     records
         All runs of the fleet.
     """
-    found = []
     for site in sorted({record.site for record in records}):
         mine = [record for record in records if record.site == site]
         if _share_left_out(mine) >= MANY_AT_A_SITE and len({one.robot for one in mine if not one.is_used}) > 1:
             left_out, reason = _left_out(mine)
-            found.append(Finding(
+            yield Finding(
                 "site-runs-left-out",
                 "warning",
                 f"{site}: {left_out} of {len(mine)} runs, of several robots, cannot be used; most often: {reason}",
                 {"left_out": float(left_out), "runs": float(len(mine))},
                 why="Where a map is far out of date no trajectory fits it, and these runs tell nothing more.",
                 do="See whether it is the map of this site, and map the places again that are listed for it.",
-            ))  # fmt: skip
-    return tuple(found)
+            )
 
 
 def _share_left_out(records: Sequence[RunRecord]) -> float:

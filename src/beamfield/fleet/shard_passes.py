@@ -114,7 +114,8 @@ def shard_parts(catalogue: Catalogue, thin: int = 1) -> list[Part]:
 
 def sensor_limits(record: RunRecord) -> SensorLimits:
     """Return the limits of a run's sensor."""
-    return SensorLimits(*(float(record.sensor[name]) for name in ("max_range", "min_range", "opening_angle")))
+    finder = record.finder
+    return SensorLimits(finder.max_range, finder.min_range, finder.opening_angle)
 
 
 def metres(
@@ -127,6 +128,7 @@ def metres(
     farthest = np.float32(limits.max_range)
     z, expected = ranges.astype(np.float64), expected_ranges.astype(np.float64)
     z[ranges >= farthest] = limits.max_range
+    expected[expected_ranges >= farthest] = limits.max_range
     np.maximum(z, limits.min_range, out=z)
     return z, expected, expected_ranges < farthest
 

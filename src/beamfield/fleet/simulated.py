@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -171,8 +171,8 @@ class FleetPlan:
 
     size: FleetSize
     seed: int
-    sites: tuple[Site, ...] = field(default=())
-    robots: tuple[Robot, ...] = field(default=())
+    sites: tuple[Site, ...]
+    robots: tuple[Robot, ...]
 
 
 @checked

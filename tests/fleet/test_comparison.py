@@ -40,7 +40,7 @@ def fit_of(values: np.ndarray, robot: str, site: str) -> GroupFit:
     }
     intervals = IntervalResult(intervals_from(values, ERRORS**2, 1.96), named, 0.95, 50, ())
     return GroupFit(
-        site, robot, SensorLimits(8.0, 0.0), parameters, parameters, intervals, covariance, 0.0, 10_000, 5, 4, True
+        site, robot, SensorLimits(8.0, 0.0), parameters, parameters, intervals, covariance, 0.0, 10_000, 4, True
     )
 
 

@@ -12,7 +12,7 @@ from benchmarks.fleet_faults import MAX_RANGE, Planted, find, series_of, simulat
 from scipy.stats import ttest_ind
 
 from beamfield.errors import InvalidInputError
-from beamfield.fleet.daily import DailySeries, Fault, daily_series
+from beamfield.fleet.daily import DailySeries, FaultKind, daily_series
 from beamfield.fleet.drift import FALSE_ALARMS, find_drift
 from beamfield.fleet.engine import Engine
 from beamfield.fleet.learning import FleetFit, learn
@@ -94,7 +94,7 @@ def test_daily_numbers_are_those_of_the_beams(fleet, series):
             assert 0.2 < item.standard_errors[day] / (0.02 * 1.25 / np.sqrt(hits.sum())) < 5.0
 
 
-def plain(x: np.ndarray, robot: str = "r", fault: Fault = "range-bias", error: float = 1e-9) -> DailySeries:
+def plain(x: np.ndarray, robot: str = "r", fault: FaultKind = "range-bias", error: float = 1e-9) -> DailySeries:
     days = tuple(FIRST_DAY + datetime.timedelta(days=k) for k in range(len(x)))
     errors = np.full(len(x), error)
     return DailySeries(robot, "s", fault, "m", days, x, errors, x, errors)
@@ -120,7 +120,7 @@ def test_a_change_of_one_robot_is_the_largest_t_test_with_bonferroni():
 def test_false_alarms_stay_below_the_bound():
     """Without any fault; robots differ in level and in noise."""
     rng = np.random.default_rng(1)
-    faults: tuple[Fault, ...] = ("turned-mount", "range-bias", "wheel-scale")
+    faults: tuple[FaultKind, ...] = ("turned-mount", "range-bias", "wheel-scale")
     reports = 40
     alarms, p_values = 0, []
     for _ in range(reports):

@@ -13,7 +13,7 @@ from scipy.special import polygamma, psi, stdtr, stdtrit
 
 from beamfield.arguments import checked
 from beamfield.fleet.comparison import FEWEST_ROBOTS, adjusted, unlike_others
-from beamfield.fleet.daily import DailySeries, Fault
+from beamfield.fleet.daily import DailySeries, FaultKind
 from beamfield.geometry import FloatArray
 
 # False alarms that are expected in one report, of all robots, faults and days together.
@@ -26,7 +26,7 @@ _MOST_PRIOR_DOF = 6.0
 # after such a change do not count for how it was at first.
 _BESIDE = 0.001
 # How a positive and a negative size are said, and of what.
-_WORDS: dict[Fault, tuple[str, str, str]] = {
+_WORDS: dict[FaultKind, tuple[str, str, str]] = {
     "turned-mount": ("left", "right", "the direction of motion is turned"),
     "range-bias": ("too long", "too short", "ranges are"),
     "wheel-scale": ("too short", "too long", "distances of the odometry are"),
@@ -67,7 +67,7 @@ class Drift:
 
     robot: str
     site: str
-    fault: Fault
+    fault: FaultKind
     since: datetime.date | None
     size: float
     low: float
@@ -142,7 +142,7 @@ def find_drift(series: Sequence[DailySeries]) -> tuple[Drift, ...]:
     Statistical Applications in Genetics and Molecular Biology 3, 2004.
     Benjamini and Hochberg, "Controlling the false discovery rate", Journal of the Royal Statistical Society B 57, 1995.
     """
-    families: dict[tuple[Fault, str], list[DailySeries]] = {}
+    families: dict[tuple[FaultKind, str], list[DailySeries]] = {}
     for item in series:
         families.setdefault((item.fault, item.cause), []).append(item)
     rows: list[Drift] = []

@@ -54,7 +54,7 @@ class GroupFit:
         there is one block only.
     log_likelihood
         At the parameters, nats per beam.
-    n_beams, n_shards
+    n_beams
         What was learned from.
     passes
         How often all these beams were read; not counting the sample.
@@ -71,7 +71,6 @@ class GroupFit:
     covariance: FloatArray
     log_likelihood: float
     n_beams: int
-    n_shards: int
     passes: int
     converged: bool
 
@@ -221,7 +220,6 @@ def _fit(group: _Group, engine: Engine) -> GroupFit | str:
         covariance=covariance,
         log_likelihood=end.objective,
         n_beams=int(likelihood.n_beams),
-        n_shards=len(group.parts),
         passes=likelihood.passes,
         converged=end.converged,
     )

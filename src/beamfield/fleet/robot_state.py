@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beamfield.finding import Finding
-from beamfield.fleet.daily import Fault
+from beamfield.fleet.daily import FaultKind
 from beamfield.fleet.drift import Drift
 from beamfield.fleet.run_record import RunRecord
 from beamfield.short_repr import short_repr
@@ -19,11 +19,11 @@ Light = Literal["red", "amber", "green", "grey"]
 LIGHTS: tuple[Light, ...] = ("red", "amber", "green", "grey")
 # From this size on a fault is red: share of readings in the sector, radians, metres, share of the distance. Smaller
 # ones cost a filter little yet.
-SERIOUS: Mapping[Fault, float] = {
+SERIOUS: Mapping[FaultKind, float] = {
     "dirty-lens": 0.05, "turned-mount": math.radians(0.5), "range-bias": 0.02, "wheel-scale": 0.01,
 }  # fmt: skip
 # Why a fault matters, and what to do.
-_ADVICE: Mapping[Fault, tuple[str, str]] = {
+_ADVICE: Mapping[FaultKind, tuple[str, str]] = {
     "dirty-lens": (
         "The robot sees less there than it should, and may take dirt for obstacles.",
         "Clean the window of the range finder{where}; if that does not help, look for scratches or what hides it.",

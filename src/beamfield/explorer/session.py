@@ -100,9 +100,8 @@ class Session:
         Parameters
         ----------
         message
-            Decoded JSON: an object with `name` (start, scan, heat, building, density, scores, judge,
-            filter, file) and what
-            that needs.
+            Decoded JSON: an object with `name` (start, scan, heat, building, density, scores, judge, filter, file) and
+            what that needs.
 
         Returns
         -------

@@ -256,8 +256,8 @@ def test_a_small_z_hit_is_explained_where_the_weight_is_a_product():
     (finding,) = small_z_hit("nav2", KIND, small)
     assert finding.text.startswith("z_hit = 0.006 is meant so")
     assert "z_hit range_max / z_rand" in finding.why
-    assert small_z_hit("nav2", KIND, SENSOR) == []
-    assert small_z_hit("nav2", "likelihood_field", replace(small, laser_model_type="likelihood_field")) == []
+    assert not [*small_z_hit("nav2", KIND, SENSOR)]
+    assert not [*small_z_hit("nav2", "likelihood_field", replace(small, laser_model_type="likelihood_field"))]
 
 
 def test_rays_are_replayed_less_and_filters_that_take_every_scan(drive):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -54,6 +55,13 @@ class SensorLimits:
     def span(self) -> float:
         """From the nearest range that is measured to the farthest, metres."""
         return self.max_range - self.min_range
+
+    @property
+    def text(self) -> str:
+        """Which sensors these are, for people."""
+        kind = f"Sonars of {math.degrees(self.opening_angle):.3g} degrees" if self.opening_angle else "Range finders"
+        least = f" from {self.min_range:g}" if self.min_range else ""
+        return f"{kind}{least} up to {self.max_range:g} m"
 
 
 @dataclass(frozen=True)

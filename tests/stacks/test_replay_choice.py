@@ -279,9 +279,9 @@ def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, offic
     job = SimpleNamespace(patched=None)
     blind = replace(drive, odometry=np.full_like(drive.poses, np.nan))
     fit = SimpleNamespace(model=SimpleNamespace(stack="mrpt"))
-    assert replay_fit(job, blind, office, fit, {}).why_not == "the log has no odometry"
+    assert replay_fit(job, blind, office, fit, {}) == (None, "the log has no odometry")
     monkeypatch.setitem(STACKS, "mrpt", replace(STACKS["mrpt"], filter=None))
-    assert replay_fit(job, drive, office, fit, {}).why_not == "the particle filter of mrpt is not emulated"
+    assert replay_fit(job, drive, office, fit, {}) == (None, "the particle filter of mrpt is not emulated")
 
 
 def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):

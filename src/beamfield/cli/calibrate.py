@@ -91,7 +91,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
 
-    arguments, error_is_given = _with_reference_error(arguments)
+    error_is_given = arguments.reference_error is not None
+    if not error_is_given:
+        arguments = argparse.Namespace(**{**vars(arguments), "reference_error": REFERENCE_ERROR})
     _check(arguments)
     check_folder_writable(arguments.out)
     check_recordings(arguments)
@@ -139,13 +141,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
         3 if problems else 0,
         "; ".join(problems),
     )
-
-
-def _with_reference_error(arguments: argparse.Namespace) -> tuple[argparse.Namespace, bool]:
-    """Return the command line with a --reference-error, and whether it was given."""
-    if arguments.reference_error is not None:
-        return arguments, True
-    return argparse.Namespace(**{**vars(arguments), "reference_error": REFERENCE_ERROR}), False
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -203,10 +198,7 @@ def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str,
     logs = {name: log.only_sensor(name) for name in names}
     if arguments.map is not None:  # poses that are missing will be fitted to it
         return logs
-    return {
-        name: options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True)
-        for name, sensor in logs.items()
-    }
+    return {name: options.require_poses(sensor, arguments) for name, sensor in logs.items()}
 
 
 def _folder_name(sensor: str) -> str:

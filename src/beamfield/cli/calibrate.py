@@ -14,7 +14,7 @@ for example:
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -116,14 +116,13 @@ def run(arguments: argparse.Namespace) -> Outcome:
             arguments, grid, learning, provenance(arguments), notes, patched, progress, error_is_given=error_is_given
         )
         results = {name: job.learn(sensor) for name, sensor in sensors.items()}
+    first, folders = next(iter(results.values())), _folders(results)
     with atomic_folder(arguments.out) as folder:
         for name, result in results.items():
-            # Several sensors: a folder each.
-            place = folder / (_folder_name(name) if len(results) > 1 else ".")
+            place = folder / folders[name]
             place.mkdir(exist_ok=True)
             for file_name, content in result.files.items():
                 (place / file_name).write_text(content, encoding="utf-8")
-        first = next(iter(results.values()))
         recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
     if patched is not None and first.stack is not None:
@@ -201,5 +200,15 @@ def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str,
     return {name: options.require_poses(sensor, arguments) for name, sensor in logs.items()}
 
 
-def _folder_name(sensor: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in sensor.strip("/")) or "sensor"
+def _folders(sensors: Iterable[str]) -> dict[str, str]:
+    """Return the folder of each sensor's files: of one sensor the output folder, of several one each of their name."""
+    names = list(sensors)
+    if len(names) == 1:
+        return {names[0]: "."}
+    folders: dict[str, str] = {}
+    for name in names:
+        folder = "".join(c if c.isalnum() or c in "-_." else "_" for c in name.strip("/.")) or "sensor"
+        while folder in folders.values():  # /front/scan and /front_scan
+            folder += "_"
+        folders[name] = folder
+    return folders

@@ -24,13 +24,7 @@ from beamfield.cli.calibrate_stack import add_stack_options, read_stack_request,
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.cli.provenance import provenance
-from beamfield.cli.recordings import (
-    add_recordings,
-    beam_recording,
-    check_recordings,
-    wants_recording,
-    write_recordings,
-)
+from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, wants_recording, write_recordings
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.printable import printable
 

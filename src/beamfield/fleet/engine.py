@@ -125,10 +125,7 @@ class Engine:
         return [results[i] for i in range(len(items))]
 
     def reduce(
-        self,
-        function: Callable[[Item], Result],
-        items: Sequence[Item],
-        combine: Callable[[Result, Result], Result],
+        self, function: Callable[[Item], Result], items: Sequence[Item], combine: Callable[[Result, Result], Result]
     ) -> Result:
         """Return the results of all items combined in a fixed order: neighbours first, then neighbouring pairs.
 

@@ -99,13 +99,7 @@ class FleetFit:
 
 
 @checked
-def learn(
-    catalogue: Catalogue,
-    engine: Engine,
-    *,
-    by: By = "fleet",
-    thin: int = 1,
-) -> FleetFit:
+def learn(catalogue: Catalogue, engine: Engine, *, by: By = "fleet", thin: int = 1) -> FleetFit:
     """Learn the parameters of a fleet, of each site or of each robot, from the beams that are not held out.
 
     Sensors whose limits differ are learned apart: a weight of random readings up to 12 m means something else than one

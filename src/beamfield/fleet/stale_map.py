@@ -127,11 +127,7 @@ class StaleMap:
 
 
 def find_stale_places(
-    catalogue: Catalogue,
-    engine: Engine,
-    fit: FleetFit,
-    *,
-    progress: Progress | None = None,
+    catalogue: Catalogue, engine: Engine, fit: FleetFit, *, progress: Progress | None = None
 ) -> tuple[StaleMap, ...]:
     """Find the places to map again, site by site.
 

@@ -221,11 +221,7 @@ def _trials_as_dict(trials: ReplayTrials) -> dict[str, Any]:
 
 def _comparison_as_dict(comparison: ReplayComparison) -> dict[str, Any]:
     sure = "lower" if comparison.is_lower else "higher" if comparison.is_higher else None
-    return {
-        **plain(comparison),
-        "difference": comparison.difference,
-        "for_sure": sure,
-    }
+    return {**plain(comparison), "difference": comparison.difference, "for_sure": sure}
 
 
 def _verdict_as_dict(evaluation: Evaluation, name: str) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from beamfield.cli.calibrate import _folders
 from beamfield.cli.calibrate_field import learn_field
 from beamfield.cli.main import main
 from beamfield.finding import Finding
@@ -466,3 +467,9 @@ def test_a_damaged_beam_model_file_names_file_and_field(tmp_path, old, new, word
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(FormatError, match=rf"beam_model\.yaml.*{words}"):
         read_beam_model(path)
+
+
+def test_each_of_several_sensors_has_a_folder_of_its_own():
+    assert _folders(["FLASER"]) == {"FLASER": "."}
+    names = ("/front/scan", "/front_scan", "..", "LASER 1")
+    assert list(_folders(names).values()) == ["front_scan", "front_scan_", "sensor", "LASER_1"]

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
-from beamfield.cli.calibrate_replay import Replayed
 from beamfield.cli.calibrate_stack import _said, fit_for_stack
 from beamfield.cli.main import main
 from beamfield.io.read_map import read_map
@@ -98,7 +97,7 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
 
 
 def test_without_a_model_all_are_fitted_and_the_best_is_written(world, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("beamfield.cli.calibrate_stack.replay_fit", lambda *_: Replayed(None, "not tested here"))
+    monkeypatch.setattr("beamfield.cli.calibrate_stack.replay_fit", lambda *_: (None, "not tested here"))
     assert calibrate(world, tmp_path / "out", "--stack", "beluga", quiet=False) == 0
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
     assert [fit["model"] for fit in document["models"]] == ["likelihood_field", "likelihood_field_prob", "beam"]

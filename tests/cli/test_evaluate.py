@@ -179,6 +179,11 @@ def test_it_says_why_a_filter_cannot_follow(world, tmp_path, capsys):
     assert "turned.carmen: Reference poses and odometry disagree in" in said
 
 
+def test_only_one_sensor_can_be_replayed(world, tmp_path, capsys):
+    assert evaluate(world, tmp_path / "out", "--sensor", "FLASER", "--sensor", "RLASER") == 2
+    assert "--sensor: expected one, got FLASER, RLASER" in capsys.readouterr().err
+
+
 def test_poses_must_go_with_the_logs(world, tmp_path, capsys):
     assert evaluate(world, tmp_path / "out", "--poses", "a.tum", "b.tum") == 2
     assert "--poses: expected one file for each LOG, got 2 for 1" in capsys.readouterr().err

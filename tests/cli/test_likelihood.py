@@ -89,6 +89,12 @@ def test_the_maximum_is_printed_and_lies_at_the_reference(folder, tmp_path, caps
     assert re.search(r"likelier still, by \d+\.\d\d nats|\d+\.\d\d nats below the maximum; \d", text)
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_what_the_reader_noticed_is_said(folder, capsys):
+    assert run(folder) == 0
+    assert "note: FLASER: the log has one pose per scan, taken as the corrected (reference)" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["picture.svg", "picture.png"])
 def test_the_picture_is_written(folder, tmp_path, capsys, name):
     assert run(folder, "--out", str(tmp_path / name)) == 0
@@ -223,4 +229,4 @@ def test_a_field_from_a_beam_model_says_what_it_leaves_out(folder, tmp_path, cap
     assert "beam_model.yaml has range_offset 0.03, which a likelihood field cannot have; it is left out" in text
     assert "sigma_slope" not in text
     path.write_text(beam_model_text(TRUTH, make_log(make_grid()).finder))
-    assert "note:" not in summary(folder, capsys, "--params", str(path))
+    assert "left out" not in summary(folder, capsys, "--params", str(path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -114,8 +114,12 @@ def stale_hall() -> StaleMap:
                   log_hash="", status="used", sensor=sensor, map_info=known)
         for one in shards
     )  # fmt: skip
-    limits = SensorLimits(10.0, 0.0)
-    fit = SimpleNamespace(fits=[SimpleNamespace(site=None, robot=None, limits=limits, parameters=TRUTH)])
+    # A sonar of equal limits, whose parameters are not the laser's.
+    fits = [
+        SimpleNamespace(site=None, robot=None, limits=SensorLimits(10.0, 0.0, angle), parameters=parameters)
+        for angle, parameters in ((0.3, replace(TRUTH, sigma_hit=5.0)), (0.0, TRUTH))
+    ]
+    fit = SimpleNamespace(fits=fits)
     with Engine("serial") as engine:
         (found,) = find_stale_places(MemoryCatalogue(records, tuple(shards), grid), engine, fit)
     return found

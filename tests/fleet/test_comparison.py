@@ -40,7 +40,7 @@ def fit_of(values: np.ndarray, robot: str, site: str) -> GroupFit:
     }
     intervals = IntervalResult(intervals_from(values, ERRORS**2, 1.96), named, 0.95, 50, ())
     return GroupFit(
-        site, robot, SensorLimits(8.0, 0.0), parameters, parameters, intervals, covariance, 0.0, 10_000, 5, 4, True
+        site, robot, SensorLimits(8.0, 0.0), parameters, parameters, intervals, covariance, 0.0, 10_000, 4, True
     )
 
 
@@ -125,8 +125,6 @@ def test_robots_of_a_site_that_is_unlike_the_others_differ():
     assert {row.site for row in compare_robots(fit) if row.differs} == {"s0"}
     few = FleetFit("robot", fit.fits[:4])
     assert compare_robots(few) == ()
-    with pytest.raises(InvalidInputError, match="false_discoveries"):
-        compare_robots(fit, false_discoveries=0.0)
     with pytest.raises(InvalidInputError, match="by robot"):
         compare_robots(FleetFit("fleet", fit.fits))
 

@@ -104,7 +104,7 @@ def test_the_light_is_that_of_the_worst_fault_and_robots_are_ranked():
     (site,) = site_findings(mixed)
     assert "10 of 16 runs" in site.text
     assert "robot stood <still>" in site.text
-    assert site_findings(RECORDS[:29]) == ()
+    assert not [*site_findings(RECORDS[:29])]
     assert not any(one.text.startswith("r") for all_of in found.values() for one in all_of)
 
 
@@ -136,3 +136,15 @@ def test_all_files_say_the_same(report, tmp_path):
             assert read.to_pylist() == [{column: row[column] for column in read.column_names} for row in rows]
     lights = pq.read_table(tmp_path / "robots.parquet").to_pylist()
     assert [(one["robot"], one["light"]) for one in lights] == [(one.robot, one.light) for one in report.states]
+
+
+def test_parameters_say_of_which_sensors_they_are(report):
+    laser = report.hierarchies[0]
+    sonar = replace(laser, limits=SensorLimits(12.0, 0.2, np.radians(15.0)))
+    both = replace(report, hierarchies=(laser, sonar))
+    names = [hierarchy.limits.text for hierarchy in both.hierarchies]
+    assert names == ["Range finders up to 12 m", "Sonars of 15 degrees from 0.2 up to 12 m"]
+    rows = report_tables(both)["parameters"]
+    assert {(one["max_range"], one["min_range"], one["opening_angle"]) for one in rows} == {
+        (12.0, 0.0, 0.0), (12.0, 0.2, np.radians(15.0))
+    }  # fmt: skip

@@ -167,7 +167,7 @@ def test_nan_makes_all_weights_of_ros1s_beam_model_nothing_and_is_left_out_in_na
     assert (nav2.log_likelihood(scan, POSES) == nav2.log_likelihood(without, POSES)).all()
     # Of the beams that are looked at.
     few = Ros1Beam(small_room(), Ros1Parameters.from_amcl(dataclasses.replace(PARAMETERS, max_beams=6)))
-    assert 4 not in few.selected_beams(16)
+    assert 4 not in few.beam_rule(16, few.parameters.as_amcl().max_beams)
     assert np.isfinite(few.log_likelihood(scan, POSES)).all()
 
 

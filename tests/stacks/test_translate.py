@@ -12,11 +12,11 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.emulation.emulator import KNOWN, FieldEvidence
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
+from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import model_named, parameter_class, stack_named
 from beamfield.stacks.translation.translate import translate
 from beamfield.stacks.translation.weight_comparison import (
     TOLERANCE,
-    Formula,
     between_cells,
     compare,
     compare_fields,

@@ -14,7 +14,7 @@ for example:
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,13 +24,7 @@ from beamfield.cli.calibrate_stack import add_stack_options, read_stack_request,
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.cli.provenance import provenance
-from beamfield.cli.recordings import (
-    add_recordings,
-    beam_recording,
-    check_recordings,
-    wants_recording,
-    write_recordings,
-)
+from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, wants_recording, write_recordings
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.printable import printable
 
@@ -91,7 +85,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
 
-    arguments, error_is_given = _with_reference_error(arguments)
+    error_is_given = arguments.reference_error is not None
+    if not error_is_given:
+        arguments = argparse.Namespace(**{**vars(arguments), "reference_error": REFERENCE_ERROR})
     _check(arguments)
     check_folder_writable(arguments.out)
     check_recordings(arguments)
@@ -114,14 +110,13 @@ def run(arguments: argparse.Namespace) -> Outcome:
             arguments, grid, learning, provenance(arguments), notes, patched, progress, error_is_given=error_is_given
         )
         results = {name: job.learn(sensor) for name, sensor in sensors.items()}
+    first, folders = next(iter(results.values())), _folders(results)
     with atomic_folder(arguments.out) as folder:
         for name, result in results.items():
-            # Several sensors: a folder each.
-            place = folder / (_folder_name(name) if len(results) > 1 else ".")
+            place = folder / folders[name]
             place.mkdir(exist_ok=True)
             for file_name, content in result.files.items():
                 (place / file_name).write_text(content, encoding="utf-8")
-        first = next(iter(results.values()))
         recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
     if patched is not None and first.stack is not None:
@@ -139,13 +134,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
         3 if problems else 0,
         "; ".join(problems),
     )
-
-
-def _with_reference_error(arguments: argparse.Namespace) -> tuple[argparse.Namespace, bool]:
-    """Return the command line with a --reference-error, and whether it was given."""
-    if arguments.reference_error is not None:
-        return arguments, True
-    return argparse.Namespace(**{**vars(arguments), "reference_error": REFERENCE_ERROR}), False
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -203,11 +191,18 @@ def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str,
     logs = {name: log.only_sensor(name) for name in names}
     if arguments.map is not None:  # poses that are missing will be fitted to it
         return logs
-    return {
-        name: options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True)
-        for name, sensor in logs.items()
-    }
+    return {name: options.require_poses(sensor, arguments) for name, sensor in logs.items()}
 
 
-def _folder_name(sensor: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in sensor.strip("/")) or "sensor"
+def _folders(sensors: Iterable[str]) -> dict[str, str]:
+    """Return the folder of each sensor's files: of one sensor the output folder, of several one each of their name."""
+    names = list(sensors)
+    if len(names) == 1:
+        return {names[0]: "."}
+    folders: dict[str, str] = {}
+    for name in names:
+        folder = "".join(c if c.isalnum() or c in "-_." else "_" for c in name.strip("/.")) or "sensor"
+        while folder in folders.values():  # /front/scan and /front_scan
+            folder += "_"
+        folders[name] = folder
+    return folders

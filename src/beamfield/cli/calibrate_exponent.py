@@ -25,12 +25,7 @@ def learn_beam_exponent(
     """Learn the exponent of the beam model from the log and the map that its parameters were learned from."""
     from beamfield.calibration.context.exponent import learn_exponent
     from beamfield.models.sonar import model_of_sensor
-    from beamfield.report.exponent_section import (
-        exponent_as_dict,
-        exponent_missing,
-        exponent_section,
-        exponent_table,
-    )
+    from beamfield.report.exponent_section import exponent_as_dict, exponent_missing, exponent_section, exponent_table
 
     job.progress("learning how much beams count", 0, 1)
     unknown: Literal["free", "occupied"] = "occupied" if result.options.unknown == "occupied" else "free"

@@ -21,12 +21,7 @@ def learn_odometry(job: CalibrationJob, sensor: SensorLog) -> tuple[ReportPart, 
     from beamfield.calibration.odometry.learning import calibrate_odometry
     from beamfield.calibration.odometry.result import OdometryOptions
     from beamfield.calibration.pose_windows import REFERENCE_LEVER
-    from beamfield.report.odometry_section import (
-        odometry_as_dict,
-        odometry_missing,
-        odometry_section,
-        odometry_tables,
-    )
+    from beamfield.report.odometry_section import odometry_as_dict, odometry_missing, odometry_section, odometry_tables
 
     job.progress("calibrating the odometry", 0, 1)
     error = job.arguments.reference_error

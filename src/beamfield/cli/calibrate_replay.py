@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,27 +21,12 @@ if TYPE_CHECKING:
 MAP_NAME = "amcl_map.yaml"
 
 
-@dataclass(frozen=True, eq=False)
-class Replayed:
-    """What replay decided, or why there was none.
-
-    Parameters
-    ----------
-    choice
-        The decision; None if nothing was replayed.
-    why_not
-        The reason, for people.
-    """
-
-    choice: ReplayChoice | None
-    why_not: str = ""
-
-
 def replay_fit(
     job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, fit: StackFit, learned: Mapping[str, Any]
-) -> Replayed:
+) -> tuple[ReplayChoice | None, str]:
     """Choose between the values before and those fitted, with several motion noises, by the stack's own filter.
 
+    Returns the decision, or none and why nothing was replayed.
     `learned` is the motion noise that was asked for with --odometry-noise: it is then the only other one.
     """
     from beamfield.calibration.pose_windows import REFERENCE_LEVER
@@ -52,17 +36,16 @@ def replay_fit(
     from beamfield.stacks.fit.replay_segments import cut_segments
 
     if not sensor.has_odometry:
-        return Replayed(None, "the log has no odometry")
+        return None, "the log has no odometry"
     try:
         before = _settings(job, fit)
         if before is None:
-            return Replayed(None, f"the particle filter of {fit.model.stack} is not emulated")
+            return None, f"the particle filter of {fit.model.stack} is not emulated"
         options = replay_options(before, sensor, job.arguments.seed)
-        stretches = cut_segments(
-            sensor, *before.update_distances, most=options.most_stretches, longest=options.longest,
-        )  # fmt: skip
+        most, longest = options.most_stretches, options.longest
+        stretches = cut_segments(sensor, *before.update_distances, most=most, longest=longest)
     except (FormatError, TooLittleDataError) as problem:  # a value that only the filter reads, or a short drive
-        return Replayed(None, str(problem))
+        return None, str(problem)
     error = job.arguments.reference_error
     job.progress("replay: looking at the odometry", 0, 1)
     motions = motion_candidates(before, sensor, error, error / REFERENCE_LEVER)
@@ -74,10 +57,9 @@ def replay_fit(
     inputs = before, sensors, motions, _shift(job, before, grid), stretches, grid, options
     try:
         with kept_runs(_cache_folder(), inputs) as kept:
-            choice = choose_by_replay(*inputs, job.progress, kept)
+            return choose_by_replay(*inputs, job.progress, kept), ""
     except TooLittleDataError as problem:
-        return Replayed(None, str(problem))
-    return Replayed(choice)
+        return None, str(problem)
 
 
 def shifted_map_file(job: CalibrationJob, choice: ReplayChoice) -> dict[str, str]:

@@ -103,18 +103,18 @@ def fit_for_stack(
         why = f"no values for {stack}: {error}"
         section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
         return ReportPart("stack", why, {"stack": stack, "missing": str(error)}, section, {}, problem=why)
-    replayed = replay_fit(job, sensor, grid, best, motion)
-    found = StackResult(fits, best, replayed.choice, replayed.why_not)
+    choice, why_not = replay_fit(job, sensor, grid, best, motion)
+    found = StackResult(fits, best, choice, why_not)
     record = _record(found) if found.covers else ""
     start_values = asdict(best.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
-    noise = dict(motion) if replayed.choice is None else found.motion
+    noise = dict(motion) if choice is None else found.motion
     said = _said(stack, noise)
     changed |= {} if said else noise
     text = _file_text(job.arguments, found, {**asdict(found.parameters), **changed}, record, said)
     files = {f"{stack}.{STACKS[stack].syntax}": text}
-    if replayed.choice is not None:
-        files |= shifted_map_file(job, replayed.choice)
+    if choice is not None:
+        files |= shifted_map_file(job, choice)
     return StackPart(
         "stack", "\n\n".join([stack_tables(found), *said]), stack_as_dict(found), stack_section(found, text), files,
         values=changed, record=record,

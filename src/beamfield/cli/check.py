@@ -91,6 +91,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Read, calibrate, judge, write."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
+    from beamfield.models.sonar import model_of_sensor
     from beamfield.report.places_figure import places_as_dict
     from beamfield.report.scan_fit_page import fit_as_dict, fit_table
     from beamfield.scan_fit.lost import LostRates
@@ -105,7 +106,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with about_file(arguments.log):
             parameters, doubt = _parameters(given, arguments, progress)
             given = replace(given, notes=(*given.notes, *doubt))
-            model = _model(given, parameters)
+            model = model_of_sensor(given.log.finder)(given.grid, parameters)
             origin = provenance(arguments)
             reference = _reference(model, given, origin, arguments, progress)
             fits = judge_log(
@@ -217,12 +218,6 @@ def _parameters(
     )
     reasons = doubts(learned)
     return learned.parameters, (f"what good scans look like was learned all the same. {reasons}",) if reasons else ()
-
-
-def _model(given: _Inputs, parameters: BeamParameters) -> RangeMixtureModel:
-    from beamfield.models.sonar import model_of_sensor
-
-    return model_of_sensor(given.log.finder)(given.grid, parameters)
 
 
 def _reference(

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -177,51 +178,36 @@ def _read_logs(
     notes: list[str] = []
     poses = arguments.poses or [None] * len(arguments.logs)
     for (name, path), reference in zip(_short_names(arguments.logs).items(), poses, strict=True):
-        log = options.read_scans(arguments, path, reference)
-        sensor = log.only_sensor(arguments.sensor[0] if arguments.sensor else None)
+        sensor, noticed = options.read_sensor(arguments, path, reference)
         if not sensor.has_odometry:
             raise FormatError(path, "the log has no odometry, by which a filter moves its particles")
         start = options.start_of(arguments)
         logs[name], _, more = posed_log(sensor, grid, arguments, progress, path=path, start=start)
-        notes += [f"{name}: {note}" for note in (*log.notes, *more)]
+        notes += [f"{name}: {note}" for note in (*noticed, *more)]
     return logs, notes
 
 
 def _evaluate(
-    arguments: argparse.Namespace,
-    filters: Mapping[str, ReplayedFilter],
-    logs: Mapping[str, SensorLog],
+    arguments: argparse.Namespace, filters: Mapping[str, ReplayedFilter], logs: Mapping[str, SensorLog],
     progress: StageProgress,
-) -> Evaluation:
-    from beamfield.report.evaluation import Evaluation
+) -> Evaluation:  # fmt: skip
+    from beamfield.localization.replay_trials import run_trials
+    from beamfield.report.evaluation import Evaluation, FindTrials
 
     trials: dict[str, list[ReplayTrials]] = {name: [] for name in filters}
     finds: dict[str, list[FindTrials]] = {name: [] for name in filters}
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
     for log_name, log in logs.items():
         for name, replayed in filters.items():
+            show = partial(progress, f"{name} on {log_name}")
             try:
-                trials[name].append(_track(arguments, f"{name} on {log_name}", replayed, log_name, log, progress))
-                finds[name] += _find(arguments, f"{name} on {log_name}", replayed, log_name, log, progress)
+                made = run_trials(replayed, log, seeds, name=log_name, spread=_spread(arguments), progress=show)
+                trials[name].append(made)
+                for task, seconds in _find(arguments, f"{name} on {log_name}", replayed, log, progress).items():
+                    finds[name].append(FindTrials(task, log_name, seconds))
             except TooLittleDataError as error:
                 raise TooLittleDataError(f"{log_name}: {error}") from error
     return Evaluation(trials, finds)
-
-
-def _track(
-    arguments: argparse.Namespace,
-    stage: str,
-    replayed: ReplayedFilter,
-    log_name: str,
-    log: SensorLog,
-    progress: StageProgress,
-) -> ReplayTrials:
-    from beamfield.localization.replay_trials import run_trials
-
-    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
-    return run_trials(
-        replayed, log, seeds, name=log_name, spread=_spread(arguments),
-        progress=lambda done, total: progress(stage, done, total),
-    )  # fmt: skip
 
 
 def _spread(arguments: argparse.Namespace) -> tuple[float, float]:
@@ -230,37 +216,30 @@ def _spread(arguments: argparse.Namespace) -> tuple[float, float]:
 
 
 def _find(
-    arguments: argparse.Namespace,
-    stage: str,
-    replayed: ReplayedFilter,
-    log_name: str,
-    log: SensorLog,
-    progress: StageProgress,
-) -> list[FindTrials]:
-    """Return how often a robot was found in the tasks that were asked for."""
+    arguments: argparse.Namespace, stage: str, replayed: ReplayedFilter, log: SensorLog, progress: StageProgress
+) -> dict[str, tuple[float | None, ...]]:
+    """Return when each run found the robot, by the tasks that were asked for."""
     import numpy as np
 
     from beamfield.localization.found import kidnapped, time_to_find
     from beamfield.localization.replay import reference_start
-    from beamfield.report.evaluation import FindTrials
 
     first, start = reference_start(log)
     part = log[first:]
-    tasks: list[tuple[str, SensorLog, PoseBelief | None, int]] = []
+    tasks: dict[str, tuple[SensorLog, PoseBelief | None, int]] = {}
     if arguments.from_anywhere:
-        tasks.append(("global start", part, None, 0))
+        tasks["global start"] = part, None, 0
     if arguments.kidnap:
         cut, after = kidnapped(part)
-        tasks.append(("kidnapping", cut, start, after))
-    found = []
-    for task, its_log, belief, since in tasks:
-        seconds = []
-        for i in range(arguments.seeds):
-            progress(f"{stage}, {task}", i, arguments.seeds)
-            replay = replayed.run(its_log, belief, np.random.default_rng(arguments.seed + i))
-            seconds.append(time_to_find(replay, its_log, since))
-        found.append(FindTrials(task, log_name, tuple(seconds)))
-    return found
+        tasks["kidnapping"] = cut, start, after
+
+    def seconds(task: str, i: int) -> float | None:
+        its_log, belief, since = tasks[task]
+        progress(f"{stage}, {task}", i, arguments.seeds)
+        replay = replayed.run(its_log, belief, np.random.default_rng(arguments.seed + i))
+        return time_to_find(replay, its_log, since)
+
+    return {task: tuple(seconds(task, i) for i in range(arguments.seeds)) for task in tasks}
 
 
 def _recording(

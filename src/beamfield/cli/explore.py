@@ -69,10 +69,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if arguments.port > 65535:
         raise InvalidInputError(f"--port: expected at most 65535, got {arguments.port}")
     with options.progress(arguments) as progress:
-        progress("reading the map", 0, 1)
-        grid = options.read_walls(arguments)
-        progress("reading the log", 0, 1)
-        sensor, notes = options.read_sensor(arguments)
+        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
         # Before poses are fitted, which takes long: a bad file is refused at once.
         sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
         shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)

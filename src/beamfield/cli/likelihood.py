@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
+from beamfield.cli.wording import pose_text
 from beamfield.errors import FormatError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -82,14 +83,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     _check(arguments)
     with options.progress(arguments) as progress:
-        progress("reading the map", 0, 1)
-        grid = options.read_walls(arguments)
+        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
         if not grid.free.any():
             raise FormatError(arguments.map, "the map has no free cell, so there is no place to compare")
-        progress("reading the log", 0, 1)
-        sensor, _ = options.read_sensor(arguments)
         scan = _scan(sensor, arguments)
-        measured, model, notes = _measurement_and_model(sensor, scan, grid, arguments)
+        measured, model, more = _measurement_and_model(sensor, scan, grid, arguments)
         result = likelihood_map(
             model,
             measured,
@@ -103,7 +101,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("drawing", 0, 1)
         wrote = _write(scan, grid, result, reference, arguments)
     document = {"scan": arguments.scan, "model": arguments.model, **_found(result, measured, model, reference)}
-    return Outcome(f"wrote {' and '.join(map(str, wrote))}", _summary(document), document, notes, wrote)
+    return Outcome(f"wrote {' and '.join(map(str, wrote))}", _summary(document), document, (*notes, *more), wrote)
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -291,11 +289,11 @@ def _summary(found: Mapping[str, Any]) -> str:
     lines = [f"compared {found['n_poses']:,} poses: {places}"]
     if best is None:
         return "\n".join([*lines, "all places are equally likely: the scan says nothing here"])
-    lines.append(f"maximum: {_pose_text(best['pose'])}, log p(z | x, m) = {best['log_likelihood']:.2f} nats")
+    lines.append(f"maximum: {pose_text(best['pose'])}, log p(z | x, m) = {best['log_likelihood']:.2f} nats")
     if reference is None:
         return "\n".join([*lines, "the scan has no reference pose to compare with"])
     lines.append(
-        f"reference: {_pose_text(reference['pose'])}; the maximum is {reference['distance_m']:.2f} m and "
+        f"reference: {pose_text(reference['pose'])}; the maximum is {reference['distance_m']:.2f} m and "
         f"{math.degrees(reference['turn_rad']):.1f} deg away"
     )
     below = math.inf if reference["below_maximum"] is None else reference["below_maximum"]
@@ -305,7 +303,3 @@ def _summary(found: Mapping[str, Any]) -> str:
         share = reference["share_of_likelier_places"]
         lines.append(f"at the reference: {below:.2f} nats below the maximum; {share:.2%} of the places are likelier")
     return "\n".join(lines)
-
-
-def _pose_text(pose: Sequence[float]) -> str:
-    return f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, heading {math.degrees(pose[2]):.1f} deg"

@@ -30,6 +30,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, check_recordings, write_recordings
+from beamfield.cli.wording import pose_text
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, about_file
 
 if TYPE_CHECKING:
@@ -106,10 +107,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         check_writable(arguments.animation)
     check_recordings(arguments)
     with options.progress(arguments) as progress:
-        progress("reading the map", 0, 1)
-        grid = options.read_walls(arguments)
-        progress("reading the log", 0, 1)
-        sensor, notes = options.read_sensor(arguments)
+        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
         log, start = _start(sensor, grid, arguments)
         run_filter, which = _filter(log, grid, start, arguments)
         film = Film(len(log), arguments.seed)
@@ -356,12 +354,12 @@ def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: F
 def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
     rate = document["updates_per_second"]
     speed = "" if rate is None else f", {rate:.0f} updates/s"
-    where = "anywhere on the map" if document["start"] is None else f"{_pose_text(document['start'])}"
+    where = "anywhere on the map" if document["start"] is None else pose_text(document["start"])
     lines = [
         f"filter: {document['filter']}",
         f"started from: {where}",
         f"used {document['n_updates']} of {document['n_scans']} scans{speed}",
-        f"ended at: {_pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",
+        f"ended at: {pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",
     ]
     if document["start"] is None and document["sure_after_s"] is not None:
         lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are a best guess")
@@ -371,7 +369,3 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
     within = f"{FOUND_WITHIN:g} m of the reference"
     lines.append(f"within {within} from {found:.1f} s on" if found is not None else f"not within {within} at the end")
     return "\n".join([*lines, errors.summary()])
-
-
-def _pose_text(pose: Any) -> str:
-    return f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, heading {math.degrees(pose[2]):.1f} deg"

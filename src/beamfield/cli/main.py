@@ -40,24 +40,9 @@ from beamfield.errors import BeamfieldError
 from beamfield.kernels.threads import set_threads
 
 COMMANDS = (
-    calibrate,
-    calibrate_landmarks,
-    check,
-    doctor,
-    evaluate,
-    explore,
-    translate,
-    inspect,
-    trajectory,
-    map_command,
-    precompute,
-    simulate,
-    likelihood,
-    localize,
-    figures,
-    fleet,
-    demo,
-)
+    calibrate, calibrate_landmarks, check, doctor, evaluate, explore, translate, inspect, trajectory, map_command,
+    precompute, simulate, likelihood, localize, figures, fleet, demo,
+)  # fmt: skip
 INTERNAL_ERROR = 70
 # New objects between two searches for garbage, where Python's 700 or 2,000 cost a twelfth of a command's time: imports
 # and Numba's compiler make millions of objects that stay.

@@ -108,8 +108,7 @@ def _posed(
     from beamfield.cli.fitted_poses import posed_log
 
     if arguments.map is None:
-        own = options.require_poses(sensor, arguments.log, odometry=arguments.odometry, may_be_odometry=True)
-        return own, None, ()
+        return options.require_poses(sensor, arguments), None, ()
     grid, start = options.read_walls(arguments), options.start_of(arguments)
     return posed_log(sensor, grid, arguments, progress, path=arguments.log, start=start)
 

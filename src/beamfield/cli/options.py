@@ -222,26 +222,26 @@ def read_sensor(
     return log.only_sensor(arguments.sensor[0] if arguments.sensor else None), log.notes
 
 
-def require_poses(sensor: SensorLog, path: Path, *, odometry: bool = False, may_be_odometry: bool = False) -> SensorLog:
-    """Return the sensor with reference poses, or with its odometry in their place if that is asked for.
+def read_map_and_sensor(
+    arguments: argparse.Namespace, progress: StageProgress
+) -> tuple[OccupancyGrid, SensorLog, tuple[str, ...]]:
+    """Read --map, which must have something for rays to meet, and the one sensor of LOG; and what was noticed."""
+    progress("reading the map", 0, 1)
+    grid = read_walls(arguments)
+    progress("reading the log", 0, 1)
+    return grid, *read_sensor(arguments)
 
-    Parameters
-    ----------
-    sensor, path
-        What was read, and from where.
-    odometry
-        Whether the odometry is asked for.
-    may_be_odometry
-        Whether the command could take it.
-    """
-    if odometry:
+
+def require_poses(sensor: SensorLog, arguments: argparse.Namespace) -> SensorLog:
+    """Return the sensor of LOG with reference poses, or with --odometry that in their place."""
+    if arguments.odometry:
         if not sensor.has_odometry:
-            raise FormatError(path, "--odometry: the log has none")
+            raise FormatError(arguments.log, "--odometry: the log has none")
         return sensor.with_poses(sensor.odometry)
     if not sensor.has_poses:
-        wheels = ", or --odometry to trust the wheels" if may_be_odometry and sensor.has_odometry else ""
+        wheels = ", or --odometry to trust the wheels" if sensor.has_odometry else ""
         raise FormatError(
-            path,
+            arguments.log,
             f"no scan has a reference pose; give a TUM or CSV file with --poses{wheels} (beamfield trajectory finds "
             "poses in a map)",
         )

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 
     Numbers = Mapping[str, FloatArray]
 
-# Option, package that writes it, extra that brings the package.
-KINDS = (("rerun", ".rrd", "rerun", "rerun-sdk"), ("mcap", ".mcap", "rosbags", "rosbags"))
-EXTRAS = {"rerun": "rerun", "mcap": "ros"}
+# Option, ending of its file, module that writes it, package of that, extra that brings the package.
+KINDS = (("rerun", ".rrd", "rerun", "rerun-sdk", "rerun"), ("mcap", ".mcap", "rosbags", "rosbags", "ros"))
 
 
 def add_recordings(parser: argparse.ArgumentParser) -> None:
@@ -40,14 +39,14 @@ def check_recordings(arguments: argparse.Namespace) -> None:
     """Refuse now what could not be written after the work."""
     from beamfield.io.files.atomic import check_writable
 
-    for option, ending, module, package in KINDS:
+    for option, ending, module, package, extra in KINDS:
         path = getattr(arguments, option)
         if path is None:
             continue
         if path.suffix.lower() != ending:
             raise InvalidInputError(f"--{option}: expected a name ending in {ending}, got {path.name!r}")
         if importlib.util.find_spec(module) is None:
-            raise MissingDependencyError(package, EXTRAS[option], f"--{option}")
+            raise MissingDependencyError(package, extra, f"--{option}")
         check_writable(path)
 
 

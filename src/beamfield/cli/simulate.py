@@ -25,14 +25,7 @@ from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, not_negative, positive
 from beamfield.cli.provenance import provenance
-from beamfield.cli.simulate_sonar import (
-    Value,
-    add_sonar_options,
-    add_values,
-    given_options,
-    ring_of,
-    values_of,
-)
+from beamfield.cli.simulate_sonar import Value, add_sonar_options, add_values, given_options, ring_of, values_of
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.content_hash import file_hash
 

@@ -54,10 +54,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     picture = _picture(arguments)
     with options.progress(arguments) as progress:
-        progress("reading the map", 0, 1)
-        grid = options.read_walls(arguments)
-        progress("reading the log", 0, 1)
-        sensor, notes = options.read_sensor(arguments)
+        grid, sensor, notes = options.read_map_and_sensor(arguments, progress)
         try:
             fit = fit_trajectory(
                 sensor, grid, start=options.start_of(arguments), progress=progress,

@@ -1,8 +1,10 @@
-"""Texts of the library in the words of the command line: its parameters are options there."""
+"""Texts of the library in the words of the command line, where its parameters are options; poses for people."""
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 
 # What a Python caller passes -> what is typed instead. Only names that mean nothing else in a sentence.
 _OPTIONS = {
@@ -44,3 +46,8 @@ def in_options(text: str) -> str:
     return _GIVEN.sub(
         lambda found: f"--{found['name'].replace('_', '-')}" if found["name"] else f"--stamps {found['rule']}", text
     )
+
+
+def pose_text(pose: Sequence[float]) -> str:
+    """Return a pose (x, y, heading in radians) for people."""
+    return f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, heading {math.degrees(pose[2]):.1f} deg"

@@ -23,7 +23,8 @@ from beamfield.scan_fit.reference import calibrate_scan_fit
 from beamfield.scan_fit.scan_fit import ScanFits, judge_log
 from beamfield.sensors import SensorLog
 
-# Of a beam model that is fitted: more beams add nothing to its posteriors, and each costs a ray (docs/in_context.md).
+# Of a beam model that is fitted: more beams add nothing to its posteriors, and each costs a ray
+# (docs/evidence/in_context.md).
 N_BEAMS = 30
 Progress = Callable[[str, int, int], None]
 

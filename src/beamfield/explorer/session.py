@@ -100,9 +100,8 @@ class Session:
         Parameters
         ----------
         message
-            Decoded JSON: an object with `name` (start, scan, heat, building, density, scores, judge,
-            filter, file) and what
-            that needs.
+            Decoded JSON: an object with `name` (start, scan, heat, building, density, scores, judge, filter, file) and
+            what that needs.
 
         Returns
         -------
@@ -199,13 +198,7 @@ class Session:
         }
 
     def _shares(
-        self,
-        scan: Scan,
-        usable: FloatArray,
-        expected: FloatArray,
-        one: ParameterSet,
-        values: Values,
-        pose: FloatArray,
+        self, scan: Scan, usable: FloatArray, expected: FloatArray, one: ParameterSet, values: Values, pose: FloatArray
     ) -> list[Any] | None:
         """Return for each reading the shares of its causes (beam model) or of a hit (field); None for other models."""
         finder = scan.finder

@@ -38,12 +38,7 @@ CELLS_ACROSS = 400
 
 
 def likelihood_figure(
-    scan: Scan,
-    grid: OccupancyGrid,
-    result: LikelihoodMap,
-    reference: FloatArray | None = None,
-    *,
-    model_name: str = "",
+    scan: Scan, grid: OccupancyGrid, result: LikelihoodMap, reference: FloatArray | None = None, *, model_name: str = ""
 ) -> Figure:
     """Draw (a) a scan at its reference pose in the map and (b) its likelihood over the map.
 
@@ -115,12 +110,7 @@ def plot_likelihood_map(result: LikelihoodMap, grid: OccupancyGrid) -> Figure:
 
 
 def draw_likelihood_map(
-    result: LikelihoodMap,
-    grid: OccupancyGrid,
-    ax: Axes,
-    *,
-    reference: FloatArray | None = None,
-    title: str = "",
+    result: LikelihoodMap, grid: OccupancyGrid, ax: Axes, *, reference: FloatArray | None = None, title: str = ""
 ) -> None:
     """Draw log p(z | x, m) over the map, the darker the more likely, with its maximum and the reference pose.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -59,22 +59,16 @@ class Catalogue:
         named = {file.path for record in self.runs for file in record.files}
         return tuple(path for path in files if path not in named)
 
-    def shards(
-        self,
-        site: str | None = None,
-        robot: str | None = None,
-        day: datetime.date | None = None,
-        runs: Sequence[str] | None = None,
-    ) -> tuple[Shard, ...]:
-        """Return the files of beams of the runs used, by path; those of a site, robot, day or of some runs alone."""
-        found = [
+    def shards(self, site: str | None = None, robot: str | None = None) -> tuple[Shard, ...]:
+        """Return the files of beams of the runs used, by path; those of a site or robot alone."""
+        found = (
             Shard(record.site, record.robot, datetime.date.fromisoformat(file.day), record.run, file.rows, file.path,
                   self.folder)
             for record in self.used
             for file in record.files
-            if site in (None, record.site) and robot in (None, record.robot) and (runs is None or record.run in runs)
-        ]  # fmt: skip
-        return tuple(sorted((one for one in found if day in (None, one.day)), key=lambda one: one.path))
+            if site in (None, record.site) and robot in (None, record.robot)
+        )  # fmt: skip
+        return tuple(sorted(found, key=lambda one: one.path))
 
     def dataset(self) -> Any:
         """Return all beams as a `pyarrow.dataset.Dataset`, with the columns site, robot and day.

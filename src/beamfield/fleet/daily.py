@@ -24,10 +24,10 @@ from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
 
-Fault = Literal["dirty-lens", "turned-mount", "range-bias", "wheel-scale"]
-UNITS: dict[Fault, str] = {"dirty-lens": "share", "turned-mount": "rad", "range-bias": "m", "wheel-scale": "1"}
+FaultKind = Literal["dirty-lens", "turned-mount", "range-bias", "wheel-scale"]
+UNITS: dict[FaultKind, str] = {"dirty-lens": "share", "turned-mount": "rad", "range-bias": "m", "wheel-scale": "1"}
 # Which error of odometry shows a fault.
-_ODOMETRY: dict[Fault, str] = {"turned-mount": "yaw", "wheel-scale": "distance_scale"}
+_ODOMETRY: dict[FaultKind, str] = {"turned-mount": "yaw", "wheel-scale": "distance_scale"}
 CAUSES = ("max", "short")
 
 # Of bearings, all around; a series is about two neighbours, 30 degrees, as a smear covers 10 to 40.
@@ -79,7 +79,7 @@ class DailySeries:
 
     robot: str
     site: str
-    fault: Fault
+    fault: FaultKind
     unit: str
     days: tuple[datetime.date, ...]
     values: FloatArray
@@ -255,7 +255,7 @@ def _odometry_series(robot: str, site: str, records: Sequence[RunRecord]) -> lis
 
 
 def _plain(
-    robot: str, site: str, fault: Fault, days: list[datetime.date], values: FloatArray, errors: FloatArray
+    robot: str, site: str, fault: FaultKind, days: list[datetime.date], values: FloatArray, errors: FloatArray
 ) -> DailySeries:
     return DailySeries(robot, site, fault, UNITS[fault], tuple(days), values, errors, values, errors)
 

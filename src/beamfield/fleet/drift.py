@@ -11,11 +11,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from scipy.special import polygamma, psi, stdtr, stdtrit
 
-from beamfield.arguments import checked, require
+from beamfield.arguments import checked
 from beamfield.fleet.comparison import FEWEST_ROBOTS, adjusted, unlike_others
-from beamfield.fleet.daily import DailySeries, Fault
+from beamfield.fleet.daily import DailySeries, FaultKind
 from beamfield.geometry import FloatArray
 
+# False alarms that are expected in one report, of all robots, faults and days together.
+FALSE_ALARMS = 0.05
 # One odd day is no change: it takes so many on either side.
 FEWEST_DAYS = 2
 # What other robots tell of a robot's noise counts as so many days at most: robots are not all alike.
@@ -24,7 +26,7 @@ _MOST_PRIOR_DOF = 6.0
 # after such a change do not count for how it was at first.
 _BESIDE = 0.001
 # How a positive and a negative size are said, and of what.
-_WORDS: dict[Fault, tuple[str, str, str]] = {
+_WORDS: dict[FaultKind, tuple[str, str, str]] = {
     "turned-mount": ("left", "right", "the direction of motion is turned"),
     "range-bias": ("too long", "too short", "ranges are"),
     "wheel-scale": ("too short", "too long", "distances of the odometry are"),
@@ -60,12 +62,12 @@ class Drift:
     q_value
         The least rate of false discoveries, among all robots and faults, at which it counts.
     alarm
-        Whether it counts with the false alarms that were allowed, see `find_drift`.
+        Whether it counts: of all robots, faults and days of one report, at most 0.05 false alarms are expected.
     """
 
     robot: str
     site: str
-    fault: Fault
+    fault: FaultKind
     since: datetime.date | None
     size: float
     low: float
@@ -106,25 +108,18 @@ class Drift:
 
 
 @checked
-def find_drift(series: Sequence[DailySeries], *, false_alarms: float = 0.05) -> tuple[Drift, ...]:
+def find_drift(series: Sequence[DailySeries]) -> tuple[Drift, ...]:
     """Look for the day on which a robot changed, and for robots that are unlike the others from their first day on.
 
     Parameters
     ----------
     series
         Of `daily_series`.
-    false_alarms
-        False alarms that are expected in one report, of all robots, faults and days together, are at most this many.
 
     Returns
     -------
     For each robot and fault the most likely day of a change, and its difference from the other robots (where there are
     5 and more); the least likely by chance first. Those with `alarm` count.
-
-    Raises
-    ------
-    InvalidInputError
-        If `false_alarms` is not positive.
 
     Notes
     -----
@@ -147,8 +142,7 @@ def find_drift(series: Sequence[DailySeries], *, false_alarms: float = 0.05) -> 
     Statistical Applications in Genetics and Molecular Biology 3, 2004.
     Benjamini and Hochberg, "Controlling the false discovery rate", Journal of the Royal Statistical Society B 57, 1995.
     """
-    require(false_alarms > 0.0, "false_alarms", "a positive number", false_alarms)
-    families: dict[tuple[Fault, str], list[DailySeries]] = {}
+    families: dict[tuple[FaultKind, str], list[DailySeries]] = {}
     for item in series:
         families.setdefault((item.fault, item.cause), []).append(item)
     rows: list[Drift] = []
@@ -159,7 +153,7 @@ def find_drift(series: Sequence[DailySeries], *, false_alarms: float = 0.05) -> 
         rows += _unlike_from_first_day(family, changes, noise)
     rows.sort(key=lambda row: row.p_value)
     return tuple(
-        replace(row, q_value=q, alarm=row.p_value * len(rows) <= false_alarms)
+        replace(row, q_value=q, alarm=row.p_value * len(rows) <= FALSE_ALARMS)
         for row, q in zip(rows, adjusted([row.p_value for row in rows]), strict=True)
     )
 

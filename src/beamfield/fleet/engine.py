@@ -121,16 +121,11 @@ class Engine:
         WorkersLostError
             If all workers that took an item died.
         """
-        results: dict[int, Result] = dict(self._results(function, items, lost, progress))
+        results = dict(self._results(function, items, lost, progress))
         return [results[i] for i in range(len(items))]
 
     def reduce(
-        self,
-        function: Callable[[Item], Result],
-        items: Sequence[Item],
-        combine: Callable[[Result, Result], Result],
-        *,
-        progress: Progress | None = None,
+        self, function: Callable[[Item], Result], items: Sequence[Item], combine: Callable[[Result, Result], Result]
     ) -> Result:
         """Return the results of all items combined in a fixed order: neighbours first, then neighbouring pairs.
 
@@ -138,7 +133,7 @@ class Engine:
 
         Parameters
         ----------
-        function, items, progress
+        function, items
             As for `map`; at least one item.
         combine
             Takes the results of neighbours, the earlier first; it is called in this process.
@@ -158,8 +153,7 @@ class Engine:
         # Blocks begin at multiples of a power of two: a worker adds up a branch of the one tree, whatever their size.
         blocks = [_Block(function, combine, items[start : start + size]) for start in range(0, len(items), size)]
         total = _Tree(combine, len(blocks))
-        told = None if progress is None else lambda done, _: progress(min(done * size, len(items)), len(items))
-        for index, result in self._results(_reduce_block, blocks, None, told):
+        for index, result in self._results(_reduce_block, blocks):
             total.add(index, result)
         return total.value()
 
@@ -167,8 +161,8 @@ class Engine:
         self,
         function: Callable[[Item], Result],
         items: Sequence[Item],
-        lost: Callable[[Item], Result] | None,
-        progress: Progress | None,
+        lost: Callable[[Item], Result] | None = None,
+        progress: Progress | None = None,
     ) -> Iterator[tuple[int, Result]]:
         """Yield the index and the result of each item, as they come."""
         if self._client is None:

@@ -54,7 +54,7 @@ class GroupFit:
         there is one block only.
     log_likelihood
         At the parameters, nats per beam.
-    n_beams, n_shards
+    n_beams
         What was learned from.
     passes
         How often all these beams were read; not counting the sample.
@@ -71,7 +71,6 @@ class GroupFit:
     covariance: FloatArray
     log_likelihood: float
     n_beams: int
-    n_shards: int
     passes: int
     converged: bool
 
@@ -100,13 +99,7 @@ class FleetFit:
 
 
 @checked
-def learn(
-    catalogue: Catalogue,
-    engine: Engine,
-    *,
-    by: By = "fleet",
-    thin: int = 1,
-) -> FleetFit:
+def learn(catalogue: Catalogue, engine: Engine, *, by: By = "fleet", thin: int = 1) -> FleetFit:
     """Learn the parameters of a fleet, of each site or of each robot, from the beams that are not held out.
 
     Sensors whose limits differ are learned apart: a weight of random readings up to 12 m means something else than one
@@ -221,7 +214,6 @@ def _fit(group: _Group, engine: Engine) -> GroupFit | str:
         covariance=covariance,
         log_likelihood=end.objective,
         n_beams=int(likelihood.n_beams),
-        n_shards=len(group.parts),
         passes=likelihood.passes,
         converged=end.converged,
     )

@@ -249,25 +249,20 @@ def _start(path: Path, line: int, value: Any) -> tuple[float, float, float]:
 
 def _rows_of_folder(folder: Path) -> tuple[ManifestRow, ...]:
     rows = []
-    for site in _visible(folder):
-        if not site.is_dir():
-            continue
-        for robot in _visible(site):
-            if not robot.is_dir():
-                continue
-            for log in _visible(robot):
-                if not _is_log(log):
-                    continue
-                stem = log_stem(log.name)
-                poses = next((robot / f"{stem}{end}" for end in _POSES if (robot / f"{stem}{end}").is_file()), None)
-                names = (str(one.relative_to(folder)) if one else "" for one in (log, site / "map.yaml", poses))
-                address, map_address, poses_address = names
-                rows.append(
-                    ManifestRow(address, map_address, robot.name, site.name, poses_address, manifest=str(folder),
-                                folder=os.path.abspath(folder))  # noqa: PTH100
-                )  # fmt: skip
-        if not (site / "map.yaml").is_file() and any(row.site == site.name for row in rows):
+    for site in filter(Path.is_dir, _visible(folder)):
+        robots = filter(Path.is_dir, _visible(site))
+        logs = [log for robot in robots for log in _visible(robot) if _is_log(log)]
+        if logs and not (site / "map.yaml").is_file():
             raise FormatError(site, "a folder of logs, SITE/ROBOT/LOG, has a map per site: there is no map.yaml")
+        for log in logs:
+            robot, stem = log.parent, log_stem(log.name)
+            poses = next((robot / f"{stem}{end}" for end in _POSES if (robot / f"{stem}{end}").is_file()), None)
+            names = (str(one.relative_to(folder)) if one else "" for one in (log, site / "map.yaml", poses))
+            address, map_address, poses_address = names
+            rows.append(
+                ManifestRow(address, map_address, robot.name, site.name, poses_address, manifest=str(folder),
+                            folder=os.path.abspath(folder))  # noqa: PTH100
+            )  # fmt: skip
     if not rows:
         raise FormatError(folder, f"no logs: expected SITE/ROBOT/LOG, or one of {', '.join(NAMES)}")
     return tuple(rows)

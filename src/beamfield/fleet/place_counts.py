@@ -11,6 +11,7 @@ from beamfield.calibration.beam_table import BeamTable
 from beamfield.fleet.catalogue import Catalogue
 from beamfield.fleet.run_record import RunRecord
 from beamfield.fleet.shard import Shard
+from beamfield.fleet.shard_passes import metres, sensor_limits
 from beamfield.geometry import compose
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -69,11 +70,7 @@ def count_places(job: CountJob) -> RunCounts:
     grid = _grid(job.catalogue, job.map_hash, job.record)
     lattice, finder = Lattice.over(grid, SIDE), job.record.finder
     columns = job.shard.read(COLUMNS, thin=1 + job.shard.rows // MOST_BEAMS)
-    # Ranges are stored as float32, which may be a little less than max_range.
-    ranges, expected = (
-        np.where(columns[name] >= np.float32(finder.max_range), finder.max_range, columns[name])
-        for name in ("range", "expected_range")
-    )
+    ranges, expected, _ = metres(columns["range"], columns["expected_range"], sensor_limits(job.record))
     table = BeamTable(
         ranges, expected, columns["scan"], columns["beam"], columns["stamp"], finder.max_range,
         min_range=finder.min_range,

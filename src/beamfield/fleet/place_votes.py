@@ -34,9 +34,7 @@ class PlaceTest:
     __repr__ = short_repr
 
 
-def judge_places(
-    visits: Visits, robot: NDArray[np.int64], day: NDArray[np.int64], n_places: int, *, passing: float = MOST_PASSING
-) -> PlaceTest:
+def judge_places(visits: Visits, robot: NDArray[np.int64], day: NDArray[np.int64], n_places: int) -> PlaceTest:
     """Test whether places differ from the map for good, from some day on.
 
     Parameters
@@ -47,8 +45,6 @@ def judge_places(
         (runs,) number of each run's robot and day, from 0.
     n_places
         How many places there are.
-    passing
-        Probability at most that a run differs where nothing lasts.
 
     Returns
     -------
@@ -56,7 +52,8 @@ def judge_places(
 
     Notes
     -----
-    If k of the v runs from a day on differ, the chance is at most P(K >= k) with K binomial (v, passing). The largest
+    If k of the v runs from a day on differ, the chance is at most P(K >= k) with K binomial (v, 0.2), as people
+    and doors make a run differ with that probability at most (`MOST_PASSING`). The largest
     such chance over leaving out any one robot (if there are several) and any one day counts: what a single robot or a
     single day shows is no evidence. This is a partial conjunction of at least two robots and at least two days. The
     smallest over the starting days is multiplied by their number.
@@ -95,12 +92,12 @@ def judge_places(
             )
             k = changed.sum(axis=1, keepdims=True) - changed
             v = seen.sum(axis=1, keepdims=True) - seen
-            chance = np.maximum(chance, _at_least(k, v, passing).max(axis=1, initial=0.0))
+            chance = np.maximum(chance, _at_least(k, v).max(axis=1, initial=0.0))
         better = chance < best[places]
         best[places[better]], since[places[better]] = chance[better], start
     return PlaceTest(np.minimum(best * len(starts), 1.0), since)
 
 
-def _at_least(k: NDArray[np.int64], n: NDArray[np.int64], p: float) -> FloatArray:
-    """Return the probability of k or more successes in n trials."""
-    return np.where(k > 0, betainc(np.maximum(k, 1), np.maximum(n - k + 1, 1), p), 1.0)
+def _at_least(k: NDArray[np.int64], n: NDArray[np.int64]) -> FloatArray:
+    """Return the probability that k or more of n runs differ where nothing lasts."""
+    return np.where(k > 0, betainc(np.maximum(k, 1), np.maximum(n - k + 1, 1), MOST_PASSING), 1.0)

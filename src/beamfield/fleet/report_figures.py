@@ -8,27 +8,33 @@ from collections.abc import Mapping, Sequence
 from urllib.parse import quote
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from beamfield.fleet.daily import DailySeries, Fault
+from beamfield.fleet.daily import DailySeries, FaultKind
 from beamfield.fleet.drift import Drift
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.robot_state import RobotState
 from beamfield.fleet.stale_map import StaleMap
-from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.colours import DATA, FIT, HELD_OUT, MODEL, QUIET
 from beamfield.report.drawing import NARROW, WIDE, new_axes, new_panel, style
-from beamfield.report.map_figures import MARGIN, draw_map, frame
+from beamfield.report.map_figures import (
+    colour_bar,
+    draw_map,
+    figure_height,
+    frame,
+    limits_around,
+    number_place,
+    squares_at,
+)
 from beamfield.report.page import table
 from beamfield.report.panel import Panel, ReportFigure, png_panel, svg_panel
 from beamfield.scan_fit.place_visits import FEWEST_BEAMS
 
 # What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
-FAULTS: Mapping[Fault, tuple[str, str, float]] = {
+FAULTS: Mapping[FaultKind, tuple[str, str, float]] = {
     "dirty-lens": ("dirty lens", "readings in the sector [%]", 100.0),
     "turned-mount": ("turned mount", "motion, to the left [degrees]", math.degrees(1.0)),
     "range-bias": ("range bias", "ranges too long by [cm]", 100.0),
@@ -180,45 +186,30 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
         Result of `find_stale_places`.
     """
     squares, listed = stale.squares, stale.lasting[:MOST_PLACES]
-    name, title = (
-        f"map-{quote(stale.site, safe='')}-{stale.map_hash[:8]}",
-        f"{stale.site}: where the map is out of date",
-    )
+    name = f"map-{quote(stale.site, safe='')}-{stale.map_hash[:8]}"
+    title = f"{stale.site}: where the map is out of date"
     if not len(squares.x):
         return ReportFigure(name, title, (), "No beams.", "")
     corners = np.column_stack([squares.x, squares.y])
-    low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + stale.side + MARGIN
-    limits = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-    aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
-    figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)), above=2.6)
+    limits = limits_around(np.concatenate([corners, corners + stale.side]))
+    figure, axes = new_axes(WIDE, figure_height(limits, rest=1.1, least=3.0), above=2.6)
     draw_map(axes, stale.grid, limits)
     enough = np.maximum(squares.crossed, squares.tested) >= FEWEST_BEAMS * squares.runs
     shown = enough & (squares.runs >= FEWEST_RUNS) & (squares.disagreement >= LEAST_SHOWN)
-    patches = PolyCollection(list(_squares(corners[shown], stale.side)), cmap="YlOrRd", zorder=2.0)
+    patches = PolyCollection(squares_at(corners[shown], stale.side), cmap="YlOrRd", zorder=2.0)
     patches.set_array(squares.disagreement[shown])
     patches.set_clim(0.0, 1.0)
     axes.add_collection(patches)
     for number, place in enumerate(listed, start=1):
-        axes.add_collection(PolyCollection(list(_squares(place.corners, stale.side)), facecolors="none",
-                                           edgecolors=MODEL, linewidths=0.8, zorder=3.0))  # fmt: skip
-        text = axes.annotate(str(number), (place.x, place.y), (7, 7), textcoords="offset points", fontsize=9,
-                             fontweight="bold", color=MODEL, zorder=5)  # fmt: skip
-        text.set_path_effects([patheffects.withStroke(linewidth=2.5, foreground="white")])
+        outlines = squares_at(place.corners, stale.side)
+        axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=MODEL, linewidths=0.8, zorder=3.0))
+        number_place(axes, number, place.x, place.y)
     frame(axes, limits, with_legend=False)
-    bar = figure.colorbar(patches, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
-    bar.ax.xaxis.set_ticks_position("top")
-    bar.ax.xaxis.set_label_position("top")
-    bar.set_label("share of beams that disagree with the map", fontsize=9, color="#222222")
-    bar.ax.tick_params(labelsize=9)
-    bar.outline.set_visible(False)
+    colour_bar(axes, patches, "share of beams that disagree with the map")
     panels = [png_panel(figure, f"Map of {stale.site} with {len(stale.lasting)} places to map again.")]
     if listed:
         panels.append(Panel(table(PLACE_COLUMNS, _rows(stale), right=(2, 3)), wide=True))
     return ReportFigure(name, title, tuple(panels), _caption(stale), "")
-
-
-def _squares(corners: FloatArray, side: float) -> FloatArray:
-    return np.asarray(corners[:, None] + side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
 
 
 def _rows(stale: StaleMap) -> list[tuple[str, ...]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -28,7 +28,7 @@ TABLES = {
     "faults": "robot site fault since size low high before after unit from_bearing to_bearing cause p_value q_value "
               "alarm",
     "series": "robot site fault cause unit from_bearing to_bearing day value standard_error contrast",
-    "parameters": "site robot max_range parameter value low high shrinkage",
+    "parameters": "site robot max_range min_range opening_angle parameter value low high shrinkage",
     "differences": "robot site parameter value usual low high p_value q_value differs",
     "places": "site map kind reading x y width height since rate readings beams runs_changed runs robots_changed "
               "robots p_value q_value",
@@ -36,7 +36,7 @@ TABLES = {
 }  # fmt: skip
 _NUMBERS = (
     "urgency size low high before after from_bearing to_bearing p_value q_value value standard_error contrast "
-    "max_range shrinkage usual x y width height rate side disagreement"
+    "max_range min_range opening_angle shrinkage usual x y width height rate side disagreement"
 )
 _COUNTS = "runs left_out readings beams runs_changed robots_changed robots crossed short tested beyond no_return"
 TYPES = {
@@ -121,7 +121,7 @@ def report_tables(report: FleetReport) -> dict[str, list[dict[str, Any]]]:
         Result of `judge_fleet`.
     """
     groups = [
-        (hierarchy.limits.max_range, group)
+        (asdict(hierarchy.limits), group)
         for hierarchy in report.hierarchies
         for group in (hierarchy.fleet, *hierarchy.sites, *hierarchy.robots)
     ]
@@ -139,9 +139,9 @@ def report_tables(report: FleetReport) -> dict[str, list[dict[str, Any]]]:
             )
         ],
         "parameters": [
-            _row("parameters", group, max_range=max_range, parameter=name, value=getattr(group.parameters, name),
-                 low=low, high=high, shrinkage=group.shrinkage.get(name))
-            for max_range, group in groups
+            _row("parameters", group, **limits, parameter=name, value=getattr(group.parameters, name), low=low,
+                 high=high, shrinkage=group.shrinkage.get(name))
+            for limits, group in groups
             for name, (low, high) in group.intervals.items()
         ],
         "differences": [_row("differences", one) for one in report.differences],

@@ -150,8 +150,7 @@ def _parameter_table(report: FleetReport) -> str:
             )
             for one in hierarchy.robots
         ]
-        limits = f"Range finders up to {hierarchy.limits.max_range:g} m"
-        header = (limits, *names)
+        header = (hierarchy.limits.text, *names)
         parts.append(f"{table(header, rows, bold=(0,))}\n<details><summary>Robot by robot</summary>"
                      f"{table(header, robots)}</details>")  # fmt: skip
     return "\n".join(parts) or "<p>No robot has beams enough to learn from.</p>"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beamfield.finding import Finding
-from beamfield.fleet.daily import Fault
+from beamfield.fleet.daily import FaultKind
 from beamfield.fleet.drift import Drift
 from beamfield.fleet.run_record import RunRecord
 from beamfield.short_repr import short_repr
@@ -19,11 +19,11 @@ Light = Literal["red", "amber", "green", "grey"]
 LIGHTS: tuple[Light, ...] = ("red", "amber", "green", "grey")
 # From this size on a fault is red: share of readings in the sector, radians, metres, share of the distance. Smaller
 # ones cost a filter little yet.
-SERIOUS: Mapping[Fault, float] = {
+SERIOUS: Mapping[FaultKind, float] = {
     "dirty-lens": 0.05, "turned-mount": math.radians(0.5), "range-bias": 0.02, "wheel-scale": 0.01,
 }  # fmt: skip
 # Why a fault matters, and what to do.
-_ADVICE: Mapping[Fault, tuple[str, str]] = {
+_ADVICE: Mapping[FaultKind, tuple[str, str]] = {
     "dirty-lens": (
         "The robot sees less there than it should, and may take dirt for obstacles.",
         "Clean the window of the range finder{where}; if that does not help, look for scratches or what hides it.",
@@ -144,28 +144,26 @@ def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> It
         )
 
 
-def site_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
-    """Return what to know of sites many of whose runs cannot be used, whatever the robot.
+def site_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
+    """Yield what to know of sites many of whose runs cannot be used, whatever the robot.
 
     Parameters
     ----------
     records
         All runs of the fleet.
     """
-    found = []
     for site in sorted({record.site for record in records}):
         mine = [record for record in records if record.site == site]
         if _share_left_out(mine) >= MANY_AT_A_SITE and len({one.robot for one in mine if not one.is_used}) > 1:
             left_out, reason = _left_out(mine)
-            found.append(Finding(
+            yield Finding(
                 "site-runs-left-out",
                 "warning",
                 f"{site}: {left_out} of {len(mine)} runs, of several robots, cannot be used; most often: {reason}",
                 {"left_out": float(left_out), "runs": float(len(mine))},
                 why="Where a map is far out of date no trajectory fits it, and these runs tell nothing more.",
                 do="See whether it is the map of this site, and map the places again that are listed for it.",
-            ))  # fmt: skip
-    return tuple(found)
+            )
 
 
 def _share_left_out(records: Sequence[RunRecord]) -> float:

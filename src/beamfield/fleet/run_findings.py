@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -16,8 +16,8 @@ FIRST_DATE = 315_532_800.0
 CLOCK_DIFFERS_S = 365.0 * 86_400.0
 
 
-def run_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
-    """Return what to know of the runs' times before days are compared.
+def run_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
+    """Yield what to know of the runs' times before days are compared.
 
     Parameters
     ----------
@@ -26,37 +26,34 @@ def run_findings(records: Sequence[RunRecord]) -> tuple[Finding, ...]:
     """
     used = [record for record in records if record.is_used]
     dated = [record for record in used if record.first_stamp >= FIRST_DATE]
-    return (*_no_date(used), *_clocks(dated), *_overlaps(dated))
+    yield from _no_date(used)
+    yield from _clocks(dated)
+    yield from _overlaps(dated)
 
 
-def leftover_finding(files: Sequence[str]) -> tuple[Finding, ...]:
-    """Return what to know of files of beams that belong to no run; nothing if there are none.
+def leftover_finding(files: Sequence[str]) -> Iterator[Finding]:
+    """Yield what to know of files of beams that belong to no run.
 
     Parameters
     ----------
     files
         Of `Catalogue.files_of_no_run`.
     """
-    if not files:
-        return ()
-    return (
-        Finding(
+    if files:
+        yield Finding(
             "files-of-no-run",
             "info",
             f"{len(files)} files of beams belong to no run, as {files[0]}.",
             {"files": float(len(files))},
             why="Scans that were killed have left them, or others are at work now. Nothing reads them.",
             do="The next scan of their logs replaces them; those of logs that are gone can go when no scan runs.",
-        ),
-    )
+        )
 
 
-def _no_date(used: Sequence[RunRecord]) -> list[Finding]:
+def _no_date(used: Sequence[RunRecord]) -> Iterator[Finding]:
     without = [record for record in used if record.first_stamp < FIRST_DATE]
-    if not without:
-        return []
-    return [
-        Finding(
+    if without:
+        yield Finding(
             "no-date",
             "warning",
             f"{len(without)} of {len(used)} runs have stamps that count from 0, not from 1970: {_robots(without)}.",
@@ -64,18 +61,15 @@ def _no_date(used: Sequence[RunRecord]) -> list[Finding]:
             why="They are all put on 1970-01-01, so that nothing can be said of how these robots change over days.",
             do="Set the robots' clocks before recording, or shift the stamps of the logs to when they were recorded.",
         )
-    ]
 
 
-def _clocks(dated: Sequence[RunRecord]) -> list[Finding]:
+def _clocks(dated: Sequence[RunRecord]) -> Iterator[Finding]:
     if not dated:
-        return []
+        return
     middle = float(np.median([record.first_stamp for record in dated]))
     far = [record for record in dated if abs(record.first_stamp - middle) > CLOCK_DIFFERS_S]
-    if not far:
-        return []
-    return [
-        Finding(
+    if far:
+        yield Finding(
             "clock-differs",
             "warning",
             f"{len(far)} of {len(dated)} runs are more than a year from the others: {_robots(far)}.",
@@ -84,24 +78,20 @@ def _clocks(dated: Sequence[RunRecord]) -> list[Finding]:
             do="Compare these logs' stamps with when they were recorded; scan the fleet's years into catalogues of "
             "their own if they are right.",
         )
-    ]
 
 
-def _overlaps(dated: Sequence[RunRecord]) -> list[Finding]:
+def _overlaps(dated: Sequence[RunRecord]) -> Iterator[Finding]:
     pairs = []
     ordered = sorted(dated, key=lambda one: (one.site, one.robot, one.log_sensor, one.first_stamp, one.run))
     for _, runs in groupby(ordered, key=lambda one: (one.site, one.robot, one.log_sensor)):
-        last: RunRecord | None = None
-        for record in runs:
-            if last is not None and record.first_stamp < last.last_stamp:
+        last, *later = runs
+        for record in later:
+            if record.first_stamp < last.last_stamp:
                 pairs.append((last, record))
-            if last is None or record.last_stamp > last.last_stamp:
-                last = record
-    if not pairs:
-        return []
-    first, second = pairs[0]
-    return [
-        Finding(
+            last = max(last, record, key=lambda one: one.last_stamp)
+    if pairs:
+        first, second = pairs[0]
+        yield Finding(
             "runs-overlap",
             "warning",
             f"{len(pairs)} runs begin before an earlier run of the same robot has ended: {second.log} and {first.log} "
@@ -111,7 +101,6 @@ def _overlaps(dated: Sequence[RunRecord]) -> list[Finding]:
             "jumped.",
             do="Take the copies out of the manifest and scan into a new catalogue, or give robots their own names.",
         )
-    ]
 
 
 def _robots(records: Sequence[RunRecord]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -54,6 +55,13 @@ class SensorLimits:
     def span(self) -> float:
         """From the nearest range that is measured to the farthest, metres."""
         return self.max_range - self.min_range
+
+    @property
+    def text(self) -> str:
+        """Which sensors these are, for people."""
+        kind = f"Sonars of {math.degrees(self.opening_angle):.3g} degrees" if self.opening_angle else "Range finders"
+        least = f" from {self.min_range:g}" if self.min_range else ""
+        return f"{kind}{least} up to {self.max_range:g} m"
 
 
 @dataclass(frozen=True)
@@ -114,7 +122,8 @@ def shard_parts(catalogue: Catalogue, thin: int = 1) -> list[Part]:
 
 def sensor_limits(record: RunRecord) -> SensorLimits:
     """Return the limits of a run's sensor."""
-    return SensorLimits(*(float(record.sensor[name]) for name in ("max_range", "min_range", "opening_angle")))
+    finder = record.finder
+    return SensorLimits(finder.max_range, finder.min_range, finder.opening_angle)
 
 
 def metres(
@@ -127,6 +136,7 @@ def metres(
     farthest = np.float32(limits.max_range)
     z, expected = ranges.astype(np.float64), expected_ranges.astype(np.float64)
     z[ranges >= farthest] = limits.max_range
+    expected[expected_ranges >= farthest] = limits.max_range
     np.maximum(z, limits.min_range, out=z)
     return z, expected, expected_ranges < farthest
 

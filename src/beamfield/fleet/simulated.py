@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 
 from beamfield.arguments import as_count, check_fields, checked, require
+from beamfield.fleet.daily import FaultKind
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -21,8 +22,7 @@ from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from beamfield.simulation.odometry import OdometryNoise
 
-FaultKind = Literal["dirty-lens", "turned-mount", "range-bias", "wheel-scale"]
-FAULT_KINDS: tuple[FaultKind, ...] = ("dirty-lens", "turned-mount", "range-bias", "wheel-scale")
+FAULT_KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
 # One robot in so many has each fault, and at most half of the robots have one.
 ROBOTS_PER_FAULT = 12
 # Size of a fault, from and to: share of readings that dirt swallows (and as many that it cuts short), radians, metres,
@@ -171,8 +171,8 @@ class FleetPlan:
 
     size: FleetSize
     seed: int
-    sites: tuple[Site, ...] = field(default=())
-    robots: tuple[Robot, ...] = field(default=())
+    sites: tuple[Site, ...]
+    robots: tuple[Robot, ...]
 
 
 @checked

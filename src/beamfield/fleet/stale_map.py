@@ -19,6 +19,7 @@ from beamfield.fleet.learning import FleetFit
 from beamfield.fleet.place_counts import READINGS, CountJob, count_places
 from beamfield.fleet.place_votes import PlaceTest, judge_places
 from beamfield.fleet.run_record import RunRecord
+from beamfield.fleet.shard_passes import sensor_limits
 from beamfield.fleet.site_runs import SiteRuns, SquareRates
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
@@ -126,11 +127,7 @@ class StaleMap:
 
 
 def find_stale_places(
-    catalogue: Catalogue,
-    engine: Engine,
-    fit: FleetFit,
-    *,
-    progress: Progress | None = None,
+    catalogue: Catalogue, engine: Engine, fit: FleetFit, *, progress: Progress | None = None
 ) -> tuple[StaleMap, ...]:
     """Find the places to map again, site by site.
 
@@ -195,18 +192,18 @@ def _jobs(catalogue: Catalogue, fit: FleetFit) -> list[CountJob]:
     # A copy without the records, which a catalogue keeps once it has read them.
     sent, jobs = replace(catalogue), []
     for shard in catalogue.shards():
-        parameters = _parameters(fit, records[shard.run])
-        if parameters is not None and records[shard.run].finder.opening_angle == 0.0:
-            jobs.append(CountJob(sent, shard, records[shard.run], parameters))
+        record = records[shard.run]
+        parameters = _parameters(fit, record)
+        if parameters is not None and sensor_limits(record).opening_angle == 0.0:
+            jobs.append(CountJob(sent, shard, record, parameters))
     return sorted(jobs, key=lambda job: (job.shard.site, job.map_hash, job.shard.day, job.shard.path))
 
 
 def _parameters(fit: FleetFit, record: RunRecord) -> BeamParameters | None:
     """Return the parameters of a run's robot, site or fleet, for its sensor's limits; None if there are none."""
-    limits = (record.finder.max_range, record.finder.min_range)
+    limits = sensor_limits(record)
     for one in fit.fits:
-        of = (one.site in (None, record.site), one.robot in (None, record.robot))
-        if all(of) and (one.limits.max_range, one.limits.min_range) == limits:
+        if one.site in (None, record.site) and one.robot in (None, record.robot) and one.limits == limits:
             return one.parameters
     return None
 

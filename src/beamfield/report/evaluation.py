@@ -19,6 +19,7 @@ from beamfield.localization.replay_comparison import (
     compare_trials,
     judge_change,
 )
+from beamfield.report.as_json import plain
 from beamfield.report.text_table import aligned
 
 # What is compared between filters, with its unit.
@@ -214,17 +215,13 @@ def _verdicts(evaluation: Evaluation) -> list[str]:
 
 def _trials_as_dict(trials: ReplayTrials) -> dict[str, Any]:
     rows = [{**asdict(errors), "seed": seed} for seed, errors in zip(trials.seeds, trials.errors, strict=True)]
-    means = {name: _finite(trials.mean(name)) for name in MEASURES}
+    means = {name: plain(trials.mean(name)) for name in MEASURES}
     return {"log": trials.log, "means": means, "lost_runs": trials.n_lost, "runs": rows}
 
 
 def _comparison_as_dict(comparison: ReplayComparison) -> dict[str, Any]:
     sure = "lower" if comparison.is_lower else "higher" if comparison.is_higher else None
-    return {
-        **{name: _finite(value) if isinstance(value, float) else value for name, value in asdict(comparison).items()},
-        "difference": comparison.difference,
-        "for_sure": sure,
-    }
+    return {**plain(comparison), "difference": comparison.difference, "for_sure": sure}
 
 
 def _verdict_as_dict(evaluation: Evaluation, name: str) -> dict[str, Any]:
@@ -234,10 +231,6 @@ def _verdict_as_dict(evaluation: Evaluation, name: str) -> dict[str, Any]:
         "lost_runs": [verdict.lost_before, verdict.lost_after],
         "by_log": {log: _comparison_as_dict(one) for log, one in verdict.by_log.items()},
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _short(value: float) -> str:

@@ -20,11 +20,7 @@ from beamfield.report.text_table import aligned
 TITLE = "Poses fitted to the map"
 # The parameters that are used, and two that show what would be hidden.
 USED, SWAPPED, SAME = "used", "swapped", "same"
-ROWS = {
-    USED: ("even (used)", "odd beams"),
-    SWAPPED: ("odd", "even beams"),
-    SAME: ("odd", "the same odd beams"),
-}
+ROWS = {USED: ("even (used)", "odd beams"), SWAPPED: ("odd", "even beams"), SAME: ("odd", "the same odd beams")}
 NAMES = ("z_hit", "z_short", "z_max", "z_rand")
 NUMBERS = (2, 3, 4, 5, 6)
 

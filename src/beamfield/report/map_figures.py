@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
@@ -20,6 +22,7 @@ from beamfield.sensors import SensorLog
 MOST_POINTS = 40_000
 # Metres shown around the data.
 MARGIN = 1.0
+Limits = tuple[float, float, float, float]
 # Free, unknown, occupied.
 MAP_COLOURS = ("#FFFFFF", "#EEF0F2", "#8A929B")
 
@@ -32,7 +35,7 @@ def cause_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> 
     causes = calibration.causes[rows]
     path = log.poses[calibration.selection.used, :2]
     limits = _limits(points[causes != 3], path)
-    figure, axes = new_axes(WIDE, _height(limits), above=1)
+    figure, axes = new_axes(WIDE, figure_height(limits), above=1)
     draw_map(axes, grid, limits)
     all_causes = calibration.causes[~table.hits_nothing]
     shares = np.bincount(all_causes, minlength=4) / max(len(all_causes), 1)
@@ -70,7 +73,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         return None
     poses = log.poses[line.scan]
     limits = _limits(poses[:, :2], poses[:, :2], margin=3 * MARGIN)
-    figure, axes = new_axes(WIDE, _height(limits) + 0.6, above=2.6)
+    figure, axes = new_axes(WIDE, figure_height(limits) + 0.6, above=2.6)
     draw_map(axes, grid, limits)
     low, high = np.quantile(line.log_likelihood, [0.02, 0.98])
     order = np.argsort(-line.log_likelihood)
@@ -79,12 +82,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         edgecolors=MODEL, linewidths=0.2,
     )  # fmt: skip
     frame(axes, limits, with_legend=False)
-    bar = figure.colorbar(dots, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
-    bar.ax.xaxis.set_ticks_position("top")
-    bar.ax.xaxis.set_label_position("top")
-    bar.set_label("log-likelihood per beam [nats]", fontsize=9, color="#222222")
-    bar.ax.tick_params(labelsize=9)
-    bar.outline.set_visible(False)
+    colour_bar(axes, dots, "log-likelihood per beam [nats]")
     worst = poses[int(np.argmin(line.log_likelihood))]
     return one_picture(
         "fit-map",
@@ -117,22 +115,50 @@ def beam_ends(calibration: Calibration, log: SensorLog, rows: NDArray[np.int64])
     return np.asarray(origin[:, :2] + reach[:, None] * np.column_stack([np.cos(origin[:, 2]), np.sin(origin[:, 2])]))
 
 
-def _limits(points: FloatArray, path: FloatArray, margin: float = MARGIN) -> tuple[float, float, float, float]:
+def _limits(points: FloatArray, path: FloatArray, margin: float = MARGIN) -> Limits:
     """(x low, x high, y low, y high) of the data; a few stray end points do not count."""
     both = [path[np.isfinite(path).all(axis=1)]]
     if len(points) > 20:
         both.append(np.quantile(points, [0.002, 0.998], axis=0))
-    low, high = np.concatenate(both).min(axis=0) - margin, np.concatenate(both).max(axis=0) + margin
+    return limits_around(np.concatenate(both), margin)
+
+
+def limits_around(points: FloatArray, margin: float = MARGIN) -> Limits:
+    """Return (x low, x high, y low, y high) of points (n, 2), with a margin."""
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _height(limits: tuple[float, float, float, float]) -> float:
-    """Height of the figure in inches for equal axes, within what a page takes."""
+def figure_height(limits: Limits, *, rest: float = 0.85, least: float = 2.0) -> float:
+    """Return the height of a wide figure in inches for equal axes, within what a page takes; `rest` is for the text."""
     aspect = (limits[3] - limits[2]) / max(limits[1] - limits[0], 1e-9)
-    return float(np.clip((WIDE - 0.7) * aspect + 0.85, 2.0, 10.5))
+    return float(np.clip((WIDE - 0.7) * aspect + rest, least, 10.5))
 
 
-def draw_map(axes: Axes, grid: OccupancyGrid, limits: tuple[float, float, float, float]) -> None:
+def colour_bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
+    """Add a colour bar above axes, over their left half."""
+    bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
+    bar.ax.xaxis.set_ticks_position("top")
+    bar.ax.xaxis.set_label_position("top")
+    bar.set_label(label, fontsize=9, color="#222222")
+    bar.ax.tick_params(labelsize=9)
+    bar.outline.set_visible(False)
+
+
+def number_place(axes: Axes, number: int, x: float, y: float) -> None:
+    """Write the number of a place beside it."""
+    text = axes.annotate(
+        str(number), (x, y), (7, 7), textcoords="offset points", fontsize=9, fontweight="bold", color=MODEL, zorder=5
+    )
+    text.set_path_effects([patheffects.withStroke(linewidth=2.5, foreground="white")])
+
+
+def squares_at(corners: FloatArray, side: float) -> list[FloatArray]:
+    """Return the outlines (4, 2) of squares by their lower left corners (n, 2)."""
+    return list(corners[:, None] + side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
+
+
+def draw_map(axes: Axes, grid: OccupancyGrid, limits: Limits) -> None:
     """Draw the part of the map within the limits (x low, x high, y low, y high), turned by the origin's yaw."""
     corners = grid.to_cells(np.array([[limits[i], limits[j]] for i in (0, 1) for j in (2, 3)]))
     size = grid.shape[::-1]
@@ -150,7 +176,7 @@ def _draw_path(axes: Axes, path: FloatArray) -> None:
     axes.plot(*path[-1], "X", color=MODEL, markersize=6.5, markeredgecolor="white", markeredgewidth=0.6)
 
 
-def frame(axes: Axes, limits: tuple[float, float, float, float], *, with_legend: bool = True) -> None:
+def frame(axes: Axes, limits: Limits, *, with_legend: bool = True) -> None:
     """Show the part of the map within the limits (x low, x high, y low, y high), with the legend above it."""
     axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
     style(axes, x="x in the map [m]", y="y in the map [m]", grid="none")

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
@@ -16,7 +15,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report.as_json import plain
 from beamfield.report.colours import CAUSE_COLOURS, MODEL, THROUGH
 from beamfield.report.drawing import WIDE, legend_above, new_axes
-from beamfield.report.map_figures import MARGIN, draw_map, frame
+from beamfield.report.map_figures import draw_map, figure_height, frame, limits_around, number_place, squares_at
 from beamfield.report.page import finding_list, table
 from beamfield.report.panel import Panel, ReportFigure, png_panel
 from beamfield.scan_fit.changed_places import KINDS, LASTING, MOST_LISTED, ChangedPlaces, Kind
@@ -52,19 +51,14 @@ def places_figure(found: ChangedPlaces, grid: OccupancyGrid, path: FloatArray) -
     path = path[np.isfinite(path).all(axis=1)]
     if not found.places:
         return ReportFigure(NAME, TITLE, (), "Nowhere: every place is as mapped, as far as the beams tell.", SOURCE)
-    limits = _limits(found, path)
+    limits = limits_around(np.concatenate([path, *(place.corners for place in found.places)]))
     listed = found.lasting[:MOST_LISTED]
-    aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
-    figure, axes = new_axes(WIDE, float(np.clip((WIDE - 0.7) * aspect + 1.1, 3.0, 10.5)), above=2)
+    figure, axes = new_axes(WIDE, figure_height(limits, rest=1.1, least=3.0), above=2)
     draw_map(axes, grid, limits)
     axes.plot(path[:, 0], path[:, 1], color=MODEL, linewidth=0.8, alpha=0.7, label="robot's path", zorder=2.5)
     _draw(axes, found)
     for number, place in enumerate(listed, start=1):
-        text = axes.annotate(
-            str(number), (place.x, place.y), (7, 7), textcoords="offset points", fontsize=9, fontweight="bold",
-            color=MODEL, zorder=5,
-        )  # fmt: skip
-        text.set_path_effects([patheffects.withStroke(linewidth=2.5, foreground="white")])
+        number_place(axes, number, place.x, place.y)
     frame(axes, limits, with_legend=False)
     legend_above(axes, ncols=3)
     alt = "Map with the places where readings differ from it: " + ", ".join(
@@ -103,14 +97,13 @@ def _rows(found: ChangedPlaces) -> list[tuple[str, ...]]:
 
 def _draw(axes: Axes, found: ChangedPlaces) -> None:
     """Draw the squares of each place; the legend says how many places there are of each kind."""
-    square = found.side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     for number, kind in enumerate(KINDS):
         places, pale = found.of_kind(kind), kind == "undecided"
         for colour_of in LASTING.values() if pale else (kind,):
             mine = [p for p in places if not pale or LASTING[p.reading] == colour_of]
             if mine:
                 corners = np.concatenate([place.corners for place in mine])
-                patches = PolyCollection(list(corners[:, None] + square), zorder=3.0 - 0.1 * number)
+                patches = PolyCollection(squares_at(corners, found.side), zorder=3.0 - 0.1 * number)
                 patches.set(**_look(kind, colour_of))
                 axes.add_collection(patches)
         if places:
@@ -122,12 +115,6 @@ def _look(kind: Kind, colour_of: Kind) -> dict[str, Any]:
     alpha = PALE if kind == "undecided" else 0.85
     return {"facecolor": COLOURS[colour_of], "hatch": HATCHES.get(kind, ""), "edgecolor": "white", "linewidth": 0.0,
             "alpha": alpha}  # fmt: skip
-
-
-def _limits(found: ChangedPlaces, path: FloatArray) -> tuple[float, float, float, float]:
-    points = np.concatenate([path, *(place.corners for place in found.places)])
-    low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def _caption(found: ChangedPlaces) -> str:

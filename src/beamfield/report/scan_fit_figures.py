@@ -34,9 +34,7 @@ SIDE_NAMES = ("as mapped", "short", "through the wall", "no return")
 SIDE_COLOURS = (CAUSE_COLOURS[0], CAUSE_COLOURS[1], THROUGH, CAUSE_COLOURS[2])
 
 
-def fit_over_time(
-    fits: ScanFits, reference: ScanFitReference, *, own: bool, source: str = "Section 6.1, (6.2); Table 6.1"
-) -> ReportFigure | None:
+def fit_over_time(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> ReportFigure | None:
     """Draw p-value and lost probability over the log; None if no scan could be judged.
 
     Parameters
@@ -45,8 +43,6 @@ def fit_over_time(
         Result of `judge_log`, and what it compared with.
     own
         Whether the reference is learned from the same log.
-    source
-        What the caption refers to.
     """
     judged = ~np.isnan(fits.p_value)
     if not judged.any():
@@ -68,7 +64,7 @@ def fit_over_time(
         f"{np.sqrt(LEVEL * (1 - LEVEL) / max(reference.n_effective, 1.0)):.2g}. Below: running probability that the "
         "robot is elsewhere than its pose says, from successive scans; a crowd or a moved cupboard lowers p-values, "
         "but should leave this line low." + (f" {silent} scans could not be judged." if silent else ""),
-        source,
+        "Section 6.1, (6.2); Table 6.1",
         cloud=len(fits) >= 1500,
     )
 

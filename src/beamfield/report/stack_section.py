@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -166,53 +166,16 @@ def stack_verdict(result: StackResult) -> str:
 def stack_findings(result: StackResult) -> list[Finding]:
     """Return what to know before using the values: coverage, odd numbers, choices at the end of what was tried."""
     fit = result.chosen
-    found, coverage = small_z_hit(fit.model.stack, fit.model.model, result.parameters), result.trial.held_out.coverage
-    if not result.covers:
-        found.append(
-            Finding(
-                "stack-coverage",
-                "warning",
-                f"Only {coverage:.0%} of the held-out windows have the truth in their 95 % region.",
-                {"coverage": coverage},
-                why="The weights are still too sure here: a filter may drop the right pose.",
-                do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",
-            )
-        )
-    if result.trial is fit.before:
-        return found
-    if len(fit.trials) > 1 and fit.chosen.setting == fit.trials[-1].setting:
-        setting = ", ".join(f"{name} = {value}" for name, value in fit.chosen.setting.items())
-        found.append(
-            Finding(
-                "stack-most-beams",
-                "info",
-                f"{setting} is the setting with the most beams that was tried.",
-                why="More beams may do better still, but cost time in every update.",
-                do="Check that your computer keeps up with this many beams; fewer lose what the figure below shows.",
-            )
-        )
-    if fit.at_edge:
-        found.append(
-            Finding(
-                "stack-at-edge",
-                "info",
-                f"At the end of what is searched: {', '.join(fit.at_edge)}.",
-                why="The best value on this log may lie beyond. The search is bounded because no log shows all that a "
-                "robot will meet.",
-                do="Use the values; they hold for places and crowds like those of this log.",
-            )
-        )
-    return found
+    about_trial = () if result.trial is fit.before else _about_search(fit)
+    return [*small_z_hit(fit.model.stack, fit.model.model, result.parameters), *_about_coverage(result), *about_trial]
 
 
-def small_z_hit(stack: str, model: str, parameters: Any) -> list[Finding]:
-    """Return the explanation of a z_hit that looks wrong, if it is that small."""
+def small_z_hit(stack: str, model: str, parameters: Any) -> Iterator[Finding]:
+    """Yield the explanation of a z_hit that looks wrong, if it is that small."""
     described = model_named(stack, model)
     z_hit, z_rand = (described.value(parameters, name) for name in ("z_hit", "z_rand"))
-    if not described.multiplies(parameters) or not z_hit or not z_rand or z_hit > SMALL_Z_HIT * z_rand:
-        return []
-    return [
-        Finding(
+    if described.multiplies(parameters) and z_hit and z_rand and z_hit <= SMALL_Z_HIT * z_rand:
+        yield Finding(
             "stack-small-z-hit",
             "info",
             f"{described.own_name('z_hit')} = {z_hit:.2g} is meant so: it does not say that so few readings hit the "
@@ -222,7 +185,40 @@ def small_z_hit(stack: str, model: str, parameters: Any) -> list[Finding]:
             "z_hit range_max / z_rand, so that a small z_hit is the only way to count each beam for less.",
             do="Leave it, and change z_hit and z_rand together only.",
         )
-    ]
+
+
+def _about_coverage(result: StackResult) -> Iterator[Finding]:
+    coverage = result.trial.held_out.coverage
+    if not result.covers:
+        yield Finding(
+            "stack-coverage",
+            "warning",
+            f"Only {coverage:.0%} of the held-out windows have the truth in their 95 % region.",
+            {"coverage": coverage},
+            why="The weights are still too sure here: a filter may drop the right pose.",
+            do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",
+        )
+
+
+def _about_search(fit: StackFit) -> Iterator[Finding]:
+    if len(fit.trials) > 1 and fit.chosen.setting == fit.trials[-1].setting:
+        setting = ", ".join(f"{name} = {value}" for name, value in fit.chosen.setting.items())
+        yield Finding(
+            "stack-most-beams",
+            "info",
+            f"{setting} is the setting with the most beams that was tried.",
+            why="More beams may do better still, but cost time in every update.",
+            do="Check that your computer keeps up with this many beams; fewer lose what the figure below shows.",
+        )
+    if fit.at_edge:
+        yield Finding(
+            "stack-at-edge",
+            "info",
+            f"At the end of what is searched: {', '.join(fit.at_edge)}.",
+            why="The best value on this log may lie beyond. The search is bounded because no log shows all that a "
+            "robot will meet.",
+            do="Use the values; they hold for places and crowds like those of this log.",
+        )
 
 
 def _not_replayed(result: StackResult) -> str:

@@ -15,7 +15,7 @@ from beamfield.sensors import Scan
 from beamfield.stacks.amcl.grid_models import GridRays
 from beamfield.stacks.amcl.parameters import AsAmcl
 from beamfield.stacks.amcl.scan import amcl_grid, amcl_ranges, range_limits
-from beamfield.stacks.emulation.beam_selection import Indices, floor_step_beams
+from beamfield.stacks.emulation.beam_selection import floor_step_beams
 from beamfield.stacks.emulation.emulator import RayEvidence
 from beamfield.stacks.emulation.stack_rays import AMCL_LINE, bresenham_ranges, exact_ranges, walled
 
@@ -60,10 +60,6 @@ class AmclBeam(GridRays[P], Generic[P]):
         seen = amcl_grid(self.grid, self.map_mode)
         return seen, walled(seen)
 
-    def selected_beams(self, n_beams: int) -> Indices:
-        """Return the indices of the beams that the program looks at in a scan of n_beams."""
-        return self.beam_rule(n_beams, self.parameters.as_amcl().max_beams)
-
     def evidence(self, z: Scan, poses: ArrayLike) -> RayEvidence:
         """Return readings and expected ranges; see `StackModel.evidence`."""
         robot = as_poses(poses).reshape(-1, 3)
@@ -72,7 +68,7 @@ class AmclBeam(GridRays[P], Generic[P]):
         ranges = amcl_ranges(z, parameters)
         if self.no_return == "range_max":
             ranges[ranges == np.inf] = z.finder.max_range
-        beams = self.selected_beams(len(ranges))
+        beams = self.beam_rule(len(ranges), parameters.max_beams)
         # +inf has p = 0 and adds nothing to the sum.
         beams = beams[np.isfinite(ranges[beams]) | (np.isnan(ranges[beams]) & (not self.tests_nan))]
         expected = self.expected_ranges(robot, z.finder.mounts[beams], range_max)

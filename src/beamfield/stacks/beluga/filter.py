@@ -15,67 +15,46 @@ from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.beluga.clusters import heaviest_cluster
 from beamfield.stacks.emulation.parameter_checks import check_numbers, check_switches
 from beamfield.stacks.emulation.stack_map import read_as_stack
+from beamfield.stacks.filters.amcl_filter import AmclFilterParameters
 from beamfield.stacks.filters.emulated_filter import AmclParticles, EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes, Histogram, kld_limits
 from beamfield.stacks.filters.loop import scans_after_motion
-from beamfield.stacks.filters.particles import (
-    check_particle_counts,
-    draw_by_weight,
-    n_effective,
-    reweighed,
-    uniform_poses,
-)
+from beamfield.stacks.filters.particles import draw_by_weight, n_effective, reweighed, uniform_poses
 from beamfield.stacks.filters.recovery import WeightAverages
 
 
 @dataclass(frozen=True)
-class BelugaFilterParameters:
+class BelugaFilterParameters(AmclFilterParameters):
     """What stands under ``amcl: ros__parameters:`` about the particles.
 
     Parameters
     ----------
     min_particles, max_particles
         Bounds of the number of particles; the maximum holds where it is below the minimum.
-    pf_err, pf_z
-        Bound of the divergence and quantile of KLD sampling, see `kld_limits`.
-    spatial_resolution_x, spatial_resolution_y, spatial_resolution_theta
-        Sides of its bins, metres and radians.
-    resample_interval
-        Particles are resampled at every n-th update.
-    selective_resampling
-        Only if the effective number of particles is below half their number.
+    pf_err, pf_z, resample_interval, recovery_alpha_slow, recovery_alpha_fast
+        As for `AmclFilterParameters`, with its defaults.
     update_min_d, update_min_a
         The filter updates when odometry has moved farther than this, metres, or turned by more, radians.
-    recovery_alpha_slow, recovery_alpha_fast
-        Rates of the averages of weights by which random poses are mixed in; 0 for none.
+    spatial_resolution_x, spatial_resolution_y, spatial_resolution_theta
+        Sides of the bins of KLD sampling, metres and radians.
+    selective_resampling
+        Only if the effective number of particles is below half their number.
 
     Raises
     ------
     InvalidInputError
-        If a count is below 1, pf_err or a side is not positive, or another number is negative or not finite.
+        As for `AmclFilterParameters`, or if a side is not positive.
     """
 
-    min_particles: int = 500
-    max_particles: int = 2000
-    pf_err: float = 0.05
-    pf_z: float = 0.99
     spatial_resolution_x: float = field(default=0.5, metadata={"unit": "m"})
     spatial_resolution_y: float = field(default=0.5, metadata={"unit": "m"})
     spatial_resolution_theta: float = field(default=math.radians(10.0), metadata={"unit": "rad"})
-    resample_interval: int = 1
     selective_resampling: bool = False
-    update_min_d: float = field(default=0.25, metadata={"unit": "m"})
-    update_min_a: float = field(default=0.2, metadata={"unit": "rad"})
-    recovery_alpha_slow: float = 0.0
-    recovery_alpha_fast: float = 0.0
 
     def __post_init__(self) -> None:
-        check_particle_counts(self)
-        check_numbers(
-            self,
-            positive=("pf_err", "spatial_resolution_x", "spatial_resolution_y", "spatial_resolution_theta"),
-            at_least_zero=("pf_z", "update_min_d", "update_min_a", "recovery_alpha_slow", "recovery_alpha_fast"),
-        )
+        super().__post_init__()
+        sides = "spatial_resolution_x", "spatial_resolution_y", "spatial_resolution_theta"
+        check_numbers(self, positive=sides)
         check_switches(self, "selective_resampling")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.doctor.subject import Subject
-from beamfield.stacks.emulation.emulator import KNOWN, Evidence, FieldEvidence, RayEvidence
+from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import build_model
 from beamfield.stacks.stack import FIELD_CUBES, FIELD_PRODUCT
 
@@ -26,8 +25,8 @@ NOISE, OUTLIERS, ROOM = 0.04, 0.1, (1.0, 6.0)
 # which it says too much.
 FLAT, FLATTEST, SHARP = 0.6, 0.99, 0.01
 DEFAULT_BEAMS = 60
-# The sensor's longest range where nobody knows it, metres.
-PLAIN_LIMIT = 10.0
+# The sensor's longest range where nobody knows it, and the side of a map's cells, metres.
+PLAIN_LIMIT, USUAL_CELL = 10.0, 0.05
 N_SCANS = 9
 # No scan has more.
 MOST_BEAMS = 2000
@@ -106,17 +105,11 @@ def _effective_in_log(subject: Subject, log: SensorLog, grid: OccupancyGrid) -> 
 
 
 def _room_weights(subject: Subject) -> FloatArray:
-    grid = OccupancyGrid.from_ros(np.zeros((1, 1)), resolution=0.05)
-    model: Any = build_model(subject.file.stack, subject.file.model, grid, subject.parameters)
-    settings = {name: getattr(subject.parameters, name) for name in model.evidence_settings}
-    n_beams = _n_beams(subject)
-    readings, expected = _room(np.random.default_rng(0), n_beams)
-    beams, limit = np.arange(n_beams), _range_limit(subject)
-    evidence: Evidence = RayEvidence(beams, limit, readings, expected, settings=settings)
+    formula, limit = Formula(subject.stack, subject.model, subject.parameters), _range_limit(subject)
+    readings, expected = _room(np.random.default_rng(0), _n_beams(subject))
     if subject.model.weight.of_field:
-        places = np.full(expected.shape, KNOWN, np.int8)
-        evidence = FieldEvidence(beams, limit, np.abs(readings - expected), places, settings=settings)
-    return np.asarray(model.log_weights(evidence))
+        return formula.field_weights(np.abs(readings - expected), limit, USUAL_CELL)
+    return formula.ray_weights(readings, expected, limit, USUAL_CELL)
 
 
 def _range_limit(subject: Subject) -> float:

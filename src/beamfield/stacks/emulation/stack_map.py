@@ -14,11 +14,7 @@ MODES = ("trinary", "scale", "raw")
 
 
 def read_as_stack(
-    grid: OccupancyGrid,
-    mode: MapMode = "trinary",
-    *,
-    ignore_yaw: bool = False,
-    shift_cells: float = 0.0,
+    grid: OccupancyGrid, mode: MapMode = "trinary", *, ignore_yaw: bool = False, shift_cells: float = 0.0
 ) -> OccupancyGrid:
     """Return the map as a localisation program sees it: occupied where the map message says 100, free where it says 0.
 

@@ -35,11 +35,7 @@ BELUGA_LINE = Line(edge_stops=False, overshoot=0, ties_turn=False)
 
 
 def bresenham_ranges(
-    grid: OccupancyGrid,
-    poses: FloatArray,
-    mounts: FloatArray,
-    max_range: float,
-    line: Line,
+    grid: OccupancyGrid, poses: FloatArray, mounts: FloatArray, max_range: float, line: Line
 ) -> FloatArray:
     """Return the ranges that Bresenham's line gives, between the centres of cells, to the first cell that is not free.
 
@@ -67,15 +63,7 @@ def bresenham_ranges(
 
     def work(a: int, b: int) -> None:
         kernels.cast_bresenham(
-            rows[a:b],
-            (x, y, yaw),
-            grid.resolution,
-            starts,
-            bearings,
-            max_range,
-            stops,
-            *line,
-            ranges[a:b],
+            rows[a:b], (x, y, yaw), grid.resolution, starts, bearings, max_range, stops, *line, ranges[a:b]
         )
 
     run_in_blocks(work, len(rows), work_per_row=WORK_PER_RAY * len(mounts))
@@ -83,13 +71,7 @@ def bresenham_ranges(
 
 
 def exact_ranges(
-    caster: RayCaster,
-    seen: OccupancyGrid,
-    poses: FloatArray,
-    mounts: FloatArray,
-    max_range: float,
-    *,
-    off_map: float,
+    caster: RayCaster, seen: OccupancyGrid, poses: FloatArray, mounts: FloatArray, max_range: float, *, off_map: float
 ) -> FloatArray:
     """Return exact expected ranges (n, k) in metres.
 

@@ -11,11 +11,7 @@ from beamfield.stacks.syntax.parameter_text import Value, pair
 
 
 def new_file_text(
-    stack: str,
-    values: Mapping[str, Value],
-    *,
-    comments: Sequence[str] = (),
-    launch: bool = False,
+    stack: str, values: Mapping[str, Value], *, comments: Sequence[str] = (), launch: bool = False
 ) -> str:
     """Return a parameter file.
 

@@ -18,12 +18,7 @@ from beamfield.stacks.emulation.parameter_checks import check_choice, check_coun
 from beamfield.stacks.filters.emulated_filter import EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes
 from beamfield.stacks.filters.loop import scans_at_ticks, scans_with_odometry
-from beamfield.stacks.filters.particles import (
-    check_number_of_particles,
-    n_effective,
-    normalised,
-    particle_mean,
-)
+from beamfield.stacks.filters.particles import check_number_of_particles, n_effective, normalised, particle_mean
 from beamfield.stacks.mrpt.motion import THRUN, MrptMotion
 from beamfield.stacks.mrpt.resampling import METHODS, fast_draws, resampled
 from beamfield.stacks.mrpt.sample_size import enough_particles

@@ -9,21 +9,12 @@ import numpy as np
 from beamfield.calibration.odometry.noise_family import NoiseFamily
 from beamfield.calibration.odometry.result import OdometryCalibration
 from beamfield.geometry import FloatArray
-from beamfield.stacks.mrpt.motion import GAUSSIAN, NAMES, THRUN, MrptMotion
+from beamfield.stacks.mrpt.motion import NAMES, MrptMotion
 
 
-def gaussian_values(result: OdometryCalibration) -> dict[str, float]:
-    """Return the parameters of mmGaussian: its defaults, all times one factor."""
-    return _scaled_values(result, MrptMotion(GAUSSIAN))
-
-
-def thrun_values(result: OdometryCalibration) -> dict[str, float]:
-    """Return the parameters of mmThrun: its defaults, all times one factor."""
-    return _scaled_values(result, MrptMotion(THRUN))
-
-
-def _scaled_values(result: OdometryCalibration, default: MrptMotion) -> dict[str, float]:
-    names = NAMES[default.modelSelection]
+def scaled_values(kind: str, result: OdometryCalibration) -> dict[str, float]:
+    """Return the parameters of mmGaussian or mmThrun: its defaults, all times one factor."""
+    default, names = MrptMotion(kind), NAMES[kind]
 
     def scaled(variance: FloatArray) -> MrptMotion:
         factor = float(np.sqrt(variance[0]))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.coordinates import SIGMAS, Coordinate, FitInputs, FitSpace, log_of, share
 from beamfield.stacks.mrpt.field import MrptField
 from beamfield.stacks.mrpt.filter import MrptFilterParameters, mrpt_filter
 from beamfield.stacks.mrpt.filter_section import filter_section
-from beamfield.stacks.mrpt.learned_motion import gaussian_values, thrun_values
+from beamfield.stacks.mrpt.learned_motion import scaled_values
 from beamfield.stacks.mrpt.motion import GAUSSIAN, THRUN, MrptMotion
 from beamfield.stacks.mrpt.parameters import LF_THRUN, RAY_TRACING, MrptFieldParameters, MrptRayParameters
 from beamfield.stacks.mrpt.rays import MrptRays
@@ -103,6 +105,6 @@ MRPT = Stack(
         motion=MrptMotion, parameters=MrptFilterParameters, build=mrpt_filter, section=filter_section
     ),
     motion_key="modelSelection",
-    motions={GAUSSIAN: gaussian_values, THRUN: thrun_values},
+    motions={kind: partial(scaled_values, kind) for kind in (GAUSSIAN, THRUN)},
     motion_elsewhere="motion_model_2d of mrpt_pf_localization, beside modelSelection",
 )  # fmt: skip

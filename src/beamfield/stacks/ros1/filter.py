@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from beamfield.stacks.amcl.filter import amcl_filter
 from beamfield.stacks.emulation.parameter_checks import check_switches
 from beamfield.stacks.filters.amcl_filter import AmclFilter, AmclFilterParameters, check_filter
 from beamfield.stacks.ros1.motion import Ros1Motion
+
+# What nav2 calls otherwise.
+_NAMES = {"pf_err": "kld_err", "pf_z": "kld_z"}
 
 
 @dataclass(frozen=True)
@@ -45,21 +48,13 @@ class Ros1FilterParameters:
     selective_resampling: bool = False
 
     def __post_init__(self) -> None:
-        check_filter(self, {"pf_err": "kld_err", "pf_z": "kld_z"})
+        check_filter(self, _NAMES)
         check_switches(self, "selective_resampling")
 
 
 def ros1_filter(model: Any, motion: Ros1Motion, parameters: Ros1FilterParameters) -> AmclFilter:
     """Return the filter that runs one of ROS 1 amcl's models."""
-    values = AmclFilterParameters(
-        parameters.min_particles,
-        parameters.max_particles,
-        parameters.kld_err,
-        parameters.kld_z,
-        parameters.resample_interval,
-        parameters.update_min_d,
-        parameters.update_min_a,
-        parameters.recovery_alpha_slow,
-        parameters.recovery_alpha_fast,
-    )
-    return amcl_filter(model, motion, values, selective_resampling=parameters.selective_resampling)
+    names = (item.name for item in fields(AmclFilterParameters))
+    values = {name: getattr(parameters, _NAMES.get(name, name)) for name in names}
+    selective = parameters.selective_resampling
+    return amcl_filter(model, motion, AmclFilterParameters(**values), selective_resampling=selective)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+from beamfield.stacks.amcl.learned_motion import differential_alphas, omni_alphas
 from beamfield.stacks.amcl.parameters import ROS_1_NAMES
 from beamfield.stacks.amcl.stack import amcl_stack
 from beamfield.stacks.ros1.filter import Ros1FilterParameters, ros1_filter
-from beamfield.stacks.ros1.learned_motion import (
-    corrected_differential,
-    corrected_omni,
-    literal_differential,
-    literal_omni,
-)
+from beamfield.stacks.ros1.learned_motion import DIFF, OMNI, corrected, literal
 from beamfield.stacks.ros1.models import Ros1Beam, Ros1Field, Ros1FieldProb
 from beamfield.stacks.ros1.motion import Ros1Motion
 from beamfield.stacks.ros1.parameters import Ros1Parameters
@@ -47,9 +45,9 @@ ROS1 = amcl_stack(
     flatter="fewer beams or a wider laser_sigma_hit",
     motion_key="odom_model_type",
     motions={
-        "diff": literal_differential,
-        "omni": literal_omni,
-        "diff-corrected": corrected_differential,
-        "omni-corrected": corrected_omni,
+        "diff": partial(literal, DIFF, 4),
+        "omni": partial(literal, OMNI, 5),
+        "diff-corrected": partial(corrected, differential_alphas),
+        "omni-corrected": partial(corrected, omni_alphas),
     },
 )

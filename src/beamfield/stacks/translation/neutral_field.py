@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 from beamfield.errors import InvalidInputError
+from beamfield.stacks.formula import Formula
 from beamfield.stacks.stack import SQRT_2PI, Model, Stack
 from beamfield.stacks.syntax.parameter_text import Value
 from beamfield.stacks.translation.translation import above_one
-from beamfield.stacks.translation.weight_comparison import Formula
 
 
 @dataclass(frozen=True)

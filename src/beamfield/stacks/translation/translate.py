@@ -9,6 +9,7 @@ from beamfield.arguments import require
 from beamfield.errors import InvalidInputError
 from beamfield.stacks.files.parameter_file import StackFile
 from beamfield.stacks.files.typed_values import checked_values
+from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import stack_named
 from beamfield.stacks.stack import SQRT_2PI, WEIGHTS, Model, Stack, counterpart
 from beamfield.stacks.syntax.parameter_text import Value
@@ -25,7 +26,6 @@ from beamfield.stacks.translation.translation import (
 from beamfield.stacks.translation.weight_comparison import (
     ChapterField,
     Comparison,
-    Formula,
     compare,
     compare_fields,
     sample_distances,

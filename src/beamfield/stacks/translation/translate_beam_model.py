@@ -16,6 +16,7 @@ from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
+from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import stack_named
 from beamfield.stacks.stack import SQRT_2PI, WEIGHTS, Model, Stack
 from beamfield.stacks.syntax.parameter_text import Value
@@ -28,7 +29,7 @@ from beamfield.stacks.translation.translation import (
     as_written,
     check_metres,
 )
-from beamfield.stacks.translation.weight_comparison import ChapterField, Comparison, Formula, compare, sample_ranges
+from beamfield.stacks.translation.weight_comparison import ChapterField, Comparison, compare, sample_ranges
 
 # Indoors ranges have a root mean square of 2 to 6 m: 3.8 m in the median of nine logs.
 TYPICAL_RANGE, TYPICAL_SHARE = 4.0, 0.4

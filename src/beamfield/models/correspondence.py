@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_pose, as_poses
+from beamfield.geometry import FloatArray, as_pose, as_poses, pose_rows
 from beamfield.kernels.correspondence import fill_sums, sort_by_id
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.landmarks import LandmarkMap
@@ -137,9 +137,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
         if len(given.spurious):
             total += tables.log_spurious[given.spurious].sum()
         if len(given.known) and total.size:
-            self._add_known(given, tables, robot.reshape(-1, 3), total.reshape(-1, 1), each=False)
+            self._add_known(given, tables, pose_rows(robot), total.reshape(-1, 1), each=False)
         if len(given.unknown) and total.size:
-            total += self._unknown(z, given, tables, robot.reshape(-1, 3))[0].sum(axis=1).reshape(total.shape)
+            total += self._unknown(z, given, tables, pose_rows(robot))[0].sum(axis=1).reshape(total.shape)
         return total
 
     @checked
@@ -225,7 +225,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
     def _evaluate(self, z: Z, poses: ArrayLike) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return values and ids, each (..., k)."""
         robot = as_poses(poses)
-        flat = robot.reshape(-1, 3)
+        flat = pose_rows(robot)
         given, tables = self._prepare(z)
         values: FloatArray = np.zeros((len(flat), len(z)))
         ids = np.full((len(flat), len(z)), SPURIOUS, dtype=np.int64)
@@ -258,7 +258,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         chosen = np.empty((len(flat), k), dtype=np.int64)
         features, base = (table.take(given.unknown, axis=0) for table in (tables.features, tables.base))
         none = tables.log_spurious.take(given.unknown) + _log(self._spurious_rate)
-        things, mount = np.ascontiguousarray(tables.things.T), self._mount_in_sensor_axes
+        things, mount = tables.things.T.copy(), self._mount_in_sensor_axes
         if self.correspondence == "nearest" and hasattr(self._kernels, "fill_nearest"):
             prior = self._log_share_of_thing()
 

@@ -1,4 +1,4 @@
-"""Time the landmark model, in ns per pose x detection, beside the same formula written with NumPy.
+"""Time the landmark model on one thread, beside the same formula written with NumPy: docs/landmarks.md, Speed.
 
 Run: python benchmarks/landmark.py
 """
@@ -6,6 +6,7 @@ Run: python benchmarks/landmark.py
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,49 +16,67 @@ from beamfield.kernels.threads import set_threads
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
-from tables import least_seconds, print_table
+from measure import take_turns
+from tables import print_table
 
-N_POSES, N_DETECTIONS = 20_000, 20
-N_ASSIGNMENT_POSES = 500
+N_POSES = 20_000
 PARAMETERS = LandmarkParameters(sigma_range=0.2, sigma_bearing=0.03, spurious_rate=0.05, max_range=30.0)
 
 
-def run() -> list[dict[str, Any]]:
-    """Return one row per correspondence: what, poses, detections, threads, ns per pose x detection."""
+def main() -> None:
+    """Print a table of many poses and one of a call for one pose."""
     rng = np.random.default_rng(7)
-    landmarks = LandmarkMap(rng.uniform(0.0, 20.0, (N_DETECTIONS, 2)))
     truth = np.array([9.0, 8.0, 0.7])
     poses = truth + rng.normal(0.0, [1.0, 1.0, 0.5], (N_POSES, 3))
+    print_table(many_poses(truth, poses, rng), digits=3)
+    print()
+    print_table(one_pose(truth, poses[:1], rng), digits=3)
+
+
+def many_poses(truth: np.ndarray, poses: np.ndarray, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return one row per correspondence: what, landmarks, detections, poses, ns per pose x detection."""
+    landmarks, z = world(20, 20, truth, rng)
     known = LandmarkModel(landmarks, PARAMETERS, correspondence="known")
-    z = known.sample(truth, rng)[0]
     np.testing.assert_allclose(known.log_likelihood(z, poses), numpy_log_likelihood(landmarks, z, poses), rtol=1e-9)
-    rows = [row("known, NumPy closed form", N_POSES, 1, lambda: numpy_log_likelihood(landmarks, z, poses))]
-    rows.append(row("known", N_POSES, 1, lambda: known.log_likelihood(z, poses)))
-    with set_threads(None):
-        rows.append(row("known", N_POSES, "all", lambda: known.log_likelihood(z, poses)))
-    unknown = z.without_ids()
-    for how, n in (("nearest", N_POSES), ("sum", N_POSES), ("assignment", N_ASSIGNMENT_POSES)):
-        model = LandmarkModel(landmarks, PARAMETERS, correspondence=how)
-        rows.append(
-            row(f"{how}, {N_DETECTIONS} landmarks", n, 1, lambda m=model, n=n: m.log_likelihood(unknown, poses[:n]))
-        )
+    rows = [row("known, NumPy closed form", 20, z, poses, lambda: numpy_log_likelihood(landmarks, z, poses))]
+    rows.append(row("known", 20, z, poses, lambda: known.log_likelihood(z, poses)))
+    for how, n, k, few in (
+        ("nearest", 20, 20, poses), ("nearest", 50, 5, poses[:2000]), ("nearest", 500, 5, poses[:2000]),
+        ("sum", 20, 20, poses), ("assignment", 20, 20, poses[:500]),
+    ):  # fmt: skip
+        landmarks, z = world(n, k, truth, rng)
+        model, z = LandmarkModel(landmarks, PARAMETERS, correspondence=how), z.without_ids()
+        rows.append(row(how, n, z, few, partial(model.log_likelihood, z, few)))
     return rows
 
 
-def main() -> None:
-    """Print the rows as a Markdown table."""
-    print_table(run())
+def one_pose(truth: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return one row per correspondence and number of detections, of 50 landmarks: microseconds of a call."""
+    rows = []
+    for how, k in (("known", 5), ("known", 50), ("nearest", 5), ("sum", 5)):
+        landmarks, z = world(50, k, truth, rng)
+        model, z = LandmarkModel(landmarks, PARAMETERS, correspondence=how), z if how == "known" else z.without_ids()
+        us = least_seconds(partial(model.log_likelihood, z, pose)) * 1e6
+        rows.append({"correspondence": how, "detections": k, "us per call": us})
+    return rows
 
 
-def row(what: str, n_poses: int, threads: Any, call: Callable[[], object]) -> dict[str, Any]:
-    seconds = least_seconds(call, 7)
-    return {
-        "correspondence": what,
-        "poses": n_poses,
-        "detections": N_DETECTIONS,
-        "threads": threads,
-        "ns per pose x detection": round(seconds / (n_poses * N_DETECTIONS) * 1e9, 1),
-    }
+def world(n: int, k: int, truth: np.ndarray, rng: np.random.Generator) -> tuple[LandmarkMap, Detections]:
+    """Return a map of n landmarks, and what is seen of k of them."""
+    landmarks = LandmarkMap(rng.uniform(0.0, 20.0, (n, 2)))
+    seen = landmarks.ids[:: n // k]
+    return landmarks, LandmarkModel(landmarks, PARAMETERS, correspondence="known").sample(truth, rng, ids=seen)[0]
+
+
+def row(what: str, n: int, z: Detections, poses: np.ndarray, call: Callable[[], object]) -> dict[str, Any]:
+    ns = least_seconds(call) / (len(poses) * len(z)) * 1e9
+    shape = {"landmarks": n, "detections": len(z), "poses": len(poses)}
+    return {"correspondence": what, **shape, "ns per pose x detection": ns}
+
+
+def least_seconds(call: Callable[[], object]) -> float:
+    """Return the least processor time of a call on one thread."""
+    return float(take_turns({"": call})[""].min())
 
 
 def numpy_log_likelihood(landmarks: LandmarkMap, z: Detections, poses: np.ndarray) -> np.ndarray:

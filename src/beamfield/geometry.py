@@ -72,6 +72,13 @@ def as_unchecked_poses(poses: ArrayLike, name: str = "poses") -> FloatArray:
     return _rows(poses, 3, name)
 
 
+def pose_rows(poses: FloatArray) -> FloatArray:
+    """Return poses (..., 3) as writeable rows (n, 3): one array type, so that kernels are compiled once."""
+    rows = poses.reshape(-1, 3)
+    flags = rows.flags
+    return rows if flags.c_contiguous and flags.writeable else np.require(rows, requirements=["C", "W"])
+
+
 def _rows(values: ArrayLike, length: int, name: str) -> FloatArray:
     array = as_floats(values, name)
     if array.ndim == 0 or array.shape[-1] != length:

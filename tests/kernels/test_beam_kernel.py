@@ -10,6 +10,7 @@ import pytest
 from scipy import integrate, special, stats
 
 from beamfield.kernels import beam
+from beamfield.models.beam_density import read_only
 from tests.reference.beam_tables import integral, p_hit, p_short
 
 MAX_RANGE = 8.0
@@ -226,14 +227,14 @@ def adversarial_beams(rng, n_poses):
     for i, value in enumerate([*special_values, np.nan, 9.0, np.inf]):
         expected[i] = value
     expected[14:20] = np.clip(ranges + rng.normal(0.0, 0.1, (6, ranges.size)), 0.0, None)
-    return ranges, expected
+    return read_only(ranges), read_only(expected)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_vectorised_loops_equal_the_scalar_formulas(variant):
     view = VARIANTS[variant]
     ranges, expected = adversarial_beams(np.random.default_rng(8), 40)
-    flat_ranges, flat_expected = np.tile(ranges, len(expected)), expected.ravel()
+    flat_ranges, flat_expected = read_only(np.tile(ranges, len(expected))), expected.ravel()
     out = np.empty(flat_ranges.size)
     beam.fill_log_density(flat_ranges, flat_expected, view, out)
     capped = np.where(np.isnan(flat_expected), np.nan, np.minimum(flat_expected, MAX_RANGE))
@@ -249,5 +250,5 @@ def test_product_of_many_beams_is_the_sum_of_their_logs():
         with np.errstate(over="ignore"):
             beam.fill_scan_log_likelihood(ranges, expected, view, out)
         each = np.empty(expected.size)
-        beam.fill_log_density(np.tile(ranges, 37), expected.ravel(), view, each)
+        beam.fill_log_density(read_only(np.tile(ranges, 37)), expected.ravel(), view, each)
         np.testing.assert_allclose(out, each.reshape(37, -1).sum(axis=1), rtol=1e-13)

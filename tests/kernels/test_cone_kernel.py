@@ -18,6 +18,8 @@ def packed(stops):
     bits = np.empty((stops.shape[0], words), np.uint32)
     bands = np.empty((-(-stops.shape[0] // kernels.BAND), words), np.uint32)
     kernels.pack_rows(stops, bits, bands)
+    # As casters have them, so that kernels are not compiled for tests alone.
+    bits.flags.writeable = bands.flags.writeable = False
     return bits, bands
 
 

@@ -14,6 +14,8 @@ allocate, start = entry(kernels._allocate), entry(kernels._start)
 def tables_of(occupied):
     rectangles = np.empty((4, occupied.shape[0] + 2, occupied.shape[1] + 2), np.uint16)
     kernels.free_rectangles(occupied, rectangles)
+    # As casters have them, so that kernels are not compiled for tests alone.
+    rectangles.flags.writeable = False
     return rectangles
 
 

@@ -34,8 +34,16 @@ def count_along_axes(starts: NDArray[np.float64], classes: NDArray[np.uint8], of
     for i in range(starts.shape[0]):
         counts[i, :] = 0.0
         x, y, dx, dy = starts[i, 0], starts[i, 1], starts[i, 2], starts[i, 3]
+        entered = False
         for k in range(n):
             t = first + (k + 0.5) * spacing
             col, row = math.floor(x + dx * t), math.floor(y + dy * t)
-            inside = 0 <= row < rows and 0 <= col < cols
-            counts[i, classes[row, col] if inside else off] += 1.0
+            if 0 <= row < rows and 0 <= col < cols:
+                counts[i, classes[row, col]] += 1.0
+                entered = True
+            elif entered:
+                # A straight line does not come back.
+                counts[i, off] += n - k
+                break
+            else:
+                counts[i, off] += 1.0

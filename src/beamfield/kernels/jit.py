@@ -70,11 +70,7 @@ def inlined_fused_kernel(function: F) -> F:
 
 
 def shared(function: F, *, fast: bool | set[str] = False, inline: bool = True) -> F:
-    """Compile an elementary function for kernels of any file.
-
-    Its flags are its own: without a word about `fastmath`, Numba would take them from the caller that comes first. It
-    is on disk only within its callers.
-    """
+    """Compile an elementary function for kernels of any file; it is on disk only within its callers."""
     return cast(F, _jit(function, forceinline=inline, fastmath=fast))
 
 
@@ -103,6 +99,7 @@ def _without_entry(function: F, **flags: Any) -> F:
 
 
 def _jit(function: F, **flags: Any) -> Any:
-    # Nothing calls kernels through C pointers.
-    flags = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **flags}
+    # Nothing calls kernels through C pointers. Without a word about fastmath, Numba would take it from the caller that
+    # comes first, and results would depend on the order.
+    flags = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "fastmath": False, **flags}
     return numba.njit(**flags)(function)

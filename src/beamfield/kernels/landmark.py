@@ -17,6 +17,7 @@ from beamfield.kernels.elementary import arc_tangent_2
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 # Position of the sensor, and its heading's cosine and sine.
 Sensor = tuple[float, float, float, float]
@@ -107,9 +108,10 @@ def describe_features(ranges: Floats, bearings: Floats, noise: Noise, features: 
 
 
 @kernel
-def fill_known(
-    poses: Floats, mount: Floats, features: Floats, landmarks: Floats, base: Floats, first: int, out: Floats
-) -> None:
+def add_known(
+    poses: Floats, mount: Floats, features: Floats, landmarks: Floats, base: Floats, known: Indices, which: Indices,
+    each: bool, out: Floats,
+) -> None:  # fmt: skip
     """Add up the log densities of features whose landmarks are known.
 
     Parameters
@@ -119,11 +121,13 @@ def fill_known(
     mount
         (3,) position of the sensor on the robot in the *sensor's* axes, and its heading on the robot.
     features, landmarks, base
-        (k, 5), (k, 2) and (k,).
-    first
-        Keep each feature in its own column of `out` from this one on; negative adds all features up in column 0.
+        (k, 5), (N, 2) and (k, N).
+    known, which
+        Indices of these features and of their landmarks.
+    each
+        Whether each feature has its own column of `out`; else all are added up in column 0.
     out
-        (n, ...) the result.
+        (n, ...) added to.
     """
     x, y, cos, sin, total = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for start in range(0, poses.shape[0], BLOCK):
@@ -131,17 +135,18 @@ def fill_known(
         for i in range(m):
             x[i], y[i], cos[i], sin[i] = _sensor(poses[start + i], mount)
             total[i] = 0.0
-        for k in range(features.shape[0]):
-            lx, ly, constant, feature = landmarks[k, 0], landmarks[k, 1], base[k], _measured(features[k])
+        for f in range(known.size):
+            k, j = known[f], which[f]
+            lx, ly, constant, feature = landmarks[j, 0], landmarks[j, 1], base[k, j], _measured(features[k])
             for i in range(m):
                 total[i] += log_value((x[i], y[i], cos[i], sin[i]), lx, ly, feature, constant)
-            if first >= 0:
+            if each:
                 for i in range(m):
-                    out[start + i, first + k] = _never_nan(total[i])
+                    out[start + i, k] += _never_nan(total[i])
                     total[i] = 0.0
-        if first < 0:
+        if not each:
             for i in range(m):
-                out[start + i, 0] = _never_nan(total[i])
+                out[start + i, 0] += _never_nan(total[i])
 
 
 @kernel
@@ -164,7 +169,7 @@ def fill_candidates(
 @kernel
 def fill_nearest(
     poses: Floats, mount: Floats, features: Floats, landmarks: Floats, base: Floats, log_landmark: float,
-    log_spurious: Floats, out: Floats, chosen: NDArray[np.int64],
+    log_spurious: Floats, out: Floats, chosen: Indices,
 ) -> None:  # fmt: skip
     """Fill in the most probable correspondence of each feature: the first of the largest values of `fill_candidates`.
 

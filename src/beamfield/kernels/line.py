@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 # What squares and products of the residuals in rho and alpha count: of rho^2, 2 rho alpha, alpha^2.
 Weights = tuple[float, float, float]
@@ -61,9 +62,10 @@ def _add_other_pair(best: Floats, gap: Floats) -> None:
 
 
 @kernel
-def fill_known(
-    poses: Floats, mount: Floats, features: Floats, lines: Floats, base: Floats, first: int, out: Floats
-) -> None:
+def add_known(
+    poses: Floats, mount: Floats, features: Floats, lines: Floats, base: Floats, known: Indices, which: Indices,
+    each: bool, out: Floats,
+) -> None:  # fmt: skip
     """Add up the log densities of measured lines whose mapped lines are known.
 
     Parameters
@@ -73,11 +75,13 @@ def fill_known(
     mount
         (3,) position of the sensor on the robot in the *sensor's* axes, and its heading on the robot.
     features, lines, base
-        (k, 5), (k, 4) and (k,).
-    first
-        Keep each feature in its own column of `out` from this one on; negative adds all features up in column 0.
+        (k, 5), (N, 4) and (k,).
+    known, which
+        Indices of these features and of their lines.
+    each
+        Whether each feature has its own column of `out`; else all are added up in column 0.
     out
-        (n, ...) the result.
+        (n, ...) added to.
     """
     x, y, turn, total = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     d, best, gap = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
@@ -86,8 +90,9 @@ def fill_known(
         for i in range(m):
             x[i], y[i], heading, _, _ = _sensor(poses[start + i], mount)
             turn[i], total[i] = -heading, 0.0
-        for k in range(features.shape[0]):
-            cos, sin, r, a = lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3]
+        for f in range(known.size):
+            k, j = known[f], which[f]
+            cos, sin, r, a = lines[j, 0], lines[j, 1], lines[j, 2], lines[j, 3]
             for i in range(m):
                 d[i] = r - x[i] * cos - y[i] * sin
             weights = features[k, 2], features[k, 3], features[k, 4]
@@ -95,15 +100,15 @@ def fill_known(
             _add_other_pair(best[:m], gap[:m])
             for i in range(m):
                 best[i] += base[k]
-            if first >= 0:
+            if each:
                 for i in range(m):
-                    out[start + i, first + k] = _never_nan(best[i])
+                    out[start + i, k] += _never_nan(best[i])
             else:
                 for i in range(m):
                     total[i] += best[i]
-        if first < 0:
+        if not each:
             for i in range(m):
-                out[start + i, 0] = _never_nan(total[i])
+                out[start + i, 0] += _never_nan(total[i])
 
 
 @kernel

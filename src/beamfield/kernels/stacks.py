@@ -10,12 +10,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.jit import kernel
+from beamfield.kernels.jit import integer, kernel
 
 Floats = NDArray[np.float64]
 # Coordinates are held within this many cells, so that they fit an integer; no map is so large.
 FAR = 1e9
 KNOWN, UNKNOWN, OFF_MAP = np.int8(0), np.int8(1), np.int8(2)
+NOTHING = integer(0)
 
 
 @kernel
@@ -53,13 +54,13 @@ def brushfire(obstacles: NDArray[np.bool_], limit: float, neighbours: NDArray[np
     settled = np.zeros(size, np.bool_)
     flat = squared.reshape(size)
     flat[:] = -1
-    n = 0
+    n = NOTHING
     for t in range(size):
         r, c = (t % rows, t // rows) if columns_first else (t // cols, t % cols)
         if obstacles[r, c]:
             i = r * cols + c
             flat[i], source[i], settled[i] = 0, i, True
-            n = _push(key, cell, n, 0, i)
+            n = _push(key, cell, n, NOTHING, i)
     while n > 0:
         i = np.int64(cell[0])
         if not remove_last:

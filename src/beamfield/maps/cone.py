@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, checked, keep
-from beamfield.geometry import FloatArray, as_poses, compose, transform_points
+from beamfield.geometry import FloatArray, as_poses, compose, pose_rows, transform_points
 from beamfield.kernels import cone as kernels
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.raycast import IntArray, RayCaster, frame_of, pose_rows
+from beamfield.maps.raycast import IntArray, RayCaster, frame_of
 from beamfield.sensors import RangeFinder
 from beamfield.short_repr import short_repr
 

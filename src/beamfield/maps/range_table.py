@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray, as_poses, pose_rows
 from beamfield.kernels import range_table as kernels
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.range_table_plan import Codes, Progress, RangeTablePlan
-from beamfield.maps.raycast import frame_of, pose_rows
+from beamfield.maps.raycast import frame_of
 from beamfield.sensors import RangeFinder
 from beamfield.short_repr import short_repr
 

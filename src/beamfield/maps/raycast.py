@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses
+from beamfield.geometry import FloatArray, as_poses, pose_rows
 from beamfield.kernels import raycast as kernels
 from beamfield.kernels.beam import BeamView
 from beamfield.kernels.device import require_device
@@ -304,13 +304,6 @@ class RayCaster:
         rows, cols = self.grid.shape
         resolution, longest = self.grid.resolution, float(max_range)
         return kernels.Terrain(self._rectangles.reshape(-1), rows, cols, resolution, longest, longest / resolution)
-
-
-def pose_rows(poses: FloatArray) -> FloatArray:
-    """Return poses (..., 3) as writeable rows (n, 3): one array type, so that kernels are compiled once."""
-    rows = poses.reshape(-1, 3)
-    flags = rows.flags
-    return rows if flags.c_contiguous and flags.writeable else np.require(rows, requirements=["C", "W"])
 
 
 def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:

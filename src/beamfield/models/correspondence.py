@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.detections import SPURIOUS, UNKNOWN, Detections
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_pose, as_poses
+from beamfield.geometry import FloatArray, as_pose, as_poses, pose_rows
 from beamfield.kernels.correspondence import fill_sums, sort_by_id
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.landmarks import LandmarkMap
@@ -101,7 +101,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
     feature_name: ClassVar[str]
     """What a feature is called in errors."""
     _kernels: ClassVar[ModuleType]
-    """Has fill_known and fill_candidates, with the parameters of those in `kernels.landmark`, and fill_nearest where
+    """Has add_known and fill_candidates, with the parameters of those in `kernels.landmark`, and fill_nearest where
     nothing is excluded and the best candidate can be found without the values of all."""
 
     def __post_init__(self) -> None:
@@ -137,9 +137,9 @@ class CorrespondenceModel(ABC, Generic[Z]):
         if len(given.spurious):
             total += tables.log_spurious[given.spurious].sum()
         if len(given.known) and total.size:
-            total += self._known(given, tables, robot.reshape(-1, 3), each=False).reshape(total.shape)
+            self._add_known(given, tables, pose_rows(robot), total.reshape(-1, 1), each=False)
         if len(given.unknown) and total.size:
-            total += self._unknown(z, given, tables, robot.reshape(-1, 3))[0].sum(axis=1).reshape(total.shape)
+            total += self._unknown(z, given, tables, pose_rows(robot))[0].sum(axis=1).reshape(total.shape)
         return total
 
     @checked
@@ -225,13 +225,13 @@ class CorrespondenceModel(ABC, Generic[Z]):
     def _evaluate(self, z: Z, poses: ArrayLike) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return values and ids, each (..., k)."""
         robot = as_poses(poses)
-        flat = robot.reshape(-1, 3)
+        flat = pose_rows(robot)
         given, tables = self._prepare(z)
         values: FloatArray = np.zeros((len(flat), len(z)))
         ids = np.full((len(flat), len(z)), SPURIOUS, dtype=np.int64)
         values[:, given.spurious] = tables.log_spurious[given.spurious]
         if len(given.known):
-            values[:, given.known] = self._known(given, tables, flat, each=True)
+            self._add_known(given, tables, flat, values, each=True)
             ids[:, given.known] = self._things.ids[given.which]
         if len(given.unknown):
             values[:, given.unknown], chosen = self._unknown(z, given, tables, flat)
@@ -240,17 +240,16 @@ class CorrespondenceModel(ABC, Generic[Z]):
         shape = (*robot.shape[:-1], len(z))
         return values.reshape(shape), ids.reshape(shape)
 
-    def _known(self, given: Given, tables: Tables, flat: FloatArray, *, each: bool) -> FloatArray:
-        features, things = tables.features.take(given.known, axis=0), tables.things.take(given.which, axis=0)
-        base = tables.base[given.known, given.which] if tables.base.ndim == 2 else tables.base.take(given.known)
-        out = np.empty((len(flat), len(features) if each else 1))
-        first, mount = 0 if each else -1, self._mount_in_sensor_axes
+    def _add_known(self, given: Given, tables: Tables, flat: FloatArray, out: FloatArray, *, each: bool) -> None:
+        """Add the features whose things are known to out: each to its own column of (n, k), or all to (n, 1)."""
+        mount = self._mount_in_sensor_axes
 
         def work(a: int, b: int) -> None:
-            self._kernels.fill_known(flat[a:b], mount, features, things, base, first, out[a:b])
+            self._kernels.add_known(
+                flat[a:b], mount, tables.features, tables.things, tables.base, given.known, given.which, each, out[a:b]
+            )
 
-        run_in_blocks(work, len(flat), work_per_row=1 + len(features) // 2)
-        return out
+        run_in_blocks(work, len(flat), work_per_row=1 + len(given.known) // 2)
 
     def _unknown(self, z: Z, given: Given, tables: Tables, flat: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Return values and indices of things (N for none, N + 1 where there is no room), each (n, unknown)."""
@@ -259,7 +258,7 @@ class CorrespondenceModel(ABC, Generic[Z]):
         chosen = np.empty((len(flat), k), dtype=np.int64)
         features, base = (table.take(given.unknown, axis=0) for table in (tables.features, tables.base))
         none = tables.log_spurious.take(given.unknown) + _log(self._spurious_rate)
-        things, mount = np.ascontiguousarray(tables.things.T), self._mount_in_sensor_axes
+        things, mount = tables.things.T.copy(), self._mount_in_sensor_axes
         if self.correspondence == "nearest" and hasattr(self._kernels, "fill_nearest"):
             prior = self._log_share_of_thing()
 

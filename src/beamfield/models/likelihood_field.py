@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses
+from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses, pose_rows
 from beamfield.kernels import field as kernels
 from beamfield.kernels import smooth_field
 from beamfield.kernels.device import require_device
@@ -345,7 +345,7 @@ class LikelihoodFieldModel:
     def _distances(self, ends: FloatArray, poses: FloatArray) -> FloatArray:
         """Return the distances (n, k) at end points (2, k), in cells, for poses (n, 3)."""
         values: FloatArray = np.empty((len(poses), ends.shape[1]))
-        poses = np.ascontiguousarray(poses)
+        poses = pose_rows(poses)
         far = self.distances.max_distance
         if self.interpolation == "bilinear":
             table = self._tables.smooth._replace(uniform=np.empty(0, np.bool_))
@@ -357,7 +357,7 @@ class LikelihoodFieldModel:
     def _code_sums(self, scan: Scan, table: Table, poses: ArrayLike) -> FloatArray:
         """Return the sums over beams by a table without impossible cells: few steps, as short calls take 50 us."""
         robot, finder = as_unchecked_poses(poses), scan.finder
-        flat = np.ascontiguousarray(robot.reshape(-1, 3))
+        flat = pose_rows(robot)
         out, all_finite = np.empty(len(flat)), []
         ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
         sensor = finder.mounts, finder.min_range, finder.max_range
@@ -376,6 +376,8 @@ class LikelihoodFieldModel:
         beams, _ = self._end_points(scan)
         ranges: FloatArray = np.full(scan.finder.n_beams, np.nan)
         ranges[beams] = scan.ranges[beams]
+        # As a scan's own ranges are: kernels are compiled for these alone.
+        ranges.flags.writeable = False
         return ranges
 
     def _sums(self, scan: Scan, robot: FloatArray) -> FloatArray:
@@ -418,8 +420,7 @@ class LikelihoodFieldModel:
         return lambda flat, out: kernels.fill_beam_values(flat, frame, singles, table.codes, table.low, table.step, out)
 
     def _run(self, work: Fill, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
-        # One layout of memory, for which alone the kernels are compiled.
-        flat = np.ascontiguousarray(robot.reshape(-1, 3))
+        flat = pose_rows(robot)
         work_per_row = n_ends / LOOK_UPS_PER_WORK_UNIT[self.interpolation]
         run_in_blocks(lambda a, b: work(flat[a:b], out[a:b]), len(flat), work_per_row=work_per_row)
 

@@ -114,7 +114,7 @@ def png_panel(figure: Figure, alt: str, *, dpi: int = 144) -> Panel:
         pixels = np.array(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
     image = Image.fromarray(np.ascontiguousarray(pixels))
     buffer = io.BytesIO()
-    image.quantize(palette=_palette(image), dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+    image.quantize(palette=_palette(image), dither=Image.Dither.NONE).save(buffer, "PNG")
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     size = f'width="{image.width}" height="{image.height}"'
     return Panel(f'<img {size} alt="{escaped(alt)}" src="data:image/png;base64,{data}">', _is_wide(figure))

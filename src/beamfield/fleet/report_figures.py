@@ -63,7 +63,7 @@ def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> Repo
         "Thick: the robot's number of each day with its 95 % interval; grey: the same of the other robots. The dashed "
         f"line is the day since when it has changed; without one, it was so from the first day on.{more}"
         if panels
-        else "No robot shows a fault."
+        else "No change was found."
     )
     return ReportFigure("drift", "Drift over the days", tuple(panels), caption, "")
 
@@ -205,7 +205,9 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
                              fontweight="bold", color=MODEL, zorder=5)  # fmt: skip
         text.set_path_effects([patheffects.withStroke(linewidth=2.5, foreground="white")])
     frame(axes, limits, with_legend=False)
-    bar = figure.colorbar(patches, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
+    inch = 1.0 / (figure.get_figheight() - 1.1)  # in heights of the axes
+    beside = axes.inset_axes((0.0, 1.0 + 0.03 * inch, 0.5, 0.1 * inch))
+    bar = figure.colorbar(patches, cax=beside, orientation="horizontal")
     bar.ax.xaxis.set_ticks_position("top")
     bar.ax.xaxis.set_label_position("top")
     bar.set_label("share of beams that disagree with the map", fontsize=9, color="#222222")
@@ -244,9 +246,10 @@ def _caption(stale: StaleMap) -> str:
     more = len(stale.lasting) - MOST_PLACES
     return (
         f"{len(stale.lasting) or 'No'} places to map again. Squares of {stale.side:g} m, coloured by the share of "
-        f"beams that disagree with the map, from {LEAST_SHOWN:.0%} on, over {stale.runs} runs of {stale.robots} robots "
-        f"on {stale.days} days. Outlined and numbered: places to map again, which differ in at least half of the runs "
+        f"beams that disagree with the map, from {LEAST_SHOWN:.0%} on. Runs: {stale.runs}, robots: {stale.robots}, "
+        f"days: {stale.days}. Outlined and numbered: places to map again, which differ in at least half of the runs "
         "since the day named, for two robots and on two days at least. Chance: that people and doors alone make so "
-        "many runs differ. Colour without an outline: people, doors, and what was there for a while."
+        "many runs differ. Colour without an outline: people, doors, and what was there for a while. Files: "
+        f"maps/{quote(stale.site, safe='')}-{stale.map_hash[:8]}.yaml for RViz, .geojson."
         f"{f' {more} more places are in places.parquet.' if more > 0 else ''}{left_out}"
     )

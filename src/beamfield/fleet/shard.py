@@ -61,7 +61,7 @@ class Shard:
         fit_only
             Without the beams that are held out.
         thin
-            One beam in this many, spread over scans and bearings; of many shards, also where it is more than their rows.
+            One beam in this many, spread over scans, bearings and shards.
 
         Returns
         -------

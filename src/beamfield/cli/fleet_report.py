@@ -93,7 +93,9 @@ def _summary(report: FleetReport) -> str:
         if state.light != "green"
     ]
     lines.append(f"green  {sum(state.light == 'green' for state in report.states)} of {len(report.states)} robots")
-    lines += [f"map    {stale.site}: {len(stale.lasting)} places to map again" for stale in report.stale_maps]
+    for stale in report.stale_maps:
+        n = len(stale.lasting)
+        lines.append(f"map    {stale.site}: {n} place{'s' * (n != 1)} to map again")
     if left_out := sum(not record.is_used for record in report.records):
         lines.append(f"runs   {left_out} of {len(report.records)} left out; the page says why")
     return "\n".join(lines)

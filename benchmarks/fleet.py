@@ -83,11 +83,11 @@ def simulated_catalogue(folder: Path, n_beams: int) -> Catalogue:
     return catalogue
 
 
-def measured_learning(folder: str, answer: multiprocessing.Queue) -> None:
-    """Learn in this process, and say what it took; the first learning compiles."""
+def measured_learning(folder: str, few: str, answer: multiprocessing.Queue) -> None:
+    """Learn in this process, and say what it took; the first learning, from few beams, loads the kernels."""
     catalogue = open_catalogue(folder)
     with Engine("serial") as engine:
-        learn(catalogue, engine, thin=100)
+        learn(open_catalogue(few), engine)
         start, used = time.perf_counter(), time.process_time()
         fit = learn(catalogue, engine).fits[0]
         answer.put({
@@ -98,14 +98,15 @@ def measured_learning(folder: str, answer: multiprocessing.Queue) -> None:
 
 def beams_table(powers: list[int]) -> None:
     rows = []
-    # Once more at first, to compile the kernels: that takes memory, too.
-    for number, power in enumerate([powers[0], *powers]):
+    # Once with few beams at first, to compile the kernels: that takes memory, too.
+    for number, power in enumerate([5, *powers]):
         with tempfile.TemporaryDirectory() as scratch:
-            folder = Path(scratch) / "catalogue"
+            folder, few = Path(scratch) / "catalogue", Path(scratch) / "few"
             catalogue = simulated_catalogue(folder, 10**power)
+            simulated_catalogue(few, 10**5)
             context = multiprocessing.get_context("spawn")
             answer = context.Queue()
-            process = context.Process(target=measured_learning, args=(str(folder), answer))
+            process = context.Process(target=measured_learning, args=(str(folder), str(few), answer))
             process.start()
             found = answer.get()
             process.join()

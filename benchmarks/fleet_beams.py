@@ -49,6 +49,10 @@ class MemoryCatalogue:
     used: tuple[RunRecord, ...]
     all_shards: tuple[MemoryShard, ...]
 
+    @property
+    def runs(self) -> tuple[RunRecord, ...]:
+        return self.used
+
     def shards(self, **where: Any) -> tuple[MemoryShard, ...]:
         return tuple(s for s in self.all_shards if all(getattr(s, name) == value for name, value in where.items()))
 

@@ -24,7 +24,7 @@ def test_a_fleet_is_reported_from_raw_logs_and_the_same_when_asked_again(tmp_pat
     assert all(run["status"] == "used" for run in said["runs"])
     assert said["days"] == [truth["size"]["first_day"]]
     # A single day tells of no change.
-    assert {one["light"] for one in said["robots"]} == {"green"}
+    assert {one["light"] for one in said["robots"]} == {"grey"}
     first = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in report.rglob("*") if path.is_file()}
     # Once more, elsewhere: nothing is scanned, and the same is said.
     other = ["--out", str(tmp_path / "other"), "--catalogue", str(report / "catalogue")]

@@ -51,6 +51,7 @@ DRIFTS = (
     drift("r<1>", "range-bias", 0.05),
     drift("r2", "turned-mount", math.radians(0.2), unit="rad"),
     drift("r3", "range-bias", 0.05, alarm=False),
+    drift("r6", "range-bias", 0.05, alarm=False),
     drift("r4", "dirty-lens", 0.3, unit="share", bearings=(0.5, 1.0), cause="max"),
 )
 RECORDS = (
@@ -95,15 +96,26 @@ def test_the_light_is_that_of_the_worst_fault_and_robots_are_ranked():
     assert found["r6"][0].name == "runs-left-out"
     assert "3 of 6 runs" in found["r6"][0].text
     assert found["r3"] == ()
+    assert found["r5"][0].text == "2 of 2 runs cannot be used; most often: cut off."
     # Half of the runs of r6 are left out, but as many of its site's others: it is the site.
     elsewhere = tuple(replace(one, robot=f"{one.robot}b") for one in RECORDS if one.robot in ("r5", "r6"))
     mixed = (*(one for one in RECORDS if one.robot in ("r5", "r6")), *elsewhere)
-    assert [(one.robot, one.light) for one in robot_states(mixed, ())] == [
+    tested = tuple(replace(DRIFTS[-2], robot=robot) for robot in ("r6", "r6b"))
+    assert [(one.robot, one.light) for one in robot_states(mixed, tested)] == [
         ("r6", "green"), ("r6b", "green"), ("r5", "grey"), ("r5b", "grey"),
     ]  # fmt: skip
+    # A green light says that something was tested: a few days of a few robots can show nothing.
+    assert [(one.light, *(f.name for f in one.findings)) for one in robot_states([record("r7", 0)], ())] == [
+        ("grey", "untested")
+    ]
     (site,) = site_findings(mixed)
     assert "10 of 16 runs" in site.text
-    assert "robot stood <still>" in site.text
+    assert site.text.endswith("robot stood <still>.")
+    missing = [record("r8", day, reason=f"/logs/{day}.log: no such file") for day in range(2)]
+    assert (
+        "often: /logs/0.log: no such file."
+        in robot_states([record("r8", 3, reason="/b: cut"), *missing], ())[0].findings[0].text
+    )
     assert not [*site_findings(RECORDS[:29])]
     assert not any(one.text.startswith("r") for all_of in found.values() for one in all_of)
 

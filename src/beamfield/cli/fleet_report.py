@@ -86,12 +86,16 @@ def _catalogue(arguments: argparse.Namespace, engine: Engine, progress: StagePro
 
 
 def _summary(report: FleetReport) -> str:
-    """Return the traffic lights that are not green, and the maps that are out of date."""
+    """Return the traffic lights that are not green, the maps that are out of date, and how many runs are left out."""
     lines = [
-        f"{state.light:<6s} {state.robot}: {' '.join(finding.text for finding in state.findings) or 'no run used'}"
+        f"{state.light:<6s} {state.robot}: {' '.join(finding.text for finding in state.findings)}"
         for state in report.states
         if state.light != "green"
     ]
     lines.append(f"green  {sum(state.light == 'green' for state in report.states)} of {len(report.states)} robots")
-    lines += [f"map    {stale.site}: {len(stale.lasting)} places to map again" for stale in report.stale_maps]
+    for stale in report.stale_maps:
+        n = len(stale.lasting)
+        lines.append(f"map    {stale.site}: {n} place{'s' * (n != 1)} to map again")
+    if left_out := sum(not record.is_used for record in report.records):
+        lines.append(f"runs   {left_out} of {len(report.records)} left out; the page says why")
     return "\n".join(lines)

@@ -19,6 +19,8 @@ from beamfield.fleet.stored_map import load_map
 from beamfield.maps.occupancy import OccupancyGrid
 
 CATALOGUE_FILE, BEAMS, RUNS = "catalogue.json", "beams", "runs"
+# Files that are in memory at a time.
+READ_AT_ONCE = 200
 
 
 @dataclass(frozen=True)
@@ -186,14 +188,16 @@ def read_records(folder: Folder) -> list[RunRecord]:
     FormatError
         If a file is not the record of its run.
     """
-    names = [name for name in folder.names(RUNS) if name.endswith(".json")]
+    paths = [f"{RUNS}/{name}" for name in folder.names(RUNS) if name.endswith(".json")]
     records = []
-    for name, content in zip(names, folder.read_all([f"{RUNS}/{name}" for name in names]), strict=True):
-        if content is None:  # another scan has replaced it since
-            continue
-        path = folder.shown_path(f"{RUNS}/{name}")
-        record = record_from_json(content, path)
-        if record.run != name.removesuffix(".json"):
-            raise FormatError(path, f"the record of another run, {record.run!r}")
-        records.append(record)
+    sensors: dict[str, Mapping[str, Any]] = {}
+    for start in range(0, len(paths), READ_AT_ONCE):
+        some = paths[start : start + READ_AT_ONCE]
+        for path, content in zip(some, folder.read_all(some), strict=True):
+            if content is None:  # another scan has replaced it since
+                continue
+            record = record_from_json(content, folder.shown_path(path), sensors)
+            if path != f"{RUNS}/{record.run}.json":
+                raise FormatError(folder.shown_path(path), f"the record of another run, {record.run!r}")
+            records.append(record)
     return records

@@ -153,8 +153,8 @@ def learn(catalogue: Catalogue, engine: Engine, *, by: By = "fleet", thin: int =
         if not isinstance(item, GroupFit)
     )
     if not fits:
-        reason = left_out[0][2] if left_out else "no run of the catalogue is used"
-        raise TooLittleDataError(f"nothing to learn from: {reason}")
+        unused = "; ".join(["no run of the catalogue is used", *(record.reason for record in catalogue.runs[:1])])
+        raise TooLittleDataError(f"nothing to learn from: {left_out[0][2] if left_out else unused}")
     return FleetFit(by, fits, left_out)
 
 

@@ -202,6 +202,8 @@ def _check_names(path: Path, names: Sequence[str], line: int, what: str) -> None
         if name not in known:
             close = difflib.get_close_matches(name, known, n=1)
             meant = f"; did you mean {close[0]!r}?" if close else f"; expected some of {', '.join(known)}"
+            if ";" in name:
+                meant = "; columns are separated by commas"
             raise FormatError(path, f"no {what} is named {shorten(name)}{meant}", line=line)
         if names.count(name) > 1:
             raise FormatError(path, f"the {what} {name!r} is there twice", line=line)
@@ -215,7 +217,8 @@ def _row(path: Path, line: int, values: Mapping[str, Any]) -> ManifestRow:
             raise FormatError(path, "expected a value, got none", line=line, field=name)
     for name, value in values.items():
         if name != "start" and not (isinstance(value, str) and value):
-            raise FormatError(path, f"expected text, got {shorten(value)}", line=line, field=name)
+            quoted = "" if isinstance(value, str | list | dict) else ": put it in quotes"
+            raise FormatError(path, f"expected text, got {shorten(value)}{quoted}", line=line, field=name)
     rule = values.get("lone-poses", "reference")
     if rule not in get_args(LonePoses):
         raise FormatError(

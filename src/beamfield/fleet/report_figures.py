@@ -35,11 +35,12 @@ from beamfield.scan_fit.place_visits import FEWEST_BEAMS
 
 # What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
 FAULTS: Mapping[FaultKind, tuple[str, str, float]] = {
-    "dirty-lens": ("dirty lens", "readings in the sector [%]", 100.0),
+    "dirty-lens": ("dirty lens", "in the sector [%]", 100.0),
     "turned-mount": ("turned mount", "motion, to the left [degrees]", math.degrees(1.0)),
     "range-bias": ("range bias", "ranges too long by [cm]", 100.0),
     "wheel-scale": ("wheel scale", "odometry too short by [%]", 100.0),
 }
+CAUSES = {"max": "no return ", "short": "before the wall ", "": ""}
 MOST_CURVES, MOST_PLACES, MOST_DATES = 16, 20, 5
 PLACE_COLUMNS = ("", "what", "x [m]", "y [m]", "size [m]", "since", "runs", "robots", "share of beams", "chance")
 # Squares that fewer runs saw, or with fewer beams a run, say little; and some readings disagree with every wall.
@@ -69,7 +70,7 @@ def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> Repo
         "Thick: the robot's number of each day with its 95 % interval; grey: the same of the other robots. The dashed "
         f"line is the day since when it has changed; without one, it was so from the first day on.{more}"
         if panels
-        else "No robot shows a fault."
+        else "No change was found."
     )
     return ReportFigure("drift", "Drift over the days", tuple(panels), caption, "")
 
@@ -106,7 +107,7 @@ def _covers(whole: tuple[float, float] | None, part: tuple[float, float] | None)
 
 def _drift_panel(name: str, drift: Drift, mine: DailySeries, others: Sequence[DailySeries]) -> Panel:
     what, unit, scale = FAULTS[drift.fault]
-    figure, axes = new_axes(NARROW, 2.7, title=f"{drift.robot}: {what}", y=unit)
+    figure, axes = new_axes(NARROW, 2.7, title=f"{drift.robot}: {what}", y=CAUSES[drift.cause] + unit)
     for one in others:
         axes.plot([day.toordinal() for day in one.days], one.values * scale, color=DATA, linewidth=0.8, zorder=1)
     days, values = [day.toordinal() for day in mine.days], mine.values * scale
@@ -234,10 +235,11 @@ def _caption(stale: StaleMap) -> str:
     left_out = f" Not asked: {', '.join(stale.not_asked)}, who see differences everywhere." if stale.not_asked else ""
     more = len(stale.lasting) - MOST_PLACES
     return (
-        f"{len(stale.lasting) or 'No'} places to map again. Squares of {stale.side:g} m, coloured by the share of "
-        f"beams that disagree with the map, from {LEAST_SHOWN:.0%} on, over {stale.runs} runs of {stale.robots} robots "
-        f"on {stale.days} days. Outlined and numbered: places to map again, which differ in at least half of the runs "
+        f"Places to map again: {len(stale.lasting)}. Squares of {stale.side:g} m, coloured by the share of "
+        f"beams that disagree with the map, from {LEAST_SHOWN:.0%} on. Runs: {stale.runs}, robots: {stale.robots}, "
+        f"days: {stale.days}. Outlined and numbered: places to map again, which differ in at least half of the runs "
         "since the day named, for two robots and on two days at least. Chance: that people and doors alone make so "
-        "many runs differ. Colour without an outline: people, doors, and what was there for a while."
+        "many runs differ. Colour without an outline: people, doors, and what was there for a while. Files: "
+        f"maps/{quote(stale.site, safe='')}-{stale.map_hash[:8]}.yaml for RViz, .geojson."
         f"{f' {more} more places are in places.parquet.' if more > 0 else ''}{left_out}"
     )

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from beamfield import __version__
+from beamfield.fleet.comparison import FEWEST_ROBOTS
 from beamfield.fleet.fleet_report import FleetReport
 from beamfield.fleet.hierarchy import Pooled
 from beamfield.fleet.report_figures import drift_figure, parameter_figure, stale_figure
@@ -21,7 +22,7 @@ MOST_LEFT_OUT = 50
 ONE_LINE, WIDE = 'style="white-space: nowrap"', 'style="min-width: 15rem"'
 KEY = (
     "Red: a fault to see to now. Amber: one to watch, or many runs that cannot be used. Green: nothing was found in "
-    "the days that the report covers. Grey: no run could be used. Robots are listed by urgency."
+    "the days that the report covers. Grey: nothing could be tested. Robots are listed by urgency."
 )
 OWN = (
     "Robots listed here differ from the others in these parameters by more than chance and the usual spread explain, "
@@ -80,14 +81,15 @@ def _verdict(report: FleetReport) -> tuple[Level, str, str]:
     sentences = []
     if lights["red"]:
         names = ", ".join(state.robot for state in report.states if state.light == "red")
-        sentences.append(f"{lights['red']} of {_count(report.states, 'robot')} need attention now: {names}.")
+        need = "needs" if lights["red"] == 1 else "need"
+        sentences.append(f"{lights['red']} of {_count(report.states, 'robot')} {need} attention now: {names}.")
     if lights["amber"]:
         sentences.append(f"{_count(range(lights['amber']), 'robot')} to keep an eye on.")
     if stale:
         places = sum(len(one.lasting) for one in report.stale_maps)
         sentences.append(f"The map of {', '.join(stale)} is out of date at {_count(range(places), 'place')}.")
     if lights["grey"]:
-        sentences.append(f"Of {_count(range(lights['grey']), 'robot')} nothing is known: no run could be used.")
+        sentences.append(f"Of {_count(range(lights['grey']), 'robot')} nothing is known yet.")
     if report.findings:
         sentences.append("Read what is said about runs, at the end.")
     if not sentences:
@@ -126,7 +128,7 @@ def _light(state: RobotState) -> str:
     return (
         f'<tr><td class="{LEVELS[state.light]}" style="padding-left: .5rem"><b class="label">{state.light}</b></td>'
         f'<th scope="row" {ONE_LINE}><b>{escaped(state.robot)}</b></th><td {ONE_LINE}>{escaped(state.site)}</td>'
-        f'<td {WIDE}>{found or "No run could be used."}</td><td {WIDE}>{do}</td><td class="n">{used}</td></tr>'
+        f'<td {WIDE}>{found}</td><td {WIDE}>{do}</td><td class="n">{used}</td></tr>'
     )
 
 
@@ -171,6 +173,8 @@ def _differences(report: FleetReport) -> str:
         for one in report.differences
         if one.differs
     ]  # fmt: skip
+    if not report.differences:
+        return f"<p>No robots were compared: it takes {FEWEST_ROBOTS} with range finders of the same limits.</p>"
     if not rows:
         return "<p>One set of parameters serves the whole fleet: no robot differs by more than chance explains.</p>"
     header = ("robot", "site", "parameter", "its own", "usual", "chance (q)")

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beamfield.finding import Finding
+from beamfield.fleet.comparison import FEWEST_ROBOTS
 from beamfield.fleet.daily import FaultKind
-from beamfield.fleet.drift import Drift
+from beamfield.fleet.drift import FEWEST_DAYS, Drift
 from beamfield.fleet.run_record import RunRecord
 from beamfield.short_repr import short_repr
 
@@ -55,7 +56,7 @@ class RobotState:
         Its name, and its site. Robots of one name at two sites are two robots.
     light
         "red": a fault to see to now; "amber": one to watch, or many runs that cannot be used; "green": nothing found;
-        "grey": no run could be used, so nothing is known.
+        "grey": nothing could be tested, as no run could be used or days and robots are too few.
     findings
         Why, and what to do; the worst first.
     urgency
@@ -89,13 +90,12 @@ def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple
     for robot, site in sorted({(record.robot, record.site) for record in records}):
         mine = [record for record in records if (record.robot, record.site) == (robot, site)]
         used = sum(record.is_used for record in mine)
-        alarms = sorted(
-            (d for d in drifts if (d.robot, d.site) == (robot, site) and d.alarm), key=_urgency, reverse=True
-        )
+        tested = [d for d in drifts if (d.robot, d.site) == (robot, site)]
+        alarms = sorted((d for d in tested if d.alarm), key=_urgency, reverse=True)
         others = [record for record in records if record.site == site and record.robot != robot]
-        findings = (*map(_fault, alarms), *_runs_left_out(mine, others))
+        findings = (*map(_fault, alarms), *_runs_left_out(mine, others), *([] if tested or not used else [_untested()]))
         urgency = max(map(_urgency, alarms), default=0.0)
-        light: Light = "grey" if used == 0 else "red" if urgency >= 1.0 else "amber" if findings else "green"
+        light: Light = "grey" if not tested else "red" if urgency >= 1.0 else "amber" if findings else "green"
         states.append(RobotState(robot, site, light, findings, urgency, used, len(mine) - used))
     return tuple(sorted(states, key=lambda state: (LIGHTS.index(state.light), -state.urgency, state.robot, state.site)))
 
@@ -130,18 +130,28 @@ def _side(degrees: float) -> str:
 
 
 def _runs_left_out(mine: Sequence[RunRecord], others: Sequence[RunRecord]) -> Iterator[Finding]:
-    """Yield what to say of a robot with more runs that cannot be used than the others at its site have."""
+    """Yield what to say of a robot that has no run, or more that cannot be used than the others at its site have."""
     share = _share_left_out(mine)
-    if share >= MANY_LEFT_OUT and share > 2.0 * _share_left_out(others):
+    if share == 1.0 or (share >= MANY_LEFT_OUT and share > 2.0 * _share_left_out(others)):
         left_out, reason = _left_out(mine)
         yield Finding(
             "runs-left-out",
             "warning",
-            f"{left_out} of {len(mine)} runs cannot be used; most often: {reason}",
+            f"{left_out} of {len(mine)} runs cannot be used; most often: {reason}.",
             {"left_out": float(left_out), "runs": float(len(mine))},
             why="What these runs would show is not known.",
             do="Look at how this robot records, and at the list of runs that were left out.",
         )
+
+
+def _untested() -> Finding:
+    return Finding(
+        "untested",
+        "info",
+        "Nothing could be tested.",
+        why=f"A change takes {2 * FEWEST_DAYS} days of runs, and a comparison {FEWEST_ROBOTS} robots.",
+        do="Scan more days, or more robots, into the catalogue.",
+    )
 
 
 def site_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
@@ -159,10 +169,11 @@ def site_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
             yield Finding(
                 "site-runs-left-out",
                 "warning",
-                f"{site}: {left_out} of {len(mine)} runs, of several robots, cannot be used; most often: {reason}",
+                f"{site}: {left_out} of {len(mine)} runs, of several robots, cannot be used; most often: {reason}.",
                 {"left_out": float(left_out), "runs": float(len(mine))},
-                why="Where a map is far out of date no trajectory fits it, and these runs tell nothing more.",
-                do="See whether it is the map of this site, and map the places again that are listed for it.",
+                why="What these runs would show is not known.",
+                do="See the reasons below. Where no trajectory fits, see whether it is the map of this site; if it is, "
+                "it is far out of date.",
             )
 
 
@@ -171,8 +182,13 @@ def _share_left_out(records: Sequence[RunRecord]) -> float:
 
 
 def _left_out(records: Sequence[RunRecord]) -> tuple[int, str]:
-    """Return how many runs are left out, and the most frequent reason; numbers in it do not make another."""
+    """Return how many runs are left out, and the most frequent reason, without a full stop."""
     reasons = [record.reason for record in records if not record.is_used]
-    kinds = Counter(re.sub(r"[0-9].*", "", reason) for reason in reasons)
-    most, _ = kinds.most_common(1)[0]
-    return len(reasons), next(reason for reason in reasons if reason.startswith(most))
+    ((most, _),) = Counter(map(_kind, reasons)).most_common(1)
+    return len(reasons), next(reason for reason in reasons if _kind(reason) == most).rstrip(".")
+
+
+def _kind(reason: str) -> str:
+    """Return a reason without what differs from log to log: the file that it begins with, and numbers."""
+    file, _, rest = reason.partition(": ")
+    return re.sub(r"[0-9].*", "", rest if "/" in file else reason)

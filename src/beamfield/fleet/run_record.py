@@ -209,13 +209,15 @@ class RunRecord:
         return (json.dumps(values, allow_nan=False) + "\n").encode()
 
 
-def record_from_json(content: bytes, path: str) -> RunRecord:
+def record_from_json(content: bytes, path: str, sensors: dict[str, Mapping[str, Any]] | None = None) -> RunRecord:
     """Return the record of a file.
 
     Parameters
     ----------
     content, path
         The file's bytes, and where they are from.
+    sensors
+        Those of other records, by what they say: equal ones are shared, as mounts are nearly all of a record.
 
     Raises
     ------
@@ -226,6 +228,8 @@ def record_from_json(content: bytes, path: str) -> RunRecord:
         values = json.loads(content)
         for name in ("first_stamp", "last_stamp"):
             values[name] = float("nan") if values[name] is None else float(values[name])
+        if sensors is not None:
+            values["sensor"] = sensors.setdefault(json.dumps(values["sensor"]), values["sensor"])
         values["files"] = tuple(ShardFile(**one) for one in values["files"])
         if values["map_info"] is not None:
             given = values["map_info"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +17,9 @@ from beamfield.fleet.beam_schema import COLUMNS, SCHEMA, VERSION_KEY, beam_schem
 from beamfield.fleet.folder import Folder
 
 Columns = dict[str, NDArray[Any]]
+
+# The prime next to 2^32 over the golden ratio: its multiples are spread evenly among any number of turns.
+TURNS_OF_A_SCAN = 2_654_435_761
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class Shard:
         fit_only
             Without the beams that are held out.
         thin
-            One beam in this many: those whose `scan` + `beam` is a multiple of it, so that each beam has its turn.
+            One beam in this many, spread over scans, bearings and shards.
 
         Returns
         -------
@@ -102,7 +106,8 @@ class Shard:
         try:
             fragment = self._fragment(pa)
             scanner = fragment.scanner(
-                schema=beam_schema(), columns=list(columns), filter=_filter(pa, fit_only, thin), batch_size=rows,
+                schema=beam_schema(), columns=list(columns), filter=self._filter(pa, fit_only, thin),
+                batch_size=rows,
                 batch_readahead=1, use_threads=False,
             )  # fmt: skip
             for batch in scanner.to_batches():
@@ -135,15 +140,16 @@ class Shard:
             )
         return fragment
 
-
-def _filter(pa: Any, fit_only: bool, thin: int) -> Any:
-    """Return what is left of the rows, as PyArrow takes it, before they are in memory."""
-    wanted = None
-    if fit_only:
-        wanted = ~pa.compute.field("held_out")
-    if thin > 1:
-        turn = pa.compute.field("scan") + pa.compute.field("beam")
-        # Integers are divided without a remainder.
-        its_turn = turn / thin * thin == turn
-        wanted = its_turn if wanted is None else wanted & its_turn
-    return wanted
+    def _filter(self, pa: Any, fit_only: bool, thin: int) -> Any:
+        """Return what is left of the rows, as PyArrow takes it, before they are in memory."""
+        wanted = None
+        if fit_only:
+            wanted = ~pa.compute.field("held_out")
+        if thin > 1:
+            scan, beam = (pa.compute.field(name).cast("int64") for name in ("scan", "beam"))
+            # Shards begin at turns of their own: else the first beam of each would always be taken.
+            turn = scan * TURNS_OF_A_SCAN + beam + zlib.crc32(self.run.encode())
+            # Integers are divided without a remainder.
+            its_turn = turn / thin * thin == turn
+            wanted = its_turn if wanted is None else wanted & its_turn
+        return wanted

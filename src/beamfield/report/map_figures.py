@@ -136,8 +136,10 @@ def figure_height(limits: Limits, *, rest: float = 0.85, least: float = 2.0) -> 
 
 
 def colour_bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
-    """Add a colour bar above axes, over their left half."""
-    bar = axes.figure.colorbar(drawn, cax=axes.inset_axes((0.0, 1.01, 0.5, 0.03)), orientation="horizontal")
+    """Add a colour bar above axes, over their left half; as high in a tall map as in a flat one."""
+    inch = 1.0 / (axes.figure.get_figheight() - 1.1)  # in heights of the axes
+    beside = axes.inset_axes((0.0, 1.0 + 0.03 * inch, 0.5, 0.1 * inch))
+    bar = axes.figure.colorbar(drawn, cax=beside, orientation="horizontal")
     bar.ax.xaxis.set_ticks_position("top")
     bar.ax.xaxis.set_label_position("top")
     bar.set_label(label, fontsize=9, color="#222222")

@@ -18,8 +18,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from beamfield.geometry import FloatArray, between
-from beamfield.localization.drive import chained
+from beamfield.geometry import FloatArray, between, chained
 from beamfield.localization.lost_robot import LEAST_AGREEMENT
 from beamfield.localization.ray_agreement import scan_agreement
 from beamfield.localization.replay import PoseBelief, ReplayedFilter, reference_start

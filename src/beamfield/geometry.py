@@ -193,6 +193,18 @@ def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     return compose(invert(_rows(a, 3, "a")), _rows(b, 3, "b"))
 
 
+def chained(start: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return the poses (t, 3) that steps (t - 1, 3) lead to; headings are not wrapped."""
+    heading = start[2] + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
+    poses = np.empty((len(steps) + 1, 3))
+    poses[0] = start
+    poses[1:, 0] = start[0] + np.cumsum(cos * steps[:, 0] - sin * steps[:, 1])
+    poses[1:, 1] = start[1] + np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
+    poses[:, 2] = heading
+    return poses
+
+
 def transform_points(a_from_b: ArrayLike, points: ArrayLike) -> FloatArray:
     """Return points of frame b in frame a; the arguments broadcast.
 

@@ -48,6 +48,12 @@ def test_no_stamps_make_no_blocks():
     assert len(time_blocks([])) == 0
 
 
+@pytest.mark.parametrize("stamp", [np.nan, np.inf])
+def test_a_stamp_that_is_none_is_refused_by_its_number(stamp):
+    with pytest.raises(InvalidInputError, match=r"stamps\[2\]: expected a finite number of seconds, got"):
+        time_blocks([0.0, 1.0, stamp, 3.0])
+
+
 @pytest.mark.parametrize("length", [0.0, -1.0, np.nan])
 def test_a_block_without_length_is_refused(length):
     with pytest.raises(InvalidInputError, match="block_s"):

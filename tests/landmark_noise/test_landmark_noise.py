@@ -236,6 +236,10 @@ def test_a_scale_is_learned_only_where_it_is_worth_it_or_asked_for(rng):
     asked = learn(plain, max_range=14.0, fit_scale=True)
     assert asked.parameters.range_scale != 1.0
     assert asked.parameters.range_scale == pytest.approx(1.0, abs=0.01)
+    # The sensor is only blamed for a scale that is surely wrong.
+    low, high = asked.intervals["range_scale"]
+    assert low < 1.0 < high
+    assert "range-scale" not in names_of(asked)
 
 
 def test_bearings_wrap_for_a_sensor_that_looks_backwards_and_for_wide_noise(rng):

@@ -290,6 +290,14 @@ def test_an_impossible_measurement_changes_no_weight(room, recovery):
     assert np.isfinite(own.belief.poses).all()
 
 
+def test_a_filter_that_has_not_started_has_found_nothing():
+    own = ParticleFilter(Given(0.0), GaussianMotion(), rng=0)
+    assert (own.is_found, own.odometry_jumps) == (False, 0)
+    assert np.isnan(own.pose).all()
+    own.start(np.zeros((3, 3)))
+    assert own.is_found
+
+
 def test_weights_that_start_accepts_are_drawn_by_after_an_impossible_measurement():
     """A sum that misses 1 by what single precision leaves is no error, whenever the weights are looked at."""
     own = ParticleFilter(Given(-np.inf), GaussianMotion(), FilterOptions(n_particles=100, **ALWAYS), rng=0)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
-from beamfield.geometry import between, compose, wrap_angle
-from beamfield.localization.drive import chained
+from beamfield.geometry import between, chained, compose, wrap_angle
 from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory
 from beamfield.localization.trajectory_options import TrajectoryOptions
 from beamfield.maps.occupancy import OccupancyGrid
@@ -57,6 +56,14 @@ def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: Senso
     (carried,) = [one for one in fit.findings if one.name == "kidnapped"]
     assert carried.values["time_s"] == pytest.approx(log.stamps[160] - log.stamps[0], abs=1.5)
     assert distances(fit, log)[fit.trusted].max() < 0.1
+
+
+def test_a_stamp_that_is_no_number_is_named_as_such(drive: SensorLog):
+    cells, log = room(drive)
+    stamps = np.array(log.stamps)
+    stamps[7] = np.nan
+    with pytest.raises(InvalidInputError, match="log: expected finite stamps, got nan at scan 7"):
+        fit_trajectory(replace(log, stamps=stamps), OccupancyGrid.from_ros(cells, 0.05))
 
 
 def test_odometry_of_the_wrong_sign_is_put_right_and_mirrored_scans_are_refused(drive: SensorLog):

@@ -33,7 +33,7 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     Raises
     ------
     InvalidInputError
-        If the length is not positive.
+        If a stamp is not finite, or the length is not positive.
 
     Examples
     --------
@@ -43,6 +43,9 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     times = np.asarray(stamps, dtype=np.float64)
     if len(times) == 0:
         return np.zeros(0, dtype=np.int64)
+    if not np.isfinite(times).all():
+        index = int(np.argmin(np.isfinite(times)))
+        raise InvalidInputError(f"stamps[{index}]: expected a finite number of seconds, got {times[index]}")
     duration = float(times.max() - times.min())
     length = block_length(times, block_s)
     if duration > MOST_BLOCKS * length > 0:

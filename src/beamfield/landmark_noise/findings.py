@@ -150,9 +150,9 @@ def _bias_finding(what: str, theta: NoiseTheta, intervals: NoiseIntervals) -> It
 
 
 def _scale_finding(theta: NoiseTheta, intervals: NoiseIntervals) -> Iterator[Finding]:
-    if theta.range_scale == 1.0:
-        return
     low, high = intervals.intervals.get("range_scale", (math.nan, math.nan))
+    if not (low > 1.0 or high < 1.0):
+        return
     yield Finding(
         "range-scale",
         "warning",

@@ -51,8 +51,6 @@ class LandmarkLearningResult:
         Features that were used, and the stretches of time or place they fall into.
     table
         The sightings.
-    of_landmark
-        (n,) how probably each is of its landmark and not spurious.
     findings
         What to know before trusting the parameters, by name.
     """
@@ -66,7 +64,6 @@ class LandmarkLearningResult:
     n_sightings: int
     n_blocks: int
     table: SightingTable
-    of_landmark: FloatArray
     findings: tuple[Finding, ...]
 
     __repr__ = short_repr
@@ -216,7 +213,6 @@ def learn_landmark_parameters(
         n_sightings=len(table),
         n_blocks=intervals.n_blocks,
         table=table,
-        of_landmark=of_landmark,
         findings=tuple(noise_findings(table, climb, intervals, landmark_map.ids, residuals, of_landmark)),
     )
 

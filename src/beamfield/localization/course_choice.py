@@ -11,9 +11,9 @@ import numpy as np
 
 from beamfield.errors import TrajectoryNotFoundError
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.geometry import FloatArray, chained, wrap_angle
 from beamfield.kernels.trajectory import Walls
-from beamfield.localization.drive import Drive, chained, mirrored, with_points
+from beamfield.localization.drive import Drive, mirrored, with_points
 from beamfield.localization.ray_agreement import ray_agreement
 from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
 from beamfield.maps.occupancy import OccupancyGrid

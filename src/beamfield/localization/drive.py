@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.geometry import FloatArray, between, interpolate_poses
+from beamfield.geometry import FloatArray, between, chained, interpolate_poses
 from beamfield.maps.end_points import end_points
 from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
@@ -103,18 +103,6 @@ def mirrored(drive: Drive) -> list[tuple[str, Drive]]:
             ("with its turns and its direction reversed", (-1.0, 1.0, -1.0)),
         )
     ]
-
-
-def chained(start: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the poses (t, 3) that steps (t - 1, 3) lead to; headings are not wrapped."""
-    heading = start[2] + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
-    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
-    poses = np.empty((len(steps) + 1, 3))
-    poses[0] = start
-    poses[1:, 0] = start[0] + np.cumsum(cos * steps[:, 0] - sin * steps[:, 1])
-    poses[1:, 1] = start[1] + np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
-    poses[:, 2] = heading
-    return poses
 
 
 def _spread(steps: FloatArray, stamps: FloatArray) -> NDArray[np.int64]:

@@ -171,6 +171,8 @@ class ParticleFilter(Generic[Z]):
         self._rng = as_generator(rng)
         self._bins = self.options.kld.bins if self.options.kld is not None else PoseBins()
         self._belief: Particles | None = None
+        self._coarse: MeasurementModel[Z] | None = None
+        self._odometry = ContinuousOdometry(self.options.limits)
 
     @checked
     def start(
@@ -223,8 +225,8 @@ class ParticleFilter(Generic[Z]):
 
     @property
     def is_found(self) -> bool:
-        """Whether the place is known: False after a start with a coarse model, until the cloud is narrow."""
-        return self._coarse is None
+        """Whether the place is known: not before the start, nor with a coarse model until the cloud is narrow."""
+        return self._belief is not None and self._coarse is None
 
     @property
     def odometry_jumps(self) -> int:

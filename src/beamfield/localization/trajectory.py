@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding, worst_first
-from beamfield.geometry import FloatArray, as_pose
+from beamfield.geometry import FloatArray, as_pose, chained
 from beamfield.localization.course_choice import FoundCourse, StartHypothesis, choose_course
-from beamfield.localization.drive import Drive, chained, prepare, with_points
+from beamfield.localization.drive import Drive, prepare, with_points
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
 from beamfield.localization.trajectory_options import TrajectoryOptions
@@ -250,7 +250,10 @@ def _checked(log: SensorLog, grid: OccupancyGrid, start: ArrayLike | None) -> Fl
         raise InvalidInputError("grid: the map has no free cell, so the robot can be nowhere")
     if len(log) < FEWEST_SCANS:
         raise TooLittleDataError(f"the log has {len(log)} scans; a trajectory needs at least {FEWEST_SCANS}")
-    if not np.isfinite(log.stamps).all() or (np.diff(log.stamps) < 0.0).any():
+    if not np.isfinite(log.stamps).all():
+        where = int(np.argmin(np.isfinite(log.stamps)))
+        raise InvalidInputError(f"log: expected finite stamps, got {log.stamps[where]} at scan {where}")
+    if (np.diff(log.stamps) < 0.0).any():
         where = int(np.argmin(np.diff(log.stamps))) + 1
         raise InvalidInputError(f"log: the stamps run backwards at scan {where}; cut the log there")
     require_metres(log, grid)

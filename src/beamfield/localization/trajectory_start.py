@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.geometry import FloatArray, compose, invert, transform_points, wrap_angle
+from beamfield.geometry import FloatArray, chained, compose, invert, transform_points, wrap_angle
 from beamfield.kernels import trajectory as kernels
 from beamfield.kernels.trajectory import HitNoise, StepNoise, Walls
-from beamfield.localization.drive import Drive, chained
+from beamfield.localization.drive import Drive
 from beamfield.localization.global_search import GlobalSearch
 from beamfield.localization.search_window import SearchWindow
 from beamfield.maps.occupancy import OccupancyGrid

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.arguments import check_fields, require
-from beamfield.geometry import FloatArray, as_poses, between, wrap_angle
+from beamfield.geometry import FloatArray, as_poses, between, chained, wrap_angle
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,8 @@ def noisy_odometry(poses: ArrayLike, rng: np.random.Generator, noise: OdometryNo
     truth = as_poses(poses)
     require(truth.ndim == 2, "poses", "shape (t, 3)", truth.shape)
     noise = noise or OdometryNoise()
-    odometry: FloatArray = np.zeros(truth.shape)
     if len(truth) < 2:
-        return odometry
+        return np.zeros(truth.shape)
     step = between(truth[:-1], truth[1:])
     distance, angle = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
     error = rng.standard_normal((len(step), 3))
@@ -92,9 +91,6 @@ def noisy_odometry(poses: ArrayLike, rng: np.random.Generator, noise: OdometryNo
     step[:, :2] *= stretch[:, None]
     step[:, 2] *= 1.0 + noise.turn_scale
     step[:, 2] += noise.drift * np.sqrt(distance) * error[:, 1] + noise.turn * np.sqrt(angle) * error[:, 2]
-    heading = np.concatenate([[0.0], np.cumsum(step[:, 2])])
-    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
-    odometry[1:, 0] = np.cumsum(cos * step[:, 0] - sin * step[:, 1])
-    odometry[1:, 1] = np.cumsum(sin * step[:, 0] + cos * step[:, 1])
-    odometry[:, 2] = wrap_angle(heading)
+    odometry = chained(np.zeros(3), step)
+    odometry[:, 2] = wrap_angle(odometry[:, 2])
     return odometry

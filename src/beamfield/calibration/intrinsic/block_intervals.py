@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_floats, checked
+from beamfield.arguments import as_floats, checked, require
 from beamfield.calibration.intrinsic.em import checked_beams
 from beamfield.calibration.intrinsic.jackknife import Jackknife
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem, learning_problem
@@ -156,7 +156,8 @@ def block_intervals(
     if not LEVELS[0] <= level <= LEVELS[1]:
         raise InvalidInputError(f"level: expected a share between {LEVELS[0]:g} and {LEVELS[1]:g}, got {level}")
     z, expected, _ = checked_beams(ranges, expected_ranges, max_range, min_range)
-    times = _checked_stamps(stamps, len(z))
+    times = as_floats(stamps, "stamps")
+    require(times.shape == z.shape, "stamps", f"shape {z.shape}, as of ranges", times.shape)
     length = block_length(times, block_s)
     used = (expected < max_range) & ~np.isnan(z)
     if not used.any():
@@ -222,16 +223,6 @@ def intervals_of_blocks(
         findings=tuple(_findings(len(sizes), length)),
     )
     return intervals, jackknife.errors.robust
-
-
-def _checked_stamps(stamps: ArrayLike, n: int) -> FloatArray:
-    times = as_floats(stamps, "stamps")
-    if times.shape != (n,):
-        raise InvalidInputError(f"stamps: expected one dimension as long as ranges, got shape {times.shape}")
-    if not np.isfinite(times).all():
-        index = int(np.flatnonzero(~np.isfinite(times))[0])
-        raise InvalidInputError(f"stamps[{index}]: expected a finite number of seconds, got {times[index]}")
-    return times
 
 
 def _derivatives_of_blocks(

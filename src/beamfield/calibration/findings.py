@@ -69,14 +69,12 @@ def score_findings(scores: tuple[ModelScore, ...]) -> Iterator[Finding]:
             )
 
 
-def noise_findings(fit: BeamParameters, table: BeamTable) -> list[Finding]:
+def noise_findings(fit: BeamParameters, table: BeamTable) -> Iterator[Finding]:
     """Warn of hits that scatter around the walls by much of their range."""
     middle = float(np.median(table.expected_ranges))
     noise = math.hypot(fit.sigma_hit, fit.sigma_slope * middle)
-    if noise <= WIDEST_NOISE * middle:
-        return []
-    return [
-        Finding(
+    if noise > WIDEST_NOISE * middle:
+        yield Finding(
             "hits-anywhere",
             "warning",
             f"Hits scatter around the walls of the map by {noise:.2f} m at a range of {middle:.2f} m.",
@@ -84,7 +82,6 @@ def noise_findings(fit: BeamParameters, table: BeamTable) -> list[Finding]:
             why="No range sensor is so bad: the map, the poses or the sensor's mount is wrong or mirrored.",
             do="Look at the scans in the map with beamfield explore, and correct what is wrong.",
         )
-    ]
 
 
 def cone_findings(log: SensorLog) -> Iterator[Finding]:

@@ -238,10 +238,6 @@ def learn_field_parameters(
     scores = [_score(name, *of, judged, blocks, judge) for name, of in fields.items()]
     nothing = 0.0 if windows else None
     scores.append(FieldScore("uniform", -float(np.log(table.span)), 0.0, nothing, nothing, None))
-    findings = [
-        *density_findings(fitted, fit, n_blocks),
-        *exponent_findings(reason, scores[0].posterior, scores[0].posterior_se),
-    ]
     return FieldLearning(
         parameters=widened,
         exponent=exponent,
@@ -256,7 +252,10 @@ def learn_field_parameters(
         n_excluded=table.n_excluded,
         n_blocks=n_blocks,
         scores=tuple(scores),
-        findings=tuple(findings),
+        findings=(
+            *density_findings(fitted, fit, n_blocks),
+            *exponent_findings(reason, scores[0].posterior, scores[0].posterior_se),
+        ),
         finder=log.finder,
     )
 

@@ -45,16 +45,8 @@ def odometry_findings(result: OdometryCalibration, log: SensorLog) -> tuple[Find
     log
         From this log.
     """
-    found = [
-        *_same(result),
-        *_lost_signs(log),
-        *_faults(result),
-        *_not_white(result),
-        *_systematic(result),
-        *_few_blocks(result),
-        *_floor(result),
-    ]
-    return worst_first(found)
+    of_result = (_faults, _not_white, _systematic, _few_blocks, _floor)
+    return worst_first([*_same(result), *_lost_signs(log), *(one for find in of_result for one in find(result))])
 
 
 def _same(result: OdometryCalibration) -> Iterator[Finding]:

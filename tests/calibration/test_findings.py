@@ -41,7 +41,7 @@ def readings(rng: np.random.Generator) -> np.ndarray:
 def test_hits_anywhere_are_no_hits(rng):
     _, table = log_and_table(readings(rng))
     good = BeamParameters(0.9, 0.05, 0.0, 0.05, sigma_hit=0.3, lambda_short=0.5, sigma_slope=0.2)
-    assert noise_findings(good, table) == []
+    assert list(noise_findings(good, table)) == []
     (finding,) = noise_findings(replace(good, sigma_slope=0.4), table)
     assert "by 1.24 m at a range of 3.00 m" in finding.text
 

@@ -176,7 +176,7 @@ def likelihood_map(
     Probabilistic Robotics, section 6.3.2, Figure 6.7b.
     """
     check_takes_poses_alone(model)
-    shape = _lattice_shape(grid, resolution)
+    shape = lattice_shape(grid, resolution, MAX_CELLS)
     require(1 <= headings <= MAX_HEADINGS, "headings", f"1 to {MAX_HEADINGS}", headings)
     mask = _free_cells(grid, shape, resolution)
     rows, cols = np.nonzero(mask)
@@ -197,14 +197,13 @@ def likelihood_map(
     return LikelihoodMap(values, mask, index, angles, resolution, grid.origin)
 
 
-def _lattice_shape(grid: OccupancyGrid, resolution: float) -> tuple[int, int]:
+def lattice_shape(grid: OccupancyGrid, resolution: float, most: int) -> tuple[int, int]:
+    """Return (rows, cols) of a lattice over a map, of at most so many cells with sides of this length, metres."""
     check_magnitude("resolution", resolution)
     # The sides of a map are rarely exact multiples in floating point.
     rows, cols = (max(1.0, float(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape)
-    if not rows * cols <= MAX_CELLS:
-        raise InvalidInputError(
-            f"resolution: {resolution:g} m makes {rows:.0f} x {cols:.0f} cells, more than {MAX_CELLS:,}"
-        )
+    if not rows * cols <= most:
+        raise InvalidInputError(f"resolution: {resolution:g} m makes {rows:.0f} x {cols:.0f} cells, more than {most:,}")
     return int(rows), int(cols)
 
 

@@ -8,9 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from beamfield.arguments import as_count, check_fields, check_magnitude, checked, require
+from beamfield.arguments import as_count, check_fields, checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, as_poses, transform_points, wrap_angle
+from beamfield.localization.likelihood_map import lattice_shape
 from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 from beamfield.models.base import MeasurementModel, check_takes_poses_alone
 from beamfield.short_repr import short_repr
@@ -98,14 +99,9 @@ class PoseLattice:
         InvalidInputError
             As for the class, or if `where` has another value.
         """
-        check_magnitude("resolution", resolution)
         as_count(headings, "headings", least=1, most=MAX_POSES)
         require(where in ("free", "all"), "where", "'free' or 'all'", where)
-        # The sides of a map are rarely exact multiples in floating point.
-        sides = [max(1.0, float(np.ceil(n * grid.resolution / resolution - 1e-6))) for n in grid.shape]
-        if not sides[0] * sides[1] * headings <= MAX_POSES:
-            raise InvalidInputError(f"resolution: {resolution:g} m makes more than {MAX_POSES:,} poses")
-        rows, cols = map(int, sides)
+        rows, cols = lattice_shape(grid, resolution, MAX_POSES // headings)
         angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
         every = cls(grid.origin, resolution, np.ones((rows, cols), np.bool_), angles, 2.0 * np.pi / headings)
         if where == "all":

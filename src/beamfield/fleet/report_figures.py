@@ -206,7 +206,7 @@ def stale_figure(stale: StaleMap) -> ReportFigure:
         axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=MODEL, linewidths=0.8, zorder=3.0))
         number_place(axes, number, place.x, place.y)
     frame(axes, limits, with_legend=False)
-    colour_bar(axes, patches, "share of beams that disagree with the map")
+    colour_bar(figure, axes, patches, "share of beams that disagree with the map")
     panels = [png_panel(figure, f"Map of {stale.site} with {len(stale.lasting)} places to map again.")]
     if listed:
         panels.append(Panel(table(PLACE_COLUMNS, _rows(stale), right=(2, 3)), wide=True))

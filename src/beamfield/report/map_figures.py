@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
@@ -82,7 +83,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         edgecolors=MODEL, linewidths=0.2,
     )  # fmt: skip
     frame(axes, limits, with_legend=False)
-    colour_bar(axes, dots, "log-likelihood per beam [nats]")
+    colour_bar(figure, axes, dots, "log-likelihood per beam [nats]")
     worst = poses[int(np.argmin(line.log_likelihood))]
     return one_picture(
         "fit-map",
@@ -135,11 +136,11 @@ def figure_height(limits: Limits, *, rest: float = 0.85, least: float = 2.0) -> 
     return float(np.clip((WIDE - 0.7) * aspect + rest, least, 10.5))
 
 
-def colour_bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
+def colour_bar(figure: Figure, axes: Axes, drawn: ScalarMappable, label: str) -> None:
     """Add a colour bar above axes, over their left half; as high in a tall map as in a flat one."""
-    inch = 1.0 / (axes.figure.get_figheight() - 1.1)  # in heights of the axes
+    inch = 1.0 / (figure.get_figheight() - 1.1)  # in heights of the axes
     beside = axes.inset_axes((0.0, 1.0 + 0.03 * inch, 0.5, 0.1 * inch))
-    bar = axes.figure.colorbar(drawn, cax=beside, orientation="horizontal")
+    bar = figure.colorbar(drawn, cax=beside, orientation="horizontal")
     bar.ax.xaxis.set_ticks_position("top")
     bar.ax.xaxis.set_label_position("top")
     bar.set_label(label, fontsize=9, color="#222222")

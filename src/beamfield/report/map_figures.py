@@ -137,7 +137,7 @@ def figure_height(limits: Limits, *, rest: float = 0.85, least: float = 2.0) -> 
 
 def colour_bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
     """Add a colour bar above axes, over their left half; as high in a tall map as in a flat one."""
-    inch = 1.0 / (axes.figure.get_figheight() - 1.1)  # in heights of the axes
+    inch = 1.0 / (axes.figure.bbox.height / axes.figure.dpi - 1.1)  # in heights of the axes
     beside = axes.inset_axes((0.0, 1.0 + 0.03 * inch, 0.5, 0.1 * inch))
     bar = axes.figure.colorbar(drawn, cax=beside, orientation="horizontal")
     bar.ax.xaxis.set_ticks_position("top")

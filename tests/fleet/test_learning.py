@@ -50,6 +50,7 @@ def parts_of(catalogue: MemoryCatalogue) -> list[Part]:
 @pytest.mark.parametrize(("truth", "min_range"), [(TRUTH, 0.0), (WIDE, 0.25)])
 def test_a_fleet_learns_what_one_process_learns_from_the_same_beams(truth, min_range, monkeypatch):
     monkeypatch.setattr(learning, "SAMPLE_BEAMS", 4000)
+    monkeypatch.setattr(learning, "SAMPLE_SHARDS", 2)
     monkeypatch.setattr(shard_passes, "BATCH_ROWS", 1500)
     catalogue = fleet_of(truth, n_scans=60, min_range=min_range)
     z, expected, _ = beams_to_learn_from(catalogue)

@@ -24,8 +24,8 @@ from beamfield.short_repr import short_repr
 By = Literal["fleet", "site", "robot"]
 LEVELS: tuple[By, ...] = ("fleet", "site", "robot")
 
-# The first answer rests on about this many beams, at most twice as many.
-SAMPLE_BEAMS = 100_000
+# The first answer rests on about so many beams of so many shards, at most twice as many of either.
+SAMPLE_BEAMS, SAMPLE_SHARDS = 100_000, 256
 # No weight of the first answer is 0 for the full data: a cause may be too rare for the sample.
 LEAST_FIRST_WEIGHT = 1e-6
 TOLERANCE = 1e-10
@@ -220,10 +220,10 @@ def _fit(group: _Group, engine: Engine) -> GroupFit | str:
 
 
 def _from_sample(group: _Group, engine: Engine) -> BeamParameters:
-    rows = sum(part.shard.rows for part in group.parts) // group.parts[0].thin
+    some = group.parts[:: max(1, len(group.parts) // SAMPLE_SHARDS)]
+    rows = sum(part.shard.rows for part in some) // some[0].thin
     fewer = max(1, rows // SAMPLE_BEAMS)
-    parts = [replace(part, thin=part.thin * fewer) for part in group.parts]
-    samples = engine.map(_sample, parts)
+    samples = engine.map(_sample, [replace(part, thin=part.thin * fewer) for part in some])
     ranges, expected = (np.concatenate([sample[i] for sample in samples]) for i in range(2))
     limits = group.limits
     return learn_intrinsic_parameters(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import erf
 
 import limit
-from beamfield.kernels.beam import fill_scan_log_likelihood
+from beamfield.kernels.many_beams import fill_scan_log_likelihood
 from beamfield.kernels.threads import set_threads
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from beamfield.kernels import beam
+from beamfield.kernels import beam, many_beams
 from beamfield.models.beam_density import read_only
 from tests.reference.beam_tables import integral, p_hit, p_short
 
@@ -216,7 +216,7 @@ def test_responsibilities_survive_underflow():
 
 def test_vectorised_normal_distribution_function_is_exact_to_rounding():
     t = np.linspace(0.0, 9.0, 5000)
-    np.testing.assert_allclose([beam.quick_normal_below(v) for v in t], special.ndtr(t), rtol=0, atol=5e-16)
+    np.testing.assert_allclose([many_beams.quick_normal_below(v) for v in t], special.ndtr(t), rtol=0, atol=5e-16)
 
 
 def adversarial_beams(rng, n_poses):
@@ -236,7 +236,7 @@ def test_vectorised_loops_equal_the_scalar_formulas(variant):
     ranges, expected = adversarial_beams(np.random.default_rng(8), 40)
     flat_ranges, flat_expected = read_only(np.tile(ranges, len(expected))), expected.ravel()
     out = np.empty(flat_ranges.size)
-    beam.fill_log_density(flat_ranges, flat_expected, view, out)
+    many_beams.fill_log_density(flat_ranges, flat_expected, view, out)
     capped = np.where(np.isnan(flat_expected), np.nan, np.minimum(flat_expected, MAX_RANGE))
     one_by_one = [beam.log_mixture(z, z_star, view) for z, z_star in zip(flat_ranges, capped, strict=True)]
     np.testing.assert_allclose(out, one_by_one, rtol=1e-12, atol=1e-13)
@@ -248,7 +248,7 @@ def test_product_of_many_beams_is_the_sum_of_their_logs():
         out = np.empty(37)
         # Products of eight may overflow, and are then taken apart; with the JIT off, NumPy says so.
         with np.errstate(over="ignore"):
-            beam.fill_scan_log_likelihood(ranges, expected, view, out)
+            many_beams.fill_scan_log_likelihood(ranges, expected, view, out)
         each = np.empty(expected.size)
-        beam.fill_log_density(read_only(np.tile(ranges, 37)), expected.ravel(), view, each)
+        many_beams.fill_log_density(read_only(np.tile(ranges, 37)), expected.ravel(), view, each)
         np.testing.assert_allclose(out, each.reshape(37, -1).sum(axis=1), rtol=1e-13)

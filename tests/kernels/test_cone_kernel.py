@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import cone as kernels
-from beamfield.kernels import raycast
+from beamfield.kernels import exact_rays
 from tests.kernels.entry import entry
 
 NOT_ASKED = np.empty((0, 0, 2)), np.empty((0, 0, 2), np.int32)
@@ -30,7 +30,7 @@ def one_cone(half):
 
 def test_tolerances_are_those_of_the_ray_caster():
     for name in ("TIE", "PARALLEL", "FAR"):
-        assert getattr(kernels, name) == getattr(raycast, name)
+        assert getattr(kernels, name) == getattr(exact_rays, name)
 
 
 @pytest.mark.parametrize("cols", [1, 31, 32, 33, 70])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import math
 import sys
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -72,23 +71,27 @@ def test_coordinates_near_a_border_are_on_it(x, cell, offset):
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="kernels are interpreted")
-def test_compiled_kernels_are_dropped_when_the_shared_file_changes(tmp_path, monkeypatch):
-    (tmp_path / "a_kernel.py").write_text(
-        "from beamfield.kernels.jit import kernel\n\n\n@kernel\ndef double(x):\n    return 2.0 * x\n"
-    )
+def test_compiled_kernels_are_dropped_when_a_file_changes_whose_kernels_they_call(tmp_path, monkeypatch):
+    """Of three files, the kernel of the last calls that of the first by way of the second."""
+    text = "from beamfield.kernels.jit import kernel\n{}\n\n@kernel\ndef {}(x):\n    return {}\n"
+    (tmp_path / "a_second.py").write_text(text.format("from a_first import once", "again", "once(x)"))
+    (tmp_path / "a_third.py").write_text(text.format("from a_second import again", "last", "again(x)"))
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
 
-    def hits(stamp):
-        """Import the module anew, as another process would; return how often its kernel came from the disk."""
-        monkeypatch.setattr(jit, "SHARED_STAMP", stamp)
-        monkeypatch.delitem(sys.modules, "a_kernel", raising=False)
-        double = importlib.import_module("a_kernel").double
-        assert double(1.0) == 2.0
-        return sum(double.stats.cache_hits.values())
+    def hits(factor):
+        """Import the files anew, as another process would; return how often the last kernel came from the disk."""
+        for name in ("a_first", "a_second", "a_third"):
+            sys.modules.pop(name, None)
+        jit.called_files.cache_clear()
+        jit._stamp.cache_clear()
+        last = importlib.import_module("a_third").last
+        assert last(1.0) == factor
+        return sum(last.stats.cache_hits.values())
 
-    assert [hits("one"), hits("one"), hits("other"), hits("other")] == [0, 1, 0, 1]
-    del sys.modules["a_kernel"]
+    for factor in (2.0, 3.25):
+        (tmp_path / "a_first.py").write_text(text.format("", "once", f"{factor} * x"))
+        assert [hits(factor), hits(factor)] == [0, 1]
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="kernels are interpreted")
@@ -101,8 +104,3 @@ def test_a_kernel_without_an_entry_refuses_python_before_and_after_a_kernel_has_
         with pytest.raises(TypeError, match="_double: only kernels may call it"):
             double(1.0)
         assert entry(double)(1.0) == 2.0
-
-
-def test_the_stamp_is_that_of_the_shared_file():
-    status = Path(elementary.__file__).stat()
-    assert (status.st_mtime, status.st_size) == jit.SHARED_STAMP

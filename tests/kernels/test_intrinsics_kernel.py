@@ -10,13 +10,10 @@ import pytest
 from scipy import integrate, stats
 
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of
-from beamfield.kernels import intrinsics as kernels
+from beamfield.kernels.cuts import log_mass, mean_share, mean_share_slope, relative_rate
+from beamfield.kernels.m_step import hit_objective
 from beamfield.models.beam_density import beam_log_density, beam_responsibilities
-from tests.kernels.entry import entry
 from tests.threads import forced_threads
-
-log_mass, relative_rate = entry(kernels._log_mass), entry(kernels._relative_rate)
-mean_share, mean_share_slope = entry(kernels._mean_share), entry(kernels._mean_share_slope)
 
 MAX_RANGE = 8.0
 # w_hit, w_short, w_max, w_rand, sigma^2, sigma_slope^2, offset, lambda
@@ -115,7 +112,7 @@ def test_the_objective_of_hits_is_the_log_density_of_readings_at_the_nodes(x):
 
     def objective(v: float, q: float, b: float) -> np.ndarray:
         out = np.empty(10)
-        kernels.hit_objective(nodes, weights, MAX_RANGE, origin, v, q, b, out)
+        hit_objective(nodes, weights, MAX_RANGE, origin, v, q, b, out)
         return out
 
     want = 0.0

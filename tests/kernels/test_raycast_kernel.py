@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import raycast as kernels
+from beamfield.kernels.exact_rays import Terrain, one_beam, trace_fan
+from beamfield.kernels.free_rectangles import free_rectangles
 from tests.kernels.entry import entry
 
 allocate, start = entry(kernels._allocate), entry(kernels._start)
@@ -13,7 +15,7 @@ allocate, start = entry(kernels._allocate), entry(kernels._start)
 
 def tables_of(occupied):
     rectangles = np.empty((4, occupied.shape[0] + 2, occupied.shape[1] + 2), np.uint16)
-    kernels.free_rectangles(occupied, rectangles)
+    free_rectangles(occupied, rectangles)
     # As casters have them, so that kernels are not compiled for tests alone.
     rectangles.flags.writeable = False
     return rectangles
@@ -21,7 +23,7 @@ def tables_of(occupied):
 
 def terrain_of(occupied, max_cells=30.0):
     rows, cols = occupied.shape
-    return kernels.Terrain(tables_of(occupied).reshape(-1), rows, cols, 1.0, max_cells, max_cells)
+    return Terrain(tables_of(occupied).reshape(-1), rows, cols, 1.0, max_cells, max_cells)
 
 
 def test_rectangles_are_free_and_start_at_their_cell(rng):
@@ -66,7 +68,7 @@ def test_rays_in_lockstep_equal_rays_one_by_one(rng):
     origins[::2, 2] *= np.pi / 4
     ranges, one_by_one, cells = np.empty(300), np.empty(300), np.empty((300, 2), np.int32)
     kernels.cast_rays(origins, (0.0, 0.0, 0.0), terrain, ranges)
-    kernels.trace_fan(origins, (0.0, 0.0, 0.0), kernels.one_beam(), terrain, one_by_one, cells, False)
+    trace_fan(origins, (0.0, 0.0, 0.0), one_beam(), terrain, one_by_one, cells, False)
     np.testing.assert_array_equal(ranges, one_by_one)
     np.testing.assert_array_equal(cells[:, 0] >= 0, ranges < 30.0)
 
@@ -81,7 +83,7 @@ def test_a_fan_equals_its_beams_one_by_one(rng, same_mount):
     fan[2, :61], fan[3, :61] = np.cos(bearings), np.sin(bearings)
     ranges, one_by_one, cells = np.empty(305), np.empty(305), np.empty((305, 2), np.int32)
     kernels.cast_fan(poses, (0.5, 0.5, 0.3), fan, same_mount, terrain, ranges)
-    kernels.trace_fan(poses, (0.5, 0.5, 0.3), fan, terrain, one_by_one, cells, False)
+    trace_fan(poses, (0.5, 0.5, 0.3), fan, terrain, one_by_one, cells, False)
     np.testing.assert_array_equal(ranges, one_by_one)
 
 
@@ -97,7 +99,7 @@ def test_rays_float32_cannot_decide_are_traced():
 
 
 def test_in_a_map_too_wide_for_float32_every_ray_is_in_doubt():
-    terrain = kernels.Terrain(np.zeros(0, np.uint16), 1, 2**24, 1.0, 30.0, 30.0)
+    terrain = Terrain(np.zeros(0, np.uint16), 1, 2**24, 1.0, 30.0, 30.0)
     lanes = allocate().block
     lanes.ray[kernels.COS : kernels.COS + kernels.BLOCK] = 1.0
     lanes.ray[kernels.CELL_X : kernels.CELL_X + kernels.BLOCK] = 2.0**24 - 1

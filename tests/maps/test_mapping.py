@@ -134,9 +134,9 @@ def test_last_cell_is_reached_when_the_ray_enters_it():
 
 
 def test_tolerances_are_those_of_the_ray_caster():
-    from beamfield.kernels import raycast
+    from beamfield.kernels import exact_rays
 
-    assert kernels.TIE == raycast.TIE
+    assert kernels.TIE == exact_rays.TIE
 
 
 def test_streaming_scans_gives_the_map_of_the_whole_log(rng):

@@ -25,7 +25,7 @@ from beamfield.fleet.engine import Engine
 from beamfield.fleet.run_record import RunRecord
 from beamfield.fleet.shard import Shard
 from beamfield.geometry import FloatArray
-from beamfield.kernels import intrinsics as kernels
+from beamfield.kernels import narrow_bins
 
 # Beams in memory at a time; with their copies some 60 MB.
 BATCH_ROWS = 500_000
@@ -228,10 +228,10 @@ def _merged(statistics: ExpectedStatistics, theta: FloatArray, limits: SensorLim
     sizes = bins.stops - bins.starts
     t = (nodes - np.repeat(bins.centres, sizes)) / np.repeat(bins.half_widths, sizes)
     weights = np.concatenate([statistics.node_hit, statistics.node_short[None]])[:, order]
-    chebyshev = np.cos(np.arange(kernels.TERMS)[:, None] * np.arccos(np.clip(t, -1.0, 1.0)))
+    chebyshev = np.cos(np.arange(narrow_bins.TERMS)[:, None] * np.arccos(np.clip(t, -1.0, 1.0)))
     moments = np.add.reduceat(weights[:, None] * chebyshev, bins.starts, axis=2)  # (4, terms, bins)
-    merged = (moments.transpose(0, 2, 1) @ kernels.NODE_WEIGHTS).reshape(4, -1)
-    ranges = (bins.centres[:, None] + bins.half_widths[:, None] * kernels.NODES).reshape(-1)
+    merged = (moments.transpose(0, 2, 1) @ narrow_bins.NODE_WEIGHTS).reshape(4, -1)
+    ranges = (bins.centres[:, None] + bins.half_widths[:, None] * narrow_bins.NODES).reshape(-1)
     return replace(statistics, node_ranges=ranges, node_hit=merged[:3], node_short=merged[3])
 
 

@@ -30,7 +30,7 @@ from beamfield.kernels.jit import inlined_kernel, kernel
 Floats = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
-# The ray caster's tolerances, see kernels/raycast.py; a test holds the two together.
+# The ray caster's tolerances, see kernels/exact_rays.py; a test holds the two together.
 TIE = 1e-9
 PARALLEL = 1e-12
 FAR = 1e12

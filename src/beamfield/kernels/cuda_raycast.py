@@ -1,4 +1,4 @@
-"""Ray casting on a GPU, one ray a thread: `raycast._trace_ray`, the exact walk in float64, from the same source.
+"""Ray casting on a GPU, one ray a thread: `exact_rays._trace_ray`, the exact walk in float64, from the same source.
 
 Poses are placed by the CPU's kernel, and no product that makes a ray is fused with a sum: so ranges have the same bits
 as the CPU's. In the walk, fusing may change the guess of `_edges_before`, which is corrected, and the last digit of the
@@ -15,15 +15,16 @@ import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
-from beamfield.kernels import beam, raycast
+from beamfield.kernels import beam, exact_rays
 from beamfield.kernels.beam import BeamView
 from beamfield.kernels.cuda_target import launch, on_device, product
 from beamfield.kernels.elementary import split as cpu_split
-from beamfield.kernels.raycast import Terrain
+from beamfield.kernels.exact_rays import Terrain
+from beamfield.kernels.placed_poses import place_poses
 from beamfield.kernels.threads import run_in_blocks
 
 Floats = NDArray[np.float64]
-log_mixture, split, trace_ray = on_device(beam.log_mixture), on_device(cpu_split), on_device(raycast._trace_ray)
+log_mixture, split, trace_ray = on_device(beam.log_mixture), on_device(cpu_split), on_device(exact_rays._trace_ray)
 
 # Rays whose ranges are in the GPU's memory at a time: 128 MB.
 RAYS_TOGETHER = 2**24
@@ -45,7 +46,7 @@ def fill_scan_log_likelihood(
     poses: Floats, frame: tuple[float, float, float], fan: Floats, terrain: Terrain, ranges: Floats, view: BeamView,
     out: Floats,
 ) -> None:  # fmt: skip
-    """Do what `beam.fill_scan_log_likelihood` does at poses (n, 3), whose expected ranges never leave the device.
+    """Do what `many_beams.fill_scan_log_likelihood` does at poses (n, 3), whose expected ranges never leave the device.
 
     `ranges` (k,) are counted from `view.min_range`; the ranges of `terrain` are not.
     """
@@ -75,12 +76,12 @@ def _placed_parts(
 def _place(
     poses: Floats, frame: tuple[float, float, float], resolution: float, out: Floats, start: int, stop: int
 ) -> None:
-    raycast.place_poses(poses[start:stop], frame, resolution, out[start:stop])
+    place_poses(poses[start:stop], frame, resolution, out[start:stop])
 
 
 @cuda.jit(device=True)
 def _range(placed, fan, r, terrain):  # type: ignore[no-untyped-def]
-    """Return the range of ray r in metres: as `raycast.trace_fan`."""
+    """Return the range of ray r in metres: as `exact_rays.trace_fan`."""
     k = fan.shape[1] - 8
     i = r // k
     b = r - i * k

@@ -1,7 +1,6 @@
 """Elementary functions by arithmetic alone: calls of the C library would keep loops from being vectorised.
 
-The one file whose kernels those of other files call. It calls none of theirs, and `beamfield.kernels.jit` has Numba
-compile all kernels anew when it changes.
+Kernels of many files call these; these call no others.
 """
 
 from __future__ import annotations

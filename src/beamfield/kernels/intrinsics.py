@@ -1,9 +1,9 @@
 """Passes over beams for learning the intrinsic parameters (6.3.2, 6.3.3).
 
-Beams are sorted by their expected range z* and cut into *bins* so narrow that every normaliser of the model, a smooth
-function of z*, is a polynomial there to rounding. Two things follow. A beam costs two exponentials and one logarithm,
-whatever the truncation; and the M-steps see the responsibilities through their Chebyshev moments per bin, which give
-sum_i e_i F(z*_i) to rounding for every such F: exact one-dimensional M-steps without a second pass over beams.
+Beams are sorted by their expected range z* and cut into bins (`narrow_bins`) so narrow that every normaliser of the
+model, a smooth function of z*, is a polynomial there to rounding. Two things follow. A beam costs two exponentials and
+one logarithm, whatever the truncation; and the M-steps see the responsibilities through their Chebyshev moments per
+bin, which give sum_i e_i F(z*_i) to rounding for every such F: exact one-dimensional M-steps without a second pass.
 
 Symbols: z measured range, zs expected range z*, r = z - z*, b range offset, v = sigma^2 + q z*^2 variance of a hit with
 q = sigma_slope^2, C the mass of a hit inside [0, z_max], x = lambda z*. Of a sensor that measures nothing below some
@@ -18,36 +18,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.cuts import HALF_LOG_2PI, log_cut_mass, log_mass, mean_share, mean_share_slope, relative_rate
 from beamfield.kernels.elementary import fast_exp, fast_log
 from beamfield.kernels.jit import inlined_fast_kernel, inlined_kernel, kernel
+from beamfield.kernels.narrow_bins import BIN_BEAMS, NODES, POWERS, SHORTEST_SUPPORT, TERMS, Bins, Mixture
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
-# Terms of the polynomials in a bin, and most beams in a bin: its scratch arrays stay in the first-level cache.
-TERMS = 8
-BIN_BEAMS = 1024
-# Beyond this many standard deviations from 0 and z_max the cut of a hit changes no bit (1 - Phi(9) = 1e-19).
-EDGE_SIGMAS = 9.0
-# Support of p_short when z* is shorter, metres; the same as in kernels/beam.py.
-SHORTEST_SUPPORT = 1e-6
 # Mixtures below this are computed again in log space; squares of a density over its mixture must not overflow.
 TINY_DENSITY = 1e-140
 # Order of the derivatives: (w_hit, w_short, w_rand, v, q, b, lambda).
 N_DERIVATIVES = 7
-
-NODES = np.cos(np.pi * (np.arange(TERMS) + 0.5) / TERMS)
-# Row k: Chebyshev polynomials T_m at node k.
-_CHEBYSHEV = np.cos(np.outer(np.pi * (np.arange(TERMS) + 0.5) / TERMS, np.arange(TERMS)))
-# Values at the nodes times this: coefficients of 1, t, t^2 ...
-_POWERS = np.linalg.inv(np.vander(NODES, TERMS, increasing=True)).T.copy()
-# Chebyshev moments times this: weights at the nodes.
-NODE_WEIGHTS = np.ascontiguousarray((_CHEBYSHEV * np.where(np.arange(TERMS) == 0, 1.0, 2.0) / TERMS).T)
-
-_HALF_LOG_2PI = 0.9189385332046727
-# Beyond this many sigma the tail of a normal distribution comes from its asymptotic series.
-_DEEP_SIGMAS = 25.0
 
 
 class Beams(NamedTuple):
@@ -56,33 +37,6 @@ class Beams(NamedTuple):
     ranges: FloatArray
     expected: FloatArray
     counts: FloatArray
-
-
-class Mixture(NamedTuple):
-    """The model's parameters; variance of a hit v + q (origin + z*)^2, range offset b, rate lambda of shorts.
-
-    Ranges, `max_range` too, are counted from `origin`.
-    """
-
-    max_range: float
-    w_hit: float
-    w_short: float
-    w_rand: float
-    v: float
-    q: float
-    b: float
-    rate: float
-    origin: float = 0.0
-
-
-class Bins(NamedTuple):
-    """Cuts of the sorted beams: first, last + 1, centre and half width in z*, whether a hit's cut matters."""
-
-    starts: IntArray
-    stops: IntArray
-    centres: FloatArray
-    half_widths: FloatArray
-    edge: BoolArray
 
 
 class Scratch(NamedTuple):
@@ -98,58 +52,6 @@ class Scratch(NamedTuple):
     short: FloatArray
     rand: FloatArray
     shift: FloatArray
-
-
-@kernel
-def cut_into_bins(expected: FloatArray, mixture: Mixture, bins: Bins) -> int:
-    """Cut beams sorted by `expected` into bins where all normalisers are polynomials to rounding; returns their number.
-
-    A Chebyshev interpolant with 8 nodes over a half width h errs by about (2 a)^-8, a the distance to the nearest
-    singularity over h: x / (1 - e^-x) has its at 2 pi i, 1 / v at i sigma / sqrt(q); log C is entire and sigma / 12 is
-    narrow enough. If `bins` is too short for all of them, the number tells how long it must be.
-    """
-    max_range, v, q, b, rate = mixture.max_range, mixture.v, mixture.q, mixture.b, mixture.rate
-    farthest = mixture.origin + max_range
-    n = expected.size
-    n_bins = 0
-    i = 0
-    while i < n:
-        low = expected[i]
-        distance = mixture.origin + low
-        s = math.sqrt(v + q * distance * distance)
-        width = 0.05 * max_range
-        if rate > 0.0 and rate * low < 40.0:
-            width = min(width, 0.5 / rate)
-        if q > 0.0:
-            width = min(width, 0.08 * math.sqrt(distance * distance + v / q))
-        upper = max_range - b - EDGE_SIGMAS * math.sqrt(v + q * farthest * farthest)
-        is_edge = low + b < EDGE_SIGMAS * s or low >= upper
-        if is_edge:
-            width = min(width, s / 6.0)
-        elif low + width > upper:
-            width = upper - low
-        high = low + width
-        if low < SHORTEST_SUPPORT:  # where the shorts' support has a kink
-            high = min(high, SHORTEST_SUPPORT)
-        stop = min(i + BIN_BEAMS, n)
-        if expected[stop - 1] > high:  # the last beam of the bin is the last not beyond `high`
-            below, above = i, stop - 1
-            while above - below > 1:
-                middle = (below + above) // 2
-                if expected[middle] > high:
-                    above = middle
-                else:
-                    below = middle
-            stop = above
-        if n_bins < bins.starts.size:
-            bins.starts[n_bins] = i
-            bins.stops[n_bins] = stop
-            bins.centres[n_bins] = 0.5 * (expected[i] + expected[stop - 1])
-            bins.half_widths[n_bins] = max(0.5 * (expected[stop - 1] - expected[i]), 1e-9 * max_range)
-            bins.edge[n_bins] = is_edge
-        n_bins += 1
-        i = stop
-    return n_bins
 
 
 @kernel
@@ -192,53 +94,6 @@ def newton_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: in
         _derivatives(n, z, expected, mixture, scratch, polynomials[1], slopes, scores, out[j])
         out[j, 0] += _shift_sum(n, scratch)
         _outer_products(n, scratch.repeats, scores, out[j])
-
-
-@kernel
-def hit_objective(
-    nodes: FloatArray, weights: FloatArray, max_range: float, origin: float, v: float, q: float, b: float,
-    out: FloatArray,
-) -> None:  # fmt: skip
-    """Expected log-likelihood of the hits, from the nodes' weights of e_hit, e_hit r and e_hit r^2, shape (3, m).
-
-    ``out`` = value, d/d(v, q, b), and the second derivatives vv qv qq bv bq bb.
-    """
-    out[:] = 0.0
-    for k in range(nodes.size):
-        w = weights[0, k]
-        z2 = (origin + nodes[k]) * (origin + nodes[k])
-        var = v + q * z2
-        s = math.sqrt(var)
-        mean = nodes[k] + b
-        log_c, l_m, l_v, l_mm, l_vm, l_vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if mean < EDGE_SIGMAS * s or max_range - mean < EDGE_SIGMAS * s:
-            log_c, l_m, l_v, l_mm, l_vm, l_vv = _log_cut_mass(mean, s, max_range)
-        square = weights[2, k] - 2.0 * b * weights[1, k] + b * b * w
-        linear = weights[1, k] - b * w
-        first = 0.5 * square / (var * var) - 0.5 * w / var - w * l_v
-        second = -square / (var * var * var) + 0.5 * w / (var * var) - w * l_vv
-        cross = -linear / (var * var) - w * l_vm
-        out[0] += -0.5 * square / var - w * (math.log(s) + _HALF_LOG_2PI + log_c)
-        out[1] += first
-        out[2] += first * z2
-        out[3] += linear / var - w * l_m
-        out[4] += second
-        out[5] += second * z2
-        out[6] += second * z2 * z2
-        out[7] += cross
-        out[8] += cross * z2
-        out[9] += -w / var - w * l_mm
-
-
-@kernel
-def short_slopes(nodes: FloatArray, weights: FloatArray, sum_range: float, rate: float) -> tuple[float, float]:
-    """Both derivatives in lambda of the expected log-likelihood of the shorts, from node weights."""
-    first, second = -sum_range, 0.0
-    for k in range(nodes.size):
-        x = rate * nodes[k]
-        first += weights[k] * nodes[k] * _mean_share(x)
-        second += weights[k] * nodes[k] * nodes[k] * _mean_share_slope(x)
-    return first, second
 
 
 @kernel
@@ -286,15 +141,15 @@ def _normalisers(bins: Bins, j: int, mixture: Mixture, out: FloatArray) -> None:
         expected = bins.centres[j] + bins.half_widths[j] * NODES[k]
         distance = mixture.origin + expected
         s = math.sqrt(mixture.v + mixture.q * distance * distance)
-        log_peak = -math.log(s) - _HALF_LOG_2PI
+        log_peak = -math.log(s) - HALF_LOG_2PI
         if bins.edge[j]:
-            log_peak -= _log_mass(-(expected + mixture.b) / s, (mixture.max_range - expected - mixture.b) / s)
+            log_peak -= log_mass(-(expected + mixture.b) / s, (mixture.max_range - expected - mixture.b) / s)
         inverse = 1.0 / (s * s)
-        relative_rate = _relative_rate(mixture.rate * max(expected, SHORTEST_SUPPORT))
+        rate = relative_rate(mixture.rate * max(expected, SHORTEST_SUPPORT))
         for m in range(TERMS):
-            out[0, m] += log_peak * _POWERS[k, m]
-            out[1, m] += inverse * _POWERS[k, m]
-            out[2, m] += relative_rate * _POWERS[k, m]
+            out[0, m] += log_peak * POWERS[k, m]
+            out[1, m] += inverse * POWERS[k, m]
+            out[2, m] += rate * POWERS[k, m]
     if mixture.q == 0.0:  # so that the common case holds without rounding
         out[1, :] = 0.0
         out[1, 0] = 1.0 / mixture.v
@@ -307,89 +162,20 @@ def _slopes(bins: Bins, j: int, mixture: Mixture, out: FloatArray) -> None:
     for k in range(TERMS):
         expected = bins.centres[j] + bins.half_widths[j] * NODES[k]
         x = mixture.rate * expected
-        mean_share = _mean_share(x)
-        mean_share_slope = _mean_share_slope(x)
+        share, slope = mean_share(x), mean_share_slope(x)
         for m in range(TERMS):
-            out[5, m] += mean_share * _POWERS[k, m]
-            out[6, m] += mean_share_slope * _POWERS[k, m]
+            out[5, m] += share * POWERS[k, m]
+            out[6, m] += slope * POWERS[k, m]
         if bins.edge[j]:
             distance = mixture.origin + expected
             s = math.sqrt(mixture.v + mixture.q * distance * distance)
-            _, l_m, l_v, l_mm, l_vm, l_vv = _log_cut_mass(expected + mixture.b, s, mixture.max_range)
+            _, l_m, l_v, l_mm, l_vm, l_vv = log_cut_mass(expected + mixture.b, s, mixture.max_range)
             for m in range(TERMS):
-                out[0, m] += l_m * _POWERS[k, m]
-                out[1, m] += l_v * _POWERS[k, m]
-                out[2, m] += l_mm * _POWERS[k, m]
-                out[3, m] += l_vm * _POWERS[k, m]
-                out[4, m] += l_vv * _POWERS[k, m]
-
-
-@kernel
-def _log_mass(low: float, high: float) -> float:
-    # log of the standard normal's mass in [low, high].
-    if low > 0.0:  # differences of the smaller tails keep their digits
-        near, far = low, high
-    elif high < 0.0:
-        near, far = -high, -low
-    else:
-        return math.log1p(-0.5 * (math.erfc(-low / math.sqrt(2.0)) + math.erfc(high / math.sqrt(2.0))))
-    log_near = _log_tail(near)
-    return log_near + math.log(-math.expm1(_log_tail(far) - log_near))
-
-
-@kernel
-def _log_tail(x: float) -> float:
-    # log of the standard normal's mass beyond x > 0.
-    if x < _DEEP_SIGMAS:
-        return math.log(0.5 * math.erfc(x / math.sqrt(2.0)))
-    y = 1.0 / (x * x)
-    series = 1.0 - y * (1.0 - y * (3.0 - y * (15.0 - y * (105.0 - y * (945.0 - y * 10395.0)))))
-    return -0.5 * x * x - math.log(x) - _HALF_LOG_2PI + math.log(series)
-
-
-@kernel
-def _log_cut_mass(mean: float, s: float, max_range: float) -> tuple[float, float, float, float, float, float]:
-    # log C and its derivatives in mean, v, mean mean, v mean, v v. C solves the heat equation: dC/dv = C'' / 2.
-    low = -mean / s
-    high = (max_range - mean) / s
-    log_c = _log_mass(low, high)
-    phi_low = math.exp(-0.5 * low * low - _HALF_LOG_2PI - log_c)
-    phi_high = math.exp(-0.5 * high * high - _HALF_LOG_2PI - log_c)
-    d1 = (phi_low - phi_high) / s
-    d2 = (low * phi_low - high * phi_high) / s**2
-    d3 = ((low * low - 1.0) * phi_low - (high * high - 1.0) * phi_high) / s**3
-    d4 = ((low**3 - 3.0 * low) * phi_low - (high**3 - 3.0 * high) * phi_high) / s**4
-    return log_c, d1, 0.5 * d2, d2 - d1 * d1, 0.5 * d3 - 0.5 * d1 * d2, 0.25 * d4 - 0.25 * d2 * d2
-
-
-@kernel
-def _relative_rate(x: float) -> float:
-    # x / (1 - e^-x): a short's density at z = 0 relative to the uniform one on [0, z*]; 1 at x = 0.
-    if x < 1e-5:
-        return 1.0 + 0.5 * x + x * x / 12.0
-    return x / -math.expm1(-x)
-
-
-@kernel
-def _mean_share(x: float) -> float:
-    # 1/x - 1/(e^x - 1): the mean of a short over z*; 1/2 at x = 0.
-    if x < 0.01:
-        return 0.5 - x / 12.0 + x**3 / 720.0 - x**5 / 30240.0
-    if x > 700.0:
-        return 1.0 / x
-    return 1.0 / x - 1.0 / math.expm1(x)
-
-
-@kernel
-def _mean_share_slope(x: float) -> float:
-    # Its derivative: minus the variance of a short over z*^2; -1/12 at x = 0.
-    if x < 0.1:
-        x2 = x * x
-        return -1.0 / 12.0 + x2 * (1.0 / 240.0 - x2 * (1.0 / 6048.0 - x2 * (1.0 / 172800.0 - x2 / 5322240.0)))
-    if x > 700.0:
-        return -1.0 / (x * x)
-    e = math.expm1(x)
-    return (1.0 + 1.0 / e) / e - 1.0 / (x * x)
+                out[0, m] += l_m * POWERS[k, m]
+                out[1, m] += l_v * POWERS[k, m]
+                out[2, m] += l_mm * POWERS[k, m]
+                out[3, m] += l_vm * POWERS[k, m]
+                out[4, m] += l_vv * POWERS[k, m]
 
 
 @inlined_fast_kernel

@@ -5,18 +5,17 @@ A kernel whose name begins with an underscore is compiled into the kernels that 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-# The file whose functions kernels of other files compile in.
-_SHARED = Path(__file__).with_name("elementary.py").stat()
-SHARED_STAMP = _SHARED.st_mtime, _SHARED.st_size
 
 
 # The flag by which products and sums become one instruction.
@@ -78,11 +77,29 @@ def _compiled(function: F, **flags: Any) -> F:
     if function.__name__.startswith("_"):
         return _without_entry(function, **flags)
     dispatcher = _jit(function, cache=True, **flags)
-    # Numba drops what it has on disk when the kernel's own file changes, but knows nothing of the one it shares.
+    # Numba drops what it has on disk when the kernel's own file changes, but knows nothing of those it calls.
     file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
     if file is not None:
-        file._source_stamp = (file._source_stamp, SHARED_STAMP)
+        file._source_stamp = (file._source_stamp, *map(_stamp, called_files(function.__module__)))
     return cast(F, dispatcher)
+
+
+@cache
+def called_files(module: str) -> tuple[str, ...]:
+    """Return the other files whose kernels those of a module can call, and those that these can call, sorted.
+
+    Kernels are found by the names that the module has imported when its first one is compiled.
+    """
+    kernels = [value.py_func for value in vars(sys.modules[module]).values() if isinstance(value, Dispatcher)]
+    others = {function.__module__: function for function in kernels if function.__module__ != module}
+    files = {function.__code__.co_filename for function in others.values()}
+    return tuple(sorted(files.union(*map(called_files, others))))
+
+
+@cache
+def _stamp(file: str) -> tuple[float, int]:
+    status = Path(file).stat()
+    return status.st_mtime, status.st_size
 
 
 def _without_entry(function: F, **flags: Any) -> F:

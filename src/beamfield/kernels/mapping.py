@@ -21,7 +21,7 @@ Stamps = NDArray[np.int32]
 # Start in cells, cosine and sine of the direction, in the grid's frame.
 Ray = tuple[float, float, float, float]
 
-# The ray caster's tolerances, see kernels/raycast.py; a test holds the two together.
+# The ray caster's tolerances, see kernels/exact_rays.py; a test holds the two together.
 TIE = 1e-9
 PARALLEL = 1e-12
 HUGE = 1e300

@@ -1,36 +1,24 @@
 """Exact ray casting in a grid by jumps over free rectangles, many rays in lockstep.
 
-All lengths are in cells, all cells in the order (column, row). A ray is reflected so that it runs towards growing
-columns and rows; then it is followed by the *edges* it crosses: column edge X at the length tx(X) = (X - x) / cos, row
-edge Y at ty(Y) = (Y - y) / sin. The cells of the ray are the merge of these two sorted sequences, so the path depends
-on the ray alone and not on how it is followed. Two edges within `TIE` of each other are a corner.
-
-`free_rectangles` stores for every cell and direction quadrant a large free rectangle that starts there; a ray that
-enters a cell may jump to the exit of its rectangle. `_trace_ray` follows one ray so, in float64. `_cast_block` follows
-many at once in float32, keeps for each how close it came to a corner, and leaves every ray for which float32 cannot
-decide where it went to `_trace_ray`. The range is computed in float64 from the edges of the cell that was hit, so it
-does not depend on which of the two found that cell.
+`exact_rays` says which cells a ray meets, and follows one in float64; `free_rectangles` stores for every cell and
+direction quadrant a large free rectangle that starts there, to whose exit a ray that enters the cell may jump. Here
+`_cast_block` follows many at once in float32, keeps for each how close it came to a corner, and leaves every ray for
+which float32 cannot decide where it went to `trace_fan`. The range is computed in float64 from the edges of the cell
+that was hit, so it does not depend on which of the two found that cell.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import MANY_TURNS, cos_sin, split
+from beamfield.kernels.elementary import split
+from beamfield.kernels.exact_rays import PARALLEL, Terrain, one_beam, trace_fan
 from beamfield.kernels.jit import inlined_kernel, integer, kernel
+from beamfield.kernels.placed_poses import BLOCK, STRIDE, place
 
-# Crossings of a column and a row edge closer than this, in cells, are one crossing of a corner.
-TIE = 1e-9
-# Direction components smaller than this are 0: cos(pi / 2) is 6e-17.
-PARALLEL = 1e-12
-# Rays that start farther away than this, in cells, see nothing.
-FAR = 1e12
-# Stands for 1 / 0; its product with 0 is 0.
-HUGE = 1e300
 # Stands for 0 below a fraction in float32: the product of 1 / FLAT with any distance in a grid is finite.
 FLAT = np.float32(1e-30)
 # PARALLEL in float32, less what rounding could add: rays between the two are too steep for float32, thus in doubt.
@@ -41,15 +29,11 @@ WIDE = 2**24
 # bound of doubt" in docs/evidence/raycasting.md.
 DOUBT_PER_CELL = np.float32(12.0 * 2.0**-24)
 
-NOTHING, SINGLE = integer(0), integer(1)
-# Rays that walk in lockstep. Measured: 128 are 5 % slower, 512 no faster. A power of 2.
-BLOCK = integer(256)
+NOTHING = integer(0)
 # Loops over multiples of so many rays are vectorised to their end.
 LANES = integer(32)
 # Fewer beams of a pose are quicker aimed one by one.
 FEW = integer(4)
-# Length of a float64 row: BLOCK rays, and room for a vector that is stored beyond them.
-STRIDE = BLOCK + 8
 # Jumps before a block hands its unfinished rays (10 %) to the pool, and jumps of the pool between two clearances.
 FIRST_STEPS = integer(4)
 MORE_STEPS = integer(3)
@@ -63,18 +47,6 @@ RAY_ROWS = 6
 ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 
 Floats = NDArray[np.float64]
-Cells = NDArray[np.int32]
-
-
-class Terrain(NamedTuple):
-    """What rays run through, and how far."""
-
-    table: NDArray[np.uint16]  # free_rectangles, flat
-    rows: int
-    cols: int
-    resolution: float  # metres per cell
-    max_range: float  # metres
-    max_cells: float  # the same in cells
 
 
 class Lanes(NamedTuple):
@@ -96,46 +68,6 @@ class Scratch(NamedTuple):
     looked_up: NDArray[np.uint32]  # where each ray looks into the table
     size: NDArray[np.uint16]  # and what it finds there
     alive: NDArray[np.uint8]  # whether it is still under way
-
-
-@kernel
-def free_rectangles(stops: NDArray[np.bool_], rectangles: NDArray[np.uint16]) -> None:
-    """Fill the table of free rectangles.
-
-    Parameters
-    ----------
-    stops
-        (rows, cols) bool: cells that stop a ray.
-    rectangles
-        (4, rows + 2, cols + 2) uint16, overwritten: width + 256 height (each at most 255) of a large rectangle without
-        stops that starts at the cell and extends in the direction of the quadrant; 0 in stops and in the frame around
-        the map. Quadrant 1 is mirrored in x, 2 in y, 3 in both, so that each extends to growing indices.
-    """
-    rows, cols = stops.shape
-    rectangles[:] = 0
-    free_above = np.zeros(cols + 2, np.int32)
-    for quadrant in range(4):
-        table = rectangles[quadrant]
-        free_above[:] = 0
-        for r in range(rows, 0, -1):
-            source = stops[rows - r if quadrant & 2 else r - 1]
-            here, above = table[r], table[r + 1]
-            width, height, free_right = 0, 0, 0
-            for c in range(cols, 0, -1):
-                if source[cols - c if quadrant & 1 else c - 1]:
-                    width, height, free_right, free_above[c] = 0, 0, 0, 0
-                    continue
-                free_right += 1
-                free_above[c] += 1
-                # The right neighbour's rectangle made wider, or that of the cell above made higher: the one with
-                # the larger w h / (w + h), which a ray leaves later on the average over directions. Measured: 2.4
-                # jumps per ray; choosing by area 2.6, the largest square as a third choice 2.3, that alone 4.3.
-                wide_w, wide_h = min(width + 1, 255), max(min(height, int(free_above[c])), 1)
-                over = int(np.int64(above[c]))
-                high_w, high_h = max(min(over & 255, free_right), 1), min((over >> 8) + 1, 255)
-                wide = wide_w * wide_h * (high_w + high_h) >= high_w * high_h * (wide_w + wide_h)
-                width, height = wide_w if wide else high_w, wide_h if wide else high_h
-                here[c] = width + 256 * height
 
 
 @kernel
@@ -167,7 +99,7 @@ def cast_fan(
     for i in range(n):
         p = i % BLOCK
         if p == 0:
-            _place(poses, frame, terrain.resolution, i, min(BLOCK, n - i), placed)
+            place(poses, frame, terrain.resolution, i, min(BLOCK, n - i), placed)
         x, y, c, s = placed[p], placed[STRIDE + p], placed[2 * STRIDE + p], placed[3 * STRIDE + p]
         first = NOTHING
         while first < k:
@@ -187,43 +119,6 @@ def cast_fan(
 
 
 @kernel
-def trace_fan(poses: Floats, frame: tuple[float, float, float], fan: Floats, terrain: Terrain, ranges: Floats,
-              cells: Cells, only_doubtful: bool) -> None:  # fmt: skip
-    """Do what `cast_fan` does ray by ray in float64.
-
-    With `only_doubtful` just the beams with a negative range; else all, and cells (n * k, 2) are filled with (row, col)
-    of the hit or -1.
-    """
-    k = fan.shape[1] - 8
-    fan_x, fan_y, fan_c, fan_s = fan[0], fan[1], fan[2], fan[3]
-    placed = np.zeros(4 * STRIDE)
-    of_pose = -1
-    for r in range(poses.shape[0] * k):
-        if only_doubtful and ranges[r] >= 0:
-            continue
-        i = r // k
-        b = r - i * k
-        if i != of_pose:
-            _place(poses, frame, terrain.resolution, i, SINGLE, placed)
-            of_pose = i
-        x, y, c, s = placed[0], placed[STRIDE], placed[2 * STRIDE], placed[3 * STRIDE]
-        cell_x, offset_x = split(x + (c * fan_x[b] - s * fan_y[b]))
-        cell_y, offset_y = split(y + (s * fan_x[b] + c * fan_y[b]))
-        beam_c, beam_s = c * fan_c[b] - s * fan_s[b], s * fan_c[b] + c * fan_s[b]
-        ranges[r], row, col = _trace_ray(cell_x, cell_y, offset_x, offset_y, beam_c, beam_s, terrain)
-        if not only_doubtful:
-            cells[r, 0], cells[r, 1] = row, col
-
-
-@kernel
-def one_beam() -> Floats:
-    """Return the fan of a sensor with one beam, straight ahead: with it, poses are rays."""
-    fan = np.zeros((4, 9))
-    fan[2, 0] = 1.0
-    return fan
-
-
-@kernel
 def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terrain, ranges: Floats) -> None:
     """Cast single rays from origins (n, 3) in the map frame; the rest as for `cast_fan`, with k = 1."""
     n = origins.shape[0]
@@ -233,7 +128,7 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
     n_free, doubts = BLOCK, NOTHING
     for done in range(0, n, BLOCK):
         count = min(BLOCK, n - done)
-        _place(origins, frame, terrain.resolution, done, count, placed)
+        place(origins, frame, terrain.resolution, done, count, placed)
         # Lanes beyond count keep rays of the block before, or zeros: every lane walks, so each must hold real numbers.
         for b in range(count):
             ray[CELL_X + b], ray[OFFSET_X + b] = split(placed[b])
@@ -244,104 +139,6 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
     doubts += _finish_pool(scratch, n_free, terrain, ranges)
     if doubts > 0:
         trace_fan(origins, frame, one_beam(), terrain, ranges, np.empty((0, 2), np.int32), True)
-
-
-@kernel
-def _trace_ray(
-    cell_x: float, cell_y: float, offset_x: float, offset_y: float, c: float, s: float, terrain: Terrain
-) -> tuple[float, int, int]:
-    """Follow one ray in float64 from cell and offset in direction c, s; return range in metres and (row, col)."""
-    table, rows, cols, max_cells = terrain.table, terrain.rows, terrain.cols, terrain.max_cells
-    nothing = terrain.max_range, -1, -1
-    if not (abs(cell_x) < FAR and abs(cell_y) < FAR):
-        return nothing
-    ox, start_col, inv_c, c_abs = _reflect(cell_x, offset_x, c, cols)
-    oy, start_row, inv_s, s_abs = _reflect(cell_y, offset_y, s, rows)
-    if start_col >= cols or start_row >= rows:
-        return nothing
-    quadrant = _quadrant(c, s)
-    base = quadrant * (rows + 2) * (cols + 2) + cols + 3
-    # i, j count the cells from the start. A start off the map jumps to the last cell before the map.
-    i, j = 0.0, 0.0
-    if start_col < 0 or start_row < 0:
-        tx = (-start_col - ox) * inv_c if start_col < 0 else -1.0
-        ty = (-start_row - oy) * inv_s if start_row < 0 else -1.0
-        if max(tx, ty) >= max_cells:
-            return nothing
-        if abs(tx - ty) <= TIE:
-            i, j = -start_col - 1, -start_row - 1
-        elif tx > ty:
-            i, j = -start_col - 1, _edges_before(tx, oy, s_abs, inv_s, 0.0, rows - start_row)
-        else:
-            i, j = _edges_before(ty, ox, c_abs, inv_c, 0.0, cols - start_col), -start_row - 1
-    while start_col + i < cols and start_row + j < rows:
-        if start_col + i >= 0 and start_row + j >= 0:
-            free = np.int64(table[base + np.int64(start_row + j) * (cols + 2) + np.int64(start_col + i)])
-            if free == 0:
-                t = max((i - ox) * inv_c, (j - oy) * inv_s)
-                return _hit(t, start_col + i, start_row + j, quadrant, terrain)
-            if free > 257:
-                # To the last cell in the rectangle; leaving it is a step like any other.
-                last_i, last_j = i + (free & 255) - 1, j + (free >> 8) - 1
-                tx, ty = (last_i + 1 - ox) * inv_c, (last_j + 1 - oy) * inv_s
-                if abs(tx - ty) <= TIE:
-                    i, j = last_i, last_j
-                elif tx < ty:
-                    i, j = last_i, _edges_before(tx, oy, s_abs, inv_s, j, last_j)
-                else:
-                    i, j = _edges_before(ty, ox, c_abs, inv_c, i, last_i), last_j
-        tx, ty = (i + 1 - ox) * inv_c, (j + 1 - oy) * inv_s
-        if min(tx, ty) >= max_cells:
-            return nothing
-        if abs(tx - ty) <= TIE:
-            # A corner: it blocks if both cells beside it do. Cells off the map do not.
-            col, row = start_col + i, start_row + j
-            if col >= 0 and row >= 0 and col + 1 < cols and row + 1 < rows:
-                here = base + np.int64(row) * (cols + 2) + np.int64(col)
-                if table[here + 1] == 0 and table[here + cols + 2] == 0:
-                    return _hit(max(tx, ty), col + 1, row, quadrant, terrain)
-            i, j = i + 1, j + 1
-        elif tx < ty:
-            i += 1
-        else:
-            j += 1
-    return nothing
-
-
-@kernel
-def _place(
-    poses: Floats, frame: tuple[float, float, float], resolution: float, first: int, count: int, placed: Floats
-) -> None:
-    """Fill rows x, y, cos, sin of `placed` with `count` poses in the grid's frame, from number `first` on, in cells."""
-    frame_x, frame_y, yaw = frame
-    frame_c, frame_s = math.cos(yaw), math.sin(yaw)
-    many = False
-    for b in range(count):
-        dx, dy = poses[first + b, 0] - frame_x, poses[first + b, 1] - frame_y
-        heading = poses[first + b, 2] - yaw
-        placed[b] = (frame_c * dx + frame_s * dy) / resolution
-        placed[STRIDE + b] = (frame_c * dy - frame_s * dx) / resolution
-        placed[2 * STRIDE + b] = heading
-        many |= abs(heading) > MANY_TURNS
-    for b in range(count):
-        placed[2 * STRIDE + b], placed[3 * STRIDE + b] = cos_sin(placed[2 * STRIDE + b])
-    if many:
-        for b in range(count):
-            heading = poses[first + b, 2] - yaw
-            if abs(heading) > MANY_TURNS:
-                placed[2 * STRIDE + b], placed[3 * STRIDE + b] = math.cos(heading), math.sin(heading)
-
-
-@kernel
-def place_poses(poses: Floats, frame: tuple[float, float, float], resolution: float, out: Floats) -> None:
-    """Fill out (n, 4) with x, y, cos and sin of poses (n, 3) in the grid's frame, in cells."""
-    placed = np.zeros(4 * STRIDE)
-    for first in range(0, poses.shape[0], BLOCK):
-        count = min(BLOCK, poses.shape[0] - first)
-        _place(poses, frame, resolution, first, count, placed)
-        for b in range(count):
-            for row in range(4):
-                out[first + b, row] = placed[row * STRIDE + b]
 
 
 @kernel
@@ -375,42 +172,6 @@ def _aim(
         for b in range(n):
             cell_x[b], offset_x[b] = split(x + (c * fan_x[b] - s * fan_y[b]))
             cell_y[b], offset_y[b] = split(y + (s * fan_x[b] + c * fan_y[b]))
-
-
-@inlined_kernel
-def _reflect(cell: float, offset: float, c: float, n_cells: int) -> tuple[float, float, float, float]:
-    """Return offset, cell, 1 / |c| and |c| of one axis, reflected so that the ray does not run backwards."""
-    speed = abs(c) if abs(c) >= PARALLEL else 0.0
-    inverse = 1.0 / speed if speed > 0 else HUGE
-    backwards = c <= -PARALLEL
-    return (1.0 - offset if backwards else offset), (n_cells - 1 - cell if backwards else cell), inverse, speed
-
-
-@inlined_kernel
-def _quadrant(c: float, s: float) -> int:
-    """Return the number of the quadrant, as in the table."""
-    return (1 if c <= -PARALLEL else 0) + (2 if s <= -PARALLEL else 0)
-
-
-@kernel
-def _edges_before(t: float, offset: float, speed: float, inverse: float, low: float, high: float) -> float:
-    """Return how many edges of one axis a ray has crossed before t, given that it is from low to high."""
-    k = min(max(float(np.floor(offset + t * speed)), low), high)
-    while k > low and (k - offset) * inverse >= t - TIE:
-        k -= 1
-    while k < high and (k + 1 - offset) * inverse < t - TIE:
-        k += 1
-    return k
-
-
-@kernel
-def _hit(t: float, col: float, row: float, quadrant: int, terrain: Terrain) -> tuple[float, int, int]:
-    """Return the range in metres and the cell (row, col) before the reflection."""
-    metres = max(t, 0.0) * terrain.resolution
-    if metres >= terrain.max_range:
-        return terrain.max_range, -1, -1
-    i, j = int(col), int(row)
-    return metres, terrain.rows - 1 - j if quadrant & 2 else j, terrain.cols - 1 - i if quadrant & 1 else i
 
 
 @kernel

@@ -15,6 +15,8 @@ from beamfield.geometry import FloatArray, as_poses, pose_rows
 from beamfield.kernels import raycast as kernels
 from beamfield.kernels.beam import BeamView
 from beamfield.kernels.device import require_device
+from beamfield.kernels.exact_rays import Terrain, one_beam, trace_fan
+from beamfield.kernels.free_rectangles import free_rectangles
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder
@@ -95,7 +97,7 @@ class RayCaster:
         if np.prod(shape, dtype=np.float64) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"grid: expected fewer than 2^29 cells, got {rows} x {cols}")
         rectangles = np.empty(shape, np.uint16)
-        kernels.free_rectangles(self.grid.occupied if self.unknown == "free" else ~self.grid.free, rectangles)
+        free_rectangles(self.grid.occupied if self.unknown == "free" else ~self.grid.free, rectangles)
         keep(self, _rectangles=rectangles)
         self._upload()
 
@@ -180,7 +182,7 @@ class RayCaster:
 
         def work(start: int, stop: int) -> None:
             part = results[start * k : stop * k]
-            kernels.trace_fan(rows[start:stop], frame, fan, terrain, np.empty(len(part)), part, False)
+            trace_fan(rows[start:stop], frame, fan, terrain, np.empty(len(part)), part, False)
 
         run_in_blocks(work, len(rows), work_per_row=k)
         return cells
@@ -210,7 +212,7 @@ class RayCaster:
         rows, results = pose_rows(rays), ranges.reshape(-1)
         frame, terrain = frame_of(self.grid), self._terrain(max_range)
         if self.device == "cuda":
-            self._cast_on_device(rows, kernels.one_beam(), terrain, results)
+            self._cast_on_device(rows, one_beam(), terrain, results)
             return ranges
 
         def work(start: int, stop: int) -> None:
@@ -240,11 +242,11 @@ class RayCaster:
         rays = as_poses(origins, "origins")
         cells = np.empty((*rays.shape[:-1], 2), np.int32)
         rows, results = pose_rows(rays), cells.reshape(-1, 2)
-        frame, terrain, ahead = frame_of(self.grid), self._terrain(max_range), kernels.one_beam()
+        frame, terrain, ahead = frame_of(self.grid), self._terrain(max_range), one_beam()
 
         def work(start: int, stop: int) -> None:
             part = results[start:stop]
-            kernels.trace_fan(rows[start:stop], frame, ahead, terrain, np.empty(len(part)), part, False)
+            trace_fan(rows[start:stop], frame, ahead, terrain, np.empty(len(part)), part, False)
 
         run_in_blocks(work, len(rows))
         return cells
@@ -274,7 +276,7 @@ class RayCaster:
         frame = frame_of(self.grid)
         cuda_raycast.fill_scan_log_likelihood(pose_rows(poses), frame, fan, terrain, ranges, view, out)
 
-    def _cast_on_device(self, rows: FloatArray, fan: FloatArray, terrain: kernels.Terrain, results: FloatArray) -> None:
+    def _cast_on_device(self, rows: FloatArray, fan: FloatArray, terrain: Terrain, results: FloatArray) -> None:
         from beamfield.kernels import cuda_raycast
 
         terrain = terrain._replace(table=self._on_device)
@@ -299,11 +301,11 @@ class RayCaster:
         require_device(self.device)
         self._upload()
 
-    def _terrain(self, max_range: float) -> kernels.Terrain:
+    def _terrain(self, max_range: float) -> Terrain:
         require(0.0 < max_range < np.inf, "max_range", "a positive finite number of metres", max_range)
         rows, cols = self.grid.shape
         resolution, longest = self.grid.resolution, float(max_range)
-        return kernels.Terrain(self._rectangles.reshape(-1), rows, cols, resolution, longest, longest / resolution)
+        return Terrain(self._rectangles.reshape(-1), rows, cols, resolution, longest, longest / resolution)
 
 
 def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:

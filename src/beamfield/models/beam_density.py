@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.kernels.beam import BeamView, fill_cdf, fill_components, fill_log_density, fill_responsibilities
+from beamfield.kernels.beam import BeamView, fill_cdf, fill_components, fill_responsibilities
+from beamfield.kernels.many_beams import fill_log_density
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import check_limits, counted_from, expected_from

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import as_generator, check_fields, checked, keep
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
-from beamfield.kernels.beam import fill_scan_log_likelihood
+from beamfield.kernels.many_beams import fill_scan_log_likelihood
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities, read_only

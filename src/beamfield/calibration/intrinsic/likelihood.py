@@ -10,6 +10,7 @@ import numpy as np
 
 from beamfield.geometry import FloatArray
 from beamfield.kernels import intrinsics as kernels
+from beamfield.kernels.narrow_bins import BIN_BEAMS, NODE_WEIGHTS, NODES, TERMS, Bins, Mixture, cut_into_bins
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.blind_zone import counted_from, expected_from
@@ -20,7 +21,7 @@ N_PARAMETERS = 8
 # Positions of the kernel's derivatives in theta.
 _KERNEL_ORDER = np.array([W_HIT, W_SHORT, W_RAND, VARIANCE, SLOPE, OFFSET, RATE])
 # Beams that one thread takes at a time; fixed, so that sums have the same bits for any number of threads.
-_BEAMS_PER_TASK = 32 * kernels.BIN_BEAMS
+_BEAMS_PER_TASK = 32 * BIN_BEAMS
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ class IntrinsicLikelihood:
         n_bins = bins.starts.size
         all_moments = bool(slope_is_free or theta[SLOPE] > 0.0)
         sums = np.zeros((n_bins, 5))
-        moments = np.zeros((n_bins, 4, kernels.TERMS))
+        moments = np.zeros((n_bins, 4, TERMS))
         mixture = self._mixture(theta)
 
         def work(first: int, last: int) -> None:
@@ -204,7 +205,7 @@ class IntrinsicLikelihood:
 
         self._over_bins(work, bins)
         totals = sums.sum(axis=0)
-        nodes = moments @ kernels.NODE_WEIGHTS
+        nodes = moments @ NODE_WEIGHTS
         log_max = self.n_max * np.log(theta[W_MAX]) if self.n_max > 0.0 and theta[W_MAX] > 0.0 else 0.0
         if self.n_max > 0.0 and theta[W_MAX] == 0.0:
             log_max = -np.inf
@@ -259,13 +260,13 @@ class IntrinsicLikelihood:
     def _beams(self) -> kernels.Beams:
         return kernels.Beams(self.ranges, self.expected, self.weights)
 
-    def _mixture(self, theta: FloatArray) -> kernels.Mixture:
+    def _mixture(self, theta: FloatArray) -> Mixture:
         return mixture_of(theta, self.max_range, self.min_range)
 
-    def _cut(self, theta: FloatArray) -> kernels.Bins:
+    def _cut(self, theta: FloatArray) -> Bins:
         return cut(self.expected, self._mixture(theta))
 
-    def _over_bins(self, work: Callable[[int, int], None], bins: kernels.Bins) -> None:
+    def _over_bins(self, work: Callable[[int, int], None], bins: Bins) -> None:
         # Tasks of about equal numbers of beams: bins differ in size.
         n_tasks = max(1, self.ranges.size // _BEAMS_PER_TASK)
         limits = np.searchsorted(bins.stops, np.linspace(0, self.ranges.size, n_tasks + 1)[1:-1], side="left")
@@ -277,30 +278,30 @@ class IntrinsicLikelihood:
         run_in_blocks(task, n_tasks, work_per_row=_BEAMS_PER_TASK)
 
     @staticmethod
-    def _node_ranges(bins: kernels.Bins) -> FloatArray:
-        return np.asarray((bins.centres[:, None] + bins.half_widths[:, None] * kernels.NODES).reshape(-1))
+    def _node_ranges(bins: Bins) -> FloatArray:
+        return np.asarray((bins.centres[:, None] + bins.half_widths[:, None] * NODES).reshape(-1))
 
 
-def mixture_of(theta: FloatArray, span: float, min_range: float) -> kernels.Mixture:
+def mixture_of(theta: FloatArray, span: float, min_range: float) -> Mixture:
     """Return a working vector (8,) as kernels take it, ranges counted from min_range up to `span`, metres."""
     w_hit, w_short, _, w_rand, v, q, b, rate = (float(value) for value in theta)
-    return kernels.Mixture(span, w_hit, w_short, w_rand, v, q, b, rate, min_range)
+    return Mixture(span, w_hit, w_short, w_rand, v, q, b, rate, min_range)
 
 
-def cut(expected: FloatArray, mixture: kernels.Mixture) -> kernels.Bins:
-    """Cut expected ranges (n,), ascending, into the bins of `kernels.cut_into_bins`."""
-    capacity = 4096 + 2 * expected.size // kernels.BIN_BEAMS
+def cut(expected: FloatArray, mixture: Mixture) -> Bins:
+    """Cut expected ranges (n,), ascending, into the bins of `cut_into_bins`."""
+    capacity = 4096 + 2 * expected.size // BIN_BEAMS
     while True:
-        bins = kernels.Bins(
+        bins = Bins(
             np.empty(capacity, dtype=np.int64),
             np.empty(capacity, dtype=np.int64),
             np.empty(capacity),
             np.empty(capacity),
             np.empty(capacity, dtype=np.bool_),
         )
-        n_bins = kernels.cut_into_bins(expected, mixture, bins)
+        n_bins = cut_into_bins(expected, mixture, bins)
         if n_bins <= capacity:
-            return kernels.Bins(
+            return Bins(
                 bins.starts[:n_bins],
                 bins.stops[:n_bins],
                 bins.centres[:n_bins],

@@ -13,7 +13,7 @@ from beamfield.calibration.intrinsic.bounded_newton import newton_step
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem
 from beamfield.calibration.intrinsic.likelihood import OFFSET, RATE, SLOPE, VARIANCE, ExpectedStatistics
 from beamfield.geometry import FloatArray
-from beamfield.kernels import intrinsics as kernels
+from beamfield.kernels import m_step as kernels
 
 _MOST_STEPS = 50
 # A cause with fewer expected beams than this is dying: its shape stays what it was.

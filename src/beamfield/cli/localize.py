@@ -118,7 +118,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         except TooLittleDataError as error:
             raise FormatError(arguments.log, str(error)) from error
         # Before a robot is found, poses are a guess; if it never is, they are judged all the same.
-        since = 0 if start is not None else _sure_from(found) or 0
+        is_found = not any(finding.name == "not-found" for finding in found.findings)
+        since = (_sure_from(found) or 0) if start is None and is_found else 0
         lost = find_lost_robot(log[since:], grid, found.poses[since:])
         seen = (*found.findings, *time_gaps(log.stamps), *([] if lost is None else [lost]))
         found = replace(found, findings=worst_first(seen))

@@ -1,7 +1,8 @@
 """Logs without a map of their own, replayed so that no scan meets a map that it helped to draw.
 
 Stretches of 5 m draw two maps in turn, and each scan is weighed by the other's map. Poses were corrected by SLAM.
-fr079's odometry loses its sign when the robot backs up; it has it from the corrected poses here.
+fr079's odometry loses its sign when the robot backs up; it has it from the corrected poses here. Belgioioso's log has
+no odometry: it is drawn about the corrected poses.
 """
 
 from __future__ import annotations
@@ -12,16 +13,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, between
 from beamfield.io.read_log import read_log
+from beamfield.io.trajectory import attach_poses, read_trajectory
 from beamfield.maps.mapping import build_map
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.gaussian_motion import GaussianMotion
 from beamfield.sensors import Scan, SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.filters.scan_weights import ScanWeights
-from odometry_noise import fr079, with_signs_of_reference
+from odometry_noise import chained, fr079, with_signs_of_reference
 
 GROUP = 5.0
 LOGS: dict[str, Callable[[Path], SensorLog]] = {
@@ -30,6 +33,17 @@ LOGS: dict[str, Callable[[Path], SensorLog]] = {
         fr079(folder / "carmen_radish_corrected/freiburg-079-corrected.log.gz")
     ),
     "csail": lambda folder: read_log(folder / "csail_gfs/derived_csail_rawodom.log.gz").only_sensor(),
+}
+# To be found in, from anywhere.
+MORE_LOGS: dict[str, Callable[[Path], SensorLog]] = {
+    **LOGS,
+    "Belgioioso": lambda folder: with_drawn_odometry(
+        read_log(folder / "carmen_radish_corrected/belgioioso-corrected.log.gz").only_sensor()
+    ),
+    "real Pioneer": lambda folder: attach_poses(
+        read_log(folder / "uob_pioneer_real/trace1.bag"),
+        read_trajectory(folder / "uob_pioneer_real/derived_amcl_poses_trace1.csv.gz"),
+    ).only_sensor(),
 }
 
 
@@ -50,11 +64,35 @@ class HalfMaps(NamedTuple):
 
 def half_maps(folder: Path, name: str) -> HalfMaps:
     """Draw the maps of a log, with cells of 5 cm."""
-    log = LOGS[name](folder)
+    log = MORE_LOGS[name](folder)
     way = np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
     half = (way // GROUP).astype(np.int64) % 2
     first, second = (build_map(log, resolution=0.05, scans=half == i) for i in (0, 1))
     return HalfMaps(log, half, (first, second))
+
+
+def with_drawn_odometry(log: SensorLog) -> SensorLog:
+    """Return the log with odometry that errs as a good robot's does."""
+    rng, steps = np.random.default_rng(0), between(log.poses[:-1], log.poses[1:])
+    drawn = [GaussianMotion().sample(np.zeros((1, 3)), [np.zeros(3), step], rng)[0] for step in steps]
+    return replace(log, odometry=chained(np.array(drawn)))
+
+
+class ByOtherMap:
+    """A measurement model that weighs each scan by the map that it has no part in."""
+
+    is_normalized = False
+
+    def __init__(self, maps: HalfMaps, model_of: Callable[[OccupancyGrid], Any]) -> None:
+        self._models, self._half = (
+            [model_of(grid) for grid in maps.grids],
+            dict(zip(maps.log.stamps, maps.half, strict=True)),
+        )
+
+    def log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
+        """Weigh poses."""
+        weights: FloatArray = self._models[1 - self._half[z.stamp]].log_likelihood(z, poses)
+        return weights
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,13 @@
-"""Localize real and simulated logs with the particle filter as the command does it, and print seven tables.
+"""Localize real and simulated logs with the particle filter as the command does it, and print eight tables.
 
 Run: python benchmarks/localize.py [FOLDER [SEEDS [TABLE ...]]]
 
 FOLDER holds the logs and maps (default: ../shared/data beside the checkout). They are other people's data and not part
 of this repository. The first table follows robots from a start known to 0.5 m and 15 degrees, and finds them from
 anywhere; the second does so with what Wean Hall 1 teaches; the third starts in the middle of its logs, too; the fourth
-compares the right place of Wean Hall 5 with a rival; the fifth has other exponents; the sixth leaves out readings of
-people; the seventh finds robots again that were carried elsewhere. TABLE is accuracy, calibrated, starts, rival,
-exponents, people or recovery.
+does so in other buildings; the fifth compares the right place of Wean Hall 5 with a rival; the sixth has other
+exponents; the seventh leaves out readings of people; the eighth finds robots again that were carried elsewhere. TABLE
+is accuracy, calibrated, starts, elsewhere, rival, exponents, people or recovery.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from half_maps import ByOtherMap, HalfMaps, half_maps
 from real_logs import read_log_and_map
 from tables import print_table
 
@@ -69,6 +70,8 @@ RIVAL = (52.2, 40.55, -1.62)
 MOMENTS = (10.0, 20.0, 40.0, 60.0, 75.0, 80.0, 84.0, 90.0, 98.0)
 # A robot that starts later in a log has so long to find its place, seconds.
 LEFT_TO_FIND = 50.0
+# Of other logs a start has so much of the way, metres.
+LEAST_WAY, MOST_WAY = 5.0, 60.0
 
 
 def model_of(kind: str, grid: OccupancyGrid, exponent: float) -> Any:
@@ -99,6 +102,8 @@ class Start(NamedTuple):
     sure_after: float
     """Seconds, nan if never."""
     sure_of_wrong: bool
+    wrong_at_end: bool
+    """Sure of a wrong place, and nothing said."""
 
     @classmethod
     def of(cls, localizer: ScanLocalizer, log: SensorLog, seed: int) -> Start:
@@ -107,11 +112,14 @@ class Start(NamedTuple):
         distance = np.hypot(*(run.poses - log.poses)[:, :2].T)
         known = distance[np.isfinite(distance)]
         sure = np.trace(run.covariances[:, :2, :2], axis1=1, axis2=2) <= FOUND_SPREAD**2
+        at_last = sure & (run.updates >= run.searched_from)
+        is_said = any(finding.name == "not-found" for finding in run.findings)
         return cls(
             bool((known[-(len(known) // 5) :] < FOUND_WITHIN).mean() > 0.95),
             bool(known[-1] < FOUND_WITHIN),
-            float(log.stamps[run.updates[sure][0]] - log.stamps[0]) if sure.any() else np.nan,
+            float(log.stamps[run.updates[at_last][0]] - log.stamps[0]) if at_last.any() else np.nan,
             bool((sure & (distance[run.updates] > WRONG_FROM)).any()),
+            bool(at_last.any() and known[-1] > WRONG_FROM and not is_said),
         )
 
 
@@ -146,17 +154,44 @@ def starts(folder: Path, seeds: int) -> list[dict[str, Any]]:
             later = later[reference_start(later)[0] :]
             for way, localizer in ways.items():
                 rows.setdefault(way, []).extend(Start.of(localizer, later, seed) for seed in range(seeds))
-    return [
-        {
-            "until found, and then": way,
-            "runs": len(of),
-            "at the right place at the end": f"{np.mean([one.at_end for one in of]):.0%}",
-            "sure of a wrong place": f"{np.mean([one.sure_of_wrong for one in of]):.0%}",
-            "not sure at the end": f"{np.mean(np.isnan([one.sure_after for one in of])):.0%}",
-            "sure after [s], median": round(float(np.nanmedian([one.sure_after for one in of])), 1),
-        }
-        for way, of in rows.items()
-    ]
+    return [{"until found, and then": way, **summed(of)} for way, of in rows.items()]
+
+
+def summed(of: Sequence[Start]) -> dict[str, Any]:
+    """Return what became of starts."""
+    return {
+        "runs": len(of),
+        "at the right place at the end": f"{np.mean([one.at_end for one in of]):.0%}",
+        "sure of a wrong place": f"{np.mean([one.sure_of_wrong for one in of]):.0%}",
+        "and at the end": f"{np.mean([one.wrong_at_end for one in of]):.0%}",
+        "not sure at the end": f"{np.mean(np.isnan([one.sure_after for one in of])):.0%}",
+        "sure after [s], median": round(float(np.nanmedian([one.sure_after for one in of])), 1),
+    }
+
+
+def elsewhere(folder: Path, seeds: int) -> list[dict[str, Any]]:
+    """Return starts from anywhere at every eighth of the way of logs on which nothing was tuned, 60 m of each."""
+    rows = []
+    for name in ("TurtleBot 4", "simulated Pioneer", "real Pioneer", "intel", "fr079", "Belgioioso"):
+        if name in LOGS:
+            log, grid = read_log_and_map(folder, *LOGS[name])
+            localizer = localizer_of("likelihood field", grid)
+        else:
+            log, localizer = by_other_map(half_maps(folder, name))
+        log = log[np.isfinite(np.hstack([log.poses, log.odometry])).all(axis=1)]
+        way = np.append(0.0, np.cumsum(np.hypot(*np.diff(log.poses[:, :2], axis=0).T)))
+        begins = [begin for begin in np.arange(8) / 8 * way[-1] if way[-1] - begin >= LEAST_WAY]
+        parts = [log[slice(*np.searchsorted(way, [begin, begin + MOST_WAY]))] for begin in begins]
+        rows.append({"log": name, **summed([Start.of(localizer, part, s) for part in parts for s in range(seeds)])})
+    return rows
+
+
+def by_other_map(maps: HalfMaps) -> tuple[SensorLog, ScanLocalizer]:
+    """Return a log and the filter as the command makes it, but for maps that no scan has a part in."""
+    exponent = COARSE_WORTH / COARSE_BEAMS
+    model = ByOtherMap(maps, partial(model_of, "likelihood field", exponent=exponent))
+    coarse = ByOtherMap(maps, partial(LikelihoodFieldModel, parameters=COARSE, n_beams=COARSE_BEAMS, exponent=exponent))
+    return maps.log, ScanLocalizer(maps.grids[1], model, USUAL_MOTION, coarse=coarse)
 
 
 def numbers(errors: Sequence[ReplayErrors]) -> dict[str, Any]:
@@ -354,6 +389,7 @@ TABLES = {
     "accuracy": accuracy,
     "calibrated": calibrated,
     "starts": starts,
+    "elsewhere": elsewhere,
     "rival": rival,
     "exponents": exponents,
     "people": people,

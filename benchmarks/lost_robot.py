@@ -19,10 +19,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from beamfield.geometry import FloatArray, between, chained
-from beamfield.localization.lost_robot import LEAST_AGREEMENT
-from beamfield.localization.ray_agreement import scan_agreement
 from beamfield.localization.replay import PoseBelief, ReplayedFilter, reference_start
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.ray_agreement import LEAST_AGREEMENT, scan_agreement
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings, read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file

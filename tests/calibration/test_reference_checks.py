@@ -11,6 +11,7 @@ from beamfield.calibration.reference_checks import pose_findings
 from beamfield.calibration.selection import select_scans
 from beamfield.geometry import between, compose
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder, SensorLog
 
 FINDER = RangeFinder.from_bearings(np.deg2rad(np.arange(-90.0, 91.0, 30.0)), 20.0)
@@ -99,11 +100,14 @@ def drive(reference: np.ndarray | None = None) -> SensorLog:
     t = 0.2 * np.arange(300)
     poses = np.column_stack([2.0 + 0.5 * t, np.full(300, 5.0), np.zeros(300)])
     odometry = compose([3.0, -1.0, 0.7], poses)
-    return SensorLog(FINDER, t, np.ones((300, 7)), poses if reference is None else reference, odometry)
+    ranges = RayCaster(room()).expected_ranges(poses, FINDER)
+    return SensorLog(FINDER, t, ranges, poses if reference is None else reference, odometry)
 
 
-def test_a_reference_that_follows_the_odometry_gives_no_finding():
+def test_a_reference_that_follows_the_odometry_gives_no_finding_unless_the_scans_are_of_elsewhere():
     assert not list(pose_findings(drive(), room()))
+    (finding,) = pose_findings(replace(drive(), ranges=np.ones((300, 7))), room())
+    assert (finding.name, finding.values["median_agreement"]) == ("map-disagrees", 0.0)
 
 
 def test_a_reference_that_stands_still_while_the_odometry_moves_is_found():

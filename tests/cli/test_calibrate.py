@@ -151,11 +151,12 @@ def test_what_is_found_of_the_field_is_among_the_main_findings_and_in_the_verdic
         return replace(learn_field(*given), findings=(Finding("field-says-nothing", "warning", "No better."),))
 
     monkeypatch.setattr("beamfield.cli.calibrate_sensor.learn_field", doubtful)
-    assert calibrate(world, tmp_path / "out", "--no-refine", quiet=False) == 0
+    assert calibrate(world, tmp_path / "out", "--no-refine", quiet=False) == 3
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())
     assert "field-says-nothing" in [finding["name"] for finding in document["findings"]]
     assert document["verdict"].startswith("Do not use these values yet: the readings hardly tell where the robot is")
-    text = capsys.readouterr().out
+    text, problem = capsys.readouterr()
+    assert "beamfield: warning: Do not use these values yet: the readings hardly tell" in problem
     assert document["verdict"] in text
     assert text.count("warning (field-says-nothing): No better.") == 1
     head = (tmp_path / "out" / "report.html").read_text().split('id="parameters"')[0]

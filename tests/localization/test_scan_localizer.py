@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.geometry import between
 from beamfield.localization.particle_filter import FilterOptions
 from beamfield.localization.recovery import Recovery
 from beamfield.localization.replay import PoseBelief, judge_replay, reference_start
@@ -126,6 +127,26 @@ def test_a_start_off_the_map_does_not_stop_the_filter(localizer, drive):
     found = run(localizer, drive[:40], start=PoseBelief.around([500.0, 500.0, 0.0]))
     assert np.isfinite(found.poses).all()
     assert len(found.updates) > 5
+
+
+def test_a_place_that_scans_contradict_is_given_up_and_the_robot_found_elsewhere(localizer, drive):
+    class Misleading:
+        """Sure of a wrong place at the first scan; a field from then on."""
+
+        is_normalized = False
+        elsewhere = drive.poses[0] + [3.0, 1.0, 2.0]
+
+        def log_likelihood(self, z, poses):
+            if z.stamp == drive.stamps[0]:
+                return -50.0 * np.abs(between(self.elsewhere, poses)).sum(axis=1)
+            return localizer.model.log_likelihood(z, poses)
+
+    options = FilterOptions(n_particles=1000, least_effective=0.0)
+    found = run(replace(localizer, options=options, coarse=Misleading(), n_anywhere=50_000), drive, start=None)
+    assert [finding.name for finding in found.findings] == ["searched-again"]
+    off = np.hypot(*(found.poses - drive.poses)[:, :2].T)
+    assert off[: found.searched_from].mean() > 1.0
+    assert off[-50:].max() < 0.3
 
 
 @pytest.mark.real

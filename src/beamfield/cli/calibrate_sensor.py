@@ -25,6 +25,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.report.as_json import calibration_as_dict
 from beamfield.report.results import calibration_summary, calibration_text
+from beamfield.report.verdict import doubts
 from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import SensorLog
 
@@ -135,6 +136,7 @@ class CalibrationJob:
         }
         problems = [] if result.converged else ["the fit did not converge"]
         problems += [part.problem for part in parts if part.problem]
+        problems += [doubt] if (doubt := doubts(result).rstrip(".")) else []
         stack = next((part for part in parts if isinstance(part, StackPart)), None)
         return SensorResult(files, _table(result, parts), document, stack, tuple(problems), (result.parameters, sensor))
 

@@ -132,10 +132,13 @@ def _said(stack: str, noise: Mapping[str, Any]) -> list[str]:
 
 def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> list[StackFit]:
     """Return a fit of the model asked for, of the patched file's, or of each that the stack has."""
+    from beamfield.report.verdict import DOUBTS
     from beamfield.stacks.files.typed_values import checked_values
     from beamfield.stacks.fit.fit import fit_stack
     from beamfield.stacks.registry import STACKS
 
+    if any(finding.name == "map-disagrees" for finding in result.findings):
+        raise TooLittleDataError(DOUBTS["map-disagrees"])
     arguments, file = job.arguments, job.patched
     stack = STACKS[arguments.stack]
     models = tuple(stack.models)

@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         given = _read(arguments, progress)
         with about_file(arguments.log):
             parameters, doubt = _parameters(given, arguments, progress)
-            given = replace(given, notes=(*given.notes, *doubt))
+            problem = doubt or _disagreement(given)
             model = model_of_sensor(given.log.finder)(given.grid, parameters)
             origin = provenance(arguments)
             reference = _reference(model, given, origin, arguments, progress)
@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("drawing", 0, 1)
         document = {
             "provenance": origin,
-            "notes": list(given.notes),
+            "notes": [*given.notes, *([problem] if problem else [])],
             NAME: as_document(given.fitted),
             **fit_as_dict(fits, reference, worst, own=given.is_own),
             "changed_places": None if places is None else places_as_dict(places),
@@ -134,7 +134,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         "" if places is None else f"\n\n{places.summary()}"
     )
     line = ", ".join([f"wrote {', '.join(files)} into {arguments.out}", *map(str, recorded)])
-    return Outcome(line, text, document, given.notes, [arguments.out, *recorded])
+    code = 3 if problem else 0
+    return Outcome(line, text, document, given.notes, [arguments.out, *recorded], code, problem)
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -204,20 +205,26 @@ def _sensor(
     return sensor, fitted, (*notes, *more)
 
 
-def _parameters(
-    given: _Inputs, arguments: argparse.Namespace, progress: StageProgress
-) -> tuple[BeamParameters, tuple[str, ...]]:
-    """Return the parameters, and why they should not be used, if so."""
+def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StageProgress) -> tuple[BeamParameters, str]:
+    """Return the parameters, and why they should not be used; empty if they may be."""
     from beamfield.calibration.calibrate import CalibrationOptions, calibrate
     from beamfield.report.verdict import doubts
 
     if given.parameters is not None:
-        return given.parameters, ()
+        return given.parameters, ""
     learned = calibrate(
         given.good, given.grid, CalibrationOptions(refine=False, seed=arguments.seed), progress=progress
     )
-    reasons = doubts(learned)
-    return learned.parameters, (f"what good scans look like was learned all the same. {reasons}",) if reasons else ()
+    reasons = doubts(learned).rstrip(".")
+    return learned.parameters, f"{reasons}; what good scans look like was learned all the same" if reasons else ""
+
+
+def _disagreement(given: _Inputs) -> str:
+    from beamfield.calibration.reference_checks import pose_findings
+    from beamfield.report.verdict import DOUBTS
+
+    names = {finding.name for finding in pose_findings(given.log, given.grid)}
+    return DOUBTS["map-disagrees"] if "map-disagrees" in names else ""
 
 
 def _reference(

@@ -117,7 +117,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
             found = run_filter(film, lambda i: progress("localizing", i, len(log)))
         except TooLittleDataError as error:
             raise FormatError(arguments.log, str(error)) from error
-        lost = find_lost_robot(log, grid, found.poses)
+        # Before a robot is found, poses are a guess; if it never is, they are judged all the same.
+        is_found = not any(finding.name == "not-found" for finding in found.findings)
+        since = (_sure_from(found) or 0) if start is None and is_found else 0
+        lost = find_lost_robot(log[since:], grid, found.poses[since:])
         seen = (*found.findings, *time_gaps(log.stamps), *([] if lost is None else [lost]))
         found = replace(found, findings=worst_first(seen))
         errors = _judged(found, log)
@@ -266,10 +269,9 @@ def _document(
 ) -> dict[str, Any]:
     import numpy as np
 
-    from beamfield.localization.particle_filter import FOUND_SPREAD, FOUND_TURN
-
     spread = np.sqrt(np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2))
-    sure = found.updates[(spread <= FOUND_SPREAD) & (found.covariances[:, 2, 2] <= FOUND_TURN**2)]
+    is_lost = any(finding.name == "robot-lost" for finding in found.findings)
+    sure_from = None if is_lost else _sure_from(found)
     # Not the mean: the first update makes the model's tables, and may compile.
     seconds = float(np.median(found.seconds))
     return {
@@ -280,11 +282,23 @@ def _document(
         "updates_per_second": 1.0 / seconds if seconds > 0.0 else None,
         "last_pose": [float(value) for value in found.poses[np.isfinite(found.poses).all(axis=1)][-1]],
         "last_spread_m": float(spread[-1]),
-        "sure_after_s": float(log.stamps[sure[0]] - log.stamps[0]) if len(sure) else None,
+        "sure_after_s": None if sure_from is None else float(log.stamps[sure_from] - log.stamps[0]),
         "errors": None if errors is None else asdict(errors),
         "found_after_s": None if errors is None else _found_after(found, log),
         "findings": [asdict(finding) for finding in found.findings],
     }
+
+
+def _sure_from(found: Localization) -> int | None:
+    """Return the first scan, since the robot was searched for last, at which the cloud is narrow."""
+    import numpy as np
+
+    from beamfield.localization.particle_filter import FOUND_SPREAD, FOUND_TURN
+
+    variances = np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2)
+    sure = found.updates[(variances <= FOUND_SPREAD**2) & (found.covariances[:, 2, 2] <= FOUND_TURN**2)]
+    sure = sure[sure >= found.searched_from]
+    return int(sure[0]) if len(sure) else None
 
 
 # Metres from the reference within which a robot counts as found.

@@ -22,8 +22,8 @@ from beamfield.explorer.scores import PoseScores
 from beamfield.explorer.shown_run import AGREEMENT, ShownRun, run_from
 from beamfield.geometry import FloatArray
 from beamfield.kernels.threads import n_threads, set_threads
-from beamfield.localization.lost_robot import LEAST_AGREEMENT
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.ray_agreement import LEAST_AGREEMENT
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_density import beam_responsibilities
 from beamfield.sensors import Scan, SensorLog, usable_ranges

@@ -15,11 +15,11 @@ from beamfield.geometry import FloatArray, interpolate_poses
 from beamfield.io.filter_run import FilterRun, read_run
 from beamfield.localization.lost_robot import find_lost_robot
 from beamfield.localization.particle_filter import FilterOptions, Update
-from beamfield.localization.ray_agreement import scan_agreement
 from beamfield.localization.replay import PoseBelief
 from beamfield.localization.resampling import systematic_indices
 from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.ray_agreement import scan_agreement
 from beamfield.models.gaussian_motion import USUAL_MOTION
 from beamfield.sensors import SensorLog
 

@@ -14,9 +14,9 @@ from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, chained, wrap_angle
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive, mirrored, with_points
-from beamfield.localization.ray_agreement import ray_agreement
 from beamfield.localization.trajectory_start import Course, cheapest_course, follow_hypotheses, other_courses
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.ray_agreement import ray_agreement
 from beamfield.sensors import SensorLog
 
 Progress = Callable[[str, int, int], None]

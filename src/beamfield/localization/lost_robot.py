@@ -6,14 +6,11 @@ import numpy as np
 
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between
-from beamfield.localization.ray_agreement import scan_agreement
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.ray_agreement import LEAST_AGREEMENT, scan_agreement
 from beamfield.models.motion import odometry_jumps
 from beamfield.sensors import SensorLog
 
-# Midway between runs with wrong odometry or an unlike building's map, at most 0.39 in the median scan, and those that
-# follow the robot, at least 0.52: real and simulated logs with two filters, see docs/evidence/localization.md.
-LEAST_AGREEMENT = 0.45
 # Odometry with more jumps than this share of its steps is no robot's.
 MOST_JUMPS = 0.1
 
@@ -48,7 +45,7 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
     return Finding(
         "robot-lost",
         "warning",
-        f"Where the filter takes the robot to be, {median:.0%} of a scan's readings agree with the map "
+        f"Where the filter takes the robot to be, {int(100.0 * median)}% of a scan's readings agree with the map "
         f"(median; expected {LEAST_AGREEMENT:.0%} or more). By its odometry it drove {way:.1f} m and "
         f"turned {np.degrees(turn):.0f} degrees.",
         {"median_agreement": median, "way_m": way, "turn_rad": turn},

@@ -14,6 +14,7 @@ RIVALS = {"nav2 defaults": "nav2's defaults", "ROS 1 defaults": "ROS 1's"}
 # Findings that take the ground from under all values, and what each means in a few words.
 DOUBTS = {
     "map-says-nothing": "the readings do not fit this map at these poses, the fit is hardly better than a uniform",
+    "map-disagrees": "most readings disagree with the map at the reference poses",
     "hits-anywhere": "hits scatter around the walls by much of their range",
     "map-scale": "the scale of the map is wrong",
     "poses-off-map": "many reference poses lie off the map",

@@ -51,9 +51,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def calibrate(folder: Path, out: Path, *more: str) -> dict:
+def calibrate(folder: Path, out: Path, *more: str, code: int = 0) -> dict:
     options = ("--map", str(folder / "map.yaml"), "--out", str(out), "--quiet", "--no-refine")
-    assert main(["calibrate", str(folder), *options, *more]) == 0
+    assert main(["calibrate", str(folder), *options, *more]) == code
     return json.loads((out / "calibration.json").read_text())
 
 
@@ -68,7 +68,8 @@ def test_a_log_of_cones_is_calibrated_as_cones_unless_told_otherwise(folder, tmp
     yaml = read_yaml(tmp_path / "cones" / "beam_model.yaml")
     assert yaml.number("sensor", "opening_angle") == pytest.approx(math.radians(20.0))
 
-    beams = calibrate(folder, tmp_path / "beams", "--opening-angle", "0")
+    # As beams they say that the map is too large: a cone ends at whatever is nearest in it.
+    beams = calibrate(folder, tmp_path / "beams", "--opening-angle", "0", code=3)
     assert "cones" not in {finding["name"] for finding in beams["findings"]}
     sensor = read_yaml(tmp_path / "beams" / "beam_model.yaml").value("sensor")
     assert "opening_angle" not in sensor

@@ -108,9 +108,10 @@ def exponent_findings(reason: str, score: float | None, standard_error: float | 
         yield Finding(
             "field-says-nothing",
             "warning",
-            f"On held-out windows the likelihood field's posterior is no better than a uniform one ({score:+.2f} "
-            "nats).",
-            {"score": score},
-            why="Most likely the map, the poses or their frame are wrong.",
-            do="Correct them and calibrate again.",
+            "On held-out windows the likelihood field's posterior is not surely better than a uniform one "
+            f"({score:+.2f} ± {standard_error:.2f} nats).",
+            {"score": score, "standard_error": standard_error},
+            why="The map, the poses or their frame are wrong, or the log is too short, or its sensor a sonar, of whose "
+            "cones a field knows nothing.",
+            do="Correct what is wrong, or do not use the likelihood field, and calibrate again.",
         )

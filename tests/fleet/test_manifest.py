@@ -77,6 +77,7 @@ def test_a_mistake_in_csv_is_named_with_its_row(tmp_path: Path, text: str, messa
         ("runs:\n  - {log: a, map: m, robot: r, site: 3}\n", ":2: site: expected text, got 3: put it in quotes"),
         ("runs:\n  - {log: a, map: m, robot: r, sight: s}\n", ":2: no key is named 'sight'; did you mean 'site'?"),
         ("runs:\n  - {log: a, map: m, robot: r, site: s, start: 4}\n", ":2: start: expected three numbers"),
+        (f"runs:\n  - {{log: a, map: m, robot: r, site: s, start: [1, 2, {9**400}]}}\n", ":2: start: expected three"),
         ("runs: []\n", ": no logs: the manifest has no rows"),
     ],
 )

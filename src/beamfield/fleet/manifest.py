@@ -241,7 +241,7 @@ def _row(path: Path, line: int, values: Mapping[str, Any]) -> ManifestRow:
 def _start(path: Path, line: int, value: Any) -> tuple[float, float, float]:
     try:
         x, y, degrees = (float(number) for number in value if not isinstance(number, bool))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         x = y = degrees = math.nan
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(degrees)):
         raise FormatError(

@@ -7,6 +7,7 @@ leaves out the start of the commands, which takes most of the time, and keeps wh
 
 from __future__ import annotations
 
+import argparse
 import datetime
 import platform
 import subprocess
@@ -141,4 +142,6 @@ def write_part(name: str, lines: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main("--no-start" not in sys.argv[1:]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--no-start", action="store_true")
+    sys.exit(main(not parser.parse_args().no_start))

@@ -11,11 +11,13 @@ from types import UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import InvalidInputError
 
 _NUMBERS = "biuf"
+# From NumPy 2.5 on NDArray[...] is an alias that keeps its array to itself.
+_ARRAYS = (np.ndarray, get_origin(NDArray[np.float64]))
 
 
 def expect(name: str, value: Any, hint: Any) -> None:
@@ -45,7 +47,7 @@ def kind_of(hint: Any) -> Kind:
     if isinstance(hint, TypeVar):
         hint = hint.__bound__ or Any
     origin, inner = get_origin(hint), get_args(hint)
-    if hint == ArrayLike or origin is np.ndarray:
+    if hint == ArrayLike or origin in _ARRAYS:
         return Kind(is_array_of_numbers, "an array of numbers")
     if origin in (Union, UnionType):
         kinds = [kind_of(one) for one in inner]

@@ -166,6 +166,15 @@ def test_doctor_fits_the_poses_first_and_says_so(world: Path, tmp_path: Path, ca
     assert "they were fitted to this map" in said.err
 
 
+def test_doctor_warns_of_the_map_of_another_building(world: Path, tmp_path: Path, capsys):
+    write_another_building(tmp_path / "other.yaml")
+    words = ["--map", str(tmp_path / "other.yaml"), "--log", str(world / "log.carmen")]
+    assert main(["doctor", str(nav2_file(tmp_path)), *words]) == 1
+    said = capsys.readouterr()
+    assert "warning: map-disagrees" in said.out
+    assert "readings agree with the map" not in said.err
+
+
 @pytest.mark.usefixtures("fitted_once")
 def test_evaluate_compares_with_fitted_poses_and_says_so(world: Path, tmp_path: Path):
     file = nav2_file(tmp_path)

@@ -33,7 +33,26 @@ def pose_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
     -------
     Findings; none if the path is plausible.
     """
-    yield from (*_against_map(log, grid), *_inside_walls(log, grid), *jump_findings(log), *_against_odometry(log))
+    yield from (*map_findings(log, grid), *_inside_walls(log, grid), *jump_findings(log), *_against_odometry(log))
+
+
+def map_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
+    """Find that most readings of a log disagree with the map at its reference poses."""
+    if log.finder.opening_angle > 0.0:
+        return
+    shares = scan_agreement(log, grid, log.poses)
+    if np.isnan(shares).all() or (median := float(np.nanmedian(shares))) >= LEAST_AGREEMENT:
+        return
+    yield Finding(
+        "map-disagrees",
+        "warning",
+        f"At the reference poses, {int(100.0 * median)}% of a scan's readings agree with the map (median; expected "
+        f"{LEAST_AGREEMENT:.0%} or more).",
+        {"median_agreement": median},
+        why="Log, poses and map most likely do not belong together: the map is mirrored, of another building or in "
+        "another frame, the sensor's mount is wrong, or most readings are of people.",
+        do="Run beamfield trajectory on this log and map: it finds the robot in the map, or says that it cannot.",
+    )
 
 
 def jump_findings(log: SensorLog) -> Iterator[Finding]:
@@ -52,24 +71,6 @@ def jump_findings(log: SensorLog) -> Iterator[Finding]:
             why="It was reset, or is not in metres; a filter that follows it gets lost.",
             do="Look for a restart of the base at these times.",
         )
-
-
-def _against_map(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
-    if log.finder.opening_angle > 0.0:
-        return
-    shares = scan_agreement(log, grid, log.poses)
-    if np.isnan(shares).all() or (median := float(np.nanmedian(shares))) >= LEAST_AGREEMENT:
-        return
-    yield Finding(
-        "map-disagrees",
-        "warning",
-        f"At the reference poses, {int(100.0 * median)}% of a scan's readings agree with the map (median; expected "
-        f"{LEAST_AGREEMENT:.0%} or more).",
-        {"median_agreement": median},
-        why="Log, poses and map most likely do not belong together: the map is mirrored, of another building or in "
-        "another frame, the sensor's mount is wrong, or most readings are of people.",
-        do="Run beamfield trajectory on this log and map: it finds the robot in the map, or says that it cannot.",
-    )
 
 
 def _inside_walls(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:

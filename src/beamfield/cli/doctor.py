@@ -80,6 +80,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
             notes = (*notes, *more)
         progress("examining", 0, 1)
         found = examine(file, grid=grid, map_file=map_file, log=log)
+    said = {item.full_text for item in found}
+    notes = tuple(note for note in notes if note not in said)
     code = 1 if any(item.severity != "info" for item in found) else 0
     return Outcome(_counts(found), _as_text(file, found), _as_document(file, found), notes, code=code)
 

@@ -58,6 +58,16 @@ def room(resolution=0.05, unknown=False):
     return OccupancyGrid.from_ros(cells, resolution=resolution)
 
 
+MIDDLE = np.tile([4.0, 3.0, 0.0], (10, 1))
+
+
+def walls():
+    """Return (k,) readings in the middle of the room, by hand."""
+    bearings = np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False)
+    with np.errstate(divide="ignore"):
+        return np.minimum(3.95 / np.abs(np.cos(bearings)), 2.95 / np.abs(np.sin(bearings)))
+
+
 def scans(fill=3.0, *, max_range=10.0, n_beams=N_BEAMS, poses=None):
     """Return ten scans of a full circle with one value for all beams, or values given."""
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, n_beams, endpoint=False), max_range, min_range=0.1)
@@ -146,6 +156,8 @@ FINDINGS = {
     "sigma-huge": ({"sigma_hit": 1.0}, {}, {"sigma_hit": 0.4}, {}),
     "distance-limit": ({"sigma_hit": 0.4, "laser_likelihood_max_dist": 0.9}, {},
                        {"sigma_hit": 0.4, "laser_likelihood_max_dist": 1.0}, {}),
+    "map-disagrees": ({}, {"grid": room(), "log": scans(1.0, poses=MIDDLE)},
+                      {}, {"grid": room(), "log": scans(walls(), poses=MIDDLE)}),
     "nearly-flat": ({}, {}, {"laser_model_type": "likelihood_field_prob"}, {}),
     "absurdly-sharp": ({"laser_model_type": "likelihood_field_prob", "sigma_hit": 0.05, "z_hit": 0.99, "z_rand": 0.01},
                        {}, {"laser_model_type": "likelihood_field_prob", "max_beams": 10, "z_rand": 5.0}, {}),
@@ -410,13 +422,8 @@ def test_parameters_keep_the_names_of_their_stack(tmp_path):
 
 def test_sharpness_is_measured_on_the_log_if_there_are_poses(tmp_path):
     grid = room()
-    poses = np.tile([4.0, 3.0, 0.0], (10, 1))
-    # From the middle of the room, by hand.
-    bearings = np.linspace(-np.pi, np.pi, N_BEAMS, endpoint=False)
-    with np.errstate(divide="ignore"):
-        walls = np.minimum(3.95 / np.abs(np.cos(bearings)), 2.95 / np.abs(np.sin(bearings)))
     file = amcl(tmp_path, laser_model_type="likelihood_field_prob", sigma_hit=0.05, z_hit=0.99, z_rand=0.01)
-    log = scans(walls, poses=poses)
+    log = scans(walls(), poses=MIDDLE)
     found = {item.name: item for item in examine(file, grid=grid, log=log)}
     assert "in the log" in found["absurdly-sharp"].text
     without = {item.name: item for item in examine(file, grid=grid, log=replace(log, poses=np.full((10, 3), np.nan)))}

@@ -17,6 +17,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
     value_checks.unusable_values,
     value_checks.missing_ros_key,
     map_checks.no_obstacles,
+    map_checks.disagreement,
     map_checks.ignored_yaw,
     beam_checks.beam_count,
     beam_checks.nan_readings,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from beamfield.calibration.reference_checks import map_findings
 from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.doctor.subject import Subject
@@ -16,6 +17,14 @@ YAW_TOLERANCE = 1e-9
 # More than this share of the cells changes hands, or of the free cells' neighbours is unknown.
 CHANGED_SHARE = 0.02
 OPEN_EDGE_SHARE = 0.002
+
+
+def disagreement(subject: Subject) -> Iterator[Finding]:
+    """Find that the map is not one of where the log was recorded, or is mirrored."""
+    if subject.grid is None or subject.log is None:
+        return
+    for found in map_findings(subject.log, subject.grid):
+        yield subject.finding("map-disagrees", "warning", found.text, found.why, found.do, values=found.values)
 
 
 def ignored_yaw(subject: Subject) -> Iterator[Finding]:

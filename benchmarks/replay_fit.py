@@ -25,12 +25,13 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report.replay_choice import describe, replay_tables
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings
-from beamfield.stacks.fit.fit import fit_stack
+from beamfield.stacks.fit.fit import StackFit, fit_stack
 from beamfield.stacks.fit.motion_candidates import BEFORE, motion_candidates
 from beamfield.stacks.fit.replay_choice import ReplayChoice, choose_by_replay, replay_options
 from beamfield.stacks.fit.replay_runs import shifted_map
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.registry import STACKS
+from beamfield.stacks.stack import FIELD_PRODUCT
 from half_maps import LOGS, HalfMaps, HalfMapSettings, half_maps
 from stack_fit import REFERENCE_ERROR, SETS, _read
 from tables import print_table
@@ -67,8 +68,29 @@ def read_place(folder: Path, name: str) -> Place:
     return Place(name, log, log, grid, others, REFERENCE_ERROR.get(name, 0.04))
 
 
-def choose(stack: str, model: str, place: Place) -> tuple[ReplayChoice, float]:
+def choose(stack: str, model: str, place: Place, *, any_model: bool) -> tuple[ReplayChoice, float]:
     """Return what `beamfield calibrate --stack` chooses, from the stack's defaults, and the seconds of replay."""
+    described = STACKS[stack]
+    fit = fit_model(stack, model, place)
+    sensors = {BEFORE: (model, fit.before.parameters), "fitted": (model, fit.parameters)}
+    for other in described.models.values() if any_model else ():
+        if other.weight == FIELD_PRODUCT and not described.model(model).weight.is_product:
+            sensors[f"{other.name} fitted"] = other.name, fit_model(stack, other.name, place).parameters
+    began = time.process_time()
+    before = place.settings(
+        FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())
+    )
+    amount = replay_options(before, place.log, 0)
+    stretches = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
+    choice = choose_by_replay(
+        before, sensors, motion_candidates(before, place.log, place.error, place.error / 4.0),
+        0.5 * place.grid.resolution if described.half_cell_low else 0.0, stretches, place.grid, amount,
+    )  # fmt: skip
+    return choice, time.process_time() - began
+
+
+def fit_model(stack: str, model: str, place: Place) -> StackFit:
+    """Fit a model from its defaults, and print what changes."""
     described = STACKS[stack]
     chapter = None
     if not described.model(model).weight.of_field:
@@ -79,23 +101,12 @@ def choose(stack: str, model: str, place: Place) -> tuple[ReplayChoice, float]:
         stack, model, place.scans, place.grid, start=described.start(model), beam_parameters=chapter, options=options
     )
     print({name: value for name, value in asdict(fit.parameters).items() if value != getattr(fit.start, name)})
-    began = time.process_time()
-    before = place.settings(
-        FilterSettings(stack, model, fit.before.parameters, described.filter.motion(), described.filter.parameters())
-    )
-    amount = replay_options(before, place.log, 0)
-    stretches = cut_segments(place.log, *before.update_distances, most=amount.most_stretches, longest=amount.longest)
-    choice = choose_by_replay(
-        before, {BEFORE: fit.before.parameters, "fitted": fit.parameters},
-        motion_candidates(before, place.log, place.error, place.error / 4.0),
-        0.5 * place.grid.resolution if described.half_cell_low else 0.0, stretches, place.grid, amount,
-    )  # fmt: skip
-    return choice, time.process_time() - began
+    return fit
 
 
-def rows(place: Place, stack: str, model: str, n_seeds: int) -> list[dict[str, Any]]:
+def rows(place: Place, stack: str, model: str, n_seeds: int, *, any_model: bool) -> list[dict[str, Any]]:
     """Return a row per log and setting: before, and chosen."""
-    choice, seconds = choose(stack, model, place)
+    choice, seconds = choose(stack, model, place, any_model=any_model)
     print(f"{replay_tables(choice)}\n{seconds:.0f} s of processor time", flush=True)
     table = []
     for title, log in place.others.items():
@@ -123,10 +134,13 @@ def main() -> None:
     parser.add_argument("--model", default="likelihood_field_prob")
     parser.add_argument("--sets", default=",".join((*SETS, *LOGS)))
     parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument(
+        "--any-model", action="store_true", help="let replay choose a field's product, too, as --patch does"
+    )
     given = parser.parse_args()
+    places = (read_place(given.folder, name) for name in given.sets.split(","))
     print_table([
-        row for name in given.sets.split(",")
-        for row in rows(read_place(given.folder, name), given.stack, given.model, given.seeds)
+        row for place in places for row in rows(place, given.stack, given.model, given.seeds, any_model=given.any_model)
     ])  # fmt: skip
 
 

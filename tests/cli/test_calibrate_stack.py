@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
-from beamfield.cli.calibrate_stack import _said, fit_for_stack
+from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack
 from beamfield.cli.main import main
 from beamfield.io.read_map import read_map
 from beamfield.stacks.files.filter_file import read_filter_settings
@@ -26,7 +26,7 @@ amcl:
     z_hit: 0.5
     z_rand: 0.5
     sigma_hit: 0.6   # wide
-    laser_model_type: "likelihood_field_prob"
+    laser_model_type: "likelihood_field"
     max_beams: 60
     alpha1: 0.2   # as shipped
 """
@@ -68,10 +68,15 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     assert new == own
     assert new.sigma_hit != 0.6
     document = json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]
+    # The product does better than the sum of cubes that the file asks for.
     assert (document["stack"], document["model"]) == ("nav2", "likelihood_field_prob")
-    (only,) = document["models"]
-    assert only["calibrated"]["score"] > only["before"]["score"]
-    assert only["parameters"]["sigma_hit"] == pytest.approx(new.sigma_hit, rel=1e-5)
+    assert new.laser_model_type == "likelihood_field_prob"
+    assert "stack-other-model" in [finding["name"] for finding in document["findings"]]
+    own, taken = document["models"]
+    assert (own["chosen"], taken["chosen"]) == (False, True)
+    assert own["start"]["laser_model_type"] == "likelihood_field"
+    assert taken["calibrated"]["score"] > own["calibrated"]["score"]
+    assert taken["parameters"]["sigma_hit"] == pytest.approx(new.sigma_hit, rel=1e-5)
     both = [
         read_filter_settings(read_stack_file(path, stack="nav2")) for path in (mine, tmp_path / "out" / "nav2.yaml")
     ]
@@ -186,6 +191,30 @@ def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tm
     assert mine.read_text() == MINE
     assert "need 5 of each" in json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["missing"]
     assert "no values for nav2" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("model", "said", "tried"),
+    [
+        ("likelihood_field", None, ["likelihood_field", "likelihood_field_prob"]),
+        ("beam", None, ["beam", "likelihood_field_prob"]),
+        ("likelihood_field_prob", None, ["likelihood_field_prob"]),
+        ("likelihood_field", "likelihood_field", ["likelihood_field"]),
+    ],
+)
+def test_for_a_file_its_own_model_is_tried_and_a_product_instead_of_a_sum(tmp_path, monkeypatch, model, said, tried):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE.replace('"likelihood_field"', model))
+    monkeypatch.setattr("beamfield.stacks.fit.fit.fit_stack", lambda _, name, *__, start, **___: (name, start))
+    job = SimpleNamespace(
+        arguments=SimpleNamespace(stack="nav2", model=said, reference_error=0.04, seed=0, block=None),
+        patched=read_stack_file(mine, stack="nav2", model=said), progress=None,
+    )  # fmt: skip
+    result = SimpleNamespace(findings=(), candidates=(), options=SimpleNamespace(selection=None))
+    fits = _fits(job, None, None, result)
+    assert [name for name, _ in fits] == tried
+    assert [start.laser_model_type for _, start in fits] == tried
+    assert {start.sigma_hit for _, start in fits} == {0.6}
 
 
 def test_where_scans_tell_nothing_nothing_is_replayed_or_written(monkeypatch):

@@ -81,7 +81,7 @@ def stretches(drive):
 def repaired(office, stretches):
     told: list[tuple[str, int, int]] = []
     choice = choose_by_replay(
-        nav2_filter(**ABSURD), {"before": SENSOR}, MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None),
+        nav2_filter(**ABSURD), {"before": (KIND, SENSOR)}, MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None),
         0.5 * office.resolution,
         stretches, office, FEW, progress=lambda *words: told.append(words),
     )  # fmt: skip
@@ -106,7 +106,9 @@ def test_values_that_nothing_beats_are_kept(office, stretches):
     own = nav2_filter(**GOOD)
     worse = replace(SENSOR, z_hit=0.0, z_rand=1.0)  # says nothing
     motions = MotionCandidates({"before": {}, "absurd": ABSURD}, GOOD)
-    choice = choose_by_replay(own, {"before": SENSOR, "fitted": worse}, motions, 0.0, stretches, office, FEW)
+    choice = choose_by_replay(
+        own, {"before": (KIND, SENSOR), "fitted": (KIND, worse)}, motions, 0.0, stretches, office, FEW
+    )
     assert not choice.is_better
     assert choice.chosen is choice.finalist is choice.before
     assert choice.chosen.filter.motion == own.motion
@@ -135,7 +137,7 @@ def test_seeds_that_are_missing_are_run_and_no_others(office, stretches, monkeyp
 
 def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches, tmp_path, monkeypatch):
     before, motions = nav2_filter(**ABSURD), MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
-    inputs = before, {"before": SENSOR}, motions, 0.5 * office.resolution, stretches, office, FEW
+    inputs = before, {"before": (KIND, SENSOR)}, motions, 0.5 * office.resolution, stretches, office, FEW
     runs: list[int] = []
 
     def counted(replayed, log, seeds, **options):

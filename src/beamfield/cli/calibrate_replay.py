@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +22,12 @@ MAP_NAME = "amcl_map.yaml"
 
 
 def replay_fit(
-    job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, fit: StackFit, learned: Mapping[str, Any]
-) -> tuple[ReplayChoice | None, str]:
+    job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, fit: StackFit, others: Sequence[StackFit],
+    learned: Mapping[str, Any],
+) -> tuple[ReplayChoice | None, str]:  # fmt: skip
     """Choose between the values before and those fitted, with several motion noises, by the stack's own filter.
 
-    Returns the decision, or none and why nothing was replayed.
+    Returns the decision, or none and why nothing was replayed. `others` are fits of other models of the stack.
     `learned` is the motion noise that was asked for with --odometry-noise: it is then the only other one.
     """
     from beamfield.calibration.pose_windows import REFERENCE_LEVER
@@ -51,9 +52,11 @@ def replay_fit(
     motions = motion_candidates(before, sensor, error, error / REFERENCE_LEVER)
     if learned:
         motions = motions._replace(by_name={BEFORE: {}, LEARNED: learned})
-    sensors = {BEFORE: fit.before.parameters}
+    sensors = {BEFORE: (fit.model.model, fit.before.parameters)}
     if fit.chosen is not fit.before:
-        sensors["fitted"] = fit.parameters
+        sensors["fitted"] = fit.model.model, fit.parameters
+    for other in others:
+        sensors[f"{other.model.model} fitted"] = other.model.model, other.parameters
     inputs = before, sensors, motions, _shift(job, before, grid), stretches, grid, options
     try:
         with kept_runs(_cache_folder(), inputs) as kept:

@@ -6,7 +6,7 @@ import argparse
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,9 +36,7 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("for another program")
     group.add_argument("--stack", metavar="NAME",
                        help="fit a model of nav2, ros1, beluga, mrpt or f1tenth in its own formula")  # fmt: skip
-    group.add_argument(
-        "--model", metavar="NAME", help="the stack's model (default: the best one, or the patched file's)"
-    )
+    group.add_argument("--model", metavar="NAME", help="the stack's model (default: the best one)")
     group.add_argument("--patch", type=Path, metavar="FILE",
                        help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
     group.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")
@@ -89,7 +87,7 @@ def warn_if_too_short(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGri
 def fit_for_stack(
     job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration, motion: Mapping[str, Any]
 ) -> ReportPart:
-    """Fit one model of the stack, or all of them, and return what comes of it; `motion` goes into its file, too."""
+    """Fit models of the stack, choose one, and return what comes of it; `motion` goes into its file, too."""
     from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
     from beamfield.report.stack_section import StackResult, stack_as_dict, stack_section, stack_tables
@@ -103,10 +101,12 @@ def fit_for_stack(
         why = f"no values for {stack}: {error}"
         section = PageSection("stack", f"For {stack}", f"<p>{escaped(why)}</p>")
         return ReportPart("stack", why, {"stack": stack, "missing": str(error)}, section, {}, problem=why)
-    choice, why_not = replay_fit(job, sensor, grid, best, motion)
-    found = StackResult(fits, best, choice, why_not)
+    # A file's own model stays unless replay says otherwise.
+    own, others = (best, []) if job.patched is None else (fits[0], fits[1:])
+    choice, why_not = replay_fit(job, sensor, grid, own, others, motion)
+    found = StackResult(fits, own if choice is None else _fit_of(fits, choice.chosen.filter.model), choice, why_not)
     record = _record(found) if found.covers else ""
-    start_values = asdict(best.start)
+    start_values = asdict(found.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
     noise = dict(motion) if choice is None else found.motion
     said = _said(stack, noise)
@@ -131,25 +131,30 @@ def _said(stack: str, noise: Mapping[str, Any]) -> list[str]:
 
 
 def _fits(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, result: Calibration) -> list[StackFit]:
-    """Return a fit of the model asked for, of the patched file's, or of each that the stack has."""
+    """Return a fit of the model asked for, or of each that the stack has.
+
+    For a file to patch it is that of its own model first. If that adds up cubes, which are flat whatever the values,
+    that of a field's product comes next.
+    """
     from beamfield.report.verdict import DOUBTS
     from beamfield.stacks.files.typed_values import checked_values
     from beamfield.stacks.fit.fit import fit_stack
     from beamfield.stacks.registry import STACKS
+    from beamfield.stacks.stack import FIELD_PRODUCT
 
     if any(finding.name == "map-disagrees" for finding in result.findings):
         raise TooLittleDataError(DOUBTS["map-disagrees"])
     arguments, file = job.arguments, job.patched
     stack = STACKS[arguments.stack]
-    models = tuple(stack.models)
-    if file is not None:  # read with the model asked for, if any
-        models = (file.model,)
-    elif arguments.model is not None:
-        models = (arguments.model,)
+    models = tuple(stack.models) if arguments.model is None else (arguments.model,)
+    if file is not None:
+        is_flat = not stack.model(file.model).weight.is_product
+        models = (file.model, *(name for name in models if is_flat and stack.model(name).weight == FIELD_PRODUCT))
     plain = next((form.result.parameters for form in result.candidates if form.is_chapter), None)
     return [
         fit_stack(
-            stack.name, model, sensor, grid, start=stack.start(model) if file is None else checked_values(file),
+            stack.name, model, sensor, grid,
+            start=stack.start(model) if file is None else checked_values(replace(file, model=model)),
             beam_parameters=plain, options=_window_options(job), selection=result.options.selection,
             block_s=arguments.block, progress=job.progress,
         )
@@ -169,6 +174,10 @@ def _best(fits: Sequence[StackFit]) -> StackFit:
             f"that it is near its reference pose at all ({LEAST_SCORE:.2f}); do log, poses and map belong together?"
         )
     return best
+
+
+def _fit_of(fits: Sequence[StackFit], model: str) -> StackFit:
+    return next(fit for fit in fits if fit.model.model == model)
 
 
 def _window_options(job: CalibrationJob) -> WindowOptions:

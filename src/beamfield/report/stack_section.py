@@ -55,6 +55,14 @@ class StackResult:
     why_not: str = ""
 
     @property
+    def start(self) -> Any:
+        """The sensor's values before."""
+        if self.replay is None:
+            return self.chosen.start
+        model = self.replay.before.filter.model
+        return next(fit.start for fit in self.fits if fit.model.model == model)
+
+    @property
     def trial(self) -> Trial:
         """The sensor's values to use: those before or those fitted."""
         keeps = self.replay is not None and self.replay.chosen.sensor == BEFORE
@@ -167,7 +175,22 @@ def stack_findings(result: StackResult) -> list[Finding]:
     """Return what to know before using the values: coverage, odd numbers, choices at the end of what was tried."""
     fit = result.chosen
     about_trial = () if result.trial is fit.before else _about_search(fit)
-    return [*small_z_hit(fit.model.stack, fit.model.model, result.parameters), *_about_coverage(result), *about_trial]
+    z_hit = small_z_hit(fit.model.stack, fit.model.model, result.parameters)
+    return [*_about_model(result), *z_hit, *_about_coverage(result), *about_trial]
+
+
+def _about_model(result: StackResult) -> Iterator[Finding]:
+    model, before = result.chosen.model.model, result.replay and result.replay.before.filter.model
+    if before and before != model:
+        yield Finding(
+            "stack-other-model",
+            "info",
+            f"The filter does better with {model} than with {before}, which it ran before.",
+            why=f"{before} computes {model_named(result.chosen.model.stack, before).weight.text}, {model} "
+            f"{model_named(result.chosen.model.stack, model).weight.text}: one scan then says more.",
+            do=f"If your robot has to find itself from anywhere, try that, too: {before} forgives more there, and "
+            f"--model {before} keeps it.",
+        )
 
 
 def small_z_hit(stack: str, model: str, parameters: Any) -> Iterator[Finding]:
@@ -281,7 +304,7 @@ def _score_rows(fit: StackFit, is_chosen: bool) -> list[tuple[str, ...]]:
 
 
 def _parameter_rows(result: StackResult) -> list[tuple[str, ...]]:
-    before, after = asdict(result.chosen.start), {**asdict(result.parameters), **result.motion}
+    before, after = asdict(result.start), {**asdict(result.parameters), **result.motion}
     if result.replay is not None:
         before |= asdict(result.replay.before.filter.motion)
     return [(name, _value(before[name]), _value(value)) for name, value in after.items() if value != before[name]]

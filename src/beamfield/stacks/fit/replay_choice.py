@@ -138,7 +138,7 @@ class ReplayChoice:
 
 def choose_by_replay(
     before: FilterSettings,
-    sensors: Mapping[str, Any],
+    sensors: Mapping[str, tuple[str, Any]],
     motions: MotionCandidates,
     shift: float,
     stretches: Sequence[SensorLog],
@@ -161,7 +161,7 @@ def choose_by_replay(
     before
         The user's filter.
     sensors
-        Parameters of the measurement model by name, "before" for the user's.
+        Measurement models and their parameters by name, "before" for the user's.
     motions
         Parameters of the motion model.
     shift
@@ -181,7 +181,10 @@ def choose_by_replay(
     settings = {
         Key(sensor, motion, shift): ReplaySetting(
             sensor, motion, shift,
-            replace(before, sensor=sensors[sensor], motion=replace(before.motion, **motions.by_name[motion])),
+            replace(
+                before, model=sensors[sensor][0], sensor=sensors[sensor][1],
+                motion=replace(before.motion, **motions.by_name[motion]),
+            ),
         )
         for sensor, motion, shift in product(sensors, motions.by_name, {0.0, shift})
     }  # fmt: skip

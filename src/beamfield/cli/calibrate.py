@@ -119,10 +119,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 (place / file_name).write_text(content, encoding="utf-8")
         recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
-    if patched is not None and first.stack is not None:
-        line += f"\n{write_patch(patched, first.stack)}"
     if arguments.quiet:
-        line = "; ".join(result.document["verdict"] for result in results.values())
+        line = "; ".join((result.stack or result).document["verdict"] for result in results.values())
+    if patched is not None and first.stack is not None:
+        changed = write_patch(patched, first.stack)
+        line = f"{line.removesuffix('.')}; {changed}" if arguments.quiet else f"{line}\n{changed}"
     heads = {name: f"== {printable(name)}\n" if len(results) > 1 else "" for name in results}
     problems = [problem for result in results.values() for problem in result.problems]
     return Outcome(

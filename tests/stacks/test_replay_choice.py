@@ -33,6 +33,7 @@ from beamfield.stacks.fit import replay_runs
 from beamfield.stacks.fit.kept_runs import KeptRuns, kept_runs
 from beamfield.stacks.fit.motion_candidates import MotionCandidates, motion_candidates
 from beamfield.stacks.fit.replay_choice import (
+    ReplayChoice,
     ReplayOptions,
     _of_equals,
     choose_by_replay,
@@ -40,7 +41,7 @@ from beamfield.stacks.fit.replay_choice import (
     costs,
     replay_options,
 )
-from beamfield.stacks.fit.replay_runs import Replays, ReplaySetting
+from beamfield.stacks.fit.replay_runs import Key, Replays, ReplaySetting
 from beamfield.stacks.fit.replay_segments import cut_segments
 from beamfield.stacks.mrpt.filter import MrptFilterParameters
 from beamfield.stacks.mrpt.motion import MrptMotion
@@ -54,6 +55,9 @@ GOOD = {f"alpha{i}": 0.02 for i in range(1, 5)}
 ABSURD = {f"alpha{i}": 2.0 for i in range(1, 5)}
 KIND = "likelihood_field_prob"
 SENSOR = Nav2Parameters(laser_model_type=KIND, max_beams=20)
+RUN = ReplayErrors(mean=0.1, median=0.1, p95=0.2, end=0.1, lost=False, yaw_mean_deg=1.0, yaw_median_deg=1.0,
+                   yaw_p95_deg=2.0, yaw_rmse_deg=1.2, nees_median=2.4, inside=0.9, inside_noisy=0.95,
+                   sd_position=0.1, particles=500.0, updates=100)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -244,11 +248,36 @@ def test_a_motion_model_without_alphas_stays(drive):
     assert motion_candidates(settings, drive, 0.01, 0.003) == ({"before": {}}, None)
 
 
+def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office, monkeypatch):
+    def runs(key: Key) -> ReplayTrials:
+        error = {"before": 0.3, "fitted": 0.1}[key.sensor] * (0.6 if key.motion == "alpha 0.02" else 1.0)
+        loses = key.sensor == "fitted"
+        errors = [replace(RUN, mean=error * (1.0 + 0.01 * i), lost=loses and i % 2 == 0) for i in range(12)]
+        return ReplayTrials("hall", tuple(range(12)), tuple(errors))
+
+    class Known(Replays):
+        def of(self, settings, *_):
+            return {one.key: [runs(one.key)] * 2 for one in settings}
+
+    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    sensors = {"before": (KIND, SENSOR), "fitted": (KIND, replace(SENSOR, z_hit=0.9))}
+
+    def choose(**motions: dict[str, float]) -> ReplayChoice:
+        noises = MotionCandidates({"before": {}, **motions}, None)
+        return choose_by_replay(nav2_filter(), sensors, noises, 0.0, [None, None], office, FEW)
+
+    choice = choose(**{"alpha 0.02": GOOD})
+    assert choice.is_better
+    assert choice.chosen.key == Key("before", "alpha 0.02", 0.0)
+    assert choice.n_settings == 4
+    # Where nothing else helps, what came nearest is told.
+    nothing = choose()
+    assert not nothing.is_better
+    assert nothing.finalist.sensor == "fitted"
+
+
 def test_lost_runs_and_missing_coverage_cost_without_drowning_the_rest():
-    run = ReplayErrors(mean=0.1, median=0.1, p95=0.2, end=0.1, lost=False, yaw_mean_deg=1.0, yaw_median_deg=1.0,
-                       yaw_p95_deg=2.0, yaw_rmse_deg=1.2, nees_median=2.4, inside=0.9, inside_noisy=0.95,
-                       sd_position=0.1, particles=500.0, updates=100)  # fmt: skip
-    trials = ReplayTrials("hall", (0, 1, 2), (run, replace(run, inside_noisy=0.7), replace(run, mean=40.0)))
+    trials = ReplayTrials("hall", (0, 1, 2), (RUN, replace(RUN, inside_noisy=0.7), replace(RUN, mean=40.0)))
     np.testing.assert_allclose(clipped(trials).column("mean"), [0.1, 0.1, 1.0])
     np.testing.assert_allclose(np.exp(costs(trials).column("mean")), [0.1, 0.14, 1.0])
 
@@ -281,9 +310,9 @@ def test_without_odometry_or_an_emulated_filter_nothing_is_replayed(drive, offic
     job = SimpleNamespace(patched=None)
     blind = replace(drive, odometry=np.full_like(drive.poses, np.nan))
     fit = SimpleNamespace(model=SimpleNamespace(stack="mrpt"))
-    assert replay_fit(job, blind, office, fit, {}) == (None, "the log has no odometry")
+    assert replay_fit(job, blind, office, fit, [], {}) == (None, "the log has no odometry")
     monkeypatch.setitem(STACKS, "mrpt", replace(STACKS["mrpt"], filter=None))
-    assert replay_fit(job, drive, office, fit, {}) == (None, "the particle filter of mrpt is not emulated")
+    assert replay_fit(job, drive, office, fit, [], {}) == (None, "the particle filter of mrpt is not emulated")
 
 
 def test_safe_noise_is_twice_what_the_log_shows_but_not_twice_the_floor(drive):

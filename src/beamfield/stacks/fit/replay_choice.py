@@ -154,7 +154,8 @@ def choose_by_replay(
     program reads its map half a cell off is known, and only a surely greater error speaks against it. Of what is left
     the stretches of the log choose together, and keep the user's motion noise or sensor if other values are not surely
     better. They judge crosswise: on each one the setting that the others choose runs against the user's. A few
-    stretches disagree too much for half of them to choose and half to judge.
+    stretches disagree too much for half of them to choose and half to judge. If the choice is not better for sure, it
+    is made once more without its sensor.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ def choose_by_replay(
 
     before_, after = trials[own.key], on_each(crossed)
     error, cost = _compared(before_, after, clipped), _compared(before_, after, costs)
-    return ReplayChoice(
+    choice = ReplayChoice(
         before=own,
         finalist=finalist,
         is_better=cost.is_lower and not error.is_higher and not compare_trials(before_, after, "lost").is_higher,
@@ -230,6 +231,12 @@ def choose_by_replay(
         parts={name: _compared(on_each(rivals), after, clipped) for name, rivals in without.items()},
         n_settings=len(raced) + (best.shift > 0.0),
     )
+    if choice.is_better or finalist.sensor == BEFORE:
+        return choice
+    # What is not better for sure, as a sensor that loses a few robots, must not hide what is.
+    fewer = {name: one for name, one in sensors.items() if name != finalist.sensor}
+    again = choose_by_replay(before, fewer, motions, shift, stretches, grid, options, progress, kept)
+    return replace(again, n_settings=choice.n_settings) if again.is_better else choice
 
 
 def clipped(trials: ReplayTrials) -> ReplayTrials:

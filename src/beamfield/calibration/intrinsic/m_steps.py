@@ -6,6 +6,8 @@ Where (6.30) and (6.31) maximise it for untruncated densities, these do for a hi
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,7 @@ from beamfield.kernels import m_step as kernels
 _MOST_STEPS = 50
 # A Newton step squares the error: one that promises no more nats per hit, or moves lambda by no more of itself, is the
 # last.
-_LAST_GAIN, _LAST_STEP = 1e-10, 1e-7
+_LAST_GAIN, _LAST_STEP = 1e-9, 1e-7
 _SHAPE = slice(VARIANCE, OFFSET + 1)
 # A cause with fewer expected beams than this is dying: its shape stays what it was.
 _LEAST_COUNT = 1e-12
@@ -91,7 +93,7 @@ def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: Learn
         else:
             break
         y, value, gradient, hessian = trial, new_value, new_gradient, new_hessian
-    y[0] = np.exp(y[0])
+    y[0] = math.exp(y[0])
     return np.where(free, np.minimum(np.maximum(y, lower), upper), x)
 
 
@@ -108,14 +110,14 @@ def _uncut_shape(
 
 def _in_log_variance(x: FloatArray) -> FloatArray:
     """Variance, slope and offset with the variance's logarithm: however far the start, the objective is rounder."""
-    return np.array([np.log(x[0]), x[1], x[2]])
+    return np.array([math.log(x[0]), x[1], x[2]])
 
 
 def _hit_objective(
     y: FloatArray, statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return what `_hit_shape` maximises, with its derivatives in log variance, slope and offset."""
-    v, out = float(np.exp(y[0])), np.empty(10)
+    v, out = math.exp(y[0]), np.empty(10)
     kernels.hit_objective(
         statistics.node_ranges, statistics.node_hit, problem.span, problem.min_range, v, y[1], y[2], out
     )

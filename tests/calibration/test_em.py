@@ -11,8 +11,10 @@ from beamfield.calibration.intrinsic.curvature import naive_covariance
 from beamfield.calibration.intrinsic.em import FEWEST_BEAMS, learn_intrinsic_parameters
 from beamfield.calibration.intrinsic.learning_problem import SIGMA_FLOOR_SHARE, learning_problem
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
+from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.calibration.intrinsic.priors import IntrinsicPriors
 from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.kernels.m_step import hit_objective, short_slopes
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
@@ -83,6 +85,22 @@ def test_no_optimiser_finds_more(name):
         start = np.concatenate([np.log(np.maximum(p.weights, 1e-6)), shapes * factor])
         best = optimize.minimize(loss, start, method="Nelder-Mead", options={"maxiter": 1500, "fatol": 1e-12})
         assert -best.fun <= result.log_likelihood + 1e-9
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_m_step_ends_where_nothing_rises_whatever_the_start(name):
+    z, expected, max_range, truth, options = draw(name, 2000)
+    problem, likelihood = learning_problem(max_range, **options), IntrinsicLikelihood(z, expected, max_range)
+    for start in (theta_of(truth), [0.25, 0.25, 0.25, 0.25, 0.5, 0.01, -0.1, 1.0]):
+        theta = problem.apply(np.array(start))
+        given, out = likelihood.expected_statistics(theta, slope_is_free=bool(problem.free[5])), np.empty(10)
+        new = m_step(given, theta, problem)
+        hit_objective(given.node_ranges, given.node_hit, max_range, 0.0, *new[4:7], out)
+        # Nats per hit in log v, log q and offsets of a sigma; a slope may end at 0.
+        slopes = out[1:4] * [new[4], new[5], np.sqrt(new[4])] / given.counts[0]
+        assert np.all(np.abs(slopes[problem.free[4:7]]) <= 1e-8)
+        rise, bend = short_slopes(given.node_ranges, given.node_short, given.sum_short_range, new[7])
+        assert abs(rise) <= 1e-10 * abs(bend) * new[7] or (new[7] == 0.0 and rise <= 0.0)
 
 
 def test_plain_em_agrees_and_never_falls():

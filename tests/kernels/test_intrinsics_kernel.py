@@ -10,7 +10,7 @@ import pytest
 from scipy import integrate, stats
 
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of
-from beamfield.kernels.cuts import log_mass, mean_share, mean_share_slope, relative_rate
+from beamfield.kernels.cuts import log_mass, mean_share, relative_rate
 from beamfield.kernels.m_step import hit_objective
 from beamfield.models.beam_density import beam_log_density, beam_responsibilities
 from tests.threads import forced_threads
@@ -161,15 +161,16 @@ def test_log_mass_of_the_normal_distribution(low, high):
 @pytest.mark.parametrize("x", [0.0, 1e-6, 9.9e-3, 1.01e-2, 0.099, 0.101, 1.0, 30.0, 699.0, 701.0])
 def test_shapes_of_a_short_are_continuous_and_right(x):
     if x == 0.0:
-        assert (relative_rate(x), mean_share(x), mean_share_slope(x)) == (1.0, 0.5, -1 / 12)
+        assert (relative_rate(x), *mean_share(x)) == (1.0, 0.5, -1 / 12)
         return
     # Mean and variance of an exponential distribution with rate x cut to [0, 1].
     density = integrate.quad(lambda u: math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)[0]
     mean = integrate.quad(lambda u: u * math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)[0] / density
     square = integrate.quad(lambda u: (u - mean) ** 2 * math.exp(-x * u), 0.0, min(1.0, 50 / x), epsrel=1e-13, epsabs=0)
     assert relative_rate(x) == pytest.approx(1.0 / density, rel=1e-12)
-    assert mean_share(x) == pytest.approx(mean, rel=1e-11)
-    assert mean_share_slope(x) == pytest.approx(-square[0] / density, rel=1e-9)
+    share, slope = mean_share(x)
+    assert share == pytest.approx(mean, rel=1e-11)
+    assert slope == pytest.approx(-square[0] / density, rel=1e-9)
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="several tasks need more beams than interpreted loops can take")

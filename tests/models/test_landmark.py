@@ -128,6 +128,14 @@ def test_nearest_finds_the_first_of_the_best_of_all_candidates_to_the_last_bit(s
     assert {30, 31} < set(chosen.ravel().tolist())
 
 
+@pytest.mark.parametrize("how", ["known", "nearest"])
+def test_poses_of_the_next_block_are_scored_as_if_alone(how, rng):
+    poses = np.column_stack([rng.uniform(0.0, 4.0, (kernels.BLOCK + 5, 2)), rng.uniform(-3.0, 3.0, kernels.BLOCK + 5)])
+    m, z = model(how), detections(ids=[7, 3, 12, 7, 3]) if how == "known" else detections()
+    got = m.detection_log_likelihood(z, poses)
+    np.testing.assert_array_equal(got[-9:], [m.detection_log_likelihood(z, pose) for pose in poses[-9:]])
+
+
 def test_nearest_is_the_least_mahalanobis_distance():
     z = detections()
     m = model("nearest", LandmarkParameters(*SIGMAS[:2]))

@@ -62,22 +62,17 @@ def relative_rate(x: float) -> float:
 
 
 @kernel
-def mean_share(x: float) -> float:
-    """Return 1/x - 1/(e^x - 1): the mean of a short over z*; 1/2 at x = 0."""
-    if x < 0.01:
-        return 0.5 - x / 12.0 + x**3 / 720.0 - x**5 / 30240.0
-    if x > 700.0:
-        return 1.0 / x
-    return 1.0 / x - 1.0 / math.expm1(x)
+def mean_share(x: float) -> tuple[float, float]:
+    """Return 1/x - 1/(e^x - 1), the mean of a short over z*, and its derivative; 1/2 and -1/12 at x = 0.
 
-
-@kernel
-def mean_share_slope(x: float) -> float:
-    """Return the derivative of `mean_share`: minus the variance of a short over z*^2; -1/12 at x = 0."""
+    The derivative is minus the variance of a short over z*^2.
+    """
     if x < 0.1:
-        x2 = x * x
-        return -1.0 / 12.0 + x2 * (1.0 / 240.0 - x2 * (1.0 / 6048.0 - x2 * (1.0 / 172800.0 - x2 / 5322240.0)))
+        y = x * x
+        share = 1.0 / 12.0 - y * (1.0 / 720.0 - y * (1.0 / 30240.0 - y * (1.0 / 1209600.0 - y / 47900160.0)))
+        slope = 1.0 / 12.0 - y * (1.0 / 240.0 - y * (1.0 / 6048.0 - y * (1.0 / 172800.0 - y / 5322240.0)))
+        return 0.5 - x * share, -slope
     if x > 700.0:
-        return -1.0 / (x * x)
-    e = math.expm1(x)
-    return (1.0 + 1.0 / e) / e - 1.0 / (x * x)
+        return 1.0 / x, -1.0 / (x * x)
+    e = 1.0 / math.expm1(x)
+    return 1.0 / x - e, (1.0 + e) * e - 1.0 / (x * x)

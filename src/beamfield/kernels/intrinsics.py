@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.cuts import HALF_LOG_2PI, log_cut_mass, log_mass, mean_share, mean_share_slope, relative_rate
+from beamfield.kernels.cuts import HALF_LOG_2PI, log_cut_mass, log_mass, mean_share, relative_rate
 from beamfield.kernels.elementary import fast_exp, fast_log
 from beamfield.kernels.jit import inlined_fast_kernel, inlined_kernel, kernel
 from beamfield.kernels.narrow_bins import BIN_BEAMS, NODES, POWERS, SHORTEST_SUPPORT, TERMS, Bins, Mixture
@@ -161,8 +161,7 @@ def _slopes(bins: Bins, j: int, mixture: Mixture, out: FloatArray) -> None:
     out[:] = 0.0
     for k in range(TERMS):
         expected = bins.centres[j] + bins.half_widths[j] * NODES[k]
-        x = mixture.rate * expected
-        share, slope = mean_share(x), mean_share_slope(x)
+        share, slope = mean_share(mixture.rate * expected)
         for m in range(TERMS):
             out[5, m] += share * POWERS[k, m]
             out[6, m] += slope * POWERS[k, m]

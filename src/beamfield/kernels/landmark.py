@@ -41,18 +41,38 @@ class Noise(NamedTuple):
     log_max_range: float
 
 
-# Poses of one pass of the vectorised loop: five columns of doubles stay in the nearest cache.
-BLOCK = 512
+class Block(NamedTuple):
+    """Columns for some poses: sensor, unit vector along a bearing, least costs with an index in their last bits."""
 
+    x: Floats
+    y: Floats
+    cos: Floats
+    sin: Floats
+    ahead_x: Floats
+    ahead_y: Floats
+    first: Floats
+    second: Floats
+    third: Floats
+
+
+class Candidates(NamedTuple):
+    """One landmark for each pose: position, constant, and the log density of a feature given it."""
+
+    x: Floats
+    y: Floats
+    base: Floats
+    value: Floats
+
+
+# Poses of one pass of the vectorised loops: their columns of doubles stay in the nearest cache.
+BLOCK = 512
 # The square of a chord, times the one and less the other, is below the square of the angle as computed.
 CHORD, CHORD_ERROR = 1.0 - 1e-6, 1e-14
 # Bounds of costs are wider by a relative slack, and by what rounding makes of angles in radians and of ranges by their
 # own length.
 SLACK, ROUNDED = 1e-6, 1e-13
-# More candidates than this take longer than finding out which of them their bearings rule out.
-FEW = 8
-# Bits of an index that takes the place of a cost's last ones.
-INDEX_MASK = np.int64(2**20 - 1)
+# Bits of an index that takes the place of a cost's last ones, and a cost that is no subnormal number with it.
+INDEX_MASK, LEAST_COST = np.int64(2**20 - 1), 1e-300
 
 
 @inlined_kernel
@@ -173,7 +193,7 @@ def fill_nearest(
 ) -> None:  # fmt: skip
     """Fill in the most probable correspondence of each feature: the first of the largest values of `fill_candidates`.
 
-    Only candidates whose least cost lets them win need an angle; the result has the same bits.
+    Two landmarks of the least cost are tried, the others only where a third could win; the result has the same bits.
 
     Parameters
     ----------
@@ -186,79 +206,147 @@ def fill_nearest(
     chosen
         (n, k) its index; N where none is more probable, N + 1 where nothing is possible.
     """
-    across, along = landmarks[0], landmarks[1]
-    lack, cost = np.empty(base.shape), np.empty(across.size)
-    scales, most, room = np.empty(features.shape[0]), np.empty(features.shape[0]), np.empty(features.shape[0])
-    for k in range(features.shape[0]):
-        scales[k], room[k] = _scale_of_places(_measured(features[k])), _room_for_rounding(_measured(features[k]))
-        most[k] = base[k, 0]
-        for j in range(across.size):
-            most[k] = max(most[k], base[k, j])
-        for j in range(across.size):
-            lack[k, j] = 2.0 * (most[k] - base[k, j])
-    for i in range(poses.shape[0]):
-        sensor = _sensor(poses[i], mount)
+    n = landmarks.shape[1]
+    most, lack = _most_and_lack(base)
+    at, one, two = Block(*_columns(), *_columns(), np.empty(BLOCK)), Candidates(*_columns()), Candidates(*_columns())
+    cost = np.empty(max(n, BLOCK))
+    for start in range(0, poses.shape[0], BLOCK):
+        m = min(BLOCK, poses.shape[0] - start)
+        for i in range(m):
+            at.x[i], at.y[i], at.cos[i], at.sin[i] = _sensor(poses[start + i], mount)
         for k in range(features.shape[0]):
-            feature, constants = _measured(features[k]), base[k]
-            # Where costs of places leave many candidates, those of ranges and bearings leave fewer.
-            by_place = scales[k] > 0.0
-            while True:
-                if by_place:
-                    _fill_costs_of_places(sensor, feature, scales[k], across, along, lack[k], cost)
-                else:
-                    _fill_costs(sensor, feature, across, along, lack[k], cost)
-                first = _least(cost)
-                best = _never_nan(log_value(sensor, across[first], along[first], feature, constants[first]))
-                gain = most[k] - max(best, log_spurious[k] - log_landmark)
-                limit = (1.0 + SLACK) * 2.0 * gain + room[k]
-                # A cost that is NaN says nothing, nor does a limit that is.
-                others = 0
-                for j in range(across.size):
-                    others += 0 if (cost[j] > limit) | (j == first) else 1
-                if others <= FEW or not by_place:
-                    break
-                by_place = False
-            which = first
-            for j in range(across.size if others else 0):
-                if not cost[j] > limit and j != first:
-                    value = _never_nan(log_value(sensor, across[j], along[j], feature, constants[j]))
-                    if value > best or (value == best and j < which):
-                        which, best = j, value
-            best += log_landmark
-            out[i, k] = max(best, log_spurious[k])
-            chosen[i, k] = which if best >= log_spurious[k] else across.size
-            if out[i, k] == -math.inf:
-                chosen[i, k] = across.size + 1
+            feature, none, room = _measured(features[k]), log_spurious[k], _room_for_rounding(_measured(features[k]))
+            _find_least(m, at, feature, landmarks, lack[k], cost)
+            _fill_values(m, at, feature, landmarks, base[k], at.first, one)
+            _fill_values(m, at, feature, landmarks, base[k], at.second, two)
+            for i in range(m):
+                which, best = _better(_index(at.first[i]), one.value[i], _index(at.second[i]), two.value[i])
+                limit = (1.0 + SLACK) * 2.0 * (most[k] - max(best, none - log_landmark)) + room
+                # A limit that is NaN says nothing.
+                if not at.third[i] > limit:
+                    which, best = _best_of_all(i, at, feature, landmarks, base[k], lack[k], limit, cost, which, best)
+                best += log_landmark
+                out[start + i, k] = max(best, none)
+                chosen[start + i, k] = which if best >= none else n
+                if out[start + i, k] == -math.inf:
+                    chosen[start + i, k] = n + 1
+
+
+@kernel
+def _most_and_lack(base: Floats) -> tuple[Floats, Floats]:
+    """Return the largest constant of each feature (k,), and twice what each landmark's is below it (k, N)."""
+    most, lack = np.empty(base.shape[0]), np.empty(base.shape)
+    for k in range(base.shape[0]):
+        most[k] = base[k].max()
+        for j in range(base.shape[1]):
+            lack[k, j] = 2.0 * (most[k] - base[k, j])
+    return most, lack
+
+
+@kernel
+def _find_least(m: int, at: Block, feature: Measured, landmarks: Floats, lack: Floats, cost: Floats) -> None:
+    """Fill in where a feature's bearing points and its three least costs, at m poses; `cost` is overwritten.
+
+    With range and bearing, no root or quotient is needed: see `_scale_of_places`.
+    """
+    r, cos_phi, sin_phi, _, _ = feature
+    across, along, scale = landmarks[0], landmarks[1], _scale_of_places(feature)
+    for i in range(m):
+        at.ahead_x[i] = at.cos[i] * cos_phi - at.sin[i] * sin_phi
+        at.ahead_y[i] = at.sin[i] * cos_phi + at.cos[i] * sin_phi
+        at.first[i] = at.second[i] = math.inf
+        # Beyond what an index can say, nothing is known of the others.
+        at.third[i] = math.inf if across.size <= INDEX_MASK else 0.0
+    for j in range(across.size):
+        if scale > 0.0:
+            for i in range(m):
+                dx, dy = across[j] - at.x[i], along[j] - at.y[i]
+                ex, ey = dx - r * at.ahead_x[i], dy - r * at.ahead_y[i]
+                cost[i] = scale * (ex * ex + ey * ey) + lack[j]
+        else:
+            for i in range(m):
+                dx, dy = across[j] - at.x[i], along[j] - at.y[i]
+                cost[i] = _cost(dx, dy, at.ahead_x[i], at.ahead_y[i], feature) + lack[j]
+        for i in range(m):
+            c = _with_index(cost[i], j)
+            at.first[i], at.second[i], at.third[i] = _three_least(c, at.first[i], at.second[i], at.third[i])
 
 
 @inlined_kernel
-def _fill_costs(sensor: Sensor, feature: Measured, across: Floats, along: Floats, lack: Floats, cost: Floats) -> None:
-    """Fill in what each landmark costs at least: its squared Mahalanobis distance, and what its constant lacks.
+def _three_least(cost: float, first: float, second: float, third: float) -> tuple[float, float, float]:
+    """Return the three least of four, of which the last three ascend; a cost that is NaN is none of them."""
+    least = cost if cost < first else first
+    cost = first if cost < first else cost
+    middle = cost if cost < second else second
+    cost = second if cost < second else cost
+    # The sum changes nothing but what LLVM makes of it: not a store under a mask, which takes twice as long.
+    return least + 0.0, middle, cost if cost < third else third
+
+
+@inlined_kernel
+def _with_index(cost: float, j: int) -> float:
+    """Return a cost, or a little less, with an index in its last bits; least for NaN, NaN for infinity."""
+    bits = np.float64(cost if cost > LEAST_COST else LEAST_COST).view(np.int64)
+    return float(np.int64((bits & ~INDEX_MASK) | (np.int64(j) & INDEX_MASK)).view(np.float64))
+
+
+@inlined_kernel
+def _index(cost: float) -> int:
+    """Return the index in the last bits of a cost."""
+    return int(np.float64(cost).view(np.int64) & INDEX_MASK)
+
+
+@kernel
+def _fill_values(
+    m: int, at: Block, feature: Measured, landmarks: Floats, base: Floats, least: Floats, out: Candidates
+) -> None:
+    """Fill in the log density of a feature given the landmark of a least cost, at m poses."""
+    # Apart from the look-ups, so that the second loop is vectorised.
+    for i in range(m):
+        j = _index(least[i])
+        out.x[i], out.y[i], out.base[i] = landmarks[0, j], landmarks[1, j], base[j]
+    for i in range(m):
+        sensor = at.x[i], at.y[i], at.cos[i], at.sin[i]
+        out.value[i] = _never_nan(log_value(sensor, out.x[i], out.y[i], feature, out.base[i]))
+
+
+@inlined_kernel
+def _best_of_all(
+    i: int, at: Block, feature: Measured, landmarks: Floats, base: Floats, lack: Floats, limit: float, cost: Floats,
+    which: int, best: float,
+) -> tuple[int, float]:  # fmt: skip
+    """Return the best landmark for a pose and its value: `which` or one whose ranges and bearings cost no more."""
+    across, along, sensor = landmarks[0], landmarks[1], (at.x[i], at.y[i], at.cos[i], at.sin[i])
+    for j in range(across.size):
+        dx, dy = across[j] - at.x[i], along[j] - at.y[i]
+        cost[j] = _cost(dx, dy, at.ahead_x[i], at.ahead_y[i], feature) + lack[j]
+    for j in range(across.size):
+        # A cost that is NaN says nothing.
+        if not cost[j] > limit:
+            value = _never_nan(log_value(sensor, across[j], along[j], feature, base[j]))
+            which, best = _better(which, best, j, value)
+    return which, best
+
+
+@inlined_kernel
+def _better(which: int, best: float, other: int, value: float) -> tuple[int, float]:
+    """Return the better of two landmarks with its value, the first of equal ones."""
+    if value > best or (value == best and other < which):
+        return other, value
+    return which, best
+
+
+@inlined_kernel
+def _cost(dx: float, dy: float, ahead_x: float, ahead_y: float, feature: Measured) -> float:
+    """Return what a landmark costs at least: its squared Mahalanobis distance with a chord for the bearing's angle.
 
     The chord is shorter than the angle by more than either is rounded.
     """
-    x, y, cos, sin = sensor
-    r, cos_phi, sin_phi, range_weight, bearing_weight = feature
-    ahead_x, ahead_y = cos * cos_phi - sin * sin_phi, sin * cos_phi + cos * sin_phi
-    for j in range(cost.size):
-        dx, dy = across[j] - x, along[j] - y
-        distance = math.sqrt(dx * dx + dy * dy)
-        chord = CHORD * (2.0 - 2.0 * (dx * ahead_x + dy * ahead_y) / distance) - CHORD_ERROR
-        a = (distance - r) * range_weight
-        cost[j] = a * a + max(chord, 0.0) * bearing_weight * bearing_weight + lack[j]
-
-
-@inlined_kernel
-def _fill_costs_of_places(
-    sensor: Sensor, feature: Measured, scale: float, across: Floats, along: Floats, lack: Floats, cost: Floats
-) -> None:
-    """Do so for a feature with range and bearing, without a root or a quotient; see `_scale_of_places`."""
-    x, y, cos, sin = sensor
-    r, cos_phi, sin_phi, _, _ = feature
-    measured_x, measured_y = r * (cos * cos_phi - sin * sin_phi), r * (sin * cos_phi + cos * sin_phi)
-    for j in range(cost.size):
-        ex, ey = across[j] - x - measured_x, along[j] - y - measured_y
-        cost[j] = scale * (ex * ex + ey * ey) + lack[j]
+    r, _, _, range_weight, bearing_weight = feature
+    distance = math.sqrt(dx * dx + dy * dy)
+    chord = CHORD * (2.0 - 2.0 * (dx * ahead_x + dy * ahead_y) / distance) - CHORD_ERROR
+    a = (distance - r) * range_weight
+    return a * a + max(chord, 0.0) * bearing_weight * bearing_weight
 
 
 @kernel
@@ -284,14 +372,9 @@ def _room_for_rounding(feature: Measured) -> float:
     return SLACK + (1.0 + 1.0 / SLACK) * rounded * rounded
 
 
-@inlined_kernel
-def _least(cost: Floats) -> int:
-    """Return where the least cost is, or nearly; costs are not negative."""
-    least = np.int64(2**63 - 1)
-    for j in range(cost.size):
-        # Doubles that are not negative are in the order of their bits; the last bits make room for the index.
-        least = min(least, (np.float64(cost[j]).view(np.int64) & ~INDEX_MASK) | (np.int64(j) & INDEX_MASK))
-    return int(least & INDEX_MASK)
+@kernel
+def _columns() -> tuple[Floats, Floats, Floats, Floats]:
+    return np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
 
 
 @inlined_kernel

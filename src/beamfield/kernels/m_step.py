@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.cuts import HALF_LOG_2PI, log_cut_mass, mean_share, mean_share_slope
+from beamfield.kernels.cuts import HALF_LOG_2PI, log_cut_mass, mean_share
 from beamfield.kernels.jit import kernel
 from beamfield.kernels.narrow_bins import EDGE_SIGMAS
 
@@ -33,21 +33,23 @@ def hit_objective(
         log_c, l_m, l_v, l_mm, l_vm, l_vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if mean < EDGE_SIGMAS * s or max_range - mean < EDGE_SIGMAS * s:
             log_c, l_m, l_v, l_mm, l_vm, l_vv = log_cut_mass(mean, s, max_range)
-        square = weights[2, k] - 2.0 * b * weights[1, k] + b * b * w
-        linear = weights[1, k] - b * w
-        first = 0.5 * square / (var * var) - 0.5 * w / var - w * l_v
-        second = -square / (var * var * var) + 0.5 * w / (var * var) - w * l_vv
-        cross = -linear / (var * var) - w * l_vm
-        out[0] += -0.5 * square / var - w * (math.log(s) + HALF_LOG_2PI + log_c)
+        inverse = 1.0 / var
+        # In units of sigma: the sums of squares and of errors.
+        square = (weights[2, k] - 2.0 * b * weights[1, k] + b * b * w) * inverse
+        linear = (weights[1, k] - b * w) * inverse
+        first = 0.5 * (square - w) * inverse - w * l_v
+        second = (0.5 * w - square) * inverse * inverse - w * l_vv
+        cross = -linear * inverse - w * l_vm
+        out[0] += -0.5 * square - w * (math.log(s) + HALF_LOG_2PI + log_c)
         out[1] += first
         out[2] += first * z2
-        out[3] += linear / var - w * l_m
+        out[3] += linear - w * l_m
         out[4] += second
         out[5] += second * z2
         out[6] += second * z2 * z2
         out[7] += cross
         out[8] += cross * z2
-        out[9] += -w / var - w * l_mm
+        out[9] += -w * inverse - w * l_mm
 
 
 @kernel
@@ -55,7 +57,7 @@ def short_slopes(nodes: FloatArray, weights: FloatArray, sum_range: float, rate:
     """Both derivatives in lambda of the expected log-likelihood of the shorts, from node weights."""
     first, second = -sum_range, 0.0
     for k in range(nodes.size):
-        x = rate * nodes[k]
-        first += weights[k] * nodes[k] * mean_share(x)
-        second += weights[k] * nodes[k] * nodes[k] * mean_share_slope(x)
+        share, slope = mean_share(rate * nodes[k])
+        first += weights[k] * nodes[k] * share
+        second += weights[k] * nodes[k] * nodes[k] * slope
     return first, second

@@ -269,7 +269,7 @@ class IntrinsicLikelihood:
     def _over_bins(self, work: Callable[[int, int], None], bins: Bins) -> None:
         # Tasks of about equal numbers of beams: bins differ in size.
         n_tasks = max(1, self.ranges.size // _BEAMS_PER_TASK)
-        limits = np.searchsorted(bins.stops, np.linspace(0, self.ranges.size, n_tasks + 1)[1:-1], side="left")
+        limits = np.searchsorted(bins.stops, np.arange(1, n_tasks) * self.ranges.size // n_tasks)
         limits = np.concatenate([[0], limits, [bins.stops.size]])
 
         def task(first: int, last: int) -> None:

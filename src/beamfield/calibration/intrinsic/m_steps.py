@@ -6,16 +6,22 @@ Where (6.30) and (6.31) maximise it for untruncated densities, these do for a hi
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.calibration.intrinsic.bounded_newton import newton_step
 from beamfield.calibration.intrinsic.learning_problem import LearningProblem
-from beamfield.calibration.intrinsic.likelihood import OFFSET, RATE, SLOPE, VARIANCE, ExpectedStatistics
+from beamfield.calibration.intrinsic.likelihood import OFFSET, RATE, VARIANCE, ExpectedStatistics
 from beamfield.geometry import FloatArray
 from beamfield.kernels import m_step as kernels
 
 _MOST_STEPS = 50
+# A Newton step squares the error: one that promises no more nats per hit, or moves lambda by no more of itself, is the
+# last.
+_LAST_GAIN, _LAST_STEP = 1e-9, 1e-7
+_SHAPE = slice(VARIANCE, OFFSET + 1)
 # A cause with fewer expected beams than this is dying: its shape stays what it was.
 _LEAST_COUNT = 1e-12
 # Where `hit_objective` has the second derivatives.
@@ -44,8 +50,8 @@ def m_step(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningP
     """
     new = theta.copy()
     new[:4] = _weights(statistics.counts + problem.priors.counts, theta, problem)
-    if problem.free[[VARIANCE, SLOPE, OFFSET]].any() and statistics.counts[0] > _LEAST_COUNT:
-        new[[VARIANCE, SLOPE, OFFSET]] = _hit_shape(statistics, theta, problem)
+    if problem.free[_SHAPE].any() and statistics.counts[0] > _LEAST_COUNT:
+        new[_SHAPE] = _hit_shape(statistics, theta, problem)
     if problem.free[RATE] and (statistics.counts[1] > _LEAST_COUNT or problem.priors.short_beams > 0.0):
         new[RATE] = _rate(statistics, theta, problem)
     return new
@@ -62,58 +68,33 @@ def _weights(counts: FloatArray, theta: FloatArray, problem: LearningProblem) ->
 
 def _hit_shape(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> FloatArray:
     """Variance, slope and offset of the hits: closed form (6.30) where nothing is cut, else Newton on the 3 of them."""
-    free = problem.free[[VARIANCE, SLOPE, OFFSET]]
-    x = theta[[VARIANCE, SLOPE, OFFSET]].copy()
-    lower = problem.lower[[VARIANCE, SLOPE, OFFSET]]
-    upper = problem.upper[[VARIANCE, SLOPE, OFFSET]]
-    if x[1] == 0.0 and not free[1] and not statistics.cut_matters:
-        return _uncut_shape(statistics, x, free, lower[0], problem)
-
-    out = np.empty(10)
-
-    def evaluate(x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        kernels.hit_objective(
-            statistics.node_ranges, statistics.node_hit, problem.span, problem.min_range, x[0], x[1], x[2], out
-        )
-        value, gradient, hessian = out[0], out[1:4].copy(), out[_SECOND]
-        if problem.priors.sigma_beams > 0.0:
-            prior = theta.copy()
-            prior[VARIANCE] = x[0]
-            prior_value, prior_gradient, prior_hessian = problem.priors.log_density(prior)
-            value = value + prior_value
-            gradient[0] += prior_gradient[VARIANCE]
-            hessian[0, 0] += prior_hessian[VARIANCE, VARIANCE]
-        # In log v the objective is close to quadratic however far the start.
-        gradient[0] *= x[0]
-        hessian[0, :] *= x[0]
-        hessian[:, 0] *= x[0]
-        hessian[0, 0] += gradient[0]
-        return float(value), gradient, hessian
-
-    def at(y: FloatArray) -> FloatArray:
-        return np.array([np.exp(y[0]), y[1], y[2]])
-
-    y = np.array([np.log(x[0]), x[1], x[2]])
-    low, high = lower.copy(), upper.copy()
-    low[0], high[0] = np.log(lower[0]), np.log(upper[0])
-    value, gradient, hessian = evaluate(at(y))
+    x, free, lower, upper = theta[_SHAPE], problem.free[_SHAPE], problem.lower[_SHAPE], problem.upper[_SHAPE]
+    if x[1] == 0.0 and not free[1]:
+        # Newton may begin there too: cut or not, the objective is concave in 1 / v and b / v, and has one maximum.
+        x = _uncut_shape(statistics, x, free, lower[0], problem)
+        if not statistics.cut_matters:
+            return x
+    y, low, high = _in_log_variance(x), _in_log_variance(lower), _in_log_variance(upper)
+    y = np.minimum(np.maximum(y, low), high)
+    value, gradient, hessian = _hit_objective(y, statistics, theta, problem)
     nothing = np.zeros(3, dtype=bool)
     for _ in range(_MOST_STEPS):
         step = newton_step(y, gradient, hessian, free=free, lower=low, upper=high, summed=nothing)
         step *= min(1.0, 2.0 / max(abs(step[0]), 1e-300))
-        gain = float(gradient @ step)
-        if gain <= 1e-13 * max(1.0, abs(value)):
+        if gradient @ step <= _LAST_GAIN * (statistics.counts[0] + problem.priors.sigma_beams):
+            y += step
             break
         for _ in range(30):
-            trial = np.clip(y + step, low, high)
-            new_value, new_gradient, new_hessian = evaluate(at(trial))
+            trial = y + step
+            new_value, new_gradient, new_hessian = _hit_objective(trial, statistics, theta, problem)
             if new_value > value:
                 break
             step *= 0.5
         else:
             break
         y, value, gradient, hessian = trial, new_value, new_gradient, new_hessian
-    return np.where(free, at(y), x)
+    y[0] = math.exp(y[0])
+    return np.where(free, np.minimum(np.maximum(y, lower), upper), x)
 
 
 def _uncut_shape(
@@ -125,6 +106,34 @@ def _uncut_shape(
     imagined = problem.priors.sigma_beams
     variance = (square + imagined * problem.priors.sigma_hit**2) / (count + imagined) if free[0] else x[0]
     return np.array([max(variance, floor), x[1], offset])
+
+
+def _in_log_variance(x: FloatArray) -> FloatArray:
+    """Variance, slope and offset with the variance's logarithm: however far the start, the objective is rounder."""
+    return np.array([math.log(x[0]), x[1], x[2]])
+
+
+def _hit_objective(
+    y: FloatArray, statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return what `_hit_shape` maximises, with its derivatives in log variance, slope and offset."""
+    v, out = math.exp(y[0]), np.empty(10)
+    kernels.hit_objective(
+        statistics.node_ranges, statistics.node_hit, problem.span, problem.min_range, v, y[1], y[2], out
+    )
+    value, gradient, hessian = float(out[0]), out[1:4], out[_SECOND]
+    if problem.priors.sigma_beams > 0.0:
+        prior = theta.copy()
+        prior[VARIANCE] = v
+        prior_value, prior_gradient, prior_hessian = problem.priors.log_density(prior)
+        value += prior_value
+        gradient[0] += prior_gradient[VARIANCE]
+        hessian[0, 0] += prior_hessian[VARIANCE, VARIANCE]
+    gradient[0] *= v
+    hessian[0, :] *= v
+    hessian[:, 0] *= v
+    hessian[0, 0] += gradient[0]
+    return value, gradient, hessian
 
 
 def _rate(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningProblem) -> float:
@@ -156,7 +165,9 @@ def _rate(statistics: ExpectedStatistics, theta: FloatArray, problem: LearningPr
         new = rate + step
         if not floor <= new <= ceiling:
             new = 0.5 * (floor + ceiling)
-        if abs(new - rate) <= 1e-13 * rate or ceiling - floor <= 1e-13 * ceiling:
+        elif abs(step) <= _LAST_STEP * rate:
+            return float(new)
+        if ceiling - floor <= 1e-13 * ceiling:
             return float(new)
         rate = float(new)
         first, second = slopes(rate)

@@ -93,7 +93,7 @@ def test_it_prints_tables_and_the_result_last(world, tmp_path, capsys):
 
 def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
     assert evaluate(world, tmp_path / "out", "--seeds", "1", params=("blind.yaml",)) == 0
-    assert "blind.yaml is taken for a file of nav2; it may be one of beluga, see --stack" in capsys.readouterr().err
+    assert "blind.yaml: read as nav2's; pass --stack beluga if that is what the robot runs" in capsys.readouterr().err
     assert evaluate(world, tmp_path / "out", "--seeds", "1", "--stack", "nav2", params=("blind.yaml",)) == 0
     assert "see --stack" not in capsys.readouterr().err
 

@@ -100,7 +100,7 @@ def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[st
         resolution=arguments.resolution,
     )  # fmt: skip
     others = " or ".join(file.possible[1:])
-    said = f"read as {file.stack}'s file; say --stack {others} if that is what the robot runs"
+    said = f"read as {file.stack}'s file; pass --stack {others} if that is what the robot runs"
     more = [] if file.stack_is_certain else [said]
     return result, f"{file.stack} {file.model}", more
 

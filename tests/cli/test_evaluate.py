@@ -77,7 +77,7 @@ def test_it_counts_the_runs_that_recover_from_a_kidnapping(result):
     assert len(found["seconds"]) == SEEDS
 
 
-def test_it_prints_tables_and_the_result_last(world, tmp_path, capsys):
+def test_it_prints_tables_the_result_and_the_files(world, tmp_path, capsys):
     recorded = tmp_path / "way.mcap"
     words = ("--seeds", "2", "--global", "--mcap", str(recorded))
     assert evaluate(world, tmp_path / "out", *words, params=("sighted.yaml",)) == 0
@@ -87,7 +87,8 @@ def test_it_prints_tables_and_the_result_last(world, tmp_path, capsys):
     assert lines[0].split()[:3] == ["log", "filter", "position"]
     assert any(line.startswith("log.carmen  sighted.yaml") for line in lines)
     assert any("global start" in line and " of 2" in line for line in lines)
-    assert lines[-1].startswith("mean position error sighted.yaml 0.")
+    assert lines[-3].startswith("mean position error sighted.yaml 0.")
+    assert lines[-1].startswith("wrote evaluation.csv, evaluation.json, evaluation.svg into ")
     assert "sighted.yaml on log.carmen" in err  # progress
 
 

@@ -109,8 +109,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
             log = next(iter(logs.values()))
             recorded = write_recordings(arguments, lambda: _recording(arguments, filters, log, grid))
     wrote = ", ".join([f"wrote {', '.join(written)} into {arguments.out}", *map(str, recorded)])
-    text = f"{evaluation_tables(evaluation)}\n\n{wrote}"
-    return Outcome(evaluation_line(evaluation), text, document, (*notes, *more), [arguments.out, *recorded])
+    brief = evaluation_line(evaluation)
+    text = f"{evaluation_tables(evaluation)}\n\n{brief}"
+    return Outcome(wrote, text, document, (*notes, *more), [arguments.out, *recorded], brief=brief)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     line = ", ".join([f"wrote {', '.join(names)} into {arguments.out}", *map(str, recorded)])
     return Outcome(
         line, _summary(document, errors), document, notes, [arguments.out, *recorded],
-        code=3 if problem else 0, problem=problem,
+        code=3 if problem else 0, problem=problem, brief=_ended(document),
     )  # fmt: skip
 
 
@@ -376,7 +376,7 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
         f"filter: {document['filter']}",
         f"started from: {where}",
         f"used {document['n_updates']} of {document['n_scans']} scans{speed}",
-        f"ended at: {pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",
+        _ended(document),
     ]
     if document["start"] is None and document["sure_after_s"] is not None:
         lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are a best guess")
@@ -387,3 +387,8 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
     within = f"{FOUND_WITHIN:g} m of the reference"
     lines.append(f"within {within} from {found:.1f} s on" if found is not None else f"not within {within} at the end")
     return "\n".join([*lines, errors.summary()])
+
+
+def _ended(document: Mapping[str, Any]) -> str:
+    spread = document["last_spread_m"]
+    return f"ended at: {pose_text(document['last_pose'])}, within {spread:.2f} m (standard deviation)"

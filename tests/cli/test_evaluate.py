@@ -96,7 +96,7 @@ def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
     assert evaluate(world, tmp_path / "out", "--seeds", "1", params=("blind.yaml",)) == 0
     assert "blind.yaml: read as nav2's; pass --stack beluga if that is what the robot runs" in capsys.readouterr().err
     assert evaluate(world, tmp_path / "out", "--seeds", "1", "--stack", "nav2", params=("blind.yaml",)) == 0
-    assert "see --stack" not in capsys.readouterr().err
+    assert "pass --stack" not in capsys.readouterr().err
 
 
 def test_a_filter_may_read_a_map_of_its_own(world, tmp_path):

@@ -1,7 +1,8 @@
-"""Describe a program of your own, so that `calibrate --stack`, `doctor`, `translate` and `evaluate` know it.
+"""Describe a program of your own, so that `calibrate --stack`, `doctor` and `translate` know it.
 
 The toy localizer weighs poses by ``w = prod(peak exp(-d^2 / 2 width^2) + floor / range)``. In beamfield this
-file would be a folder in `beamfield.stacks`, with one line in the registry; here the line is in `main`.
+file would be a folder in `beamfield.stacks`, with one line in the registry; here the line is in `main`. With a
+`StackFilter` in the Stack's `filter`, `evaluate` would know it, too.
 
 Run: python examples/own_stack.py
 """

@@ -108,7 +108,7 @@ def test_a_log_is_judged_by_itself_and_the_table_is_printed(world, tmp_path, cap
     assert "of this log" in text
     assert "lost probability never above 0.5" in text
     assert len(re.findall(r"^ +[0-9]+ +1[0-9]{2}\.[0-9]{3} ", text, re.M)) == 3
-    assert "differs from the map: 0 new obstacle, 0 missing wall" in text
+    assert "differs from the map: 0 new obstacles, 0 missing walls" in text
 
 
 def test_what_was_learned_can_be_used_again(world, result, tmp_path):

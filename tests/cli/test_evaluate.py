@@ -77,7 +77,7 @@ def test_it_counts_the_runs_that_recover_from_a_kidnapping(result):
     assert len(found["seconds"]) == SEEDS
 
 
-def test_it_prints_tables_and_the_result_last(world, tmp_path, capsys):
+def test_it_prints_tables_the_result_and_the_files(world, tmp_path, capsys):
     recorded = tmp_path / "way.mcap"
     words = ("--seeds", "2", "--global", "--mcap", str(recorded))
     assert evaluate(world, tmp_path / "out", *words, params=("sighted.yaml",)) == 0
@@ -87,15 +87,16 @@ def test_it_prints_tables_and_the_result_last(world, tmp_path, capsys):
     assert lines[0].split()[:3] == ["log", "filter", "position"]
     assert any(line.startswith("log.carmen  sighted.yaml") for line in lines)
     assert any("global start" in line and " of 2" in line for line in lines)
-    assert lines[-1].startswith("mean position error sighted.yaml 0.")
+    assert lines[-3].startswith("mean position error sighted.yaml 0.")
+    assert lines[-1].startswith("wrote evaluation.csv, evaluation.json, evaluation.svg into ")
     assert "sighted.yaml on log.carmen" in err  # progress
 
 
 def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
     assert evaluate(world, tmp_path / "out", "--seeds", "1", params=("blind.yaml",)) == 0
-    assert "blind.yaml is taken for a file of nav2; it may be one of beluga, see --stack" in capsys.readouterr().err
+    assert "blind.yaml: read as nav2's; pass --stack beluga if that is what the robot runs" in capsys.readouterr().err
     assert evaluate(world, tmp_path / "out", "--seeds", "1", "--stack", "nav2", params=("blind.yaml",)) == 0
-    assert "see --stack" not in capsys.readouterr().err
+    assert "pass --stack" not in capsys.readouterr().err
 
 
 def test_a_filter_may_read_a_map_of_its_own(world, tmp_path):

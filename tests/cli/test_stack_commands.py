@@ -114,10 +114,11 @@ def test_translation_patches_the_users_file(good, tmp_path, capsys):
     assert "the old file is nav2.yaml.bak" in capsys.readouterr().out
 
 
-def test_translation_writes_launch_lines(good, tmp_path):
+def test_translation_writes_a_launch_file_that_can_be_read(good, tmp_path):
     out = tmp_path / "amcl.launch"
     assert main(["translate", str(good), "--to", "ros1", "--out", str(out)]) == 0
     assert '<param name="laser_z_hit" value="0.947236"/>' in out.read_text()
+    assert main(["doctor", str(out), "--quiet"]) == 0
 
 
 def test_what_cannot_be_translated_is_one_line(good, tmp_path, capsys):

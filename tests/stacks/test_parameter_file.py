@@ -457,6 +457,7 @@ OTHER_FILES = {
     "poses.tum": ("# stamp\n1.5 0 0 0 0 0 0 1\n", "this is a file of poses"),
     "poses.csv": ("t,x,y,theta\n1,2,3,4\n", "this is a file of poses"),
     "run.bag": ("#ROSBAG V2.0\n", "this is a bag"),
+    "run.log": ("# CARMEN\nFLASER 1 2.0 0 0 0 0 0 0 0 host 0\n", "this is a log"),
     "random.yaml": ("a: {b: 1}\n", "no parameters of a measurement model found"),
 }
 

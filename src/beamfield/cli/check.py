@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
     from beamfield.models.sonar import model_of_sensor
     from beamfield.report.places_figure import places_as_dict
-    from beamfield.report.scan_fit_page import fit_as_dict, fit_table
+    from beamfield.report.scan_fit_page import fit_as_dict, fit_table, lost_line
     from beamfield.scan_fit.lost import LostRates
     from beamfield.scan_fit.scan_fit import judge_log
 
@@ -130,12 +130,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
             (folder / name).write_text(content, encoding="utf-8")
         numbers = {"p-value": fits.p_value, "probability of being lost": fits.lost}
         recorded = write_recordings(arguments, lambda: beam_recording(parameters, given.log, given.grid, numbers))
-    text = f"{_basis(reference, given)}\n{fit_table(fits, worst)}" + (
-        "" if places is None else f"\n\n{places.summary()}"
-    )
+    table = fit_table(fits, worst)
+    text = f"{_basis(reference, given)}\n{table}" + ("" if places is None else f"\n\n{places.summary()}")
+    brief = f"{table.splitlines()[0]}; {lost_line(fits)}"
     line = ", ".join([f"wrote {', '.join(files)} into {arguments.out}", *map(str, recorded)])
     code = 3 if problem else 0
-    return Outcome(line, text, document, given.notes, [arguments.out, *recorded], code, problem)
+    return Outcome(line, text, document, given.notes, [arguments.out, *recorded], code, problem, brief)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -105,10 +105,13 @@ def run(arguments: argparse.Namespace) -> Outcome:
             (folder / "evaluation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
             (folder / "evaluation.csv").write_text(evaluation_csv(evaluation))
             save_figure(evaluation_figure(evaluation), folder / "evaluation.svg")
+            written = sorted(path.name for path in folder.iterdir())
             log = next(iter(logs.values()))
             recorded = write_recordings(arguments, lambda: _recording(arguments, filters, log, grid))
-    text = evaluation_tables(evaluation)
-    return Outcome(evaluation_line(evaluation), text, document, (*notes, *more), [arguments.out, *recorded])
+    wrote = ", ".join([f"wrote {', '.join(written)} into {arguments.out}", *map(str, recorded)])
+    brief = evaluation_line(evaluation)
+    text = f"{evaluation_tables(evaluation)}\n\n{brief}"
+    return Outcome(wrote, text, document, (*notes, *more), [arguments.out, *recorded], brief=brief)
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -137,7 +140,7 @@ def _read_files(arguments: argparse.Namespace) -> tuple[dict[str, StackFile], li
         file = files[name] = read_stack_file(path, stack=arguments.stack, section=arguments.section)
         if not file.stack_is_certain:
             others = " or ".join(other for other in file.possible if other != file.stack)
-            notes.append(f"{name} is taken for a file of {file.stack}; it may be one of {others}, see --stack")
+            notes.append(f"{name}: read as {file.stack}'s; pass --stack {others} if that is what the robot runs")
     return files, notes
 
 
@@ -180,7 +183,7 @@ def _read_logs(
     for (name, path), reference in zip(_short_names(arguments.logs).items(), poses, strict=True):
         sensor, noticed = options.read_sensor(arguments, path, reference)
         if not sensor.has_odometry:
-            raise FormatError(path, "the log has no odometry, by which a filter moves its particles")
+            raise FormatError(path, options.NO_ODOMETRY)
         start = options.start_of(arguments)
         logs[name], _, more = posed_log(sensor, grid, arguments, progress, path=path, start=start)
         notes += [f"{name}: {note}" for note in (*noticed, *more)]

@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if arguments.out is not None:
         return Outcome(f"wrote {arguments.out}", text, facts, wrote=[arguments.out])
     hint = f"to see it, add --out {facts['source'].split('.')[0] or 'log'}.png"
-    return Outcome(text.splitlines()[0] if arguments.quiet else hint, text, facts)
+    return Outcome(hint, text, facts, brief=text.splitlines()[0])
 
 
 def _read(arguments: argparse.Namespace) -> OccupancyGrid | ScanLog:

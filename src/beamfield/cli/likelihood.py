@@ -101,7 +101,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress("drawing", 0, 1)
         wrote = _write(scan, grid, result, reference, arguments)
     document = {"scan": arguments.scan, "model": arguments.model, **_found(result, measured, model, reference)}
-    return Outcome(f"wrote {' and '.join(map(str, wrote))}", _summary(document), document, (*notes, *more), wrote)
+    line, text = f"wrote {' and '.join(map(str, wrote))}", _summary(document)
+    return Outcome(line, text, document, (*notes, *more), wrote, brief=text.splitlines()[1])
 
 
 def _check(arguments: argparse.Namespace) -> None:

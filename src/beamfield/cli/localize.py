@@ -126,13 +126,14 @@ def run(arguments: argparse.Namespace) -> Outcome:
         errors = _judged(found, log)
         progress("drawing", 0, 1)
         document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
-        wrote = _write(found, log, grid, film, document, arguments)
+        names, recorded = _write(found, log, grid, film, document, arguments)
     notes = (*notes, *(finding.full_text for finding in found.findings))
-    names = {finding.name for finding in found.findings}
-    problem = next((text for name, text in PROBLEMS.items() if name in names), "")
+    seen_names = {finding.name for finding in found.findings}
+    problem = next((text for name, text in PROBLEMS.items() if name in seen_names), "")
+    line = ", ".join([f"wrote {', '.join(names)} into {arguments.out}", *map(str, recorded)])
     return Outcome(
-        f"wrote {' and '.join(map(str, wrote))}", _summary(document, errors), document, notes, wrote,
-        code=3 if problem else 0, problem=problem,
+        line, _summary(document, errors), document, notes, [arguments.out, *recorded],
+        code=3 if problem else 0, problem=problem, brief=_ended(document),
     )  # fmt: skip
 
 
@@ -144,7 +145,7 @@ def _start(
     from beamfield.maps.range_scale import require_metres
 
     if not sensor.has_odometry:
-        raise FormatError(arguments.log, "no scan has odometry, which moves the particles")
+        raise FormatError(arguments.log, options.NO_ODOMETRY)
     if not ((sensor.ranges > 0.0) & (sensor.ranges < sensor.finder.max_range)).any():
         raise FormatError(
             arguments.log, "no reading of any scan hits anything; see what was read with beamfield inspect"
@@ -323,7 +324,8 @@ def _write(
     film: Film,
     document: Mapping[str, Any],
     arguments: argparse.Namespace,
-) -> list[Path]:
+) -> tuple[list[str], list[Path]]:
+    """Write the files; return their names in the folder, and the recordings beside it."""
     import numpy as np
 
     from beamfield.figures.gallery import save_figure
@@ -340,11 +342,12 @@ def _write(
         save_figure(localization_figure(found, log, grid), folder / "localization.png")
         text = json.dumps(document, indent=1, allow_nan=False)
         (folder / "localization.json").write_text(f"{text}\n", encoding="utf-8")
+        names = sorted(path.name for path in folder.iterdir())
         recorded = write_recordings(arguments, lambda: _recording(found, log, grid, film))
         if arguments.animation is not None:
             write_file(arguments.animation, animation(film.frames, found, log, grid))
             recorded.append(arguments.animation)
-    return [arguments.out, *recorded]
+    return names, recorded
 
 
 def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: Film) -> Recording:
@@ -373,13 +376,19 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
         f"filter: {document['filter']}",
         f"started from: {where}",
         f"used {document['n_updates']} of {document['n_scans']} scans{speed}",
-        f"ended at: {pose_text(document['last_pose'])}, within {document['last_spread_m']:.2f} m (standard deviation)",
+        _ended(document),
     ]
     if document["start"] is None and document["sure_after_s"] is not None:
         lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are a best guess")
     if errors is None:
-        return "\n".join([*lines, "no reference poses to judge by (beamfield trajectory fits some: --poses)"])
+        lines.append("no reference poses to judge by: beamfield trajectory fits some, which --poses takes")
+        return "\n".join(lines)
     found = document["found_after_s"]
     within = f"{FOUND_WITHIN:g} m of the reference"
     lines.append(f"within {within} from {found:.1f} s on" if found is not None else f"not within {within} at the end")
     return "\n".join([*lines, errors.summary()])
+
+
+def _ended(document: Mapping[str, Any]) -> str:
+    spread = document["last_spread_m"]
+    return f"ended at: {pose_text(document['last_pose'])}, within {spread:.2f} m (standard deviation)"

@@ -23,6 +23,10 @@ LOG_FORMATS = (
 )
 MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
 PICTURES = (".png", ".svg", ".pdf")
+NO_ODOMETRY = (
+    "no scan has odometry, which moves the particles; if this is a text log with one pose per scan, and that is the "
+    "odometry, pass --lone-poses odometry"
+)
 
 
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:

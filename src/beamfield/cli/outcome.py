@@ -19,9 +19,9 @@ class Outcome:
     Parameters
     ----------
     line
-        The result on one line, which --quiet leaves.
+        The last line: what was written, or the result on one line.
     text
-        What comes before it otherwise.
+        What comes before it.
     document
         The result for --json, by name.
     notes
@@ -30,6 +30,8 @@ class Outcome:
         Files and folders written, or addresses.
     code, problem
         The exit code, and if it is 3, why.
+    brief
+        The result on one line, all that --quiet leaves; `line` if it is empty.
     """
 
     line: str
@@ -39,6 +41,7 @@ class Outcome:
     wrote: Sequence[Path | str] = ()
     code: int = 0
     problem: str = ""
+    brief: str = ""
 
 
 def show(outcome: Outcome, arguments: argparse.Namespace) -> None:
@@ -52,6 +55,6 @@ def show(outcome: Outcome, arguments: argparse.Namespace) -> None:
     else:
         if outcome.text and not arguments.quiet:
             say(f"{outcome.text}\n")
-        say(outcome.line)
+        say(outcome.brief if arguments.quiet and outcome.brief else outcome.line)
     if outcome.problem:
         complain(f"beamfield: warning: {in_options(outcome.problem)}")

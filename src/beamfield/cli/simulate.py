@@ -136,7 +136,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         f"wrote {', '.join([*names, TRUTH])} into {arguments.out}",
         f"simulated {len(sensor)} scans of {sensor.finder.n_beams} {what} in {arguments.duration:g} s",
         truth,
-        wrote=[arguments.out],
+        [f"read {CARMEN} with --lone-poses odometry"] if arguments.odometry_only and CARMEN in names else (),
+        [arguments.out],
     )
 
 

@@ -97,6 +97,7 @@ def _outcome(fit: TrajectoryFit, notes: tuple[str, ...], wrote: list[Path]) -> O
     return Outcome(
         f"wrote {wrote[0]} and {wrote[1].name}", fit.summary() + (f"\n{found}" if found else ""), _document(fit), notes,
         wrote, code=3 if problem else 0, problem=problem,
+        brief=f"{fit.trusted.mean():.1%} of {len(fit)} scans are trusted",
     )  # fmt: skip
 
 

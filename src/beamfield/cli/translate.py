@@ -47,7 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     parser.add_argument("--typical-range", type=positive, metavar="M",
                         help="of beam_model.yaml: root mean square of the ranges whose noise becomes sigma_hit "
                         "(default: 4, or 0.4 of the sensor's longest range)")  # fmt: skip
-    options.add_out(parser, None, metavar="FILE", what="write a new file (.launch for ROS 1 launch lines)")
+    options.add_out(parser, None, metavar="FILE", what="write a new file (.launch for a ROS 1 launch file)")
     parser.add_argument("--patch", type=Path, metavar="FILE", help="change the values in this file; keeps a backup")
     parser.add_argument("--patch-section", metavar="LABEL", help="which section of it, if several have such parameters")
 
@@ -100,7 +100,7 @@ def _translate(arguments: argparse.Namespace) -> tuple[Translation, str, list[st
         resolution=arguments.resolution,
     )  # fmt: skip
     others = " or ".join(file.possible[1:])
-    said = f"read as {file.stack}'s file; say --stack {others} if that is what the robot runs"
+    said = f"read as {file.stack}'s file; pass --stack {others} if that is what the robot runs"
     more = [] if file.stack_is_certain else [said]
     return result, f"{file.stack} {file.model}", more
 

@@ -64,8 +64,8 @@ class ChapterFigure:
 _ALL = (
     ChapterFigure(
         "6.1", "6.1", "sonar_figures.sonar_figure", "A sonar scan, and how sonars misread",
-        "(a) A ring of sonars simulated in the map, the first of 30 scans with readings of every kind. Cones end where "
-        "something was heard: most at the nearest thing in them, some too far or too near, and the dashed ones "
+        "(a) A ring of sonars simulated in the map; of 30 scans the first with the most kinds of readings. Cones end "
+        "where something was heard: most at the nearest thing in them, some too far or too near, and the dashed ones "
         "heard nothing although there is a wall. (b) A smooth wall mirrors the pulse: if the angle to its normal "
         "exceeds half the opening angle, the echo goes elsewhere. (c) What a scanner measured at the same pose, with "
         "a few random readings.",
@@ -94,9 +94,9 @@ _ALL = (
     ),
     ChapterFigure(
         "6.7", "6.3.2", "scan_figures.likelihood_over_map_figure", "A scan, and its likelihood over the map",
-        "(a) A range scan at its reference pose in the map. (b) The likelihood of this scan at every free place, "
-        "with the heading that suits it best: the darker, the more likely. The scan alone leaves several places "
-        "possible. Of four scans with far and near readings, the first whose maximum is at the robot's pose.",
+        "(a) A range scan at its reference pose in the map: the one asked for, or of four with far and near readings "
+        "the first whose maximum is there, if there is one. (b) The likelihood of this scan at every free place, with "
+        "the heading that suits it best: the darker, the more likely. The scan alone leaves several places possible.",
     ),
     ChapterFigure(
         "6.8", "6.4.1", "field_figures.obstacles_figure", "Obstacles and their likelihood field",

@@ -1,4 +1,4 @@
-"""What a localization did: the way in the map, the errors over time, the particles as they moved."""
+"""What a localization did: the path in the map, the errors over time, the particles as they moved."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _draw_way(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes) -> N
     _zoom(ax, np.concatenate([known, log.poses]), grid)
     low, high = ax.get_xlim()
     mark_robot(known[-1], ax, size=0.02 * (high - low), color=ESTIMATE, label="end")
-    style(ax, title="The way in the map", x="x [m]", y="y [m]", grid="none")
+    style(ax, title="The path in the map", x="x [m]", y="y [m]", grid="none")
     legend(ax, loc="best")
 
 

@@ -247,8 +247,8 @@ def _is_repeated(log: SensorLog, i: int) -> bool:
 _TEXTS: Mapping[str, tuple[Severity, str, str]] = {
     "no-odometry": (
         "warning",
-        "{n} of {t} scans have no odometry.",
-        "They were not used and have no pose; the next odometry bridges the gap.",
+        "The odometry is missing for {n} of {t} scans.",
+        "No pose is given there; the next odometry bridges the gap.",
     ),
     "odometry-jumps": (
         "warning",

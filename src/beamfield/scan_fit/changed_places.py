@@ -142,7 +142,7 @@ class ChangedPlaces:
 
     def summary(self) -> str:
         """Return how many places there are of each kind, and the worst, as text to print."""
-        counts = ", ".join(f"{len(self.of_kind(kind))} {kind}" for kind in KINDS)
+        counts = ", ".join(_counted(len(self.of_kind(kind)), kind) for kind in KINDS)
         lines = [f"places where the world differs from the map: {counts}"]
         if self.lasting:
             lines.append("  kind                   x [m]    y [m]  size [m]    rate  95 % interval   visits")
@@ -366,10 +366,10 @@ def _findings(places: list[ChangedPlace], n_visits: int, visit_s: float) -> Iter
             "map-changed",
             "warning",
             f"The world differs from the map in {len(lasting)} place{'s' if len(lasting) > 1 else ''} ("
-            + ", ".join(f"{n} {kind}" for kind, n in counts.items() if n)
+            + ", ".join(_counted(n, kind) for kind, n in counts.items() if n)
             + f"), most at x {worst.x:.1f} m, y {worst.y:.1f} m.",
             {"n_places": float(len(lasting)), "x": worst.x, "y": worst.y},
-            why="Readings there speak against the true pose, and a robot may lose itself.",
+            why="Readings there speak against the true pose, and a robot may get lost.",
             do="Update the map in these places, or map the building anew.",
         )
     if visit_s < 0.95 * LONGEST_BLOCK_S:
@@ -381,3 +381,8 @@ def _findings(places: list[ChangedPlace], n_visits: int, visit_s: float) -> Iter
             why="Somebody who stands still for longer looks like furniture.",
             do=f"Record {12 * LONGEST_BLOCK_S / 60.0:.0f} minutes or more, and pass each place several times.",
         )
+
+
+def _counted(n: int, kind: Kind) -> str:
+    """Return a number of places in words, such as "2 missing walls"; the other kinds have no plural."""
+    return f"{n} {kind}{'s' if n != 1 and kind in KINDS[:2] else ''}"

@@ -172,7 +172,7 @@ def _follows(odometry: FloatArray, poses: FloatArray) -> bool:
 
 def _note_mount(name: str, mount: FloatArray, notes: list[str]) -> None:
     if np.abs(mount).max() > 0.0:
-        x, y, theta = mount.tolist()
+        x, y, theta = (mount + 0.0).tolist()  # 0, not -0
         notes.append(f"{name}: the laser is at ({x:.6g} m, {y:.6g} m, {np.degrees(theta):.6g} degrees) on the robot")
 
 

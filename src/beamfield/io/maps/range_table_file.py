@@ -121,7 +121,10 @@ def read_range_table(path: str | os.PathLike[str], grid: OccupancyGrid) -> Range
     with source.open("rb") as file:
         said = _read_page(source, file)
         if said.get("map") != map_key(grid):
-            raise FormatError(source, "the table is of another map, or the map has changed since; build it again")
+            raise FormatError(
+                source,
+                "the table is of another map, or the map has changed since; build it again (beamfield precompute)",
+            )
         try:
             plan = RangeTablePlan(grid, **{name: said[name] for name in OPTIONS})
             error = RangeTableError(**said["error"])

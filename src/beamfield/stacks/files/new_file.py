@@ -25,7 +25,7 @@ def new_file_text(
     comments
         Lines at the top.
     launch
-        Lines for the node of a launch file instead of YAML.
+        A launch file with amcl's node instead of YAML.
 
     Raises
     ------
@@ -39,7 +39,9 @@ def new_file_text(
         raise InvalidInputError(f"launch: only {able} has parameters in launch files, got {stack!r}")
     if launch:
         head = [f"<!-- {line.replace('--', '- -')} -->" for line in comments]
-        return "\n".join([*head, *(pair(name, value, "launch") for name, value in values.items())]) + "\n"
+        lines = [f"    {pair(name, value, 'launch')}" for name, value in values.items()]
+        node = '  <node pkg="amcl" type="amcl" name="amcl">'
+        return "\n".join([*head, "<launch>", node, *lines, "  </node>", "</launch>"]) + "\n"
     mark, indent = ("//", "") if described.syntax == "ini" else ("#", "  " * len(described.layout))
     body = [indent + pair(name, value, described.syntax) for name, value in values.items()]
     return "\n".join([*(f"{mark} {line}" for line in comments), *described.layout, *body]) + "\n"

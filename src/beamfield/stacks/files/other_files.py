@@ -27,6 +27,7 @@ _KINDS: Mapping[frozenset[str], str] = {
 }
 # TUM: a stamp, a position and a quaternion.
 _TUM = re.compile(rb"(\s*#[^\n]*\n)*\s*([-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t]*\r?(\n|$)")
+_CARMEN = re.compile(rb"^(PARAM|ODOM|[FR]LASER|(ROBOT|RAW)LASER\d) ", re.MULTILINE)
 _HEADINGS = {b"theta", b"yaw", b"qw", b"map_theta"}
 _SNIFFED = 2000
 
@@ -78,6 +79,8 @@ def _kind_of_text(path: Path) -> str:
         begin = stream.read(_SNIFFED)
     if begin.startswith((b"#ROSBAG", b"\x89MCAP")):
         return "this is a bag (give it with --log)"
+    if _CARMEN.search(begin):
+        return "this is a log (give it with --log)"
     columns = {word.strip(b' \t\r"') for word in begin.partition(b"\n")[0].lower().split(b",")}
     if _TUM.match(begin) or ({b"x", b"y"} <= columns and columns & _HEADINGS):
         return "this is a file of poses (give it with --poses)"

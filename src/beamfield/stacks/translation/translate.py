@@ -109,9 +109,10 @@ def _target(file: StackFile, stack: Stack | None, to: str, model: str | None) ->
     # beam_model.yaml is not written from a stack's parameters.
     same = [name for name, weight in weights.items() if weight == how and (stack is not None or how.of_field)]
     if not same:
+        fit = "" if stack is None else f" --stack {to}"
         raise InvalidInputError(
             f"{to} has no model that weighs as {own} does: {own} takes {how.text}, and no parameters of another model "
-            "imitate that"
+            f"imitate that; fit one to a log instead: beamfield calibrate LOG --map MAP{fit}"
         )
     if model is not None and same[0] != model:
         other = weights[model].text if model in weights else "something else"

@@ -79,16 +79,18 @@ def as_written(values: Mapping[str, Value]) -> dict[str, Any]:
 def map_notes(source: Stack, target: Stack | None) -> list[str]:
     """Return what two stacks make of the same map and scan, as far as no parameter changes it; None is the chapter."""
     notes = []
-    low = [stack.title for stack in (source, target) if stack is not None and stack.half_cell_low]
-    if len(low) == 1:
-        notes.append(f"{low[0]} sees walls half a cell off, the other where the map has them")
+    other = "beamfield" if target is None else target.title
+    is_low = source.half_cell_low, target is not None and target.half_cell_low
+    if any(is_low) and not all(is_low):
+        low, right = (source.title, other) if is_low[0] else (other, source.title)
+        notes.append(f"{low} sees walls half a cell off, {right} where the map has them")
     if target is not None and source.beams_taken and target.beams_taken and source.beams_taken != target.beams_taken:
         notes.append(
             f"{source.title} takes {source.beams_taken}, {target.title} {target.beams_taken}: not the same beams"
         )
     notes += [
-        f"off the map {stack.title} gives {stack.off_map}, the other what the maximum distance is worth"
-        for stack in (source, target)
+        f"off the map {stack.title} gives {stack.off_map}, {one} what the maximum distance is worth"
+        for stack, one in ((source, other), (target, source.title))
         if stack is not None and stack.off_map
     ]
     return notes

@@ -285,7 +285,7 @@ def test_lost_runs_and_missing_coverage_cost_without_drowning_the_rest():
 def test_a_small_z_hit_is_explained_where_the_weight_is_a_product():
     small = replace(SENSOR, z_hit=0.006, z_rand=0.994)
     (finding,) = small_z_hit("nav2", KIND, small)
-    assert finding.text.startswith("z_hit = 0.006 is meant so")
+    assert finding.text.startswith("z_hit = 0.006 is intended")
     assert "z_hit range_max / z_rand" in finding.why
     assert not [*small_z_hit("nav2", KIND, SENSOR)]
     assert not [*small_z_hit("nav2", "likelihood_field", replace(small, laser_model_type="likelihood_field"))]

@@ -15,6 +15,7 @@ from beamfield.report.text_table import aligned
 from beamfield.stacks.fit.motion_candidates import BEFORE
 from beamfield.stacks.fit.replay_choice import ReplayChoice
 from beamfield.stacks.fit.replay_runs import ReplaySetting
+from beamfield.stacks.registry import STACKS
 
 _HEADER = ("", "position error [m]", "difference, 95 % interval", "lost runs", "inside 95 %")
 _PARTS = {
@@ -50,14 +51,14 @@ def replay_verdict(choice: ReplayChoice) -> str:
     if choice.is_better:
         return (
             f"Use the new values: {where}, the position error is {choice.error.before:.3f} m before and "
-            f"{choice.error.after:.3f} m after ({_interval(choice.error)}), {lost}, {inside}."
+            f"{choice.error.after:.3f} m after ({_told(choice.error)}), {lost}, {inside}."
         )
     if choice.finalist is choice.before:
         return f"Keep the values you have: {where}, none of {choice.n_settings} settings did better."
     return (
         f"Keep the values you have: {where}, the best of {choice.n_settings} settings ({describe(choice.finalist)}) is "
         f"not better for sure: position error {choice.error.before:.3f} -> {choice.error.after:.3f} m "
-        f"({_interval(choice.error)}), {lost}, {inside}."
+        f"({_told(choice.error)}), {lost}, {inside}."
     )
 
 
@@ -88,8 +89,10 @@ def replay_as_dict(choice: ReplayChoice) -> dict[str, Any]:
 
 
 def _what(choice: ReplayChoice) -> str:
+    moves_map = STACKS[choice.before.filter.stack].half_cell_low
+    parts = "sensor, motion noise and map origin" if moves_map else "sensor and motion noise"
     return (
-        f"{choice.n_settings} settings of sensor, motion noise and map origin were replayed in the emulated filter of "
+        f"{choice.n_settings} settings of {parts} were replayed in the emulated filter of "
         f"{choice.before.filter.stack}; on each stretch of the log the best on all others is judged, over "
         f"{choice.n_runs} runs. Each starts a stretch earlier from a belief 0.25 m and 6 "
         "degrees wide, and counts as 1 m off at most."
@@ -117,6 +120,10 @@ def _counts(trials: Sequence[ReplayTrials]) -> tuple[str, str]:
 def _interval(comparison: ReplayComparison, sign: float = 1.0) -> str:
     low, high = sorted((sign * comparison.low, sign * comparison.high))
     return f"{low:+.3f} to {high:+.3f}"
+
+
+def _told(comparison: ReplayComparison) -> str:
+    return f"difference {_interval(comparison)} m, 95 % interval"
 
 
 def _lost(trials: Sequence[ReplayTrials]) -> int:

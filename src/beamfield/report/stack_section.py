@@ -94,7 +94,7 @@ def stack_tables(result: StackResult) -> str:
     parts = [
         f"{chosen.model.stack}, {chosen.model.model}: {HOW[chosen.how]}",
         aligned(("parameter", "before", "to use"), rows, right=(1, 2)) if rows else "All values stay as they are.",
-        aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, fit is chosen)], right=(2, 3, 4, 5)),
+        aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, result.trial)], right=(2, 3, 4, 5)),
         f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
     parts.append(_not_replayed(result) if result.replay is None else replay_tables(result.replay))
@@ -117,7 +117,7 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
     """
     fits, chosen, replay = result.fits, result.chosen, result.replay
     stack, model = chosen.model.stack, chosen.model.model
-    rows = [row for fit in fits for row in _score_rows(fit, fit is chosen)]
+    rows = [row for fit in fits for row in _score_rows(fit, result.trial)]
     chosen_rows = [number for number, row in enumerate(rows) if row[0]]
     scores = table(_SCORE_HEADER[1:], [row[1:] for row in rows], right=(1, 2, 3, 4), bold=chosen_rows)
     values = table(("parameter", "before", "to use"), _parameter_rows(result), right=(1, 2), css="stack")
@@ -197,16 +197,16 @@ def small_z_hit(stack: str, model: str, parameters: Any) -> Iterator[Finding]:
     """Yield the explanation of a z_hit that looks wrong, if it is that small."""
     described = model_named(stack, model)
     z_hit, z_rand = (described.value(parameters, name) for name in ("z_hit", "z_rand"))
+    hit, rand = map(described.own_name, ("z_hit", "z_rand"))
     if described.multiplies(parameters) and z_hit and z_rand and z_hit <= SMALL_Z_HIT * z_rand:
         yield Finding(
             "stack-small-z-hit",
             "info",
-            f"{described.own_name('z_hit')} = {z_hit:.2g} is meant so: it does not say that so few readings hit the "
-            "map.",
+            f"{hit} = {z_hit:.2g} is intended: it does not say that so few readings hit the map.",
             {"z_hit": z_hit},
             why=f"{model} multiplies over beams as if they erred independently. A beam that fits raises a weight by "
-            "z_hit range_max / z_rand, so that a small z_hit is the only way to count each beam for less.",
-            do="Leave it, and change z_hit and z_rand together only.",
+            f"{hit} range_max / {rand}, so that a small {hit} is the only way to count each beam for less.",
+            do=f"Leave it, and change {hit} and {rand} together only.",
         )
 
 
@@ -231,7 +231,7 @@ def _about_search(fit: StackFit) -> Iterator[Finding]:
             "info",
             f"{setting} is the setting with the most beams that was tried.",
             why="More beams may do better still, but cost time in every update.",
-            do="Check that your computer keeps up with this many beams; fewer lose what the figure below shows.",
+            do="Check that your computer keeps up with this many beams; fewer lose what the report's figure shows.",
         )
     if fit.at_edge:
         yield Finding(
@@ -289,17 +289,16 @@ def stack_as_dict(result: StackResult) -> dict[str, Any]:
 _SCORE_HEADER = ("", "model", "score [nats]", "coverage", "effective particles", "error after update [m]")
 
 
-def _score_rows(fit: StackFit, is_chosen: bool) -> list[tuple[str, ...]]:
-    rows = (
-        ("", "before", fit.before, fit.update_before),
-        ("*" if is_chosen else "", "calibrated", fit.chosen, fit.update),
-    )
+def _score_rows(fit: StackFit, used: Trial) -> list[tuple[str, ...]]:
+    rows = (("before", fit.before, fit.update_before), ("calibrated", fit.chosen, fit.update))
+    mark = next((name for name, trial, _ in rows if trial is used), "")
     return [
         (
-            mark, f"{fit.model.model}, {name}", f"{trial.held_out.mean:.2f}", f"{trial.held_out.coverage:.0%}",
-            f"{np.median(update.effective):.0f}", f"{update.error_after.mean():.3f}",
+            "*" if name == mark else "", f"{fit.model.model}, {name}", f"{trial.held_out.mean:.2f}",
+            f"{trial.held_out.coverage:.0%}", f"{np.median(update.effective):.0f}",
+            f"{update.error_after.mean():.3f}",
         )
-        for mark, name, trial, update in rows
+        for name, trial, update in rows
     ]  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, Pose, after_step, as_poses, step_between
-from beamfield.localization.continuous_odometry import ContinuousOdometry, OdometryLimits
+from beamfield.localization.continuous_odometry import ContinuousOdometry
 from beamfield.localization.particles import Estimate, Particles
 from beamfield.localization.recovery import LikelihoodAverages, PoseSource, Recovery, reweigh
 from beamfield.localization.resampling import IndexArray, KldSampling, PoseBins, draw_enough, systematic_indices
@@ -53,8 +53,6 @@ class FilterOptions:
         the particle that happens to lie nearest to one of many peaks. 0: never.
     recovery
         Draw poses anew when measurements fit worse than they did; needs a source of poses.
-    limits
-        What odometry can have done between two calls.
 
     Raises
     ------
@@ -69,7 +67,6 @@ class FilterOptions:
     resample_below: float = 0.5
     least_effective: float = 0.02
     recovery: Recovery | None = None
-    limits: OdometryLimits = field(default_factory=OdometryLimits)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -172,7 +169,7 @@ class ParticleFilter(Generic[Z]):
         self._bins = self.options.kld.bins if self.options.kld is not None else PoseBins()
         self._belief: Particles | None = None
         self._coarse: MeasurementModel[Z] | None = None
-        self._odometry = ContinuousOdometry(self.options.limits)
+        self._odometry = ContinuousOdometry()
 
     @checked
     def start(
@@ -200,7 +197,7 @@ class ParticleFilter(Generic[Z]):
         given = None if weights is None else as_floats(weights, "weights")
         self._belief = Particles(as_poses(poses), given, self._bins)  # type: ignore[arg-type]
         self._coarse = coarse
-        self._odometry = ContinuousOdometry(self.options.limits)
+        self._odometry = ContinuousOdometry()
         self._used: Pose | None = None
         self._jumps_used = 0
         self._averages = None if self.options.recovery is None else LikelihoodAverages(self.options.recovery)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,9 +30,13 @@ def replay(poses: np.ndarray, means: np.ndarray | None = None, covariance: np.nd
     return Replay(poses, np.arange(n), means, np.tile(covariance, (n, 1, 1)), np.full(n, 500))
 
 
+@cache
+def no_errors() -> ReplayErrors:
+    return judge_replay(replay(np.zeros((1, 3))), np.zeros((1, 3)))
+
+
 def errors(mean: float, *, lost: bool = False) -> ReplayErrors:
-    one = judge_replay(replay(np.zeros((1, 3))), np.zeros((1, 3)))
-    return replace(one, mean=mean, lost=lost)
+    return replace(no_errors(), mean=mean, lost=lost)
 
 
 def trials(means: np.ndarray, log: str = "hall", n_lost: int = 0) -> ReplayTrials:

@@ -59,8 +59,6 @@ class LearnedExponent:
         beams that say nothing.
     score_independent
         The score with exponent 1.
-    n_held_out
-        Their number.
     """
 
     value: float
@@ -70,7 +68,6 @@ class LearnedExponent:
     score: float
     score_se: float
     score_independent: float
-    n_held_out: int
 
 
 @dataclass(frozen=True)
@@ -279,9 +276,7 @@ def _learn(
     interval = _interval(power, covered, blocks[~held_out])
     judged, independent = score_exponents(values[held_out], np.array([power, 1.0]), rivals)
     score_se = block_standard_error(judged.log_score, blocks[held_out])
-    return LearnedExponent(
-        power, interval, exact, judged.coverage_at(LEVEL), judged.mean, score_se, independent.mean, int(held_out.sum())
-    )
+    return LearnedExponent(power, interval, exact, judged.coverage_at(LEVEL), judged.mean, score_se, independent.mean)
 
 
 def _interval(power: float, covered: FloatArray, blocks: NDArray[np.int64]) -> tuple[float, float]:

@@ -189,7 +189,7 @@ def _coverages(
         ("drive [%]", learned.drive.value, values.sum(axis=1)),
         ("exponent 1 [%]", 1.0, values[:, 0]),
     ):
-        (scores,) = score_exponents(each, np.array([power]), rivals, options)
+        (scores,) = score_exponents(each, np.array([power]), rivals)
         error = block_standard_error((scores.denser < LEVEL).mean(axis=1), blocks)
         row[name] = f"{100.0 * scores.coverage_at(LEVEL):.0f} ± {100.0 * error:.0f}"
     return row

@@ -47,7 +47,6 @@ class World:
 
     log: SensorLog
     grid: OccupancyGrid
-    options: WindowOptions
     rivals: Rivals
     windows: list[Window]
 
@@ -55,7 +54,7 @@ class World:
     def of(cls, log: SensorLog, grid: OccupancyGrid) -> World:
         options = WindowOptions()
         rivals = draw_rivals(options, grid)
-        return cls(log, grid, options, rivals, cut_windows(log, grid, rivals, options))
+        return cls(log, grid, rivals, cut_windows(log, grid, rivals, options))
 
     def values(self, parameters: LikelihoodFieldParameters, *, held_out: bool) -> FloatArray:
         """Return log q of the windows, (w, n)."""
@@ -64,7 +63,7 @@ class World:
         return scan_log_likelihoods(model, self.log, windows).sum(axis=1)
 
     def scores(self, values: FloatArray, exponents: FloatArray) -> list[PosteriorScores]:
-        return score_exponents(values, exponents, self.rivals, self.options)
+        return score_exponents(values, exponents, self.rivals)
 
     def suited_exponent(self, parameters: LikelihoodFieldParameters) -> float:
         values = self.values(parameters, held_out=False)

@@ -89,7 +89,7 @@ def judge(
     windows = cut_windows(log, grid, rivals, options)
     if held_out:
         windows = [window for window in windows if window.fold == HELD_OUT]
-    (scores,) = score_windows(model, gather_evidence(model, log, windows), [model.parameters], rivals, options)
+    (scores,) = score_windows(model, gather_evidence(model, log, windows), [model.parameters], rivals)
     update = update_particles(model, log, [int(window.scans[0]) for window in windows])
     errors, inside = replay(model, log)
     return {

@@ -40,7 +40,7 @@ class DetectionLog:
     --------
     >>> seen = Detections([2.1], [0.3], ids=[7])
     >>> log = DetectionLog([[0.0, 0.0, 0.0]], (seen,))
-    >>> len(log), log.n_detections
+    >>> len(log), len(log.detections[0])
     (1, 1)
     """
 
@@ -82,11 +82,6 @@ class DetectionLog:
     def stamps(self) -> FloatArray:
         """(t,) seconds."""
         return np.array([seen.stamp for seen in self.detections], dtype=np.float64)
-
-    @property
-    def n_detections(self) -> int:
-        """Features in all observations."""
-        return sum(len(seen) for seen in self.detections)
 
     def subset(self, observations: ArrayLike) -> DetectionLog:
         """Return only the given observations, in the log's order.

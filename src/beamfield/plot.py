@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 # Free, unknown, occupied.
+# Pixels along a side of a drawn map.
+MOST_PIXELS = 2000
 MAP_COLOURS = ("#FFFFFF", "#E1E5EA", "#3C444D")
 SCAN_COLOUR = "#D55E00"
 PATH_COLOUR = "#0072B2"
@@ -43,7 +45,7 @@ FEATURE_STYLES: tuple[tuple[type[Feature], str, str, str], ...] = (
 CHI_SQUARE_95 = 5.991
 
 
-def draw_map(grid: OccupancyGrid, ax: Axes, *, max_side: int = 2000) -> Axes:
+def draw_map(grid: OccupancyGrid, ax: Axes) -> Axes:
     """Draw a map in metres, in the map frame, turned by the yaw of its origin: free white, unknown grey, occupied dark.
 
     Parameters
@@ -52,21 +54,17 @@ def draw_map(grid: OccupancyGrid, ax: Axes, *, max_side: int = 2000) -> Axes:
         The map.
     ax
         Where to draw.
-    max_side
-        Larger maps are drawn with at most so many pixels a side; a pixel is dark if any of its cells is occupied, so
-        thin walls stay.
 
     Returns
     -------
     The axes.
 
-    Raises
-    ------
-    InvalidInputError
-        If `max_side` is not positive.
+    Notes
+    -----
+    Larger maps are drawn with at most 2,000 pixels a side; a pixel is dark if any of its cells is occupied, so thin
+    walls stay.
     """
-    require(max_side >= 1, "max_side", "at least 1", max_side)
-    step = -(-max(grid.shape) // max_side)
+    step = -(-max(grid.shape) // MOST_PIXELS)
     # The last pixel of a coarser picture may stand over the map's edge.
     draw_cells(categories(grid, step), step * grid.resolution, grid.origin, ax)
     corners = grid.to_map([[0, 0], [grid.shape[1], 0], grid.shape[::-1], [0, grid.shape[0]]])
@@ -243,8 +241,10 @@ def draw_scan(
     return _in_metres(ax)
 
 
-def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes, *, ellipses: bool = True) -> Axes:
+def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes) -> Axes:
     """Draw the features of a scan seen from a pose: lines from end to end, poles as circles, the others as points.
+
+    Around each position, but not a line's, stands its 95 % ellipse.
 
     Parameters
     ----------
@@ -254,8 +254,6 @@ def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes, *, ell
         (3,) pose of the robot in the frame of the axes, metres and radians.
     ax
         Where to draw.
-    ellipses
-        Also draw the 95 % ellipse of each position; a line has none.
 
     Returns
     -------
@@ -278,9 +276,8 @@ def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes, *, ell
                 x, y = transform_points(place, feature.position)
                 ax.plot(x, y, marker, color=colour, fillstyle="none", markersize=8, linestyle="none", label=label,
                         zorder=5)  # fmt: skip
-                if ellipses:
-                    outline = transform_points(place, feature.position + _ellipse(feature))
-                    ax.plot(outline[:, 0], outline[:, 1], "-", color=colour, linewidth=0.8, zorder=5)
+                outline = transform_points(place, feature.position + _ellipse(feature))
+                ax.plot(outline[:, 0], outline[:, 1], "-", color=colour, linewidth=0.8, zorder=5)
             if isinstance(feature, Pole):
                 outline = transform_points(place, feature.position + feature.diameter / 2.0 * _unit_circle())
                 ax.plot(outline[:, 0], outline[:, 1], "-", color=colour, linewidth=1.5, zorder=5)
@@ -289,7 +286,7 @@ def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes, *, ell
     return _in_metres(ax)
 
 
-def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes, *, bins: int = 80) -> Axes:
+def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes) -> Axes:
     """Draw the histogram of the measured ranges; the legend says what share is no return, NaN or too close.
 
     Parameters
@@ -300,8 +297,6 @@ def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes, *, bins: int =
         The sensor.
     ax
         Where to draw.
-    bins
-        Number of bins from the shortest to the longest measured range.
 
     Returns
     -------
@@ -319,7 +314,7 @@ def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes, *, bins: int =
     measured = usable[usable < finder.max_range]
     no_return = np.mean(usable >= finder.max_range)
     if measured.size:
-        ax.hist(measured, bins=bins, color=PATH_COLOUR, label=f"measured: {measured.size / z.size:.1%}")
+        ax.hist(measured, bins=80, color=PATH_COLOUR, label=f"measured: {measured.size / z.size:.1%}")
         ax.set_yscale("log")
         # Room for the legend above the highest bin.
         ax.set_ylim(0.7, 12.0 * ax.get_ylim()[1])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from beamfield.calibration import hit_forms
+from beamfield.calibration import cross_fit, hit_forms
 from beamfield.calibration.beam_table import build_beam_table
 from beamfield.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps
@@ -188,10 +188,11 @@ def test_readings_without_a_measurement_do_not_vanish_from_z_max_in_silence(driv
     assert "nan-readings" not in names(result)
 
 
-def test_too_little_to_draw_maps_from_does_not_ask_about_a_map_that_was_not_given(drive):
+def test_too_little_to_draw_maps_from_does_not_ask_about_a_map_that_was_not_given(drive, monkeypatch):
     sparse = drive.select(np.arange(0, len(drive), 12))
+    monkeypatch.setattr(cross_fit, "GROUP_SCANS", 1)
     with pytest.raises(TooLittleDataError, match="give a map") as error:
-        calibrate(sparse, build_cross_fit_maps(sparse, group_scans=1), OPTIONS)
+        calibrate(sparse, build_cross_fit_maps(sparse), OPTIONS)
     assert "is it the map of this place" not in str(error.value)
 
 

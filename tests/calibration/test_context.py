@@ -43,7 +43,7 @@ def copied_drive(poor_drive: SensorLog) -> SensorLog:
 def windows(drive: SensorLog, office: OccupancyGrid):
     options = WindowOptions(scans=2, windows=20, near=80, far=20)
     rivals = draw_rivals(options, office)
-    return options, rivals, cut_windows(drive, office, rivals, options)[:4]
+    return rivals, cut_windows(drive, office, rivals, options)[:4]
 
 
 def test_independent_beams_count_whole(poor_drive, office):
@@ -75,7 +75,7 @@ def test_an_error_of_the_reference_poses_limits_the_exponent(copied_drive, offic
 
 
 def test_the_models_own_exponent_does_not_matter(drive, office, windows):
-    _, _, cut = windows
+    _, cut = windows
     model = LikelihoodFieldModel(office, LikelihoodFieldParameters(0.8, 0.1, 0.1), n_beams=20)
     tempered = LikelihoodFieldModel(office, model.parameters, n_beams=20, exponent=0.25)
     np.testing.assert_allclose(
@@ -98,7 +98,7 @@ def _evidence(office, drive, cut, kind):
 
 @pytest.mark.parametrize("kind", ["beam", "field"])
 def test_evidence_is_the_models_likelihood(drive, office, windows, kind):
-    _, _, cut = windows
+    _, cut = windows
     model, evidence = _evidence(office, drive, cut, kind)
     expected = scan_log_likelihoods(model, drive, cut).sum(axis=1)
     np.testing.assert_allclose(evidence.log_likelihood(evidence.start), expected, atol=1e-6)
@@ -108,15 +108,15 @@ def test_evidence_is_the_models_likelihood(drive, office, windows, kind):
 
 @pytest.mark.parametrize("kind", ["beam", "field"])
 def test_the_scores_gradient_is_that_of_finite_differences(drive, office, windows, kind):
-    options, rivals, cut = windows
+    rivals, cut = windows
     _, evidence = _evidence(office, drive, cut, kind)
     power = 0.1
 
     def score(point):
-        return score_and_weights(power * evidence.log_likelihood(point), rivals, options)[0].sum()
+        return score_and_weights(power * evidence.log_likelihood(point), rivals)[0].sum()
 
-    scores, weights = score_and_weights(power * evidence.log_likelihood(evidence.start), rivals, options)
-    (judged,) = score_exponents(evidence.log_likelihood(evidence.start), np.array([power]), rivals, options)
+    scores, weights = score_and_weights(power * evidence.log_likelihood(evidence.start), rivals)
+    (judged,) = score_exponents(evidence.log_likelihood(evidence.start), np.array([power]), rivals)
     np.testing.assert_allclose(scores, judged.log_score, rtol=1e-12)
     np.testing.assert_allclose(weights.sum(axis=1), 0.0, atol=1e-12)
     steps = 1e-5 * np.eye(len(evidence.start))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from beamfield.calibration import cross_fit
 from beamfield.calibration.beam_table import BeamTable, build_beam_table
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.cross_fit import build_cross_fit_maps, cross_fit_table
@@ -96,7 +97,7 @@ def test_too_close_readings_are_not_counted_as_nan(drive):
     assert table.n_readings == ranges.size
 
 
-def test_a_cell_seen_once_by_the_other_half_is_seen():
+def test_a_cell_seen_once_by_the_other_half_is_seen(monkeypatch):
     """A robot that turns in a square room: the second half has one scan, whose beams cross each cell hardly twice."""
     finder = RangeFinder.from_bearings(np.radians(np.arange(-180.0, 180.0)), 8.0)
     headings = np.radians(np.arange(0.0, 18.0))
@@ -106,7 +107,8 @@ def test_a_cell_seen_once_by_the_other_half_is_seen():
     poses = np.column_stack([np.zeros(18), np.zeros(18), headings])
     poses[10:] = np.nan
     log = SensorLog(finder, np.arange(18.0), ranges, poses, np.full((18, 3), np.nan))
-    maps = build_cross_fit_maps(log, group_scans=9)
+    monkeypatch.setattr(cross_fit, "GROUP_SCANS", 9)
+    maps = build_cross_fit_maps(log)
     alone = np.arange(18) == 9
     np.testing.assert_array_equal(maps.counts[1].passes, count_hits(log, alone, 0.05).passes)
     assert maps.counts[1].passes.max() == 1.0
@@ -199,5 +201,3 @@ def test_a_log_without_poses_cannot_draw_a_map(drive):
 def test_too_few_scans_for_two_maps(drive):
     with pytest.raises(TooLittleDataError, match="9 scans; two maps need at least 10"):
         build_cross_fit_maps(drive.select(np.arange(9)))
-    with pytest.raises(InvalidInputError, match="group_scans"):
-        build_cross_fit_maps(drive, group_scans=0)

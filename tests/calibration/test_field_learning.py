@@ -82,7 +82,7 @@ def test_beams_that_say_the_same_count_once(rng, copies):
     sigma = np.array([0.15, 0.15, 0.05])
     places = rng.normal(0.0, sigma, (300, 3))
     values = -0.5 * copies * np.square((rivals.offsets - places[:, None]) / sigma).sum(axis=-1)
-    scores = score_exponents(values, EXPONENTS, rivals, options)
+    scores = score_exponents(values, EXPONENTS, rivals)
     # The reference's error of 0.04 m and 0.01 rad blurs it a little more.
     assert suited_exponent(np.array([s.coverage_at(0.9) for s in scores])) == pytest.approx(1.0 / copies, rel=0.25)
     assert EXPONENTS[np.argmax([score.mean for score in scores])] == pytest.approx(1.0 / copies, rel=0.35)

@@ -273,9 +273,9 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
             "window": SearchWindow(POSES[0], 2.0, 2.0, 1.0),
         },
     ),
-    (align, {"scan": SCAN, "onto": SCAN, "initial": [0.0, 0.0, 0.0], "search": (0.1, 0.05), "max_steps": 3}),
+    (align, {"scan": SCAN, "onto": SCAN, "initial": [0.0, 0.0, 0.0], "search": (0.1, 0.05)}),
     (likelihood_map, {"model": BEAM_MODEL, "scan": SCAN, "grid": GRID, "resolution": 1.0, "headings": 8}),
-    (PoseLattice.over_map, {"grid": GRID, "resolution": 1.0, "headings": 8, "where": "free"}),
+    (PoseLattice.over_map, {"grid": GRID, "resolution": 1.0, "headings": 8}),
     (
         pose_posterior,
         {"model": BEAM_MODEL, "z": SCAN, "lattice": partial(PoseLattice.over_map, GRID, resolution=1.0)},

@@ -347,8 +347,6 @@ def test_another_place_that_looks_alike_is_outside_the_search() -> None:
         ({"search": (-1.0, 0.0)}, "search"),
         ({"search": (np.nan, 0.0)}, "search"),
         ({"search": (1e5, 0.0)}, "search"),
-        ({"threshold": 0.0}, "threshold"),
-        ({"max_steps": 0}, "max_steps"),
     ],
 )
 def test_senseless_options_are_refused_by_name(options: dict[str, object], name: str) -> None:

@@ -89,7 +89,6 @@ def test_a_map_is_covered_where_it_is_free():
     assert lattice.n_poses == 8 * 4 * (24 - 6 - 1)
     first = compose(origin, [0.125, 0.625, 0.0])
     np.testing.assert_allclose(lattice.centres()[0], first[:2])
-    assert PoseLattice.over_map(grid, resolution=0.25, headings=8, where="all").n_poses == 8 * 96
     assert not lattice.inside[:2].any()
 
 
@@ -123,9 +122,8 @@ def test_an_impossible_measurement_has_no_posterior():
     ("build", "message"),
     [
         (lambda grid: PoseLattice.over_map(grid, resolution=0.0), "expected a positive number .*, got 0"),
-        (lambda grid: PoseLattice.over_map(grid, where="known"), "where: expected 'free' or 'all', got 'known'"),
         (lambda grid: PoseLattice.over_map(grid), "expected at least one cell"),
-        (lambda grid: PoseLattice.over_map(grid, resolution=1e-3, where="all", headings=3600), "more than 55,555"),
+        (lambda grid: PoseLattice.over_map(grid, resolution=1e-3, headings=3600), "more than 55,555"),
         (
             lambda _: PoseLattice.around(CENTRE, reach=0.1, resolution=0.2, heading_reach=1.0, heading_step=0.1),
             "at least one positive step",
@@ -133,7 +131,7 @@ def test_an_impossible_measurement_has_no_posterior():
         (lambda grid: PoseLattice(grid.origin, 1.0, np.ones((1, 1), bool), np.zeros(9), 1.0), "more than a full turn"),
         (lambda grid: PoseLattice(grid.origin, -1.0, np.ones((1, 1), bool), np.zeros(1), 1.0), "resolution: expected"),
     ],
-    ids=["resolution", "where", "nothing free", "too many", "reach", "turn", "negative"],
+    ids=["resolution", "nothing free", "too many", "reach", "turn", "negative"],
 )
 def test_bad_lattices_are_refused(build, message):
     full = OccupancyGrid.from_ros(np.full((4, 4), 100), 0.5)

@@ -120,5 +120,5 @@ def test_a_map_without_room_and_too_few_candidates_are_refused(room):
         FreePoses(solid)
     with pytest.raises(InvalidInputError, match="no free cell"):
         PosesFromScan(solid, model)
-    with pytest.raises(InvalidInputError, match="least_effective"):
+    with pytest.raises(InvalidInputError, match="n_candidates"):
         PosesFromScan(room, model, n_candidates=10)

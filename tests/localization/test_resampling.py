@@ -12,7 +12,6 @@ from beamfield.errors import InvalidInputError
 from beamfield.kernels import particles as kernels
 from beamfield.localization.resampling import (
     KldSampling,
-    PoseBins,
     bin_numbers,
     draw_enough,
     systematic_indices,
@@ -79,10 +78,10 @@ def test_drawing_stops_as_soon_as_there_are_enough_for_the_bins_hit(rng):
     poses = rng.normal(0, [1.5, 1.5, 0.6], (3000, 3))
     weights = rng.random(3000)
     weights /= weights.sum()
-    kld = KldSampling(least=20, error=0.2, bins=PoseBins(0.7, 12))
-    bins, n_bins = bin_numbers(poses, kld.bins)[:2]
+    kld = KldSampling(least=20, error=0.2)
+    bins, n_bins = bin_numbers(poses)[:2]
     indices = draw_enough(weights, bins, n_bins, 100_000, kld, rng)
-    keys = np.column_stack([np.floor(poses[:, :2] / 0.7), np.floor((poses[:, 2] % (2 * np.pi)) / (2 * np.pi) * 12)])
+    keys = np.column_stack([np.floor(poses[:, :2] / 0.5), np.floor((poses[:, 2] % (2 * np.pi)) / (2 * np.pi) * 36)])
     for n in (len(indices), len(indices) - 1):
         k = len(np.unique(keys[indices[:n]], axis=0))
         assert (n >= kld.particles_needed(k)) == (n == len(indices))
@@ -91,7 +90,7 @@ def test_drawing_stops_as_soon_as_there_are_enough_for_the_bins_hit(rng):
 
 def test_bins_are_numbered_as_a_dictionary_would(rng):
     poses = rng.normal(0, [3, 3, 4], (2000, 3)) - [40.0, 0.0, 0.0]
-    numbers, n_bins, keys, _ = bin_numbers(poses, PoseBins(0.5, 36))
+    numbers, n_bins, keys, _ = bin_numbers(poses)
     known = {}
     sectors = np.floor((poses[:, 2] / (2 * np.pi) % 1.0) * 36)
     for number, x, y, sector in zip(numbers, *np.floor(poses[:, :2] / 0.5).T, sectors, strict=True):
@@ -101,7 +100,7 @@ def test_bins_are_numbered_as_a_dictionary_would(rng):
 
 def test_poses_beyond_all_bins_share_the_last():
     poses = np.array([[1e30, 0, 0], [-1e30, 0, 0], [1e29, 0, 0], [0, 0, 1e9]])
-    assert bin_numbers(poses, PoseBins())[0].tolist() == [0, 1, 0, 2]
+    assert bin_numbers(poses)[0].tolist() == [0, 1, 0, 2]
 
 
 def test_bad_numbers_are_refused(rng):
@@ -113,5 +112,3 @@ def test_bad_numbers_are_refused(rng):
     for options in ({"least": 0}, {"error": 0.0}, {"probability": 1.0}):
         with pytest.raises(InvalidInputError, match=next(iter(options))):
             KldSampling(**options)
-    with pytest.raises(InvalidInputError, match="cell"):
-        PoseBins(0.0)

@@ -10,7 +10,6 @@ import pytest
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.geometry import between, chained, compose, wrap_angle
 from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory
-from beamfield.localization.trajectory_options import TrajectoryOptions
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import SensorLog
@@ -167,4 +166,4 @@ def test_impossible_input_is_refused(drive: SensorLog, office: OccupancyGrid):
     with pytest.raises(TooLittleDataError, match="readings"):
         fit_trajectory(replace(some, ranges=np.full_like(some.ranges, np.inf)), office)
     with pytest.raises(InvalidInputError, match="max_deviation"):
-        TrajectoryOptions(max_deviation=0.0)
+        fit_trajectory(some, office, max_deviation=0.0)

@@ -54,7 +54,7 @@ def test_values_of_one_log_serve_another_of_the_same_building(data: Path, wean_h
     scores = []
     for parameters in (DEFAULT, fit.parameters):
         model = build_model("nav2", "likelihood_field_prob", wean_hall, parameters)
-        scores += score_windows(model, gather_evidence(model, log, windows), [parameters], rivals, OPTIONS)
+        scores += score_windows(model, gather_evidence(model, log, windows), [parameters], rivals)
     default, calibrated = scores
     # Another log of the same building loses a little: 0.88 with more windows and rivals.
     assert default.coverage < 0.7

@@ -34,7 +34,7 @@ def found() -> ChangedPlaces:
         place("passing (people)", "short", 4.0),
         place("undecided", "no return", 5.5),
     )
-    return ChangedPlaces(places, 0.25, 0.04, 100, 12, 20.0, ())
+    return ChangedPlaces(places, 0.25, 0.04, 100, 20.0, ())
 
 
 def pixels(markup: str) -> np.ndarray:

@@ -51,10 +51,8 @@ class CrossFitMaps:
 
 
 @checked
-def build_cross_fit_maps(
-    log: SensorLog, *, resolution: float = 0.05, group_scans: int = GROUP_SCANS, progress: Progress | None = None
-) -> CrossFitMaps:
-    """Draw a map from each half of a log's scans.
+def build_cross_fit_maps(log: SensorLog, *, resolution: float = 0.05, progress: Progress | None = None) -> CrossFitMaps:
+    """Draw a map from each half of a log's scans: five in a row go to one half, the next five to the other.
 
     Parameters
     ----------
@@ -62,8 +60,6 @@ def build_cross_fit_maps(
         Scans with reference poses.
     resolution
         Side of a cell, metres.
-    group_scans
-        So many consecutive scans go to one half, the next to the other.
     progress
         Called with (stage, done, total).
 
@@ -74,20 +70,18 @@ def build_cross_fit_maps(
     Raises
     ------
     InvalidInputError
-        If the log has no reference poses or an option is out of range.
+        If the log has no reference poses or the resolution is no size of a cell.
     TooLittleDataError
         If there are too few scans for two halves.
     """
-    if group_scans < 1:
-        raise InvalidInputError(f"group_scans: expected at least 1, got {group_scans}")
     if not log.has_poses:
         raise InvalidInputError(
             f"{log.finder.name or 'log'}: no scan has a reference pose, so no map can be drawn; "
             "give poses with a file or topic"
         )
-    if len(log) < 2 * group_scans:
-        raise TooLittleDataError(f"{len(log)} scans; two maps need at least {2 * group_scans}")
-    half = ((np.arange(len(log)) // group_scans) % 2).astype(np.int8)
+    if len(log) < 2 * GROUP_SCANS:
+        raise TooLittleDataError(f"{len(log)} scans; two maps need at least {2 * GROUP_SCANS}")
+    half = ((np.arange(len(log)) // GROUP_SCANS) % 2).astype(np.int8)
 
     names = "the first half's map", "the second half's map"
     if log.finder.opening_angle > 0.0:

@@ -23,6 +23,8 @@ HELD_OUT = 2
 WINDOWS_PER_BLOCK = 2.5
 # Guesses at truth and prior around each reference.
 N_GUESSES = 20
+# Prior probability that the robot is elsewhere on the map.
+FAR_SHARE = 0.5
 # A reference that is off by so many metres is off by a radian.
 REFERENCE_LEVER = 4.0
 
@@ -44,8 +46,6 @@ class WindowOptions:
         Number of poses around the reference and elsewhere on the map that compete.
     spread, turn_spread
         The prior around the reference: standard deviations in metres (each axis) and radians.
-    far_share
-        Prior probability that the robot is elsewhere.
     reference_error, reference_turn_error
         How wrong the reference poses themselves may be: standard deviations in metres (each axis) and radians. No
         posterior pays that is surer of the reference than this: references often come from the same scans, so that
@@ -67,7 +67,6 @@ class WindowOptions:
     far: int = 100
     spread: float = 0.25
     turn_spread: float = 0.1
-    far_share: float = 0.5
     reference_error: float = 0.04
     reference_turn_error: float = 0.01
     seed: int = 0
@@ -80,7 +79,6 @@ class WindowOptions:
             require(0.0 < getattr(self, name) < np.inf, name, "a positive number", getattr(self, name))
         for name in ("travel", "turn"):
             require(0.0 <= getattr(self, name) < np.inf, name, "a number >= 0", getattr(self, name))
-        require(0.0 <= self.far_share < 1.0, "far_share", "a number in [0, 1)", self.far_share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.io.files.atomic import atomic_files
     from beamfield.io.trajectory import write_tum
     from beamfield.localization.trajectory import fit_trajectory
-    from beamfield.localization.trajectory_options import TrajectoryOptions
     from beamfield.report.trajectory_figure import draw_fit
     from beamfield.sensors import Track
 
@@ -58,7 +57,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         try:
             fit = fit_trajectory(
                 sensor, grid, start=options.start_of(arguments), progress=progress,
-                options=TrajectoryOptions(max_deviation=arguments.max_deviation),
+                max_deviation=arguments.max_deviation,
             )  # fmt: skip
         except InvalidInputError as error:
             raise about_its_file(error, arguments, arguments.log) from error

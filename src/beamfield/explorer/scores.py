@@ -53,4 +53,4 @@ class PoseScores:
         near = compose(reference, self._rivals.offsets)
         poses = np.concatenate([near, self._far])
         weights = np.array([[model.log_likelihood(scan, poses) for model in models]])
-        return [float(one.log_score[0]) for one in judge_weights(weights, len(near), self._rivals, OPTIONS)]
+        return [float(one.log_score[0]) for one in judge_weights(weights, len(near), self._rivals)]

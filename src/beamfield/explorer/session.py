@@ -119,7 +119,7 @@ class Session:
 
     def _start(self, _: Request) -> dict[str, Any]:
         """Return what the page shows first: the map, the scans' times and poses, the sets."""
-        log, finder = self.log, _thinned(self.log[0], MOST_BEAMS).finder
+        log, finder = self.log, _thinned(self.log[0]).finder
         known = np.asarray(np.isfinite(log.poses).all(axis=1))
         rows, cols = self.grid.shape
         return {
@@ -251,7 +251,7 @@ class Session:
         pose = self.log.poses[i]
         if not np.isfinite(pose).all():
             return None
-        scan = _thinned(self.log[i], MOST_BEAMS)
+        scan = _thinned(self.log[i])
         return {
             "pose": self._pose_scores([self._model(one, values) for one, values in chosen], scan, pose),
             "reading": [reading_score(one, values, scan, pose, self._caster) for one, values in chosen],
@@ -294,7 +294,7 @@ class Session:
 
     def _scan_of(self, request: Request) -> tuple[Scan, int]:
         i = request.integer("i", len(self.log))
-        return _thinned(self.log[i], MOST_BEAMS), i
+        return _thinned(self.log[i]), i
 
     def _set_of(self, request: Request) -> tuple[ParameterSet, dict[str, float]]:
         number = request.integer("set", len(self.sets))
@@ -328,10 +328,10 @@ class Session:
         return RayCaster(self.grid)
 
 
-def _thinned(scan: Scan, n: int) -> Scan:
-    if scan.finder.n_beams <= n:
+def _thinned(scan: Scan) -> Scan:
+    if scan.finder.n_beams <= MOST_BEAMS:
         return scan
-    return scan.subset(np.unique(np.round(np.linspace(0, scan.finder.n_beams - 1, n)).astype(np.int64)))
+    return scan.subset(np.unique(np.round(np.linspace(0, scan.finder.n_beams - 1, MOST_BEAMS)).astype(np.int64)))
 
 
 def _png(picture: Image.Image) -> str:

@@ -13,9 +13,6 @@ from beamfield.features.straight_line import Line, fit_line
 from beamfield.features.sweep import RangeNoise, Sweep, split_at_gaps, sweeps
 from beamfield.sensors import Scan
 
-# One more piece must explain this much chi-square; an outlier this much: beyond 3.5 sigma.
-PIECE_COST = 25.0
-OUTLIER_COST = 12.0
 # Two pieces are one wall unless chance makes them differ so much once in a thousand times (two degrees of freedom).
 SAME_LINE = float(chdtri(2, 1e-3))
 # How many pieces ahead the other half of a wall is looked for.
@@ -76,7 +73,7 @@ def find_lines(
 
 def cut(sweep: Sweep, run: NDArray[np.int64], noise: RangeNoise, min_points: int) -> list[NDArray[np.int64]]:
     """Return the straight pieces of a run."""
-    return straight_pieces(sweep, run, noise, min_points=min_points, piece_cost=PIECE_COST, outlier_cost=OUTLIER_COST)
+    return straight_pieces(sweep, run, noise, min_points=min_points)
 
 
 def mend_start(

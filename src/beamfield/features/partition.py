@@ -8,20 +8,17 @@ from numpy.typing import NDArray
 from beamfield.features.sweep import RangeNoise, Sweep
 from beamfield.geometry import FloatArray
 
+# In units of chi-square: what one more piece must explain, and an outlier: beyond 3.5 sigma.
+PIECE_COST, OUTLIER_COST = 25.0, 12.0
+
 
 def straight_pieces(
-    sweep: Sweep,
-    places: NDArray[np.int64],
-    noise: RangeNoise,
-    *,
-    min_points: int,
-    piece_cost: float,
-    outlier_cost: float,
+    sweep: Sweep, places: NDArray[np.int64], noise: RangeNoise, *, min_points: int
 ) -> list[NDArray[np.int64]]:
     """Return the pieces of a run that are straight within the noise.
 
-    Every point belongs to a piece or is an outlier. The cost is the sum of the pieces' chi-squares, `piece_cost` for
-    each piece and `outlier_cost` for each outlier; dynamic programming finds the least. Split and merge looks for the
+    Every point belongs to a piece or is an outlier. The cost is the sum of the pieces' chi-squares, `PIECE_COST` for
+    each piece and `OUTLIER_COST` for each outlier; dynamic programming finds the least. Split and merge looks for the
     same cuts but stops at the first that seems good.
 
     Parameters
@@ -32,8 +29,6 @@ def straight_pieces(
         Of single readings.
     min_points
         Fewest points of a piece, at least 3.
-    piece_cost, outlier_cost
-        In units of chi-square.
     """
     n = len(places)
     sums = cumulated_normal_equations(sweep, places, noise)
@@ -41,10 +36,10 @@ def straight_pieces(
     # Where the last piece up to a point starts; -1: the point is an outlier.
     cut = np.full(n + 1, -1, dtype=np.int64)
     for stop in range(1, n + 1):
-        best[stop] = best[stop - 1] + outlier_cost
+        best[stop] = best[stop - 1] + OUTLIER_COST
         if stop >= min_points:
             starts = stop - min_points + 1
-            total = best[:starts] + chi_squares(sums[stop] - sums[:starts]) + piece_cost
+            total = best[:starts] + chi_squares(sums[stop] - sums[:starts]) + PIECE_COST
             start = int(np.argmin(total))
             if total[start] < best[stop]:
                 best[stop], cut[stop] = total[start], start

@@ -11,7 +11,6 @@ from scipy.special import stdtr
 from scipy.stats import false_discovery_control
 
 from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError
 from beamfield.fleet.learning import FleetFit, GroupFit
 from beamfield.fleet.transformed import NAMES, UNKNOWN, transformed
 from beamfield.geometry import FloatArray
@@ -86,10 +85,7 @@ def compare_robots(fit: FleetFit) -> tuple[Difference, ...]:
     ----------
     Benjamini and Hochberg, "Controlling the false discovery rate", Journal of the Royal Statistical Society B 57, 1995.
     """
-    if fit.by != "robot":
-        raise InvalidInputError(f"fit: expected one by robot, got one by {fit.by}")
-    limits = sorted({item.limits for item in fit.fits})
-    rows = [row for one in limits for row in _rows([item for item in fit.fits if item.limits == one])]
+    rows = [row for robots in fit.robots_by_limits() for row in _rows(robots)]
     q_values = adjusted([p for *_, p in rows])
     found = []
     for (item, name, usual, p), q in zip(rows, q_values, strict=True):
@@ -169,7 +165,7 @@ def unlike_others(values: FloatArray, variances: FloatArray, sites: Sequence[str
     return Unlike(centres, np.sqrt(total), np.asarray(2.0 * stdtr(dof, -t)), dof)
 
 
-def _rows(group: list[GroupFit]) -> list[tuple[GroupFit, str, float, float]]:
+def _rows(group: Sequence[GroupFit]) -> list[tuple[GroupFit, str, float, float]]:
     """Return fit, parameter, the usual value and the p-value for each robot and parameter."""
     estimates = [transformed(item) for item in group]
     rows = []

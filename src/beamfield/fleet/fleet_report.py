@@ -109,7 +109,7 @@ def judge_fleet(catalogue: Catalogue, engine: Engine, *, progress: StageProgress
 def _pooled(fit: FleetFit) -> tuple[Hierarchy, ...]:
     """Pool the robots of each kind of sensor; those whose beams do not suffice are left out."""
     found: list[Hierarchy] = []
-    for limits in sorted({one.limits for one in fit.fits}):
+    for robots in fit.robots_by_limits():
         with suppress(TooLittleDataError):
-            found += pool(replace(fit, fits=tuple(one for one in fit.fits if one.limits == limits)))
+            found += pool(replace(fit, fits=robots))
     return tuple(found)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beamfield.arguments import checked
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import TooLittleDataError
 from beamfield.fleet.learning import FleetFit, GroupFit
 from beamfield.fleet.shard_passes import SensorLimits
 from beamfield.fleet.transformed import NAMES, UNKNOWN, intervals_from, parameters_from, transformed
@@ -105,10 +105,7 @@ def pool(fit: FleetFit) -> tuple[Hierarchy, ...]:
     links the errors of two parameters of a robot is left out. A weight that was learned as 0 counts as its one-sided
     interval says, a lambda_short that no beam determines not at all.
     """
-    if fit.by != "robot":
-        raise InvalidInputError(f"fit: expected one by robot, got one by {fit.by}")
-    limits = sorted({item.limits for item in fit.fits})
-    return tuple(_hierarchy([item for item in fit.fits if item.limits == one], one) for one in limits)
+    return tuple(_hierarchy(robots) for robots in fit.robots_by_limits())
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +214,7 @@ def _averaged(share: FloatArray, means: FloatArray, variances: FloatArray) -> Fl
     return np.stack([mean, share @ (variances + (means - mean) ** 2)])
 
 
-def _hierarchy(fits: list[GroupFit], limits: SensorLimits) -> Hierarchy:
+def _hierarchy(fits: Sequence[GroupFit]) -> Hierarchy:
     estimates = [transformed(item) for item in fits]
     values, variances = (np.stack([estimate[i] for estimate in estimates]) for i in range(2))
     sites = [item.site or "" for item in fits]
@@ -239,7 +236,7 @@ def _hierarchy(fits: list[GroupFit], limits: SensorLimits) -> Hierarchy:
         return Pooled(site, robot, parameters, intervals, shares)
 
     return Hierarchy(
-        limits,
+        fits[0].limits,
         fleet=pooled(None, None, [pooling.fleet for pooling in poolings]),
         sites=tuple(
             pooled(site, None, [pooling.sites[:, k] for pooling in poolings])

@@ -97,6 +97,13 @@ class FleetFit:
 
     __repr__ = short_repr
 
+    def robots_by_limits(self) -> list[tuple[GroupFit, ...]]:
+        """Return the robots' fits, those of one kind of sensor together; an error if the fit is not by robot."""
+        if self.by != "robot":
+            raise InvalidInputError(f"fit: expected one by robot, got one by {self.by}")
+        limits = sorted({one.limits for one in self.fits})
+        return [tuple(one for one in self.fits if one.limits == each) for each in limits]
+
 
 @checked
 def learn(catalogue: Catalogue, engine: Engine, *, by: By = "fleet", thin: int = 1) -> FleetFit:

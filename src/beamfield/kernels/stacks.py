@@ -88,15 +88,8 @@ def brushfire(obstacles: NDArray[np.bool_], limit: float, neighbours: NDArray[np
 
 @kernel
 def _push(key: NDArray[np.int32], cell: NDArray[np.int32], n: int, distance: int, index: int) -> int:
-    """Add an element to a binary heap of n, nearest on top: it rises past parents that are strictly farther."""
-    place = n
-    while place > 0:
-        parent = (place - 1) // 2
-        if key[parent] <= distance:
-            break
-        key[place], cell[place] = key[parent], cell[parent]
-        place = parent
-    key[place], cell[place] = distance, index
+    """Add an element to a binary heap of n, nearest on top."""
+    _rise(key, cell, n, distance, index)
     return n + 1
 
 
@@ -116,6 +109,13 @@ def _pop(key: NDArray[np.int32], cell: NDArray[np.int32], n: int) -> int:
     if child == n:
         key[place], cell[place] = key[n - 1], cell[n - 1]
         place = n - 1
+    _rise(key, cell, place, distance, index)
+    return n
+
+
+@kernel
+def _rise(key: NDArray[np.int32], cell: NDArray[np.int32], place: int, distance: int, index: int) -> None:
+    """Let an element rise from a gap past parents that are strictly farther."""
     while place > 0:
         parent = (place - 1) // 2
         if key[parent] <= distance:
@@ -123,7 +123,6 @@ def _pop(key: NDArray[np.int32], cell: NDArray[np.int32], n: int) -> int:
         key[place], cell[place] = key[parent], cell[parent]
         place = parent
     key[place], cell[place] = distance, index
-    return n
 
 
 @kernel

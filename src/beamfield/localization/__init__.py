@@ -17,6 +17,5 @@ _NAMES = {
     "replay_trials": ("run_trials",),
     "resampling": ("KldSampling",),
     "short_readings": ("ShortReadings",),
-    "trajectory_options": ("TrajectoryOptions",),
 }
 __all__, __getattr__, __dir__ = lazy_names(__name__, _NAMES)

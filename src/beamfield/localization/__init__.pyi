@@ -17,4 +17,3 @@ from beamfield.localization.replay_comparison import judge_change as judge_chang
 from beamfield.localization.replay_trials import run_trials as run_trials
 from beamfield.localization.resampling import KldSampling as KldSampling
 from beamfield.localization.short_readings import ShortReadings as ShortReadings
-from beamfield.localization.trajectory_options import TrajectoryOptions as TrajectoryOptions

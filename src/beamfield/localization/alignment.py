@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_count, checked, require
+from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, wrap_angle
 from beamfield.kernels import scan_field as kernels
 from beamfield.localization.alignment_covariance import sandwich_covariance
-from beamfield.localization.weak_direction import START_DEVIATION, weigh_slides
+from beamfield.localization.weak_direction import START_DEVIATION, UNDETERMINED, weigh_slides
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_field import ScanField
 from beamfield.sensors import Scan
@@ -30,7 +30,7 @@ COARSE_SIGMAS = (12.0, 4.0)
 COARSE_POINTS = 60
 # The ascent of a level ends with steps shorter than this, in sigma.
 COARSE_TOLERANCE, FINE_TOLERANCE = 0.06, 0.002
-COARSE_STEPS = 10
+COARSE_STEPS, FINE_STEPS = 10, 30
 # Steps after the ascent, which ends where the score has a small step.
 SETTLING_STEPS = 6
 # Surfaces pull on end points up to this many sigma away.
@@ -128,8 +128,6 @@ def align(
     *,
     onto_poses: ArrayLike | None = None,
     search: tuple[float, float] = DEFAULT_SEARCH,
-    threshold: float = 0.02,
-    max_steps: int = 30,
 ) -> AlignmentResult:
     """Find the pose at which a scan fits best onto what other scans saw.
 
@@ -153,12 +151,6 @@ def align(
         Half-widths (metres, radians) of a window around `initial` that is searched from a grid of starts 0.4 m and 12
         degrees apart; (0, 0) for `initial` alone, which takes half the time and fails more often. For large windows use
         `beamfield.localization.global_search`.
-    threshold
-        A direction is undetermined if its eigenvalue lies below this: if the end points' information along it is that
-        of less than this share of them facing it squarely. Nothing moves along such a direction: the pose keeps what
-        `initial` says.
-    max_steps
-        Of the last level.
 
     Returns
     -------
@@ -168,11 +160,14 @@ def align(
     Raises
     ------
     InvalidInputError
-        If poses are not finite or have other shapes, several scans come without poses, or search, threshold or
-        max_steps make no sense.
+        If poses are not finite or have other shapes, several scans come without poses, or search makes
+        no sense.
 
     Notes
     -----
+    **Undetermined directions** are those along which the end points' information is that of less than 2 % of them
+    facing it squarely. Nothing moves along them: the pose keeps what `initial` says.
+
     **Slides.** Along a corridor few end points tell one place from the next, and the score has many small peaks. Where
     a move in the weakest direction meets less than 35 % of the end points' resistance, the line along it is looked at
     every sigma, up to 0.5 m from the initial pose. The best peaks are climbed, and all places are weighed by their
@@ -204,31 +199,30 @@ def align(
     >>> bool(np.abs(result.pose).max() < 1e-3), result.problem
     (True, '')
     """
-    start = _checked_start(initial, search, threshold)
-    max_steps = as_count(max_steps, "max_steps", least=1, most=10_000)
+    start = _checked_start(initial, search)
     field = _as_field(onto, onto_poses)
     points = hit_points(scan.ranges, scan.finder)
     lever = _lever(points)
     if not len(points):
         return _failure(start, 0.0, 0.0, lever, "no end points")
-    pose = _climb_coarse(points, field, start, search, lever, threshold)
+    pose = _climb_coarse(points, field, start, search, lever)
     sigma = field.sigma_hit
     _, converged, _ = kernels.ascend(
-        points, pose, 1, sigma, lever, threshold, FINE_TOLERANCE * sigma, max_steps, field.view
+        points, pose, 1, sigma, lever, UNDETERMINED, FINE_TOLERANCE * sigma, FINE_STEPS, field.view
     )
     fit = _inspect(points, pose, field, lever)
     if fit.n_matched < FEWEST_MATCHES:
         return _failure(start, fit.score, fit.overlap, lever, "no overlap")
     sliding = 0.0
-    if fit.eigenvalues[0] >= threshold and fit.slide_information < WEAK:
+    if fit.eigenvalues[0] >= UNDETERMINED and fit.slide_information < WEAK:
         slide = weigh_slides(
             points, field, pose, fit.slide, start,
-            lever=lever, threshold=threshold, beam_spacing=_beam_spacing(scan), window=search[0],
+            lever=lever, beam_spacing=_beam_spacing(scan), window=search[0],
         )  # fmt: skip
         pose, sliding = slide.pose, slide.variance
-    kernels.settle(points, pose, sigma, lever, threshold, FINE_TOLERANCE * sigma, SETTLING_STEPS, field.view)
+    kernels.settle(points, pose, sigma, lever, UNDETERMINED, FINE_TOLERANCE * sigma, SETTLING_STEPS, field.view)
     fit = _inspect(points, pose, field, lever)
-    free = fit.eigenvalues < threshold
+    free = fit.eigenvalues < UNDETERMINED
     covariance = _covariance(points, field, fit, free, lever)
     covariance += sliding * np.outer(fit.slide, fit.slide)
     aside = SLIDE_DIRECTION_DEVIATION**2 * sliding
@@ -301,12 +295,11 @@ def _covariance(points: FloatArray, field: ScanField, fit: _Fit, free: NDArray[n
     )  # fmt: skip
 
 
-def _checked_start(initial: ArrayLike, search: tuple[float, float], threshold: float) -> FloatArray:
+def _checked_start(initial: ArrayLike, search: tuple[float, float]) -> FloatArray:
     """Return the initial pose, a copy."""
     start = as_pose(initial, "initial")
     if len(search) != 2 or not all(0.0 <= half < np.inf for half in search):
         raise InvalidInputError(f"search: expected half-widths >= 0 in metres and radians, got {search!r}")
-    require(0.0 < threshold < 1.0, "threshold", "a share between 0 and 1", threshold)
     return start
 
 
@@ -345,8 +338,8 @@ def _failure(start: FloatArray, score: float, overlap: float, lever: float, prob
     )  # fmt: skip
 
 
-def _climb_coarse(points: FloatArray, field: ScanField, start: FloatArray, search: tuple[float, float], lever: float,
-                  threshold: float) -> FloatArray:  # fmt: skip
+def _climb_coarse(points: FloatArray, field: ScanField, start: FloatArray, search: tuple[float, float], lever: float
+                  ) -> FloatArray:  # fmt: skip
     """Return the best pose after the coarse levels, from all starts."""
     stride = max(1, len(points) // COARSE_POINTS)
     climbers = _starts(start, search)
@@ -355,7 +348,7 @@ def _climb_coarse(points: FloatArray, field: ScanField, start: FloatArray, searc
         sigma = factor * field.sigma_hit
         for i, pose in enumerate(climbers):
             scores[i], _, _ = kernels.ascend(
-                points, pose, stride, sigma, lever, threshold, COARSE_TOLERANCE * sigma, COARSE_STEPS, field.view
+                points, pose, stride, sigma, lever, UNDETERMINED, COARSE_TOLERANCE * sigma, COARSE_STEPS, field.view
             )
         # The initial pose stays in the race as the first.
         kept = [0, *(1 + np.argsort(-scores[1:])[:FOLLOWED_STARTS])]

@@ -3,58 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-from beamfield.arguments import check_fields, require
 from beamfield.geometry import FloatArray, Pose, after_step, step_between
 
-
-@dataclass(frozen=True)
-class OdometryLimits:
-    """What a robot can have done between two scans; more is a fault of the odometry.
-
-    Parameters
-    ----------
-    speed
-        Metres per second.
-    turn_rate
-        Radians per second.
-    slack
-        Metres that any step may have beyond that: stamps are rounded, or only number the scans.
-    slack_turn
-        The same in radians.
-
-    Raises
-    ------
-    InvalidInputError
-        If a number is not positive.
-    """
-
-    speed: float = 5.0
-    turn_rate: float = 6.0
-    slack: float = 1.0
-    slack_turn: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        for name in ("speed", "turn_rate", "slack", "slack_turn"):
-            require(0.0 < getattr(self, name) <= math.inf, name, "a number > 0", getattr(self, name))
+# What a robot can have done between two scans, metres and radians a second; more is a fault of the odometry.
+SPEED, TURN_RATE = 5.0, 6.0
+# What any step may have beyond that, metres and radians: stamps are rounded, or only number the scans.
+SLACK, SLACK_TURN = 1.0, 1.0
 
 
 class ContinuousOdometry:
     """The odometry's poses chained step by step, without the steps that no robot can have made.
 
-    A step beyond the limits is a reset or a jump: the track stands still over it, and `jumps` counts it. Poses that are
-    not finite are gaps, which the next finite pose bridges. Time that runs backwards counts as time that runs.
-
-    Parameters
-    ----------
-    limits
-        What a robot can have done.
+    Such a step is a reset or a jump: the track stands still over it, and `jumps` counts it. Poses that are not finite
+    are gaps, which the next finite pose bridges. Time that runs backwards counts as time that runs.
     """
 
-    def __init__(self, limits: OdometryLimits | None = None) -> None:
-        self._limits = limits or OdometryLimits()
+    def __init__(self) -> None:
         self._last: Pose | None = None
         self._last_stamp: float | None = None
         self.pose: Pose = (0.0, 0.0, 0.0)
@@ -93,10 +58,8 @@ class ContinuousOdometry:
     def _is_possible(self, step: Pose, stamp: float | None) -> bool:
         if stamp is None:
             return True
-        most = self._limits
         seconds = 0.0 if self._last_stamp is None else abs(stamp - self._last_stamp)
         seconds = seconds if math.isfinite(seconds) else 0.0
         return (
-            math.hypot(step[0], step[1]) <= most.slack + most.speed * seconds
-            and abs(step[2]) <= most.slack_turn + most.turn_rate * seconds
+            math.hypot(step[0], step[1]) <= SLACK + SPEED * seconds and abs(step[2]) <= SLACK_TURN + TURN_RATE * seconds
         )

@@ -12,7 +12,7 @@ from beamfield.errors import TrajectoryNotFoundError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray
 from beamfield.localization.trajectory import Progress, TrajectoryFit, find_course, fit_course, fit_trajectory
-from beamfield.localization.trajectory_options import TrajectoryOptions
+from beamfield.localization.trajectory_trust import MAX_DEVIATION
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.short_repr import short_repr
@@ -200,7 +200,7 @@ def cross_fit_poses(log: SensorLog, grid: OccupancyGrid, *, start: ArrayLike | N
         even, grid, course, progress=lambda stage, done, total: report(f"{stage}, other beams", done, total)
     )
     apart = (fit.poses - again.poses)[:, :2]
-    trusted = fit.trusted & again.trusted & (np.hypot(*apart.T) <= TrajectoryOptions().max_deviation)
+    trusted = fit.trusted & again.trusted & (np.hypot(*apart.T) <= MAX_DEVIATION)
     swapped = _posed(odd, again, trusted)
     # Each half has half of the variance of their difference; the median of a normal's absolute value is 0.674 sd.
     between = float(np.median(np.abs(apart[trusted]))) / 0.674 / np.sqrt(2.0)

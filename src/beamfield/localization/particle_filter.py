@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, Pose, after_step, as_poses, step_between
-from beamfield.localization.continuous_odometry import ContinuousOdometry, OdometryLimits
+from beamfield.localization.continuous_odometry import ContinuousOdometry
 from beamfield.localization.particles import Estimate, Particles
 from beamfield.localization.recovery import LikelihoodAverages, PoseSource, Recovery, reweigh
-from beamfield.localization.resampling import IndexArray, KldSampling, PoseBins, draw_enough, systematic_indices
+from beamfield.localization.resampling import IndexArray, KldSampling, draw_enough, systematic_indices
 from beamfield.localization.short_readings import ShortReadings
 from beamfield.models.base import MeasurementModel
 from beamfield.models.motion import MotionModel
@@ -53,8 +53,6 @@ class FilterOptions:
         the particle that happens to lie nearest to one of many peaks. 0: never.
     recovery
         Draw poses anew when measurements fit worse than they did; needs a source of poses.
-    limits
-        What odometry can have done between two calls.
 
     Raises
     ------
@@ -69,7 +67,6 @@ class FilterOptions:
     resample_below: float = 0.5
     least_effective: float = 0.02
     recovery: Recovery | None = None
-    limits: OdometryLimits = field(default_factory=OdometryLimits)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -169,10 +166,9 @@ class ParticleFilter(Generic[Z]):
             raise InvalidInputError("source: a recovery needs a source of poses, as FreePoses(grid); got None")
         self._model, self._motion, self._source, self._short = model, motion, source, short_readings
         self._rng = as_generator(rng)
-        self._bins = self.options.kld.bins if self.options.kld is not None else PoseBins()
         self._belief: Particles | None = None
         self._coarse: MeasurementModel[Z] | None = None
-        self._odometry = ContinuousOdometry(self.options.limits)
+        self._odometry = ContinuousOdometry()
 
     @checked
     def start(
@@ -198,9 +194,9 @@ class ParticleFilter(Generic[Z]):
             If the cloud is not finite (n, 3), or the weights do not fit.
         """
         given = None if weights is None else as_floats(weights, "weights")
-        self._belief = Particles(as_poses(poses), given, self._bins)  # type: ignore[arg-type]
+        self._belief = Particles(as_poses(poses), given)  # type: ignore[arg-type]
         self._coarse = coarse
-        self._odometry = ContinuousOdometry(self.options.limits)
+        self._odometry = ContinuousOdometry()
         self._used: Pose | None = None
         self._jumps_used = 0
         self._averages = None if self.options.recovery is None else LikelihoodAverages(self.options.recovery)
@@ -269,7 +265,7 @@ class ParticleFilter(Generic[Z]):
         log_evidence, effective, power = reweigh(weights, log_likelihood, self.options.least_effective, weights)
         if log_evidence == math.inf:
             raise InvalidInputError("model: expected log-likelihoods below +inf")
-        weighed = Particles.unchecked(moved.poses, weights, self._bins)
+        weighed = Particles.unchecked(moved.poses, weights)
         if log_evidence == -math.inf:
             effective = 1.0 / float(np.square(weights).sum())
         if not self.is_found and _is_narrow(weighed.whole):
@@ -298,7 +294,7 @@ class ParticleFilter(Generic[Z]):
             raise InvalidInputError(
                 f"motion: expected as many poses as there are, {len(belief)}, got shape {poses.shape}"
             )
-        return Particles.unchecked(poses, belief.weights, self._bins)
+        return Particles.unchecked(poses, belief.weights)
 
     def _log_likelihood(self, z: Z, belief: Particles) -> FloatArray:
         model = self._model if self._coarse is None else self._coarse
@@ -328,7 +324,7 @@ class ParticleFilter(Generic[Z]):
             indices = self._rng.permutation(indices)[len(fresh) :]
         poses = belief.poses[indices]
         poses = np.concatenate([poses, fresh]) if len(fresh) else poses
-        return Particles.unchecked(poses, np.full(len(poses), 1.0 / len(poses)), self._bins), len(fresh)
+        return Particles.unchecked(poses, np.full(len(poses), 1.0 / len(poses))), len(fresh)
 
     def _indices(self, belief: Particles) -> IndexArray:
         kld, most = self.options.kld, self.options.n_particles

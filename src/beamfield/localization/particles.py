@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, compose
 from beamfield.kernels import particles as kernels
 from beamfield.localization.replay import PoseBelief
-from beamfield.localization.resampling import IndexArray, PoseBins, as_weights, bin_numbers
+from beamfield.localization.resampling import BIN_SECTORS, IndexArray, as_weights, bin_numbers
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.short_repr import short_repr
 
@@ -48,8 +48,6 @@ class Particles:
         (n, 3) metres and radians.
     weights
         (n,) at least 0, with the sum 1; equal ones by default.
-    bins
-        By which clusters are found: bins that touch are one cluster.
 
     Raises
     ------
@@ -65,7 +63,6 @@ class Particles:
 
     poses: FloatArray
     weights: FloatArray = None  # type: ignore[assignment]  # always there once constructed
-    bins: PoseBins = field(default_factory=PoseBins)
 
     __repr__ = short_repr
 
@@ -81,10 +78,10 @@ class Particles:
         object.__setattr__(self, "weights", weights)
 
     @classmethod
-    def unchecked(cls, poses: FloatArray, weights: FloatArray, bins: PoseBins) -> Particles:
+    def unchecked(cls, poses: FloatArray, weights: FloatArray) -> Particles:
         """Build one from arrays that are known to be valid: checks would take as long as a step of the filter."""
         particles = object.__new__(cls)
-        particles.__dict__.update(poses=poses, weights=weights, bins=bins)
+        particles.__dict__.update(poses=poses, weights=weights)
         return particles
 
     def __len__(self) -> int:
@@ -97,10 +94,10 @@ class Particles:
 
     @cached_property
     def best_cluster(self) -> Estimate:
-        """Mean and covariance of the cluster with the most weight."""
+        """Mean and covariance of the cluster with the most weight; bins of poses that touch are one cluster."""
         numbers, _, keys, slots = self.numbered_bins
         clusters = np.empty(len(keys), np.int64)
-        n_clusters = kernels.join_neighbours(keys, self.bins.n_headings, slots, clusters)
+        n_clusters = kernels.join_neighbours(keys, BIN_SECTORS, slots, clusters)
         if n_clusters == 1:
             return self.whole
         of_each = clusters[numbers]
@@ -110,7 +107,7 @@ class Particles:
     @cached_property
     def numbered_bins(self) -> tuple[IndexArray, int, IndexArray, NDArray[np.int32]]:
         """What `bin_numbers` says of the poses."""
-        return bin_numbers(self.poses, self.bins)
+        return bin_numbers(self.poses)
 
     def _moments(self, groups: IndexArray, which: int) -> Estimate:
         mean, covariance = np.zeros(3), np.zeros((3, 3))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,10 +74,8 @@ class PoseLattice:
 
     @classmethod
     @checked
-    def over_map(
-        cls, grid: OccupancyGrid, *, resolution: float = 0.1, headings: int = 72, where: Literal["free", "all"] = "free"
-    ) -> PoseLattice:
-        """Cover a map, with all headings.
+    def over_map(cls, grid: OccupancyGrid, *, resolution: float = 0.1, headings: int = 72) -> PoseLattice:
+        """Cover what is free in a map, with all headings.
 
         Parameters
         ----------
@@ -87,25 +85,20 @@ class PoseLattice:
             Side of a cell, metres.
         headings
             Number of headings over the full turn, from 0 on.
-        where
-            "free": the cells whose centre is free in the map; "all" of them.
 
         Returns
         -------
-        A lattice in the map's own frame, whose corner is the map's origin.
+        A lattice of the cells whose centre is free, in the map's own frame; its corner is the map's origin.
 
         Raises
         ------
         InvalidInputError
-            As for the class, or if `where` has another value.
+            As for the class.
         """
         as_count(headings, "headings", least=1, most=MAX_POSES)
-        require(where in ("free", "all"), "where", "'free' or 'all'", where)
         rows, cols = lattice_shape(grid, resolution, MAX_POSES // headings)
         angles = wrap_angle(2.0 * np.pi * np.arange(headings) / headings)
         every = cls(grid.origin, resolution, np.ones((rows, cols), np.bool_), angles, 2.0 * np.pi / headings)
-        if where == "all":
-            return every
         return replace(every, inside=grid.look_up(grid.free, every.centres()).reshape(rows, cols))
 
     @classmethod

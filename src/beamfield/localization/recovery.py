@@ -23,6 +23,8 @@ from beamfield.sensors import Scan
 from beamfield.short_repr import short_repr
 
 Z_contra = TypeVar("Z_contra", contravariant=True)
+# Effective number of candidates that poses are drawn from by a scan, at least.
+LEAST_EFFECTIVE = 20
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ class PosesFromScan:
     """Poses that fit a scan: candidates over all free cells, drawn by their likelihood (sensor resetting).
 
     The posterior of the scan alone under a uniform prior, p(x | z, m), by importance resampling. The likelihood is
-    flattened until `least_effective` of the candidates count, as they are too far apart for a sharp peak to hold one.
+    flattened until 20 of the candidates count, as they are too far apart for a sharp peak to hold one.
 
     Parameters
     ----------
@@ -171,13 +173,11 @@ class PosesFromScan:
         Weighs the candidates.
     n_candidates
         How many are weighed at each call.
-    least_effective
-        Effective number of candidates, at least.
 
     Raises
     ------
     InvalidInputError
-        If the map has no free cell or a number is out of range.
+        If the map has no free cell or there are fewer than 20 candidates.
 
     References
     ----------
@@ -188,23 +188,20 @@ class PosesFromScan:
     grid: OccupancyGrid
     model: MeasurementModel[Scan]
     n_candidates: int = field(default=20_000, kw_only=True)
-    least_effective: float = field(default=20.0, kw_only=True)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_fields(self)
         require_free(self.grid)
-        as_count(self.n_candidates, "n_candidates", least=1, most=100_000_000)
-        if not 1.0 <= self.least_effective <= self.n_candidates:
-            raise InvalidInputError(f"least_effective: expected 1 to {self.n_candidates}, got {self.least_effective}")
+        as_count(self.n_candidates, "n_candidates", least=LEAST_EFFECTIVE, most=100_000_000)
 
     def draw(self, z: Scan, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw n poses that fit the scan; where it is impossible at all candidates, any free poses."""
         candidates = free_poses(self.grid, self.n_candidates, rng)
         log_likelihood = self.model.log_likelihood(z, candidates)
         weights: FloatArray = np.full(len(candidates), 1.0 / len(candidates))
-        reweigh(weights, log_likelihood, self.least_effective / len(candidates), weights)
+        reweigh(weights, log_likelihood, LEAST_EFFECTIVE / len(candidates), weights)
         return np.asarray(candidates[systematic_indices(weights, n, rng)])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
-from beamfield.arguments import as_count, check_fields, checked, require
+from beamfield.arguments import check_fields, checked
 from beamfield.data_frame import data_frame
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
@@ -19,7 +19,8 @@ from beamfield.short_repr import short_repr
 
 # Fewer seeds say nothing for sure: one lost run among them moves the mean more than any parameter.
 FEWEST_SEEDS = 10
-REPLICATES = 4000
+# Samples of seeds that an interval is taken from, and the share of intervals that hold the difference in the long run.
+REPLICATES, LEVEL = 4000, 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +114,7 @@ class ReplayComparison:
     before, after
         Its mean over runs, and over logs.
     low, high
-        Interval of after - before.
-    level
-        Share of such intervals that hold the difference in the long run of seeds.
+        The 95 % interval of after - before.
     n_seeds
         The least number of seeds of a log.
     """
@@ -125,7 +124,6 @@ class ReplayComparison:
     after: float
     low: float
     high: float
-    level: float
     n_seeds: int
 
     @property
@@ -153,7 +151,7 @@ class ReplayComparison:
         sure = "lower" if self.is_lower else "higher" if self.is_higher else "no sure difference"
         return (
             f"{self.measure}: {self.before:.3f} -> {self.after:.3f}, difference {self.difference:+.3f} "
-            f"({self.level:.0%} interval {self.low:+.3f} to {self.high:+.3f}): {sure}"
+            f"({LEVEL:.0%} interval {self.low:+.3f} to {self.high:+.3f}): {sure}"
         )
 
 
@@ -191,19 +189,13 @@ class ReplayVerdict:
 
 @checked
 def compare_trials(
-    before: Sequence[ReplayTrials],
-    after: Sequence[ReplayTrials],
-    measure: str = "mean",
-    *,
-    level: float = 0.95,
-    rng: np.random.Generator | None = None,
-    replicates: int = REPLICATES,
+    before: Sequence[ReplayTrials], after: Sequence[ReplayTrials], measure: str = "mean"
 ) -> ReplayComparison:
     """Compare two filters by one number, run for run.
 
-    The interval is a bootstrap percentile interval of the mean paired difference: seeds are drawn within each log, and
-    logs count alike. It speaks of these logs, and of all seeds. Percentiles are moved outwards as far as
-    Student's t is wider than the normal distribution, because they are too narrow for few seeds.
+    The 95 % interval is a bootstrap percentile interval of the mean paired difference: seeds are drawn within each log,
+    and logs count alike. It speaks of these logs, and of all seeds. Percentiles are moved outwards as far as Student's
+    t is wider than the normal distribution, because they are too narrow for few seeds.
 
     Parameters
     ----------
@@ -211,17 +203,10 @@ def compare_trials(
         The runs on each log, with the same logs and seeds in the same order.
     measure
         A field of `ReplayErrors`.
-    level
-        Of the interval.
-    rng
-        Source of the bootstrap's randomness; by default a generator of fixed seed, so that the answer is always the
-        same.
-    replicates
-        How many samples of seeds are drawn.
 
     Returns
     -------
-    The comparison. With a single seed the interval is -inf to inf.
+    The comparison, always the same for the same runs. With a single seed the interval is -inf to inf.
 
     Raises
     ------
@@ -244,43 +229,35 @@ def compare_trials(
     >>> compare_trials([before], [after]).is_lower
     True
     """
-    as_count(replicates, "replicates", least=100)
-    require(0.5 <= level < 1.0, "level", "a share from 0.5 to 1", level)
     _check_pairs(before, after)
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = np.random.default_rng(0)
     gains = [b.column(measure) - a.column(measure) for a, b in zip(before, after, strict=True)]
     n = min(map(len, gains))
     low, high = -np.inf, np.inf
     if n > 1:
-        sums = np.mean([_means_of_samples(one, replicates, rng) for one in gains], axis=0)
-        tail = float(ndtr(np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 - 0.5 * level)))
+        sums = np.mean([_means_of_samples(one, rng) for one in gains], axis=0)
+        tail = float(ndtr(np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 - 0.5 * LEVEL)))
         low, high = np.quantile(sums, [tail, 1.0 - tail]).tolist()
     means = [float(np.mean([one.mean(measure) for one in trials])) for trials in (before, after)]
-    return ReplayComparison(
-        measure=measure, before=means[0], after=means[1], low=low, high=high, level=level, n_seeds=n
-    )
+    return ReplayComparison(measure=measure, before=means[0], after=means[1], low=low, high=high, n_seeds=n)
 
 
 @checked
-def judge_change(
-    before: Sequence[ReplayTrials], after: Sequence[ReplayTrials], *, level: float = 0.95
-) -> ReplayVerdict:
+def judge_change(before: Sequence[ReplayTrials], after: Sequence[ReplayTrials]) -> ReplayVerdict:
     """Decide whether one filter is better than another for sure; see `ReplayVerdict`.
 
     Parameters
     ----------
     before, after
         The runs on each log, with the same logs and seeds in the same order.
-    level
-        Of the intervals.
 
     Raises
     ------
     InvalidInputError
         If logs or seeds differ.
     """
-    overall = compare_trials(before, after, level=level)
-    by_log = {a.log: compare_trials([a], [b], level=level) for a, b in zip(before, after, strict=True)}
+    overall = compare_trials(before, after)
+    by_log = {a.log: compare_trials([a], [b]) for a, b in zip(before, after, strict=True)}
     lost = [sum(one.n_lost for one in trials) for trials in (before, after)]
     harmless = not any(one.is_higher for one in by_log.values()) and lost[1] <= lost[0]
     return ReplayVerdict(
@@ -293,6 +270,6 @@ def _check_pairs(before: Sequence[ReplayTrials], after: Sequence[ReplayTrials]) 
         raise InvalidInputError("before, after: expected runs on the same logs with the same seeds, in the same order")
 
 
-def _means_of_samples(values: FloatArray, replicates: int, rng: np.random.Generator) -> FloatArray:
-    drawn: NDArray[np.int64] = rng.integers(len(values), size=(replicates, len(values)))
+def _means_of_samples(values: FloatArray, rng: np.random.Generator) -> FloatArray:
+    drawn: NDArray[np.int64] = rng.integers(len(values), size=(REPLICATES, len(values)))
     return np.asarray(values[drawn].mean(axis=1))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import as_count, as_floats, check_fields, check_magnitude, checked, require
+from beamfield.arguments import as_count, as_floats, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
 from beamfield.kernels import particles as kernels
@@ -17,32 +17,8 @@ from beamfield.kernels import particles as kernels
 IndexArray = NDArray[np.int64]
 # The weights' sum may miss 1 by so much.
 SUM_TOLERANCE = 1e-6
-
-
-@dataclass(frozen=True)
-class PoseBins:
-    """Bins of poses: squares in x and y, sectors in the heading.
-
-    Parameters
-    ----------
-    cell
-        Side of a bin, metres.
-    n_headings
-        Sectors of the heading around the circle.
-
-    Raises
-    ------
-    InvalidInputError
-        If the side is not positive or there is no sector.
-    """
-
-    cell: float = 0.5
-    n_headings: int = 36
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_magnitude("cell", self.cell)
-        as_count(self.n_headings, "n_headings", least=1, most=3600)
+# Bins of poses: squares with sides of so many metres in x and y, and so many sectors of the heading.
+BIN_SIDE, BIN_SECTORS = 0.5, 36
 
 
 @dataclass(frozen=True)
@@ -60,8 +36,6 @@ class KldSampling:
         The distance, nats.
     probability
         That the distance is kept.
-    bins
-        Over which the distribution is compared.
 
     Raises
     ------
@@ -76,7 +50,6 @@ class KldSampling:
     least: int = 500
     error: float = 0.05
     probability: float = 0.99
-    bins: PoseBins = field(default_factory=PoseBins)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -179,15 +152,13 @@ def draw_enough(
     return out[:n]
 
 
-def bin_numbers(poses: FloatArray, bins: PoseBins) -> tuple[IndexArray, int, IndexArray, NDArray[np.int32]]:
+def bin_numbers(poses: FloatArray) -> tuple[IndexArray, int, IndexArray, NDArray[np.int32]]:
     """Number the bins of poses.
 
     Parameters
     ----------
     poses
         (n, 3) finite.
-    bins
-        Their sizes.
 
     Returns
     -------
@@ -195,7 +166,7 @@ def bin_numbers(poses: FloatArray, bins: PoseBins) -> tuple[IndexArray, int, Ind
     """
     numbers, keys = np.empty(len(poses), np.int64), np.empty(len(poses), np.int64)
     slots = np.full(1 << max(4, (2 * len(poses) - 1).bit_length()), -1, np.int32)
-    n_bins = kernels.number_bins(poses, bins.cell, bins.n_headings, slots, keys, numbers)
+    n_bins = kernels.number_bins(poses, BIN_SIDE, BIN_SECTORS, slots, keys, numbers)
     return numbers, n_bins, keys[:n_bins], slots
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from beamfield.arguments import checked
+from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.finding import Finding, worst_first
 from beamfield.geometry import FloatArray, as_pose, chained
@@ -16,9 +16,8 @@ from beamfield.localization.course_choice import FoundCourse, StartHypothesis, c
 from beamfield.localization.drive import Drive, prepare, with_points
 from beamfield.localization.scan_odometry import odometry_from_scans
 from beamfield.localization.smoother import Smoothed, smooth
-from beamfield.localization.trajectory_options import TrajectoryOptions
 from beamfield.localization.trajectory_start import Course
-from beamfield.localization.trajectory_trust import judge_trajectory, odometry_findings
+from beamfield.localization.trajectory_trust import MAX_DEVIATION, judge_trajectory, odometry_findings
 from beamfield.localization.wall_distance import walls_of
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.range_scale import require_metres
@@ -111,7 +110,7 @@ def fit_trajectory(
     grid: OccupancyGrid,
     *,
     start: ArrayLike | None = None,
-    options: TrajectoryOptions | None = None,
+    max_deviation: float = MAX_DEVIATION,
     progress: Progress | None = None,
 ) -> TrajectoryFit:
     """Find where a robot drove, from its odometry, its scans and a map; offline, over the whole log at once.
@@ -133,8 +132,8 @@ def fit_trajectory(
         The map.
     start
         (3,) pose of the first scan, to about two metres and 45 degrees; None searches the whole map.
-    options
-        When a pose is trusted.
+    max_deviation
+        Poses are trusted up to this standard deviation of the position in any direction, metres.
     progress
         Called with (stage, done, total).
 
@@ -145,8 +144,8 @@ def fit_trajectory(
     Raises
     ------
     InvalidInputError
-        If the map has no free or no occupied cell, the start is not a pose on the map, stamps run backwards, or
-        readings are longer than the map.
+        If the map has no free or no occupied cell, the start is not a pose on the map, stamps run backwards,
+        readings are longer than the map, or `max_deviation` is not positive.
     TooLittleDataError
         If the log has fewer than 3 scans or next to no readings.
     TrajectoryNotFoundError
@@ -173,7 +172,9 @@ def fit_trajectory(
     >>> bool(np.abs(fit.poses - log.poses)[:, :2].max() < 0.1)
     True
     """
-    return fit_course(log, grid, find_course(log, grid, start=start, progress=progress), options, progress)
+    require(0.0 < max_deviation < np.inf, "max_deviation", "a number > 0", max_deviation)
+    found = find_course(log, grid, start=start, progress=progress)
+    return fit_course(log, grid, found, max_deviation=max_deviation, progress=progress)
 
 
 def find_course(
@@ -196,7 +197,8 @@ def fit_course(
     log: SensorLog,
     grid: OccupancyGrid,
     found: FoundCourse,
-    options: TrajectoryOptions | None = None,
+    *,
+    max_deviation: float = MAX_DEVIATION,
     progress: Progress | None = None,
 ) -> TrajectoryFit:
     """Fit all poses of a log whose course is known: the other steps of `fit_trajectory`.
@@ -205,7 +207,7 @@ def fit_course(
     ----------
     log
         The log that the course was found for, or some beams of it: the poses are fitted to these.
-    grid, found, options, progress
+    grid, found, max_deviation, progress
         The map, the course, and as for `fit_trajectory`.
 
     Raises
@@ -219,7 +221,7 @@ def fit_course(
     poses, cut = _spread_out(drive, found.course)
     report("fitting all poses", 0, 1)
     fitted = smooth(drive, walls, poses, cut, lambda done, total: report("fitting all poses", done, total))
-    trusted, more = judge_trajectory(drive, walls, fitted, cut, options or TrajectoryOptions())
+    trusted, more = judge_trajectory(drive, walls, fitted, cut, max_deviation)
     # Without odometry it is an alignment that slipped, not a wheel.
     of_wheels = () if log.has_odometry else ("wheel-slip", "odometry-scale")
     seen = (one for one in odometry_findings(drive, found.course, fitted) if one.name not in of_wheels)

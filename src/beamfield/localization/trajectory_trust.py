@@ -14,9 +14,12 @@ from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive
 from beamfield.localization.hit_noise import off_band
 from beamfield.localization.smoother import Smoothed
-from beamfield.localization.trajectory_options import TrajectoryOptions
 from beamfield.localization.trajectory_start import Course
 
+# A pose is trusted up to this standard deviation of the position in any direction, metres, and of the heading, radians.
+MAX_DEVIATION, MAX_HEADING_DEVIATION = 0.1, float(np.radians(4.0))
+# Smallest share of the readings that agree with the map, relative to that of the whole log.
+LEAST_AGREEMENT = 0.5
 # Readings agree within so many sigma, or metres if that is more; their share is taken over so much of the way.
 AGREES_SIGMAS, AGREES, AGREEMENT_WAY = 3.0, 0.1, 2.0
 # What is named as a slip: odometry and the rest differ by so much within a second, metres and radians, and sigmas.
@@ -30,15 +33,15 @@ MOST_NAMED = 5
 BRIDGED = 2.0
 
 
-def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[np.bool_], options: TrajectoryOptions
+def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[np.bool_], max_deviation: float
                      ) -> tuple[NDArray[np.bool_], list[Finding]]:  # fmt: skip
     """Return which scans (t,) are trusted, and a finding for each reason why not."""
     position = np.sqrt(np.linalg.eigvalsh(fitted.covariances[:, :2, :2])[:, 1])
     heading = np.sqrt(fitted.covariances[:, 2, 2])
     agreement = _agreement(drive, walls, fitted)
     usual = float(np.median(agreement))
-    weak = (position > options.max_deviation) | (heading > options.max_heading_deviation)
-    poor = agreement < options.least_agreement * usual
+    weak = (position > max_deviation) | (heading > MAX_HEADING_DEVIATION)
+    poor = agreement < LEAST_AGREEMENT * usual
     carried, lost = _around(drive, cut), _far_from_odometry(drive)
     worst = float(position.max())
     findings = [
@@ -53,7 +56,7 @@ def judge_trajectory(drive: Drive, walls: Walls, fitted: Smoothed, cut: NDArray[
         ),
         *_stretches(
             "poor-fit-stretch", poor & ~weak, drive, {"usual_share": usual},
-            f"the scans do not fit the map there: less than {options.least_agreement * usual:.0%} of the readings "
+            f"the scans do not fit the map there: less than {LEAST_AGREEMENT * usual:.0%} of the readings "
             f"agree, elsewhere {usual:.0%}", "the world differs from the map, or the robot is elsewhere",
             "Look at these scans with beamfield check",
         ),

@@ -18,6 +18,8 @@ REACH, PROFILE_POINTS, CLIMBED_PEAKS = 0.5, 120, 2
 NEAR = 2.0
 # Surfaces count up to this many sigma away; an ascent ends with steps shorter than this, in sigma.
 REACH_SIGMAS, TOLERANCE, STEPS = 4.0, 0.01, 10
+# Directions with an eigenvalue below this are undetermined: nothing moves along them.
+UNDETERMINED = 0.02
 # How far off the initial pose is taken to be (standard deviation, metres) when poses are weighed against each other.
 START_DEVIATION = 0.2
 # Which of two places fits better is told by one independent beam per this angle, however dense the beams are: what
@@ -43,7 +45,7 @@ class Slide:
 
 
 def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, direction: FloatArray, start: FloatArray, *,
-                 lever: float, threshold: float, beam_spacing: float, window: float) -> Slide:  # fmt: skip
+                 lever: float, beam_spacing: float, window: float) -> Slide:  # fmt: skip
     """Look for better poses along a line through an optimum, and weigh the whole line by its scores.
 
     Along a corridor, the score has many peaks: a door frame that fits another, random readings that meet. The climb
@@ -61,7 +63,7 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
         (3,) which way to look, a move of one metre in x and y with the turn that goes with it.
     start
         (3,) initial pose of the alignment.
-    lever, threshold
+    lever
         As in `kernels.scan_field.ascend`.
     beam_spacing
         Angle between neighbouring beams, radians: scores are divided by the number of beams per independent one.
@@ -80,7 +82,7 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
     for peak in _peaks(scores):
         climbed = line[peak].copy()
         kernels.ascend(
-            points, climbed, 1, field.sigma_hit, lever, threshold, TOLERANCE * field.sigma_hit, STEPS, field.view
+            points, climbed, 1, field.sigma_hit, lever, UNDETERMINED, TOLERANCE * field.sigma_hit, STEPS, field.view
         )
         height = _log_posterior(_score(points, climbed, field), climbed, start, dependence, deviation)
         if height > highest:

@@ -114,8 +114,8 @@ class ChangedPlaces:
         Side of the squares that places are made of, metres.
     reference_error
         How wrong the poses were taken to be, metres.
-    n_scans, n_visits, visit_s
-        Scans that were used, blocks of time, and their length in seconds.
+    n_scans, visit_s
+        Scans that were used, and the length of a block of time, seconds.
     findings
         Warnings.
     """
@@ -124,7 +124,6 @@ class ChangedPlaces:
     side: float
     reference_error: float
     n_scans: int
-    n_visits: int
     visit_s: float
     findings: tuple[Finding, ...]
 
@@ -235,7 +234,7 @@ def find_changed_places(
     used = chosen[selection.used]
     lattice, visit_s = Lattice.over(grid, SIDE), block_length(log.stamps[used], block_s)
     if not len(used):
-        return ChangedPlaces((), lattice.side, reference_error, 0, 0, visit_s, (_no_scan(selection),))
+        return ChangedPlaces((), lattice.side, reference_error, 0, visit_s, (_no_scan(selection),))
     beams = judge_beams(
         log, grid, parameters, used, reference_error=reference_error, longest_error=lattice.side, block_s=visit_s
     )
@@ -249,9 +248,8 @@ def find_changed_places(
         for place in _places(evidence)
     ]
     places.sort(key=lambda place: (KINDS.index(place.kind), -place.readings))
-    n_visits = len(np.unique(beams.visit))
-    findings = tuple(_findings(places, n_visits, visit_s))
-    return ChangedPlaces(tuple(places), lattice.side, reference_error, len(used), n_visits, visit_s, findings)
+    findings = tuple(_findings(places, len(np.unique(beams.visit)), visit_s))
+    return ChangedPlaces(tuple(places), lattice.side, reference_error, len(used), visit_s, findings)
 
 
 class _Evidence(NamedTuple):

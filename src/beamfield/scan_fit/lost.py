@@ -152,7 +152,7 @@ TEST_RATES = LostRates(1.0 / 20.0, 1.0 / 20.0)
 
 
 def kidnapped_series(
-    good: FloatArray, wrong: FloatArray, stamps: FloatArray, rng: np.random.Generator, rates: LostRates = TEST_RATES
+    good: FloatArray, wrong: FloatArray, stamps: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return a series that changes between right and wrong poses at random times, and when it is wrong.
 
@@ -164,14 +164,13 @@ def kidnapped_series(
         (t,) seconds.
     rng
         Source of randomness.
-    rates
-        How often it changes.
 
     Returns
     -------
     (t,) the statistic, and (t,) whether the robot is lost.
     """
     lost = np.zeros(len(stamps), dtype=bool)
+    rates = TEST_RATES
     state = bool(rng.random() < rates.prior)
     chance = rng.random(len(stamps))
     for i in range(len(stamps)):

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from beamfield.arguments import as_count, checked, require
+from beamfield.arguments import checked, require
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.simulation.trajectory import clearance_map
 
 # The legs of one chair are this near to each other, metres; pieces smaller than this stay where they are.
 JOINED, SMALLEST_PIECE = 0.3, 0.4
-# How far furniture is moved, and the size of a new wall, metres.
-MOVES, WALL = (1.0, 6.0), (2.0, 0.15)
+# How many pieces of furniture are moved, how far, and the size of the new wall, metres.
+MOST_MOVED, MOVES, WALL = 6, (1.0, 6.0), (2.0, 0.15)
 # A change must leave a robot of this radius, metres, so much of the floor that it reaches.
 ROBOT_RADIUS, ROOM_LEFT = 0.3, 0.95
 ATTEMPTS = 100
@@ -49,9 +49,9 @@ class Change:
 
 @checked
 def change_world(
-    grid: OccupancyGrid, bare: OccupancyGrid, rng: np.random.Generator, *, moved: int = 6, walls: int = 1
+    grid: OccupancyGrid, bare: OccupancyGrid, rng: np.random.Generator
 ) -> tuple[OccupancyGrid, tuple[Change, ...]]:
-    """Move furniture and build walls, so that the map no longer shows the world.
+    """Move six pieces of furniture, or fewer, and build a wall if there is room, so that the map is out of date.
 
     Parameters
     ----------
@@ -61,8 +61,6 @@ def change_world(
         The same without furniture; see `draw_floor_plan`.
     rng
         Chooses what is moved, and where to.
-    moved, walls
-        How many pieces of furniture to move and walls to build; fewer if there is no room for them.
 
     Returns
     -------
@@ -71,22 +69,19 @@ def change_world(
     Raises
     ------
     InvalidInputError
-        If the two grids differ in shape, or a number is negative.
+        If the two grids differ in shape.
     """
     require(grid.shape == bare.shape, "bare", f"shape {grid.shape}, as the grid has", bare.shape)
-    as_count(moved, "moved", least=0)
-    as_count(walls, "walls", least=0)
     world, changes = grid, list[Change]()
     pieces, n_moved = iter(_pieces(grid, bare, rng)), 0
-    while n_moved < moved and (piece := next(pieces, None)) is not None:
+    while n_moved < MOST_MOVED and (piece := next(pieces, None)) is not None:
         if (found := _put(world, piece, (piece + step for step in _steps(grid, rng)))) is not None:
             world, goal = found
             changes += [_change("missing wall", piece, grid), _change("new obstacle", goal, grid)]
             n_moved += 1
-    for _ in range(walls):
-        if (found := _put(world, None, (_wall(grid, rng) for _ in range(ATTEMPTS)))) is not None:
-            world, goal = found
-            changes.append(_change("new obstacle", goal, grid))
+    if (found := _put(world, None, (_wall(grid, rng) for _ in range(ATTEMPTS)))) is not None:
+        world, goal = found
+        changes.append(_change("new obstacle", goal, grid))
     return world, tuple(changes)
 
 

@@ -280,7 +280,7 @@ def _open_plan(canvas: Canvas, box: Box, door: Side, rng: np.random.Generator) -
     while x + 2.2 < box.x1:
         # Islands stand across the hall; the aisle along the doors stays free.
         pose = np.array([x - 1.75, box.y1 - 1.75, -np.pi / 2 + float(rng.normal(0.0, 0.01))])
-        canvas.put(furniture.desk_island(2), pose)
+        canvas.put(furniture.desk_island(), pose)
         if x + 2.9 < box.x1:
             canvas.put(furniture.pillar(0.25), np.array([x + 2.3, box.y0 + 2.0, 0.0]))
         x += 4.6
@@ -317,7 +317,7 @@ def _lobby(canvas: Canvas, box: Box, _door: Side, rng: np.random.Generator) -> N
     canvas.put(furniture.reception(), np.array([box.x0 + 0.75, middle, -np.pi / 2]))
     for sign in (-1.0, 1.0):
         turn = float(rng.normal(0.0, 0.05)) + (0 if sign > 0 else np.pi)
-        canvas.put(furniture.sofa(2.0), np.array([box.x0 + 4.4, middle + sign * 1.5, turn]))
+        canvas.put(furniture.sofa(), np.array([box.x0 + 4.4, middle + sign * 1.5, turn]))
     for along in (0.4, box.height - 0.4):
         canvas.put(furniture.plant(), _against(box, "west", along, 0.05))
 

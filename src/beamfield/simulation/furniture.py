@@ -38,12 +38,11 @@ def desk(*, width: float = 1.6, drawers_left: bool = True) -> Thing:
     )
 
 
-def desk_island(n_pairs: int, *, width: float = 1.6) -> Thing:
-    """Return desks face to face in two rows; the footprint is centred on x, the back row faces -y."""
+def desk_island() -> Thing:
+    """Return four desks face to face in two rows; the footprint is centred on x, the back row faces -y."""
     shapes: list[Shape] = []
-    total = n_pairs * width
-    for i in range(n_pairs):
-        x0 = -total / 2 + i * width
+    width, total = 1.6, 3.2
+    for x0 in (-width, 0.0):
         shapes += [Box(x0 + 0.05, 0.75, x0 + 0.5, 1.35), Box(x0 + width - 0.5, 2.15, x0 + width - 0.05, 2.75)]
         shapes += [Arc(x0 + 0.95, 0.4, 0.14), Arc(x0 + 0.65, 3.1, 0.14)]
     shapes.append(Box(-total / 2, 1.72, total / 2, 1.78))
@@ -74,9 +73,9 @@ def solid(width: float, depth: float) -> Thing:
     return Thing((box,), box)
 
 
-def sofa(width: float) -> Thing:
+def sofa() -> Thing:
     """Return a sofa: back and two arms around a seat that is closed to the floor."""
-    return Thing((Box(-width / 2, 0.05, width / 2, 0.8),), Box(-width / 2, 0.0, width / 2, 1.2))
+    return Thing((Box(-1.0, 0.05, 1.0, 0.8),), Box(-1.0, 0.0, 1.0, 1.2))
 
 
 def plant() -> Thing:
@@ -84,14 +83,12 @@ def plant() -> Thing:
     return Thing((Arc(0.0, 0.3, 0.2),), Box(-0.25, 0.05, 0.25, 0.55))
 
 
-def pillar(radius: float = 0.3) -> Thing:
+def pillar(radius: float) -> Thing:
     """Return a round pillar around the origin of its frame."""
     return Thing((Arc(0.0, 0.0, radius),), Box(-radius, -radius, radius, radius))
 
 
-def reception(radius: float = 2.0) -> Thing:
+def reception() -> Thing:
     """Return a counter bent around a clerk who looks along +y."""
-    return Thing(
-        (Arc(0.0, 0.0, radius, radius - 0.45, 0.1 * np.pi, 0.9 * np.pi), Arc(0.0, 0.7, 0.14)),
-        Box(-radius, -0.3, radius, radius),
-    )
+    counter = Arc(0.0, 0.0, 2.0, 1.55, 0.1 * np.pi, 0.9 * np.pi)
+    return Thing((counter, Arc(0.0, 0.7, 0.14)), Box(-2.0, -0.3, 2.0, 2.0))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from beamfield.arguments import check_fields
+from beamfield.arguments import check_fields, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, compose, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
@@ -31,6 +31,10 @@ NEAR = 6.0
 JOIN_TURN = 1.75
 JOIN_POINTS = 8
 JOIN_LIMIT = 400
+# Distance to obstacles that the robot seeks where there is room, metres.
+COMFORT = 0.7
+# Its fastest turn, rad/s, how quickly its speed changes, m/s^2, and how long it stands at each place, seconds.
+TURN_RATE, ACCELERATION, PAUSE = 1.0, 0.6, 0.4
 
 
 @dataclass(frozen=True)
@@ -41,36 +45,22 @@ class DriveOptions:
     ----------
     robot_radius
         No pose is closer to an occupied or unknown cell than this, metres.
-    comfort
-        Distance to obstacles that the robot seeks where there is room, metres.
     speed
         Fastest speed on straight ground, m/s.
-    acceleration
-        Limit of the change of speed, m/s^2.
-    turn_rate
-        Fastest turn, rad/s.
-    pause
-        Time that the robot stands at each place it visits, seconds.
 
     Raises
     ------
     InvalidInputError
-        If a number is not positive and finite; comfort and pause may be 0.
+        If a number is not positive and finite.
     """
 
     robot_radius: float = 0.25
-    comfort: float = 0.7
     speed: float = 1.0
-    acceleration: float = 0.6
-    turn_rate: float = 1.0
-    pause: float = 0.4
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and item.name in ("pause", "comfort")))):
-                raise InvalidInputError(f"{item.name}: expected a positive number, got {value}")
+        for name in ("robot_radius", "speed"):
+            require(0.0 < getattr(self, name) < np.inf, name, "a positive number", getattr(self, name))
 
 
 def drive_through(
@@ -109,7 +99,8 @@ def drive_through(
         raise InvalidInputError(f"stamps: expected increasing finite seconds, shape (t,), got shape {times.shape}")
     at = times - times[0]
     clock, drive = np.zeros(1), np.zeros((0, 3))
-    for durations, poses in _motions(_FreeSpace(grid, options), np.random.default_rng(seed), options):
+    space = _FreeSpace(grid, options.robot_radius)
+    for durations, poses in _motions(space, np.random.default_rng(seed), options.speed):
         clock = np.concatenate([clock, clock[-1] + durations])
         drive = np.concatenate([drive, poses])
         if clock[-1] >= at[-1]:
@@ -138,11 +129,11 @@ def clearance_map(grid: OccupancyGrid) -> FloatArray:
 class _FreeSpace:
     """Where the robot fits, which places are worth a visit, and paths between them; metres in the grid's frame."""
 
-    def __init__(self, grid: OccupancyGrid, options: DriveOptions) -> None:
+    def __init__(self, grid: OccupancyGrid, robot_radius: float) -> None:
         self.resolution = grid.resolution
         self.clearance = clearance_map(grid)
         # Between two points of a path the clearance falls by half a step at most, and again when it is resampled.
-        self.needed = options.robot_radius + STEP + 0.01
+        self.needed = robot_radius + STEP + 0.01
         factor = max(1, round(PLANNING_CELL / grid.resolution))
         self.cell = factor * grid.resolution
         coarse = _block_minimum(self.clearance, factor)
@@ -150,12 +141,12 @@ class _FreeSpace:
         labels, n_regions = ndimage.label(room, structure=np.ones((3, 3)))
         if n_regions == 0:
             raise InvalidInputError(
-                f"map: no free place for a robot of radius {options.robot_radius:g} m; "
+                f"map: no free place for a robot of radius {robot_radius:g} m; "
                 f"the largest clearance is {self.clearance.max():.2f} m"
             )
         self.region = labels == 1 + np.argmax(np.bincount(labels.ravel())[1:])
         self.cells = np.argwhere(self.region)
-        self.graph = _planning_graph(self.region, coarse, self.cell, options.comfort)
+        self.graph = _planning_graph(self.region, coarse, self.cell, COMFORT)
         self.places = self._open_places(np.where(self.region, coarse, 0.0))
         if len(self.places) < 2:
             raise InvalidInputError(
@@ -220,9 +211,7 @@ def _planning_graph(region: NDArray[np.bool_], clearance: FloatArray, cell: floa
     return sparse.csr_array(sparse.coo_array((np.concatenate(costs), edges), shape=shape))
 
 
-def _motions(
-    space: _FreeSpace, rng: np.random.Generator, options: DriveOptions
-) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _motions(space: _FreeSpace, rng: np.random.Generator, speed: float) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield pieces of an endless drive: seconds since the piece began (m,) and poses (m, 3), headings unwrapped."""
     last: FloatArray | None = None
     for stretch in _stretches(_legs(space, rng)):
@@ -230,9 +219,9 @@ def _motions(
         heading = _headings(path)
         if last is not None:
             heading += last[2] + wrap_angle(heading[0] - last[2]) - heading[0]
-            yield _turn_in_place(last, float(heading[0]), options)
+            yield _turn_in_place(last, float(heading[0]))
         poses = np.column_stack([path, heading])
-        yield _travel_times(poses, options), poses
+        yield _travel_times(poses, speed), poses
         last = poses[-1]
 
 
@@ -305,28 +294,28 @@ def _headings(path: FloatArray) -> FloatArray:
     return np.asarray(np.unwrap(np.arctan2(along[:, 1], along[:, 0])))
 
 
-def _turn_in_place(last: FloatArray, heading: float, options: DriveOptions) -> tuple[FloatArray, FloatArray]:
+def _turn_in_place(last: FloatArray, heading: float) -> tuple[FloatArray, FloatArray]:
     """Pause, then turn with a rate that rises and falls smoothly."""
     turn = heading - last[2]
     # 3 u^2 - 2 u^3 is steepest in the middle, with slope 3/2.
-    duration = 1.5 * abs(turn) / options.turn_rate
+    duration = 1.5 * abs(turn) / TURN_RATE
     u = np.linspace(0.0, 1.0, 2 + int(duration / 0.05))
     poses = np.repeat(last[None], len(u), axis=0)
     poses[:, 2] += turn * u**2 * (3.0 - 2.0 * u)
-    return options.pause + duration * u, poses
+    return PAUSE + duration * u, poses
 
 
-def _travel_times(poses: FloatArray, options: DriveOptions) -> FloatArray:
+def _travel_times(poses: FloatArray, fastest: float) -> FloatArray:
     """Return when each pose of a leg is reached: from rest to rest, within the limits of speed, acceleration, turn."""
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     turn = np.abs(np.diff(poses[:, 2]))
-    between_points = np.minimum(options.speed, options.turn_rate * step / np.maximum(turn, 1e-9))
+    between_points = np.minimum(fastest, TURN_RATE * step / np.maximum(turn, 1e-9))
     speed = np.zeros(len(poses))
     speed[1:-1] = np.minimum(between_points[:-1], between_points[1:])
-    gain = 2.0 * options.acceleration * step
+    gain = 2.0 * ACCELERATION * step
     for i in range(1, len(speed)):
         speed[i] = min(speed[i], np.sqrt(speed[i - 1] ** 2 + gain[i - 1]))
     for i in range(len(speed) - 2, -1, -1):
         speed[i] = min(speed[i], np.sqrt(speed[i + 1] ** 2 + gain[i]))
-    duration = np.maximum(2.0 * step / (speed[:-1] + speed[1:]), turn / options.turn_rate)
+    duration = np.maximum(2.0 * step / (speed[:-1] + speed[1:]), turn / TURN_RATE)
     return np.concatenate([[0.0], np.cumsum(duration)])

@@ -35,6 +35,12 @@ TYPICAL_SHARE = 0.4
 SURE = float("inf")
 
 
+def with_sum_one(values: Mapping[str, float]) -> dict[str, float]:
+    """Return values whose `WEIGHTS` are divided by their sum."""
+    total = sum(values[name] for name in WEIGHTS)
+    return {name: value / total if name in WEIGHTS else value for name, value in values.items()}
+
+
 @dataclass(frozen=True)
 class Weight:
     """How a scan's weight comes from the values p of its beams. Parameters translate within one kind, not across.

@@ -59,8 +59,6 @@ class LearnedExponent:
         beams that say nothing.
     score_independent
         The score with exponent 1.
-    n_held_out
-        Their number.
     """
 
     value: float
@@ -70,7 +68,6 @@ class LearnedExponent:
     score: float
     score_se: float
     score_independent: float
-    n_held_out: int
 
 
 @dataclass(frozen=True)
@@ -229,9 +226,7 @@ def scan_log_likelihoods(
     )
 
 
-def score_exponents(
-    log_likelihoods: FloatArray, exponents: FloatArray, rivals: Rivals, options: WindowOptions
-) -> list[PosteriorScores]:
+def score_exponents(log_likelihoods: FloatArray, exponents: FloatArray, rivals: Rivals) -> list[PosteriorScores]:
     """Return the scores of posteriors under each exponent.
 
     Parameters
@@ -240,11 +235,11 @@ def score_exponents(
         (w, n) nats of w drives or scans at n poses.
     exponents
         (c,) each > 0.
-    rivals, options
+    rivals
         As the windows were cut with.
     """
     n_near = len(rivals.offsets)
-    return [judge_weights((power * log_likelihoods)[:, None], n_near, rivals, options)[0] for power in exponents]
+    return [judge_weights((power * log_likelihoods)[:, None], n_near, rivals)[0] for power in exponents]
 
 
 def suited_exponent(coverages: FloatArray) -> float:
@@ -269,7 +264,7 @@ def _learn(
     values: FloatArray, held_out: NDArray[np.bool_], blocks: NDArray[np.int64], rivals: Rivals, options: WindowOptions
 ) -> LearnedExponent:
     """Return the exponent for log-likelihoods (w, n), judged on what is held out."""
-    fitted = score_exponents(values[~held_out], EXPONENTS, rivals, options)
+    fitted = score_exponents(values[~held_out], EXPONENTS, rivals)
     each = np.array([scores.denser < LEVEL for scores in fitted])
     covered = each.mean(axis=2)
     power = suited_exponent(covered.mean(axis=1))
@@ -279,11 +274,9 @@ def _learn(
     nearest = np.argsort(truths)[:N_NEAREST]
     exact = suited_exponent(each[:, :, nearest].mean(axis=(1, 2)))
     interval = _interval(power, covered, blocks[~held_out])
-    judged, independent = score_exponents(values[held_out], np.array([power, 1.0]), rivals, options)
+    judged, independent = score_exponents(values[held_out], np.array([power, 1.0]), rivals)
     score_se = block_standard_error(judged.log_score, blocks[held_out])
-    return LearnedExponent(
-        power, interval, exact, judged.coverage_at(LEVEL), judged.mean, score_se, independent.mean, int(held_out.sum())
-    )
+    return LearnedExponent(power, interval, exact, judged.coverage_at(LEVEL), judged.mean, score_se, independent.mean)
 
 
 def _interval(power: float, covered: FloatArray, blocks: NDArray[np.int64]) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from beamfield.arguments import require
 from beamfield.calibration.context.evidence import BeamEvidence, Evidence, FieldEvidence
 from beamfield.calibration.context.exponent import EXPONENTS, LEVEL, score_exponents, suited_exponent
 from beamfield.calibration.context.posterior_judge import LOWEST, PosteriorScores
-from beamfield.calibration.pose_windows import Rivals, Window, WindowOptions, cut_windows, draw_rivals
+from beamfield.calibration.pose_windows import FAR_SHARE, Rivals, Window, WindowOptions, cut_windows, draw_rivals
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -121,14 +121,14 @@ def learn_in_context(
     parts = [[window for window in windows if window.fold == fold] for fold in range(3)]
     followed, stopping, held_out = (_evidence(model, log, part) for part in parts)
     both = [followed.log_likelihood(followed.start), stopping.log_likelihood(stopping.start)]
-    start = np.append(followed.start, np.log(_exponent(both, rivals, options)))
-    climb = _climb(followed, stopping, start, rivals, options)
+    start = np.append(followed.start, np.log(_exponent(both, rivals)))
+    climb = _climb(followed, stopping, start, rivals)
     point = climb.points[climb.best]
     both = [followed.log_likelihood(point[:-1]), stopping.log_likelihood(point[:-1])]
-    exponent = _exponent(both, rivals, options)
+    exponent = _exponent(both, rivals)
 
     def judged(name: str, at: FloatArray, power: float) -> ContextScore:
-        (scores,) = score_exponents(held_out.log_likelihood(at), np.array([power]), rivals, options)
+        (scores,) = score_exponents(held_out.log_likelihood(at), np.array([power]), rivals)
         return ContextScore(name, held_out.parameters(at), power, scores)
 
     return ContextLearning(
@@ -141,14 +141,14 @@ def learn_in_context(
     )  # fmt: skip
 
 
-def score_and_weights(values: FloatArray, rivals: Rivals, options: WindowOptions) -> tuple[FloatArray, FloatArray]:
+def score_and_weights(values: FloatArray, rivals: Rivals) -> tuple[FloatArray, FloatArray]:
     """Return the log scores of posteriors, and the weights of log-likelihoods whose sum has the score's derivative.
 
     Parameters
     ----------
     values
         (w, n) log-likelihoods of windows, near poses before far ones, times the exponent.
-    rivals, options
+    rivals
         As the windows were cut with.
 
     Returns
@@ -157,7 +157,7 @@ def score_and_weights(values: FloatArray, rivals: Rivals, options: WindowOptions
     """
     n_truths, n_near = rivals.mass.shape
     n_far = values.shape[1] - n_near
-    share = options.far_share if n_far else 0.0
+    share = FAR_SHARE if n_far else 0.0
     elsewhere = np.full((n_truths, n_far), share / max(1, n_far))
     prior = np.concatenate([(1.0 - share) * rivals.mass, elsewhere], axis=1)
     top = values.max(axis=1, keepdims=True)
@@ -184,17 +184,17 @@ class _Climb:
         return int(np.argmax(self.stopping))
 
 
-def _climb(followed: Evidence, stopping: Evidence, start: FloatArray, rivals: Rivals, options: WindowOptions) -> _Climb:
+def _climb(followed: Evidence, stopping: Evidence, start: FloatArray, rivals: Rivals) -> _Climb:
     """Follow the gradient on some windows until others no longer gain."""
     climb = _Climb([], [], [])
 
     def mean_score(evidence: Evidence, point: FloatArray) -> float:
         values = np.exp(point[-1]) * evidence.log_likelihood(point[:-1])
-        return float(score_and_weights(values, rivals, options)[0].mean())
+        return float(score_and_weights(values, rivals)[0].mean())
 
     def loss(point: FloatArray) -> tuple[float, FloatArray]:
         power, values = np.exp(point[-1]), followed.log_likelihood(point[:-1])
-        scores, weights = score_and_weights(power * values, rivals, options)
+        scores, weights = score_and_weights(power * values, rivals)
         by_power = float((weights * np.where(weights == 0.0, 0.0, values)).sum())
         slope = power * np.append(followed.gradient(point[:-1], weights), by_power) / len(values)
         return -float(scores.mean()), -slope
@@ -214,9 +214,9 @@ def _climb(followed: Evidence, stopping: Evidence, start: FloatArray, rivals: Ri
     return climb
 
 
-def _exponent(values: Sequence[FloatArray], rivals: Rivals, options: WindowOptions) -> float:
+def _exponent(values: Sequence[FloatArray], rivals: Rivals) -> float:
     """Return the exponent whose 90 % regions hold the truth in 90 % of the windows."""
-    scores = score_exponents(np.concatenate(values), EXPONENTS, rivals, options)
+    scores = score_exponents(np.concatenate(values), EXPONENTS, rivals)
     return suited_exponent(np.array([each.coverage_at(LEVEL) for each in scores]))
 
 

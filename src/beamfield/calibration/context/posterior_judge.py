@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.calibration.pose_windows import Rivals, WindowOptions
+from beamfield.calibration.pose_windows import FAR_SHARE, Rivals
 from beamfield.geometry import FloatArray
 from beamfield.kernels.posterior import judge_posteriors
 from beamfield.short_repr import short_repr
@@ -65,9 +65,7 @@ class PosteriorScores:
         return PosteriorScores(np.append(self.log_score, other.log_score), np.concatenate([self.denser, other.denser]))
 
 
-def judge_weights(
-    log_weights: FloatArray, n_near: int, rivals: Rivals, options: WindowOptions
-) -> list[PosteriorScores]:
+def judge_weights(log_weights: FloatArray, n_near: int, rivals: Rivals) -> list[PosteriorScores]:
     """Return the scores of c sets of log weights (w, c, n), near poses before far ones."""
     shape = log_weights.shape[:2]
     rows = log_weights.reshape(-1, log_weights.shape[2])
@@ -75,7 +73,7 @@ def judge_weights(
     # No pose has any weight: the filter learns nothing (nav2 then makes all weights equal).
     weights = np.exp(np.where(top > -np.inf, rows - np.where(top > -np.inf, top, 0.0), 0.0))
     near, far = np.ascontiguousarray(weights[:, :n_near]), np.ascontiguousarray(weights[:, n_near:])
-    share = options.far_share if far.shape[1] else 0.0
+    share = FAR_SHARE if far.shape[1] else 0.0
     ratios, denser = np.empty((len(rows), len(rivals.mass))), np.empty((len(rows), len(rivals.mass)))
     judge_posteriors(
         near, far, (1.0 - share) * rivals.mass, (1.0 - share) * rivals.density, share / max(1, far.shape[1]),

@@ -72,28 +72,40 @@ def log_axis_density(table: AxisTable, mixture: Mixture) -> FloatArray:
     return np.asarray(np.log(mixture.hit_share * hit + (1.0 - mixture.hit_share) / table.span))
 
 
-def fit_axis_density(
-    table: AxisTable, *, start: Mixture | None = None, weights: FloatArray | None = None
-) -> DensityFit:
+def fit_axis_density(table: AxisTable) -> DensityFit:
     """Return the mixture under which the readings are most likely.
 
     Parameters
     ----------
     table
         Readings, at least one.
-    start
-        Where to start; None tries several places on a part of the readings and starts at the best end.
-    weights
-        (n,) how often each reading counts, >= 0; None for once.
 
     Notes
     -----
     Expectation maximisation. Given the responsibilities of (6.12) with two causes, the share of hits has its usual
     maximiser, and the expected log-likelihood is concave in 1 / sigma^2, for the density along an axis is an
-    exponential family: one Newton step in it, halved until it climbs.
+    exponential family: one Newton step in it, halved until it climbs. Several climbs on a part of the readings say
+    where to start.
     """
-    counts = np.ones(len(table)) if weights is None else weights
-    return _climb(table, counts, _best_start(table, counts) if start is None else start)
+    return climb(table, _best_start(table))
+
+
+def climb(table: AxisTable, start: Mixture) -> DensityFit:
+    """Return where expectation maximisation ends that starts at a mixture."""
+    mixture, hits = start, _Hits.at(table, start.sigma)
+    log_likelihood, share = _expectation(table, hits, mixture.hit_share)
+    trace = [log_likelihood / len(table)]
+    converged = False
+    for _ in range(MOST_ITERATIONS):
+        hit_share = float(np.clip(share.mean(), *share_bounds(len(table))))
+        sigma, hits = _better_sigma(table, share, mixture.sigma, hits)
+        mixture = Mixture(hit_share, sigma)
+        log_likelihood, share = _expectation(table, hits, hit_share)
+        trace.append(log_likelihood / len(table))
+        if trace[-1] - trace[-2] < TOLERANCE:
+            converged = True
+            break
+    return DensityFit(mixture, tuple(trace), converged, float(share.sum()))
 
 
 def density_gradient(table: AxisTable, mixture: Mixture) -> FloatArray:
@@ -105,7 +117,7 @@ def density_gradient(table: AxisTable, mixture: Mixture) -> FloatArray:
         As for `log_axis_density`.
     """
     hits = _Hits.at(table, mixture.sigma)
-    _, share = _expectation(table, hits, mixture.hit_share, np.ones(len(table)))
+    _, share = _expectation(table, hits, mixture.hit_share)
     squares = np.where(share > 0.0, table.squares, 0.0)
     return np.column_stack([share - mixture.hit_share, share * (squares - hits.mean_square) / mixture.sigma**2])
 
@@ -141,37 +153,17 @@ class _Hits:
         return cls(log_density, mean, np.maximum(second / mass - mean**2, 0.0))
 
 
-def _best_start(table: AxisTable, counts: FloatArray) -> Mixture:
-    rows = np.flatnonzero(counts > 0.0)
-    rows = rows[:: 1 + len(rows) // SCREENING_READINGS]
-    few, low, high = table.select(rows), *sigma_bounds(table)
+def _best_start(table: AxisTable) -> Mixture:
+    few, low, high = table.select(np.arange(0, len(table), 1 + len(table) // SCREENING_READINGS)), *sigma_bounds(table)
     starts = [Mixture(0.7, low * (high / low) ** share) for share in STARTS]
-    return max((_climb(few, counts[rows], start) for start in starts), key=lambda fit: fit.trace[-1]).mixture
+    return max((climb(few, start) for start in starts), key=lambda fit: fit.trace[-1]).mixture
 
 
-def _climb(table: AxisTable, counts: FloatArray, start: Mixture) -> DensityFit:
-    total = float(counts.sum())
-    mixture, hits = start, _Hits.at(table, start.sigma)
-    log_likelihood, share = _expectation(table, hits, mixture.hit_share, counts)
-    trace = [log_likelihood / total]
-    converged = False
-    for _ in range(MOST_ITERATIONS):
-        hit_share = float(np.clip(float(counts @ share) / total, *share_bounds(total)))
-        sigma, hits = _better_sigma(table, counts * share, mixture.sigma, hits)
-        mixture = Mixture(hit_share, sigma)
-        log_likelihood, share = _expectation(table, hits, hit_share, counts)
-        trace.append(log_likelihood / total)
-        if trace[-1] - trace[-2] < TOLERANCE:
-            converged = True
-            break
-    return DensityFit(mixture, tuple(trace), converged, float(counts @ share))
-
-
-def _expectation(table: AxisTable, hits: _Hits, hit_share: float, counts: FloatArray) -> tuple[float, FloatArray]:
+def _expectation(table: AxisTable, hits: _Hits, hit_share: float) -> tuple[float, FloatArray]:
     """Return the log-likelihood, and how probably each reading is a hit (n,)."""
     hit = hit_share * np.exp(hits.log_density)
     density = hit + (1.0 - hit_share) / table.span
-    return float(counts @ np.log(density)), hit / density
+    return float(np.log(density).sum()), hit / density
 
 
 def _better_sigma(table: AxisTable, shares: FloatArray, sigma: float, hits: _Hits) -> tuple[float, _Hits]:

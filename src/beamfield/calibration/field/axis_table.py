@@ -81,9 +81,7 @@ class _Classes(NamedTuple):
     squares: FloatArray
 
 
-def build_axis_table(
-    log: SensorLog, grid: OccupancyGrid, scans: ArrayLike, *, most_beams: int = MOST_BEAMS, seed: int = 0
-) -> AxisTable:
+def build_axis_table(log: SensorLog, grid: OccupancyGrid, scans: ArrayLike, *, seed: int = 0) -> AxisTable:
     """Follow the axes of the beams of the given scans, from their reference poses to max_range.
 
     Parameters
@@ -92,10 +90,8 @@ def build_axis_table(
         Scans with reference poses, and the map.
     scans
         Indices or mask of the scans to use.
-    most_beams
-        More beams are thinned to this many, drawn with the seed.
     seed
-        Of the drawing.
+        Draws the beams that are followed, where there are more than 20,000.
 
     Returns
     -------
@@ -104,7 +100,7 @@ def build_axis_table(
     Raises
     ------
     InvalidInputError
-        If the map has no obstacle,.
+        If the map has no obstacle.
 
     Notes
     -----
@@ -117,8 +113,8 @@ def build_axis_table(
     chosen = np.arange(len(log))[np.asarray(scans)]
     ranges = usable_ranges(log.ranges[chosen], finder)
     in_log, beam = np.nonzero(np.isfinite(ranges))
-    if len(in_log) > most_beams:
-        drawn = np.sort(np.random.default_rng(seed).choice(len(in_log), most_beams, replace=False))
+    if len(in_log) > MOST_BEAMS:
+        drawn = np.sort(np.random.default_rng(seed).choice(len(in_log), MOST_BEAMS, replace=False))
         in_log, beam = in_log[drawn], beam[drawn]
     ranges, scan = ranges[in_log, beam], chosen[in_log]
 

@@ -300,7 +300,7 @@ class _Judge:
         """Return the scores of the held-out windows."""
         held_out = [window for window in self.windows if window.fold == HELD_OUT]
         values = scan_log_likelihoods(self._model(parameters), self.log, held_out).sum(axis=1)
-        return score_exponents(values, np.array([exponent]), self.rivals, self.options)[0]
+        return score_exponents(values, np.array([exponent]), self.rivals)[0]
 
     def _model(self, parameters: LikelihoodFieldParameters) -> LikelihoodFieldModel:
         return LikelihoodFieldModel(self.grid, parameters, n_beams=self.n_beams)

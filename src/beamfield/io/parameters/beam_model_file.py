@@ -11,11 +11,11 @@ from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
 from beamfield.io.parameters.document import (
     COUNTING,
-    check_limits,
     counting_section,
     document_text,
     named_numbers,
     read_counting,
+    read_limits,
     sensor_section,
     six_digits,
 )
@@ -100,11 +100,8 @@ def read_beam_model(path: str | Path) -> SavedBeamModel:
     required = [name for name in names if name not in OPTIONAL]
     values = named_numbers(file, "beam_model", [*names, *COUNTING], required=required)
     counting = read_counting(file, "beam_model", values)
-    max_range = file.number("sensor", "max_range")
-    sensor = file.value("sensor")
-    min_range = file.number("sensor", "min_range") if isinstance(sensor, dict) and "min_range" in sensor else 0.0
-    check_limits(file, min_range, max_range)
+    limits = read_limits(file)
     try:
-        return SavedBeamModel(**values, **counting, max_range=max_range, min_range=min_range)
+        return SavedBeamModel(**values, **counting, **limits)
     except InvalidInputError as error:
         raise file.error(str(error), "beam_model") from error

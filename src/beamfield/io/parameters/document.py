@@ -105,10 +105,13 @@ def named_numbers(
     return values
 
 
-def check_limits(file: YamlFile, min_range: float, max_range: float) -> None:
-    """Raise unless the sensor's limits in a file make sense."""
+def read_limits(file: YamlFile) -> dict[str, Any]:
+    """Return the sensor's limits in a file, checked, as keyword arguments of a saved model; no min_range is 0."""
+    max_range = file.number("sensor", "max_range")
+    min_range = file.number("sensor", "min_range") if "min_range" in file.value("sensor") else 0.0
     if not 0.0 <= min_range < max_range:
         raise file.error(f"expected 0 <= min_range < max_range = {max_range:g}, got {min_range}", "sensor", "min_range")
+    return {"min_range": min_range, "max_range": max_range}
 
 
 def counting_section(exponent: float, single_scan_exponent: float | None, n_beams: int) -> dict[str, Any]:

@@ -10,11 +10,11 @@ from beamfield.errors import InvalidInputError
 from beamfield.io.files.yaml_file import read_yaml
 from beamfield.io.parameters.document import (
     COUNTING,
-    check_limits,
     counting_section,
     document_text,
     named_numbers,
     read_counting,
+    read_limits,
     sensor_section,
     six_digits,
 )
@@ -99,10 +99,8 @@ def read_likelihood_field(path: str | Path) -> SavedLikelihoodField:
     file = read_yaml(path)
     values = named_numbers(file, "likelihood_field", (*PARAMETERS, *COUNTING), required=REQUIRED)
     counting = read_counting(file, "likelihood_field", values)
-    min_range, max_range = file.number("sensor", "min_range"), file.number("sensor", "max_range")
-    check_limits(file, min_range, max_range)
-    weights = (values[name] for name in PARAMETERS)
+    limits = read_limits(file)
     try:
-        return SavedLikelihoodField(*weights, **counting, max_range=max_range, min_range=min_range)
+        return SavedLikelihoodField(**values, **counting, **limits)
     except InvalidInputError as error:
         raise file.error(str(error), "likelihood_field") from error

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.stacks.coordinates import SIGMAS, FitInputs, FitSpace, log_of, reach, share
-from beamfield.stacks.stack import LEAST_RATE, SQRT_2PI, WEIGHTS, Model
+from beamfield.stacks.stack import LEAST_RATE, SQRT_2PI, WEIGHTS, Model, with_sum_one
 
 
 def amcl_from_chapter(learned: BeamParameters, typical_range: float, cell: float) -> dict[str, float]:  # noqa: ARG001
@@ -19,8 +19,7 @@ def amcl_from_chapter(learned: BeamParameters, typical_range: float, cell: float
     values = plain_from_chapter(learned)
     values["z_hit"] /= SQRT_2PI * values["sigma_hit"]
     values["z_short"] /= -math.expm1(-values["lambda_short"] * typical_range)
-    total = sum(values[name] for name in WEIGHTS)
-    return {name: value / total if name in WEIGHTS else value for name, value in values.items()}
+    return with_sum_one(values)
 
 
 def plain_from_chapter(learned: BeamParameters) -> dict[str, float]:

@@ -163,19 +163,19 @@ def fit_stack(
     stage, n_steps = f"fitting {stack} {model}", len(space.settings) + 3
     _tell(progress, stage, 0, n_steps)
     as_it_was = {name: getattr(space.usable_start, name) for name in space.settings[0]}
-    before = _judge(before_model, as_it_was, log, windows, rivals, options)
+    before = _judge(before_model, as_it_was, log, windows, rivals)
     trials = []
     for done, setting in enumerate(space.settings):
         _tell(progress, stage, done + 1, n_steps)
         made = before_model.with_parameters(replace(space.first_guess, **setting))
-        trials.append(_try(made, setting, log, windows, space, rivals, options))
+        trials.append(_try(made, setting, log, windows, space, rivals))
     best = _best(trials)
     _tell(progress, stage, n_steps - 2, n_steps)
     final = before_model.with_parameters(best.parameters)
     if space.coordinates:
         fitted_to = gather_evidence(final, log, [window for window in windows if window.fold != HELD_OUT])
-        final = final.with_parameters(_polish(final, fitted_to, space, rivals, options))
-    chosen = replace(_judge(final, best.setting, log, windows, rivals, options), crossed=best.crossed)
+        final = final.with_parameters(_polish(final, fitted_to, space, rivals))
+    chosen = replace(_judge(final, best.setting, log, windows, rivals), crossed=best.crossed)
     if net_score(before.crossed) > net_score(best.crossed):
         chosen = before
     _tell(progress, stage, n_steps - 1, n_steps)
@@ -204,18 +204,17 @@ def _best(trials: Sequence[Trial]) -> Trial:
 
 
 def _judge(
-    model: StackModel[Any, Any], setting: Mapping[str, Any], log: SensorLog, windows: Sequence[Window], rivals: Rivals,
-    options: WindowOptions,
-) -> Trial:  # fmt: skip
+    model: StackModel[Any, Any], setting: Mapping[str, Any], log: SensorLog, windows: Sequence[Window], rivals: Rivals
+) -> Trial:
     """Return the scores of a model as it is."""
-    (scores,) = score_windows(model, gather_evidence(model, log, windows), [model.parameters], rivals, options)
+    (scores,) = score_windows(model, gather_evidence(model, log, windows), [model.parameters], rivals)
     held_out = np.array([window.fold == HELD_OUT for window in windows])
     return Trial(dict(setting), model.parameters, scores[~held_out], scores[held_out])
 
 
 def _try(
     model: StackModel[Any, Any], setting: Mapping[str, Any], log: SensorLog, windows: Sequence[Window], space: FitSpace,
-    rivals: Rivals, options: WindowOptions,
+    rivals: Rivals,
 ) -> Trial:  # fmt: skip
     """Return the best point of the search grid for one setting, judged crosswise.
 
@@ -224,7 +223,7 @@ def _try(
     """
     evidence = gather_evidence(model, log, windows)
     candidates = [space.parameters(model.parameters, point) for point in space.grid(model.parameters)]
-    scores = score_windows(model, evidence, candidates, rivals, options)
+    scores = score_windows(model, evidence, candidates, rivals)
     folds = [np.array([window.fold == fold for window in windows]) for fold in range(3)]
 
     def best(chosen: NDArray[np.bool_]) -> int:
@@ -235,14 +234,11 @@ def _try(
     return Trial(setting, candidates[overall], crossed, scores[overall][folds[HELD_OUT]])
 
 
-def _polish(
-    model: StackModel[Any, Any], evidence: WindowEvidence, space: FitSpace, rivals: Rivals,
-    options: WindowOptions,
-) -> Any:  # fmt: skip
+def _polish(model: StackModel[Any, Any], evidence: WindowEvidence, space: FitSpace, rivals: Rivals) -> Any:
     """Return better parameters near the model's own, by the windows fitted to."""
 
     def loss(point: FloatArray) -> float:
-        (scores,) = score_windows(model, evidence, [space.parameters(model.parameters, point)], rivals, options)
+        (scores,) = score_windows(model, evidence, [space.parameters(model.parameters, point)], rivals)
         return -net_score(scores)
 
     first = space.point(model.parameters)

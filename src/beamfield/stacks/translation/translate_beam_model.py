@@ -18,7 +18,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.stacks.formula import Formula
 from beamfield.stacks.registry import stack_named
-from beamfield.stacks.stack import SQRT_2PI, WEIGHTS, Model, Stack
+from beamfield.stacks.stack import SQRT_2PI, Model, Stack, with_sum_one
 from beamfield.stacks.syntax.parameter_text import Value
 from beamfield.stacks.translation.neutral_field import NeutralField, chapter_values, field_values
 from beamfield.stacks.translation.translation import (
@@ -101,7 +101,7 @@ def translate_beam_model(
         values = _chapter_beam(own) if name == "beam" else chapter_values(_field(own, notes), notes)
         written = as_written(values)
         made = (
-            BeamParameters(**_normalised(written))
+            BeamParameters(**with_sum_one(written))
             if name == "beam"
             else ChapterField(**written, max_range=own.max_range)
         )
@@ -210,12 +210,6 @@ def _densities(
     parameters: BeamParameters, min_range: float, max_range: float, ranges: FloatArray, expected: FloatArray
 ) -> FloatArray:
     return np.asarray(beam_log_density(ranges, expected, max_range, parameters, min_range=min_range).sum(axis=1))
-
-
-def _normalised(values: Mapping[str, float]) -> dict[str, float]:
-    """Return values whose weights sum to 1 again after rounding."""
-    total = sum(values[name] for name in WEIGHTS)
-    return {name: value / total if name in WEIGHTS else value for name, value in values.items()}
 
 
 # --- values -----------------------------------------------------------------------------------------------------------

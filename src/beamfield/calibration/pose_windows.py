@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from beamfield.arguments import require
-from beamfield.calibration.selection import SelectionOptions, select_scans
+from beamfield.calibration.selection import SelectionOptions, apart, select_scans
 from beamfield.calibration.time_split import FEWEST_BLOCKS, LONGEST_BLOCK_S, time_blocks
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import FloatArray, between, compose
@@ -234,20 +234,10 @@ def _groups(
     log: SensorLog, grid: OccupancyGrid, options: WindowOptions, selection: SelectionOptions | None
 ) -> list[NDArray[np.int64]]:
     """Return the scans of every window that there could be."""
-    steps = _updates(log, np.flatnonzero(select_scans(log, grid, selection).used), options)
+    used = np.flatnonzero(select_scans(log, grid, selection).used)
+    # Where a filter would update: so far from the last one.
+    steps = used[apart(log.poses[used], options.travel, options.turn)]
     return [steps[i : i + options.scans] for i in range(len(steps) - options.scans + 1)]
-
-
-def _updates(log: SensorLog, used: NDArray[np.int64], options: WindowOptions) -> NDArray[np.int64]:
-    """Return the used scans at which a filter would update: so far from the last one."""
-    chosen: list[int] = []
-    for i in used.tolist():
-        if chosen:
-            step = between(log.poses[chosen[-1]], log.poses[i])
-            if np.hypot(step[0], step[1]) < options.travel and abs(step[2]) < options.turn:
-                continue
-        chosen.append(i)
-    return np.array(chosen, np.int64)
 
 
 def _block_length(log: SensorLog, groups: list[NDArray[np.int64]]) -> float | None:

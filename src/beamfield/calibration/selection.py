@@ -208,12 +208,12 @@ def _stands(log: SensorLog, candidates: NDArray[np.bool_], options: SelectionOpt
     """Candidates that are too close to the last one kept."""
     rows = np.flatnonzero(candidates)
     still = candidates.copy()
-    still[rows[_apart(log.poses[rows], options.min_travel, options.min_turn)]] = False
+    still[rows[apart(log.poses[rows], options.min_travel, options.min_turn)]] = False
     return still
 
 
-def _apart(poses: FloatArray, travel: float, turn: float) -> list[int]:
-    """Indices of finite poses (t, 3) that moved or turned so far since the last one kept; the first is kept."""
+def apart(poses: FloatArray, travel: float, turn: float) -> list[int]:
+    """Return the indices of finite poses (t, 3) that moved or turned so far since the last one kept; the first is kept."""
     kept: list[int] = []
     x = y = heading = 0.0
     # Plain floats: a call of NumPy for each scan takes a hundred times as long.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beamfield.errors import FormatError, InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, between, wrap_angle
+from beamfield.geometry import FloatArray, as_poses, between, wrapped
 from beamfield.io.files.text_lines import Line
 from beamfield.io.logs.scan_stamps import ScanStamps, StampRule, resolve_stamps
 from beamfield.io.no_return import NoReturnRule, resolve_no_return
@@ -221,11 +221,10 @@ class TextScans:
 
 def finite_pose(line: Line, pose: FloatArray, field: str | None = None) -> FloatArray:
     """Return a pose with its heading in (-pi, pi]; if it is not finite, raise a FormatError with line and value."""
-    if not (np.abs(pose) < ABSURD).all():
-        found = " ".join(map(str, pose.tolist()))
-        raise line.error(f"expected a finite pose, got {found}", field or line.words[0])
-    x, y, theta = pose
-    return np.array([x, y, wrap_angle(theta)])
+    x, y, theta = numbers = pose.tolist()
+    if not all(abs(number) < ABSURD for number in numbers):
+        raise line.error(f"expected a finite pose, got {' '.join(map(str, numbers))}", field or line.words[0])
+    return np.array([x, y, wrapped(theta)])
 
 
 def sorted_track(

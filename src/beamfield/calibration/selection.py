@@ -213,7 +213,7 @@ def _stands(log: SensorLog, candidates: NDArray[np.bool_], options: SelectionOpt
 
 
 def apart(poses: FloatArray, travel: float, turn: float) -> list[int]:
-    """Return the indices of finite poses (t, 3) that moved or turned so far since the last one kept; the first is kept."""
+    """Return the indices of finite poses (t, 3) so far from the last one kept; the first is kept."""
     kept: list[int] = []
     x = y = heading = 0.0
     # Plain floats: a call of NumPy for each scan takes a hundred times as long.

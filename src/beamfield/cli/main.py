@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     if arguments is None:  # the process is ours
-        # Its linear algebra is small: more threads of OpenBLAS would only wait for work, a tenth of a command's CPU time.
+        # Its linear algebra is small: more threads of OpenBLAS would spin while they wait, a tenth of the CPU time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         gc.set_threshold(OBJECTS_PER_COLLECTION, *gc.get_threshold()[1:])
     parser = build_parser()

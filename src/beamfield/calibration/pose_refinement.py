@@ -112,7 +112,9 @@ def refine_poses(
                 expected[good],
                 log.finder.max_range,
                 min_range=log.finder.min_range,
+                initial=parameters,
                 hold={"range_offset": parameters.range_offset},
+                n_starts=1,  # all of these beams' log led to the parameters
             )
         except TooLittleDataError:
             return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,11 @@ from beamfield.calibration.intrinsic.em import learn_intrinsic_parameters
 from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
 from beamfield.geometry import FloatArray, between, compose
-from beamfield.maps.cone import ConeCaster, make_caster
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.maps.raycast import RayCaster
-from beamfield.models.beam import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
-from beamfield.sensors import SensorLog, usable_ranges
+from beamfield.models.range_mixture import RangeMixtureModel
+from beamfield.models.sonar import model_of_sensor
+from beamfield.sensors import Scan, SensorLog, usable_ranges
 from beamfield.short_repr import short_repr
 
 # Half widths of the searched window around each reference pose (metres, radians), halved on each level.
@@ -91,21 +91,20 @@ def refine_poses(
         None if there are too few beams to say.
     """
     chosen = scans[np.unique(np.linspace(0, len(scans) - 1, min(MAX_SCANS, len(scans))).astype(np.int64))]
-    caster = make_caster(grid, log.finder, unknown="occupied" if unknown_occupied else "free")
+    unknown: Literal["free", "occupied"] = "occupied" if unknown_occupied else "free"
+    model = model_of_sensor(log.finder)(grid, parameters, unknown=unknown)
     beams = np.arange(log.finder.n_beams)
     even, odd = beams[::2], beams[1::2]
-    ranges = usable_ranges(log.ranges[chosen], log.finder)
     refined = np.empty((len(chosen), 3))
-    for i, scan in enumerate(chosen):
-        refined[i] = _climb(caster, log, log.poses[scan], ranges[i, even], even, parameters)
+    for i, scan in enumerate(chosen.tolist()):
+        refined[i] = _climb(model, log.scan(scan).subset(even), log.poses[scan])
         if progress is not None:
             progress(i + 1, len(chosen))
-    finder = log.finder.subset(odd)
+    z = usable_ranges(log.ranges[chosen], log.finder)[:, odd]
+    good = np.isfinite(z)
     sigma = []
     for poses in (log.poses[chosen], refined):
-        expected = caster.expected_ranges(poses, finder)
-        z = ranges[:, odd]
-        good = np.isfinite(z)
+        expected = model.expected(poses, log.finder.subset(odd))
         try:
             fit = learn_intrinsic_parameters(
                 z[good],
@@ -123,32 +122,17 @@ def refine_poses(
     return PoseRefinement(chosen, shifts, sigma[0], sigma[1], *_delay(log, chosen, shifts))
 
 
-def _climb(
-    caster: RayCaster | ConeCaster,
-    log: SensorLog,
-    pose: FloatArray,
-    ranges: FloatArray,
-    beams: NDArray[np.int64],
-    parameters: BeamParameters,
-) -> FloatArray:
-    """Search a shrinking window for the pose that the given beams like best."""
-    good = np.isfinite(ranges)
-    finder = log.finder.subset(beams[good])
-    z = ranges[good]
-    if len(z) == 0:
+def _climb(model: RangeMixtureModel, scan: Scan, pose: FloatArray) -> FloatArray:
+    """Search a shrinking window for the pose that a scan likes best."""
+    if len(model.used_beams(scan)) == 0:
         return pose
     ticks = np.linspace(-1.0, 1.0, 2 * STEPS + 1)
     dx, dy, dt = (axis.ravel() for axis in np.meshgrid(ticks, ticks, ticks, indexing="ij"))
+    steps = np.column_stack([dx * WINDOW[0], dy * WINDOW[0], dt * WINDOW[1]])
     centre = pose
     for level in range(LEVELS):
-        scale = 0.5**level
-        steps = np.column_stack([dx * WINDOW[0] * scale, dy * WINDOW[0] * scale, dt * WINDOW[1] * scale])
-        candidates = compose(centre, steps)
-        expected = caster.expected_ranges(candidates, finder)
-        density = beam_log_density(
-            np.broadcast_to(z, expected.shape), expected, finder.max_range, parameters, min_range=finder.min_range
-        )
-        centre = candidates[int(np.argmax(density.sum(axis=1)))]
+        candidates = compose(centre, steps * 0.5**level)
+        centre = candidates[int(np.argmax(model.log_likelihood(scan, candidates)))]
     return centre
 
 

@@ -48,7 +48,8 @@ def wrong_poses(
     InvalidInputError
         If the map has no free cell.
     """
-    rows, cols = np.nonzero(grid.free)
+    free = grid.free
+    rows, cols = np.nonzero(free)
     if len(rows) == 0:
         raise InvalidInputError("the map has no free cell to draw wrong poses in")
     result: FloatArray = np.full(poses.shape, np.nan)
@@ -63,7 +64,7 @@ def wrong_poses(
         for _ in range(TRIES):
             place = _beside(centre, rng) if near else _anywhere(grid, rows, cols, rng)
             path = compose(place, shape)
-            on_free = float(grid.look_up(grid.free, path[:, :2]).mean())
+            on_free = float(grid.look_up(free, path[:, :2]).mean())
             if on_free > best:
                 best, result[mine] = on_free, path
             if best == 1.0:

@@ -23,8 +23,8 @@ from beamfield.calibration.intrinsic.likelihood import (
 from beamfield.calibration.intrinsic.m_steps import m_step
 from beamfield.geometry import FloatArray
 
-# EM leads into the basin of a maximum, Newton finishes there. After a rejected Newton step EM walks on. With 5, 6, 8 and
-# 16 steps first, the best maximum of 250 hard sets is missed in 7 to 9; with 4 it is missed by more.
+# EM leads into the basin of a maximum, Newton finishes there. After a rejected Newton step EM walks on. With 5, 6, 8 or
+# 16 steps first, 7 to 9 of 250 hard sets miss their best maximum; with 4, they miss it by more.
 EM_STEPS_FIRST = 5
 EM_STEPS_AFTER_REJECTION = 6
 # A rounding error of a sum over beams, relative.

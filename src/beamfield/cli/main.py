@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import gc
 import importlib
 import io
@@ -80,6 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Its linear algebra is small: more threads of OpenBLAS would spin while they wait, a tenth of the CPU time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         gc.set_threshold(OBJECTS_PER_COLLECTION, *gc.get_threshold()[1:])
+        # Else Python would look through all modules for garbage before it ends, another twentieth.
+        atexit.register(gc.freeze)
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks how a word goes on
         importlib.import_module("argcomplete").autocomplete(parser)

@@ -97,10 +97,10 @@ def lost_probability(
     gains = _gains(values, when, evidence)
     keep = np.exp(-(rates.lose + rates.find) * np.concatenate([np.zeros(min(len(values), 1)), steps]))
     result = []
-    lost = rates.prior
+    lost = prior = rates.prior
     # Plain floats: NumPy takes ten times as long for single numbers, and a reference is learned from 100 runs.
     for share, gain in zip(keep.tolist(), gains.tolist(), strict=True):
-        lost = rates.prior + (lost - rates.prior) * share
+        lost = prior + (lost - prior) * share
         log_odds = math.log(lost) - math.log1p(-lost) + gain
         lost = 1.0 / (1.0 + math.exp(-min(max(log_odds, -LARGEST), LARGEST)))
         result.append(lost)

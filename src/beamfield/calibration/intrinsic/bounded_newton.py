@@ -82,20 +82,16 @@ def _solve(
 ) -> FloatArray:
     """Newton step over the active coordinates, those of `shares` adding up to `total`."""
     step = np.zeros_like(x)
-    others = np.flatnonzero(active & ~shares)
-    members = np.flatnonzero(shares)
-    pivot = members[np.argmax(x[members])] if members.size else -1
-    columns = [(i, -1) for i in others] + [(i, pivot) for i in members if i != pivot]
-    if members.size:
+    moves = active.copy()
+    pivot = int(np.argmax(np.where(shares, x, -np.inf)))
+    if shares.any():  # the pivot makes up for what the others of them do
+        moves[pivot] = False
         step[pivot] = total
         gradient = gradient + hessian @ step
-    if not columns:
+    if not moves.any():
         return step
-    basis = np.zeros((x.size, len(columns)))
-    for k, (i, balance) in enumerate(columns):
-        basis[i, k] = 1.0
-        if balance >= 0:
-            basis[balance, k] = -1.0
+    basis = np.eye(x.size)[:, moves]
+    basis[pivot, shares[moves]] = -1.0
     reduced = basis.T @ hessian @ basis
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(reduced)), _TINY))
     curvature, directions = np.linalg.eigh(reduced * np.outer(scale, scale))

@@ -168,6 +168,7 @@ def likelihood_trace(calibration: Calibration) -> ReportFigure | None:
     if np.isfinite(shown).any():
         log_scale(axes)
     axes.set_xlim(0, len(trace) - 1)
+    axes.locator_params(axis="x", integer=True)
     state = "converged" if calibration.converged else "did not converge"
     return one_picture(
         "trace",

@@ -219,7 +219,6 @@ def learn_intrinsic_parameters(
             so_far.theta,
             tolerance=tolerance,
             max_iterations=max_iterations - steps,
-            em_steps_first=0,
             accelerate=accelerate,
             report=lambda iteration: report("climbing", iteration),
         )

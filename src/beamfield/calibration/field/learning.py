@@ -37,6 +37,7 @@ from beamfield.calibration.selection import SelectionOptions, select_scans
 from beamfield.calibration.time_split import of_held_out, time_blocks
 from beamfield.errors import TooLittleDataError
 from beamfield.finding import Finding
+from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters
@@ -223,18 +224,21 @@ def learn_field_parameters(
     except TooLittleDataError as error:
         reason = str(error)
     judge = _Judge(log, grid, windows, rivals, options, n_beams)
-    exponents = judge.learn_exponents(widened, blocks) if windows else None
+    values = judge.log_likelihoods(widened, windows)
+    exponents = judge.learn_exponents(values, blocks) if windows else None
     if exponents is not None:
         exponent, intervals["exponent"] = exponents.drive.value, exponents.drive.interval
         intervals["single_scan_exponent"] = exponents.single.interval
 
     # 3. Judge it on held-out blocks.
-    fields: dict[str, tuple[LikelihoodFieldParameters, float, Mixture]] = {"learned": (widened, exponent, fit.mixture)}
+    judging = [window for window in windows if window.fold == HELD_OUT]
+    values = values[[window.fold == HELD_OUT for window in windows]]
+    fields: dict[str, tuple[FloatArray, float, Mixture]] = {"learned": (values, exponent, fit.mixture)}
     if windows:
-        fields["learned, exponent 1"] = (widened, 1.0, fit.mixture)
+        fields["learned, exponent 1"] = (values, 1.0, fit.mixture)
     if beam_parameters is not None and beam_parameters.z_hit + beam_parameters.z_rand > 0.0:
         of_beam = LikelihoodFieldParameters.from_beam_parameters(beam_parameters, drop=NOT_OF_A_FIELD)
-        fields["beam model's, exponent 1"] = (of_beam, 1.0, _mixture(of_beam))
+        fields["beam model's, exponent 1"] = (judge.log_likelihoods(of_beam, judging), 1.0, _mixture(of_beam))
     scores = [_score(name, *of, judged, blocks, judge) for name, of in fields.items()]
     nothing = 0.0 if windows else None
     scores.append(FieldScore("uniform", -float(np.log(table.span)), 0.0, nothing, nothing, None))
@@ -290,25 +294,23 @@ class _Judge:
     options: WindowOptions
     n_beams: int
 
-    def learn_exponents(self, parameters: LikelihoodFieldParameters, blocks: NDArray[np.int64]) -> ExponentLearning:
-        """Return the exponents that suit the windows to fit to."""
-        model = self._model(parameters)
-        values = scan_log_likelihoods(model, self.log, self.windows)
+    def log_likelihoods(self, parameters: LikelihoodFieldParameters, windows: Sequence[Window]) -> FloatArray:
+        """Return those of windows, see `scan_log_likelihoods`."""
+        model = LikelihoodFieldModel(self.grid, parameters, n_beams=self.n_beams)
+        return scan_log_likelihoods(model, self.log, windows)
+
+    def learn_exponents(self, values: FloatArray, blocks: NDArray[np.int64]) -> ExponentLearning:
+        """Return the exponents that suit the windows to fit to, given the log-likelihoods of all."""
         return exponents_of(values, self.windows, blocks, self.rivals, self.options, self.n_beams, self.log)
 
-    def score(self, parameters: LikelihoodFieldParameters, exponent: float) -> PosteriorScores:
-        """Return the scores of the held-out windows."""
-        held_out = [window for window in self.windows if window.fold == HELD_OUT]
-        values = scan_log_likelihoods(self._model(parameters), self.log, held_out).sum(axis=1)
-        return score_exponents(values, np.array([exponent]), self.rivals)[0]
-
-    def _model(self, parameters: LikelihoodFieldParameters) -> LikelihoodFieldModel:
-        return LikelihoodFieldModel(self.grid, parameters, n_beams=self.n_beams)
+    def score(self, values: FloatArray, exponent: float) -> PosteriorScores:
+        """Return the scores of the held-out windows, given their log-likelihoods."""
+        return score_exponents(values.sum(axis=1), np.array([exponent]), self.rivals)[0]
 
 
 def _score(
     name: str,
-    parameters: LikelihoodFieldParameters,
+    values: FloatArray,
     exponent: float,
     mixture: Mixture,
     judged: AxisTable,
@@ -319,7 +321,7 @@ def _score(
     error = block_standard_error(density, blocks[judged.scan])
     if not judge.windows:
         return FieldScore(name, float(density.mean()), error, None, None, None)
-    scores = judge.score(parameters, exponent)
+    scores = judge.score(values, exponent)
     held_out = [blocks[window.scans[0]] for window in judge.windows if window.fold == HELD_OUT]
     posterior_error = block_standard_error(scores.log_score, np.array(held_out))
     return FieldScore(name, float(density.mean()), error, scores.mean, posterior_error, scores.coverage_at(LEVEL))

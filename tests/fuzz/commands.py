@@ -89,8 +89,8 @@ def calibrate_and_patch(folder: Path) -> Patch:
         changed, parameters = _learned(file)
         values.update(file.by_names_in_file(changed))
         record = record_text(file.stack, file.model, parameters, "0.0", "all of 3 windows covered")
-        part = StackPart("stack", "", {}, PageSection("stack", "", ""), {}, values=changed, record=record)
-        return SensorResult({"beam_model.yaml": "a: 1\n"}, "", {"verdict": ""}, part, (), (PARAMETERS, sensor))
+        part = StackPart("stack", "", {"verdict": ""}, PageSection("stack", "", ""), {}, values=changed, record=record)
+        return SensorResult({"beam_model.yaml": "a: 1\n"}, "", {}, part, (), (PARAMETERS, sensor))
 
     log, grid, out = (str(folder / name) for name in ("run.log", "map.dat", "out"))
     words = ["calibrate", log, "--map", grid, "--out", out, "--quiet"]

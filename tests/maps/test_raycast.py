@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError
+from beamfield.maps import raycast
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.sensors import RangeFinder
@@ -207,6 +210,21 @@ def test_one_caster_serves_many_threads(rng):
     with ThreadPoolExecutor(4) as pool:
         for ranges in pool.map(lambda _: caster.cast(poses, 5.0), range(16)):
             np.testing.assert_array_equal(ranges, wanted)
+
+
+def test_casters_of_a_map_share_its_tables_while_it_is_there(monkeypatch):
+    grid = draw("..?#").grid
+    passes, stops = RayCaster(grid), RayCaster(grid, unknown="occupied")
+    assert RayCaster(grid).stops.base is passes.stops.base
+    assert RayCaster(grid, unknown="occupied").stops.base is stops.stops.base
+    assert [one.cast([0.5, 0.5, EAST], 10.0) for one in (passes, stops)] == [2.5, 1.5]
+    there = weakref.ref(grid)
+    del grid, passes, stops
+    gc.collect()
+    assert there() is None
+    monkeypatch.setattr(raycast, "KEPT_BYTES", 0)
+    grid = draw("...#").grid
+    assert RayCaster(grid).stops.base is not RayCaster(grid).stops.base
 
 
 def test_a_caster_pickles(rng):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +26,9 @@ from beamfield.short_repr import short_repr
 IntArray = NDArray[np.int32]
 # The tables are addressed with 32-bit indices.
 MAX_TABLE_CELLS = 2**31 - 1
+# Tables up to so many bytes stay as long as their map: whoever tries several models on it needs them again and again.
+KEPT_BYTES = 2**26
+_KEPT: WeakKeyDictionary[OccupancyGrid, dict[bool, NDArray[np.uint16]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +70,9 @@ class RayCaster:
 
     Notes
     -----
-    Construction builds four tables of two bytes per cell (see `table_bytes`). A caster never changes; any number of
-    threads may use one. It pickles together with its tables.
+    Construction builds four tables of two bytes per cell (see `table_bytes`), or takes those of another caster: up to
+    64 MiB are kept as long as the map. A caster never changes; any number of threads may use one. It pickles together
+    with its tables.
 
     References
     ----------
@@ -92,13 +97,7 @@ class RayCaster:
         check_fields(self)
         require(self.unknown in ("free", "occupied"), "unknown", "'free' or 'occupied'", self.unknown)
         require_device(self.device)
-        rows, cols = self.grid.shape
-        shape = (4, rows + 2, cols + 2)
-        if np.prod(shape, dtype=np.float64) > MAX_TABLE_CELLS:
-            raise InvalidInputError(f"grid: expected fewer than 2^29 cells, got {rows} x {cols}")
-        rectangles = np.empty(shape, np.uint16)
-        free_rectangles(self.grid.occupied if self.unknown == "free" else ~self.grid.free, rectangles)
-        keep(self, _rectangles=rectangles)
+        keep(self, _rectangles=_rectangles_of(self.grid, self.unknown))
         self._upload()
 
     @property
@@ -315,6 +314,23 @@ def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:
 
 
 # A finder never changes and is itself alone, so it may be the key. What stays in memory are a few fans.
+def _rectangles_of(grid: OccupancyGrid, unknown: str) -> NDArray[np.uint16]:
+    """Return a map's tables, those made before if they are small."""
+    through = unknown == "free" or not grid.unknown.any()
+    kept = _KEPT.setdefault(grid, {})
+    if through in kept:
+        return kept[through]
+    rows, cols = grid.shape
+    shape = (4, rows + 2, cols + 2)
+    if np.prod(shape, dtype=np.float64) > MAX_TABLE_CELLS:
+        raise InvalidInputError(f"grid: expected fewer than 2^29 cells, got {rows} x {cols}")
+    rectangles = np.empty(shape, np.uint16)
+    free_rectangles(grid.occupied if through else ~grid.free, rectangles)
+    if rectangles.nbytes <= KEPT_BYTES:
+        kept[through] = rectangles
+    return rectangles
+
+
 @lru_cache(maxsize=16)
 def _fan(finder: RangeFinder, resolution: float) -> tuple[FloatArray, bool]:
     """Return the beams as the kernel wants them, x, y in cells, cos, sin, and whether all start at one point."""

@@ -119,11 +119,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 (place / file_name).write_text(content, encoding="utf-8")
         recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
-    if arguments.quiet:
-        line = "; ".join((result.stack or result).document["verdict"] for result in results.values())
+    brief = "; ".join((result.stack or result).document["verdict"] for result in results.values())
     if patched is not None and first.stack is not None:
         changed = write_patch(patched, first.stack)
-        line = f"{line.removesuffix('.')}; {changed}" if arguments.quiet else f"{line}\n{changed}"
+        line, brief = f"{line}\n{changed}", f"{brief.removesuffix('.')}; {changed}"
     heads = {name: f"== {printable(name)}\n" if len(results) > 1 else "" for name in results}
     problems = [problem for result in results.values() for problem in result.problems]
     return Outcome(
@@ -134,6 +133,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         [arguments.out, *recorded],
         3 if problems else 0,
         "; ".join(problems),
+        brief,
     )
 
 

@@ -91,7 +91,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     evaluation = {name: (compared.document or {})[name] for name in ("filters", "differences")}
     document = {"truth": truth, "fit": fit, "evaluation": evaluation}
     text = f"{parameter_comparison(truth, fit)}\n\n{error_comparison(evaluation)}"
-    return Outcome(f"look at {result / 'report.html'}", text, document, (), [out], calibrated.code, calibrated.problem)
+    line = f"look at {result / 'report.html'}"
+    return Outcome(line, text, document, (), [out], calibrated.code, calibrated.problem, compared.brief)
 
 
 def _say(arguments: argparse.Namespace, text: str) -> None:

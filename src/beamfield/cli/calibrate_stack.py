@@ -36,7 +36,11 @@ def add_stack_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("for another program")
     group.add_argument("--stack", metavar="NAME",
                        help="fit a model of nav2, ros1, beluga, mrpt or f1tenth in its own formula")  # fmt: skip
-    group.add_argument("--model", metavar="NAME", help="the stack's model (default: the best one)")
+    group.add_argument(
+        "--model",
+        metavar="NAME",
+        help="the stack's model (default: the best; with --patch the file's, unless another is better)",
+    )
     group.add_argument("--patch", type=Path, metavar="FILE",
                        help="start from this parameter file and change the values in it; keeps a backup")  # fmt: skip
     group.add_argument("--section", metavar="LABEL", help="which section of it, if several have such parameters")

@@ -130,18 +130,19 @@ def real_logs(folder: Path) -> dict[str, SensorLog]:
 
 
 def fr079(path: Path) -> SensorLog:
-    """Return the log with the odometry by which each pose was predicted from the one before."""
-    predicted, corrected = [], []
+    """Return the log with the odometry by which each pose was predicted from the one before.
+
+    ODOM lines hold poses of the laser here, as FLASER's do.
+    """
+    log, predicted = read_log(path).only_sensor(), []
     with gzip.open(path, "rt") as file:
         for words in map(str.split, file):
             if words[:1] == ["ODOM"]:
                 last = [float(word) for word in words[1:4]]
             elif words[:1] == ["FLASER"]:
                 predicted.append(last)
-                corrected.append([float(word) for word in words[-9:-6]])
-    poses = np.array(corrected)
-    steps = between(poses[:-1], np.array(predicted)[1:])
-    return replace(read_log(path).only_sensor(), poses=poses, odometry=chained(steps))
+    robot = compose(np.array(predicted), [-log.finder.mounts[0, 0], 0.0, 0.0])
+    return replace(log, odometry=chained(between(log.poses[:-1], robot[1:])))
 
 
 def with_signs_of_reference(log: SensorLog) -> SensorLog:

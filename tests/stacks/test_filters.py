@@ -19,10 +19,10 @@ from beamfield.stacks.filters import amcl_filter
 from beamfield.stacks.filters.amcl_filter import BINS, AmclFilterParameters, as_wrapped_rotations
 from beamfield.stacks.filters.histogram import Histogram, kld_limits
 from beamfield.stacks.filters.particles import (
+    at_points,
     draw_by_weight,
     normal_poses,
-    particle_covariance,
-    particle_mean,
+    particle_moments,
     uniform_poses,
 )
 from beamfield.stacks.filters.recovery import WeightAverages
@@ -107,6 +107,15 @@ def test_draws_follow_the_weights(rng):
     np.testing.assert_allclose(counts, weights, atol=0.01)
 
 
+@pytest.mark.parametrize("weights", [np.ones(1), np.ones(7), np.r_[1.0, np.zeros(500)], np.r_[np.zeros(500), 1.0],
+                                     np.exp(-np.arange(900.0))])  # fmt: skip
+def test_points_are_found_as_bisection_finds_them(rng, weights):
+    sums = np.cumsum(weights / weights.sum())
+    points = np.r_[rng.random(2000), 0.0, np.nextafter(1.0, 0.0)]
+    expected = np.minimum(np.searchsorted(sums, points * sums[-1], side="right"), len(weights) - 1)
+    assert at_points(weights / weights.sum(), points).tolist() == expected.tolist()
+
+
 def test_start_poses_follow_the_belief(rng):
     covariance = np.array([[0.25, 0.1, 0.0], [0.1, 0.16, 0.02], [0.0, 0.02, 0.09]])
     poses = normal_poses(PoseBelief(np.array([1.0, 2.0, 3.0]), covariance), 40_000, rng)
@@ -126,9 +135,9 @@ def test_mean_and_covariance_are_those_of_a_sample_with_headings_across_pi(rng):
     poses[:, 2] += 0.3 * poses[:, 0]
     weights = np.full(5000, 1.0 / 5000)
     turned = poses + np.array([0.0, 0.0, np.pi])
-    mean = particle_mean(turned, weights)
+    mean, covariance = particle_moments(turned, weights)
     assert float(wrap_angle(mean[2] - np.pi - poses[:, 2].mean())) == pytest.approx(0.0, abs=0.01)
-    np.testing.assert_allclose(particle_covariance(turned, weights, mean), np.cov(poses.T), atol=2e-3)
+    np.testing.assert_allclose(covariance, np.cov(poses.T), atol=2e-3)
 
 
 def test_random_poses_come_in_when_the_fast_average_falls_below_the_slow_one():

@@ -54,6 +54,24 @@ def fill_rotation_samples(poses: Floats, normals: Floats, step: Floats, out: Flo
 
 
 @kernel
+def wrap_rotations(before: Floats, after: Floats, rotation_1: float) -> None:
+    """Change the headings (n, 3) after a step by full turns: to before + rotation 1 + rotation 2, each in (-pi, pi].
+
+    `rotation_1` is the mean of the first; each pose's own follows from where it went.
+    """
+    for i in range(before.shape[0]):
+        heading = before[i, 2]
+        first = math.atan2(after[i, 1] - before[i, 1], after[i, 0] - before[i, 0]) - heading
+        # A noisy translation may be negative.
+        if math.cos(first - rotation_1) < 0.0:
+            first += math.pi
+        first -= math.tau * math.ceil((first - math.pi) / math.tau)
+        second = after[i, 2] - heading - first
+        second -= math.tau * math.ceil((second - math.pi) / math.tau)
+        after[i, 2] = heading + first + second
+
+
+@kernel
 def fill_rotation_log_densities(before: Floats, after: Floats, step: Floats, out: Floats) -> None:
     """Fill in the log density of each step from `before` to `after`: (n, 3), (n, 3), (8,) -> (n,)."""
     for i in range(before.shape[0]):

@@ -127,6 +127,37 @@ def draw_until_enough(
 
 
 @kernel
+def find_points(cumulated: FloatArray, points: FloatArray, out: IndexArray) -> None:
+    """Find the particles in which points lie, by a table of as many equal parts as there are particles.
+
+    From where its part begins, a point drawn at random is half a particle away, whatever the weights; bisection takes
+    ten times as long.
+
+    Parameters
+    ----------
+    cumulated
+        (n,) sums of the weights. Points are shares of the last, which rounding may leave below 1.
+    points
+        (m,) in [0, 1).
+    out
+        (m,) overwritten with the first index whose sum exceeds the point's.
+    """
+    n, last, total = len(cumulated), len(cumulated) - 1, cumulated[-1]
+    begins = np.empty(n, np.int64)
+    i = 0
+    for part in range(n):
+        while i < last and cumulated[i] <= total * (part / n):
+            i += 1
+        begins[part] = i
+    for j in range(len(points)):
+        # Rounding may make a product of what is just below 1.
+        i = begins[min(int(points[j] * n), last)]
+        while i < last and cumulated[i] <= total * points[j]:
+            i += 1
+        out[j] = i
+
+
+@kernel
 def _last_positive(weights: FloatArray) -> int:
     """Return the last particle that can be drawn: rounding may leave the sum of the weights below a point."""
     last = len(weights) - 1

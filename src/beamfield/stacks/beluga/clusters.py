@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray, compose, wrap_angle
 from beamfield.stacks.filters.histogram import BinSizes, bin_codes
-from beamfield.stacks.filters.particles import particle_mean
+from beamfield.stacks.filters.particles import EVERY, particle_moments
 
 SIDE, TURN = 0.2, 0.524
 # Cells weigh at most what this share of them weighs.
@@ -29,8 +29,8 @@ def heaviest_cluster(poses: FloatArray, weights: FloatArray) -> FloatArray:
     labels = cluster_labels(poses, weights)
     heavy = np.bincount(labels, weights)
     heavy[np.bincount(labels) < 2] = -1.0
-    best = labels == np.argmax(heavy) if heavy.max() >= 0.0 else np.ones(len(poses), np.bool_)
-    return particle_mean(poses[best], weights[best])
+    groups = labels if heavy.max() >= 0.0 else EVERY
+    return particle_moments(poses, weights, groups, int(np.argmax(heavy)))[0]
 
 
 def cluster_labels(poses: FloatArray, weights: FloatArray) -> NDArray[np.int64]:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from beamfield.geometry import FloatArray, wrap_angle
+from beamfield.geometry import FloatArray
+from beamfield.kernels.motion import wrap_rotations
 from beamfield.localization.replay import PoseBelief
 from beamfield.models.differential_motion import SHORTEST_TRANSLATION
 from beamfield.models.motion_steps import rotations_and_translation
@@ -22,7 +23,7 @@ from beamfield.stacks.filters.particles import (
     at_points,
     check_particle_counts,
     n_effective,
-    particle_mean,
+    particle_moments,
     reweighed,
     uniform_poses,
 )
@@ -154,12 +155,9 @@ def as_wrapped_rotations(before: FloatArray, after: FloatArray, odometry: FloatA
     odometry
         (2, 3) of the step.
     """
-    rotation = rotations_and_translation(odometry, SHORTEST_TRANSLATION)[0]
-    bearing = np.arctan2(after[:, 1] - before[:, 1], after[:, 0] - before[:, 0]) - before[:, 2]
-    # A noisy translation may be negative.
-    first = wrap_angle(np.where(np.cos(bearing - rotation) < 0.0, bearing + np.pi, bearing))
-    second = wrap_angle(after[:, 2] - before[:, 2] - first)
-    return np.column_stack([after[:, :2], before[:, 2] + first + second])
+    wrapped = after.copy()
+    wrap_rotations(before, wrapped, rotations_and_translation(odometry, SHORTEST_TRANSLATION)[0])
+    return wrapped
 
 
 class _Particles(AmclParticles):
@@ -220,5 +218,4 @@ class _Particles(AmclParticles):
 
     def _heaviest_cluster(self, weights: FloatArray, histogram: Histogram | None = None) -> FloatArray:
         labels = (histogram or Histogram(self.poses, BINS)).clusters()
-        heaviest = labels == np.argmax(np.bincount(labels, weights))
-        return particle_mean(self.poses[heaviest], weights[heaviest])
+        return particle_moments(self.poses, weights, labels, int(np.argmax(np.bincount(labels, weights))))[0]

@@ -8,14 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray
-from beamfield.kernels.bins import join_bins, number_bins
+from beamfield.kernels.bins import STEPS, fill_codes, join_bins, number_bins
 
 Indices = NDArray[np.int64]
 
-# Bins beyond this are one: none is so far out while poses are sane.
-FARTHEST_BIN = 1 << 19
-# What a step of one bin in x, y and heading adds to a bin's code.
-STEPS = (1 << 42, 1 << 21, 1)
 _NEIGHBOURS = np.array([a * STEPS[0] + b * STEPS[1] + c for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)])
 
 
@@ -65,8 +61,9 @@ class Histogram:
 
 def bin_codes(poses: FloatArray, sizes: BinSizes) -> Indices:
     """Return a number for the bin of each pose, (n,): equal for poses of one bin only."""
-    bins = np.clip(np.floor(poses / np.array(sizes)), -FARTHEST_BIN, FARTHEST_BIN)
-    return np.asarray((bins.astype(np.int64) + FARTHEST_BIN + 1) @ np.array(STEPS))
+    codes = np.empty(len(poses), np.int64)
+    fill_codes(poses, np.array(sizes), codes)
+    return codes
 
 
 def kld_limits(n_bins: int, error: float, quantile: float) -> FloatArray:

@@ -8,13 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.arguments import require
-from beamfield.geometry import FloatArray, transform_points, wrap_angle
+from beamfield.geometry import FloatArray, transform_points
+from beamfield.kernels.particles import fill_moments, find_points
 from beamfield.localization.replay import PoseBelief
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.stacks.emulation.parameter_checks import check_counts
 
 # As for our own filter.
 MOST_PARTICLES = 10_000_000
+# Groups of particles: none.
+EVERY = np.empty(0, np.int64)
 
 
 def check_particle_counts(parameters: Any) -> None:
@@ -79,19 +82,18 @@ def draw_by_weight(weights: FloatArray, n: int, rng: np.random.Generator) -> NDA
 
 def at_points(weights: FloatArray, points: FloatArray) -> NDArray[np.int64]:
     """Return the particle at each of some numbers in [0, 1) on the summed weights (n,), which sum to 1."""
-    sums = np.cumsum(weights)
-    # Rounding may leave the last sum below 1; a draw beyond it would be of no particle.
-    return np.searchsorted(sums / sums[-1], points, side="right")
+    drawn = np.empty(len(points), np.int64)
+    find_points(np.cumsum(weights), points, drawn)
+    return drawn
 
 
-def particle_mean(poses: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the mean pose (3,) of poses (n, 3) with weights (n,): its heading is that of the mean direction."""
-    sine, cosine = weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2])
-    return np.array([*(weights @ poses[:, :2] / weights.sum()), np.arctan2(sine, cosine)])
+def particle_moments(
+    poses: FloatArray, weights: FloatArray, groups: NDArray[np.int64] = EVERY, which: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean pose (3,) and covariance (3, 3) of poses (n, 3) with weights (n,), or of one of `groups` (n,).
 
-
-def particle_covariance(poses: FloatArray, weights: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return the covariance (3, 3) of poses (n, 3) with weights (n,) that sum to 1, around a pose (3,)."""
-    off = poses - mean
-    off[:, 2] = wrap_angle(off[:, 2])
-    return np.asarray((weights[:, None] * off).T @ off)
+    The mean's heading is that of the mean direction.
+    """
+    mean, covariance = np.zeros(3), np.zeros((3, 3))
+    fill_moments(poses, weights, groups, which, mean, covariance)
+    return mean, covariance

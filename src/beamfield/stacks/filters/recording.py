@@ -9,7 +9,7 @@ import numpy as np
 from beamfield.geometry import FloatArray, compose, invert
 from beamfield.localization.replay import Replay
 from beamfield.sensors import SensorLog
-from beamfield.stacks.filters.particles import particle_covariance, particle_mean
+from beamfield.stacks.filters.particles import particle_moments
 
 
 class Recording:
@@ -34,8 +34,7 @@ class Recording:
     def updated(self, scan: int, poses: FloatArray, weights: FloatArray) -> None:
         """Note what the particles (n, 3) are after a scan, with weights (n,) that sum to 1."""
         seconds = time.thread_time() - self._started
-        mean = particle_mean(poses, weights)
-        self._rows.append((scan, mean, particle_covariance(poses, weights, mean), len(poses), seconds))
+        self._rows.append((scan, *particle_moments(poses, weights), len(poses), seconds))
 
     def published(self, scan: int, pose: FloatArray) -> None:
         """Note an answer, which odometry continues until the next one."""

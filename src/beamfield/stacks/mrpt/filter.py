@@ -18,7 +18,7 @@ from beamfield.stacks.emulation.parameter_checks import check_choice, check_coun
 from beamfield.stacks.filters.emulated_filter import EmulatedFilter
 from beamfield.stacks.filters.histogram import BinSizes
 from beamfield.stacks.filters.loop import scans_at_ticks, scans_with_odometry
-from beamfield.stacks.filters.particles import check_number_of_particles, n_effective, normalised, particle_mean
+from beamfield.stacks.filters.particles import check_number_of_particles, n_effective, normalised, particle_moments
 from beamfield.stacks.mrpt.motion import THRUN, MrptMotion
 from beamfield.stacks.mrpt.resampling import METHODS, fast_draws, resampled
 from beamfield.stacks.mrpt.sample_size import enough_particles
@@ -183,7 +183,7 @@ class _Particles:
             drawn = resampled(values.resamplingMethod, self.weights, self._rng)
             # The program resets as many weights as its caller asked particles for: none.
             self.poses, self.weights = self.poses[drawn], self.weights[drawn] / self.weights[drawn].sum()
-        return particle_mean(self.poses, self.weights)
+        return particle_moments(self.poses, self.weights)[0]
 
     def _mover(self, odometry: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Return what moves poses (n, 3) by a step."""

@@ -43,7 +43,7 @@ def main(n_poses: int) -> None:
     if IN_SIMULATOR:
         print("Not measured: NUMBA_ENABLE_CUDASIM is set, and times of the simulator mean nothing.")
         return
-    print(f"{cuda.get_current_device().name.decode()}, {n_poses} poses, {raycast.N_BEAMS} beams\n")
+    print(f"{cuda.get_current_device().name}, {n_poses} poses, {raycast.N_BEAMS} beams\n")
     print_table(list(run(n_poses)), digits=3)
 
 

@@ -1,9 +1,10 @@
 """device="cuda" beside the CPU: `python benchmarks/cuda.py [POSES]`; without a GPU it says that nothing was measured.
 
-The map is the building of `raycast.py`, with 60 beams at each pose. *Whole* is a call with poses and results in the
-host's memory; *kernel* what the GPU does of it, on what is in its memory already. The share of the bandwidth counts 32
-bytes, the least that memory hands out, for each look-up or jump: near 1 memory is the limit, beyond 1 the caches
-serve, far below it instructions are the limit. Compiling comes before and is timed apart.
+The map is the building of `raycast.py`, with 60 beams at each pose; learning passes over as many beams. *Whole* is a
+call with poses and results in the host's memory; *kernel* what the GPU does of it, on what is in its memory already.
+The share of the bandwidth counts 32 bytes, the least that memory hands out, for each look-up or jump, and the 16 of a
+beam to learn from: near 1 memory is the limit, beyond 1 the caches serve, far below it instructions are the limit.
+Compiling comes before and is timed apart.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numba import cuda
 
 import beamfield as bf
+from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, theta_of
 from beamfield.errors import InvalidInputError, MissingDependencyError
 from beamfield.kernels.device import IN_SIMULATOR, require_device
 
@@ -31,6 +33,10 @@ SECTOR_BYTES = 32
 # Of a ray in that building; see docs/evidence/raycasting.md.
 JUMPS_PER_RAY = 2.4
 COPIED_BYTES = 2**30
+BEAM_SECTORS = 2 * 8 / SECTOR_BYTES
+
+# Calls on the CPU and on the GPU, one of the kernel alone, and loads of SECTOR_BYTES for each beam.
+Work = tuple[list[Callable[[], Any]], Callable[[], Any] | None, float]
 
 
 def main(n_poses: int) -> None:
@@ -43,7 +49,7 @@ def main(n_poses: int) -> None:
     if IN_SIMULATOR:
         print("Not measured: NUMBA_ENABLE_CUDASIM is set, and times of the simulator mean nothing.")
         return
-    print(f"{cuda.get_current_device().name.decode()}, {n_poses} poses, {raycast.N_BEAMS} beams\n")
+    print(f"{cuda.get_current_device().name}, {n_poses} poses, {raycast.N_BEAMS} beams\n")
     print_table(list(run(n_poses)), digits=3)
 
 
@@ -67,7 +73,7 @@ def run(n_poses: int) -> Iterator[dict[str, Any]]:
     models = [bf.BeamModel(grid, beams, caster=caster, device=caster.device) for caster in casters]
     fields = [bf.LikelihoodFieldModel(grid, usual, device=device) for device in ("cpu", "cuda")]
     bandwidth = _bandwidth()
-    work: dict[str, tuple[list[Callable[[], Any]], Callable[[], Any] | None, float]] = {
+    work: dict[str, Work] = {
         "rays": (
             [lambda c=c: c.expected_ranges(poses, finder) for c in casters],
             _cast_alone(casters[1], poses, finder),
@@ -80,6 +86,7 @@ def run(n_poses: int) -> Iterator[dict[str, Any]]:
             1.0,
         ),
     }
+    work |= _learning(beams, n_poses * raycast.N_BEAMS, rng)
     for name, ((on_cpu, on_gpu), alone, loads) in work.items():
         yield _row(name, on_cpu, on_gpu, alone, loads, n_poses * raycast.N_BEAMS, bandwidth)
 
@@ -133,6 +140,43 @@ def _look_up_alone(model: bf.LikelihoodFieldModel, scan: bf.Scan, poses: np.ndar
     def call() -> None:
         rest = codes, table.codes.shape, table.low, table.step, sums
         launch(cuda_field._add_codes, len(poses), placed, beams, *rest)
+        cuda.synchronize()
+
+    return call
+
+
+def _learning(truth: bf.BeamParameters, n: int, rng: np.random.Generator) -> dict[str, Work]:
+    """Return the passes over n beams; their results are per beam."""
+    expected = rng.uniform(0.1, raycast.MAX_RANGE, n)
+    z = np.where(rng.random(n) < truth.z_hit, rng.normal(expected, truth.sigma_hit), rng.uniform(0.0, expected))
+    z, theta = np.clip(z, 0.0, raycast.MAX_RANGE), theta_of(truth)
+    both = [IntrinsicLikelihood(z, expected, raycast.MAX_RANGE, device=device) for device in ("cpu", "cuda")]
+
+    def em_pass(likelihood: IntrinsicLikelihood) -> np.ndarray:
+        statistics = likelihood.expected_statistics(theta)
+        return np.array([statistics.log_likelihood, *statistics.counts]) / n
+
+    def newton_pass(likelihood: IntrinsicLikelihood) -> np.ndarray:
+        value, gradient, _ = likelihood.derivatives(theta)
+        return np.array([value, *gradient]) / n
+
+    calls = {"EM pass": em_pass, "Newton pass": newton_pass}
+    return {
+        name: ([lambda x=x, call=call: call(x) for x in both], _pass_alone(both[1], theta, name), BEAM_SECTORS)
+        for name, call in calls.items()
+    }
+
+
+def _pass_alone(likelihood: IntrinsicLikelihood, theta: np.ndarray, name: str) -> Callable[[], None]:
+    """Return a call of the kernel over bins that are cut and sent already."""
+    from beamfield.kernels import cuda_em
+
+    kernel, n_sums = (cuda_em._em, cuda_em.EM_SUMS) if name == "EM pass" else (cuda_em._newton, cuda_em.NEWTON_SUMS)
+    bins, mixture, beams = likelihood._cut(theta), likelihood._mixture(theta), likelihood._on_device
+    sums, bins = cuda.device_array((len(bins.starts), n_sums), np.float64), bins._make(map(cuda.to_device, bins))
+
+    def call() -> None:
+        cuda_em.launch_over_bins(kernel, beams, mixture, bins, sums)
         cuda.synchronize()
 
     return call

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 
 import beamfield as bf
+from beamfield.calibration.intrinsic.likelihood import ExpectedStatistics, IntrinsicLikelihood
 
 ROOM = """
 ########################
@@ -35,7 +36,7 @@ def results() -> dict[str, float]:
     mounts = np.column_stack([rng.uniform(-0.2, 0.2, (9, 2)), np.linspace(-2.0, 2.0, 9)])
     finder = bf.RangeFinder(mounts, max_range=2.0, min_range=0.1)
     scan = bf.Scan([np.nan, 2.5, 0.05, 0.3, 0.7, 1.0, 1.4, 1.9, 0.11], finder)
-    return _rays(grid, poses, finder) | _beam_model(grid, poses, scan) | _fields(grid, poses, scan)
+    return _rays(grid, poses, finder) | _beam_model(grid, poses, scan) | _fields(grid, poses, scan) | _learning(rng)
 
 
 def _rays(grid: bf.OccupancyGrid, poses: np.ndarray, finder: bf.RangeFinder) -> dict[str, float]:
@@ -74,12 +75,55 @@ def _fields(grid: bf.OccupancyGrid, poses: np.ndarray, scan: bf.Scan) -> dict[st
     return found | {"scans that are impossible": impossible}
 
 
+def _learning(rng: np.random.Generator) -> dict[str, float]:
+    # A bin where hits are cut at 0, one between, one where they are cut at the maximum range; fewer beams than threads,
+    # and more.
+    expected = np.repeat([0.15, 0.9, 1.92], [20, 70, 40]) + rng.uniform(0.0, 1e-3, 130)
+    z = np.clip(rng.normal(expected, 0.03), 0.1, 2.0)
+    z[::5] = rng.uniform(0.1, 2.0, 26)
+    counts = rng.integers(0, 3, 130).astype(float)
+    found = {}
+    for name, theta, min_range, weights in (
+        ("mixture", [0.6, 0.2, 0.1, 0.1, 1e-3, 0.0, 0.0, 0.5], 0.0, counts),
+        ("slope", [0.6, 0.2, 0.1, 0.1, 1e-3, 1e-4, 0.01, 0.0], 0.1, None),
+        ("far too narrow", [0.9, 0.0, 0.1, 0.0, 3e-4, 0.0, 0.0, 3.0], 0.0, None),
+        ("impossible", [0.0, 0.9, 0.1, 0.0, 1e-3, 0.0, 0.0, 1.0], 0.0, None),
+    ):
+        cpu, gpu = (
+            IntrinsicLikelihood(z, expected, 2.0, min_range=min_range, weights=weights, device=device)
+            for device in ("cpu", "cuda")
+        )
+        a, b = (likelihood.expected_statistics(np.array(theta), slope_is_free=True) for likelihood in (cpu, gpu))
+        found[f"E-step, {name}"] = max(_error(u, v) for u, v in zip(_numbers(a), _numbers(b), strict=True))
+        a, b = (_scaled(*likelihood.derivatives(np.array(theta))) for likelihood in (cpu, gpu))
+        found[f"Newton, {name}"] = max(_error(u, v) for u, v in zip(a, b, strict=True))
+    a, b = (bf.learn_intrinsic_parameters(z, expected, 2.0, n_starts=1, device=device) for device in ("cpu", "cuda"))
+    found["fit"] = _error(
+        *(np.array([x.log_likelihood, *x.parameters.weights, x.parameters.sigma_hit]) for x in (a, b))
+    )
+    found["iterations"], found["iterations on the CPU"] = b.iterations, a.iterations
+    nothing = IntrinsicLikelihood(np.full(3, 2.0), expected[:3], 2.0, device="cuda")
+    found["no returns"] = nothing.expected_statistics(np.array(theta)).log_likelihood - 3.0 * np.log(0.1)
+    return found
+
+
+def _numbers(statistics: ExpectedStatistics) -> list[np.ndarray]:
+    return [np.asarray(number, float) for number in vars(statistics).values()]
+
+
+def _scaled(value: float, gradient: np.ndarray, hessian: np.ndarray) -> list[np.ndarray]:
+    # An entry off the diagonal may cancel out; it is as exact as those on the diagonal let it be.
+    root = np.sqrt(np.maximum(np.abs(np.diag(hessian)), 1.0))
+    return [np.asarray(value), gradient, hessian / np.outer(root, root)]
+
+
 def _error(expected: np.ndarray, got: np.ndarray) -> float:
     """Return the largest difference, relative where numbers are large; inf if -inf is not at the same places."""
     if not np.array_equal(np.isinf(expected), np.isinf(got)) or np.isnan(got).any():
         return np.inf
     finite = np.isfinite(expected)
-    return float(np.max(np.abs(expected[finite] - got[finite]) / np.maximum(1.0, np.abs(expected[finite]))))
+    expected, got = expected[finite], got[finite]
+    return float(np.max(np.abs(expected - got) / np.maximum(1.0, np.abs(expected)), initial=0.0))
 
 
 if __name__ == "__main__":

@@ -52,6 +52,20 @@ def test_likelihood_fields_are_the_same_to_the_last_digits(in_simulator: dict[st
     assert in_simulator[f"no scan, {name}"] == 0.0
 
 
+@pytest.mark.parametrize("name", ["mixture", "slope", "far too narrow", "impossible"])
+@pytest.mark.parametrize("what", ["E-step", "Newton"])
+def test_passes_of_learning_are_the_same_to_the_last_digits(
+    in_simulator: dict[str, float], what: str, name: str
+) -> None:
+    assert in_simulator[f"{what}, {name}"] < 1e-12
+
+
+def test_learning_ends_at_the_same_parameters(in_simulator: dict[str, float]) -> None:
+    assert in_simulator["iterations"] == in_simulator["iterations on the CPU"] > 5
+    assert in_simulator["fit"] < 1e-12
+    assert in_simulator["no returns"] == 0.0
+
+
 @pytest.fixture
 def grid() -> bf.OccupancyGrid:
     return bf.OccupancyGrid(np.array([[0.0, 1.0]]), resolution=1.0)
@@ -71,6 +85,7 @@ def test_a_missing_gpu_is_told_at_selection(grid: bf.OccupancyGrid, monkeypatch:
         lambda: bf.RayCaster(grid, device="cuda"),
         lambda: bf.BeamModel(grid, parameters, device="cuda"),
         lambda: bf.LikelihoodFieldModel(grid, bf.LikelihoodFieldParameters(0.8, 0.2, 0.05), device="cuda"),
+        lambda: bf.learn_intrinsic_parameters(np.ones(20), np.ones(20), 8.0, device="cuda"),
     ):
         with pytest.raises(InvalidInputError, match="device: expected a GPU and its driver for 'cuda', found none"):
             make()

@@ -20,6 +20,8 @@ from beamfield.errors import InvalidInputError
 from beamfield.kernels.device import IN_SIMULATOR
 
 THREADS_PER_BLOCK = 128
+# Numba warns the user of fewer; blocks without work end at once.
+LEAST_BLOCKS = 1 if IN_SIMULATOR else 128
 
 if IN_SIMULATOR:
     product: Callable[[float, float], float] = operator.mul
@@ -58,9 +60,14 @@ def upload(table: NDArray[Any]) -> Any:
 
 
 def launch(kernel: Any, n: int, *args: Any) -> None:
-    """Run a kernel in n threads or a few more."""
+    """Run a kernel in n threads or more."""
     if n > 0:
-        kernel[(n + THREADS_PER_BLOCK - 1) // THREADS_PER_BLOCK, THREADS_PER_BLOCK](*args)
+        launch_blocks(kernel, (n + THREADS_PER_BLOCK - 1) // THREADS_PER_BLOCK, THREADS_PER_BLOCK, 0, *args)
+
+
+def launch_blocks(kernel: Any, n: int, threads: int, shared_bytes: int, *args: Any) -> None:
+    """Run a kernel in n blocks or more, each of so many threads that share memory."""
+    kernel[max(n, LEAST_BLOCKS), threads, 0, shared_bytes](*args)
 
 
 def _on_device_too(value: Any) -> Any:

@@ -66,8 +66,10 @@ def em_pass(beams: Beams, mixture: Mixture, bins: Bins, all_moments: bool, first
     polynomials = np.empty((3, TERMS))
     scratch = _scratch()
     for j in range(first, last):
-        n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
-        _responsibilities(n, mixture, beams.ranges[bins.starts[j] : bins.stops[j]], scratch, sums[j])
+        part = _beams_between(beams, bins.starts[j], bins.stops[j])
+        _normalisers(bins, j, mixture, polynomials)
+        n = _fill_densities(part, mixture, bins, j, polynomials, scratch)
+        _responsibilities(n, mixture, part.ranges, scratch, sums[j])
         sums[j, 0] += _shift_sum(n, scratch)
         if all_moments or bins.edge[j]:
             _moments_of_hit(n, scratch, moments[j])
@@ -88,10 +90,11 @@ def newton_pass(beams: Beams, mixture: Mixture, bins: Bins, first: int, last: in
     scores = np.empty((N_DERIVATIVES, BIN_BEAMS))
     scratch = _scratch()
     for j in range(first, last):
-        n = _fill_densities(beams, mixture, bins, j, polynomials, scratch)
+        part = _beams_between(beams, bins.starts[j], bins.stops[j])
+        _normalisers(bins, j, mixture, polynomials)
         _slopes(bins, j, mixture, slopes)
-        z, expected = beams.ranges[bins.starts[j] : bins.stops[j]], beams.expected[bins.starts[j] : bins.stops[j]]
-        _derivatives(n, z, expected, mixture, scratch, polynomials[1], slopes, scores, out[j])
+        n = _fill_densities(part, mixture, bins, j, polynomials, scratch)
+        _derivatives(n, part.ranges, part.expected, mixture, scratch, polynomials[1], slopes, scores, out[j])
         out[j, 0] += _shift_sum(n, scratch)
         _outer_products(n, scratch.repeats, scores, out[j])
 
@@ -103,21 +106,22 @@ def _scratch() -> Scratch:
 
 
 @inlined_kernel
+def _beams_between(beams: Beams, start: int, stop: int) -> Beams:
+    return Beams(beams.ranges[start:stop], beams.expected[start:stop], beams.counts[start:stop])
+
+
+@inlined_kernel
 def _fill_densities(
-    beams: Beams, mixture: Mixture, bins: Bins, j: int, polynomials: FloatArray, scratch: Scratch
+    part: Beams, mixture: Mixture, bins: Bins, j: int, polynomials: FloatArray, scratch: Scratch
 ) -> int:
-    # Densities of the beams of bin j into `scratch`; returns how many beams it has.
-    start, stop = bins.starts[j], bins.stops[j]
-    n = stop - start
-    _normalisers(bins, j, mixture, polynomials)
-    if beams.counts.size:
-        # A slice assigned to a slice would have Numba compile the text of its error, for a second.
-        for i in range(n):
-            scratch.repeats[i] = beams.counts[start + i]
-    z, expected = beams.ranges[start:stop], beams.expected[start:stop]
-    _densities(z, expected, bins.centres[j], 1.0 / bins.half_widths[j], mixture, polynomials, scratch)
+    # Densities of beams of bin j, all or some, into `scratch`; returns how many they are.
+    n = part.ranges.size
+    # A slice assigned to a slice would have Numba compile the text of its error, for a second.
+    for i in range(part.counts.size):
+        scratch.repeats[i] = part.counts[i]
+    _densities(part.ranges, part.expected, bins.centres[j], 1.0 / bins.half_widths[j], mixture, polynomials, scratch)
     if _least_mixture(n, mixture, scratch) < TINY_DENSITY:
-        _rescale(z, expected, n, mixture, polynomials, scratch)
+        _rescale(part.ranges, part.expected, n, mixture, polynomials, scratch)
     return int(n)
 
 

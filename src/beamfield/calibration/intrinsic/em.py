@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,6 +99,7 @@ def learn_intrinsic_parameters(
     max_iterations: int = 500,
     accelerate: bool = True,
     weights: ArrayLike | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
     progress: Progress | None = None,
 ) -> LearningResult:
     """Return the parameters that make the ranges most likely, given what the map lets expect.
@@ -136,6 +138,8 @@ def learn_intrinsic_parameters(
         False for plain EM, which crawls where components trade places.
     weights
         How often each beam counts, shape (n,), >= 0; None for once.
+    device
+        Where passes over all beams run: "cpu", or "cuda", a GPU (docs/raycasting.md).
     progress
         Called with the stage (``"screening"``, ``"climbing"``) and a count.
 
@@ -148,9 +152,12 @@ def learn_intrinsic_parameters(
     ------
     InvalidInputError
         If shapes differ, a range is negative or below min_range, an expected range negative or NaN (the message names
-        its index), or an option is impossible.
+        its index), an option is impossible, or device is "cuda" and there is no GPU, or one with too little free
+        memory.
     TooLittleDataError
         If fewer than 20 beams remain.
+    MissingDependencyError
+        If device is "cuda" and numba-cuda is not installed.
 
     Notes
     -----
@@ -197,7 +204,7 @@ def learn_intrinsic_parameters(
     problem = learning_problem(
         max_range, min_range=min_range, hold=hold, priors=priors, fit_offset=fit_offset, fit_sigma_slope=fit_sigma_slope
     )
-    likelihood = IntrinsicLikelihood(z, expected, float(max_range), min_range=min_range, weights=counts)
+    likelihood = IntrinsicLikelihood(z, expected, float(max_range), min_range=min_range, weights=counts, device=device)
     if likelihood.n_max > 0.0 and not problem.free[2] and problem.held[2] == 0.0:
         raise InvalidInputError(
             f"hold z_max: expected more than 0 because {likelihood.n_max:g} readings are at max_range, got 0"

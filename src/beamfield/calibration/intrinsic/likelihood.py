@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from beamfield.geometry import FloatArray
 from beamfield.kernels import intrinsics as kernels
+from beamfield.kernels.device import require_device
 from beamfield.kernels.narrow_bins import BIN_BEAMS, NODE_WEIGHTS, NODES, TERMS, Bins, Mixture, cut_into_bins
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.models.beam_parameters import BeamParameters
@@ -87,6 +89,15 @@ class IntrinsicLikelihood:
         Ranges below were not measured, metres. The beams are kept with their ranges counted from here, `max_range` too.
     weights
         How often each beam counts, shape (n,); None for once.
+    device
+        Where passes over the beams run: "cpu", or "cuda", a GPU, to which the beams are sent with the first.
+
+    Raises
+    ------
+    InvalidInputError
+        If device is "cuda" and there is no GPU, or, with the first pass, one with too little free memory.
+    MissingDependencyError
+        If device is "cuda" and numba-cuda is not installed.
 
     Notes
     -----
@@ -102,7 +113,10 @@ class IntrinsicLikelihood:
         *,
         min_range: float = 0.0,
         weights: FloatArray | None = None,
+        device: str = "cpu",
     ) -> None:
+        require_device(device)
+        self.device = device
         returned = ranges < max_range
         n_returned = int(np.count_nonzero(returned))
         order = np.flatnonzero(returned) if n_returned < ranges.size else None
@@ -157,13 +171,14 @@ class IntrinsicLikelihood:
 
         Returns
         -------
-        A likelihood whose readings at maximum range count in proportion; self where there are fewer than 2 n beams with
-        a return.
+        A likelihood whose readings at maximum range count in proportion, on the CPU; self where there are fewer than
+        2 n beams with a return.
         """
         stride = int(self.ranges.size // max(n, 1))
         if stride < 2:
             return self
         other = self._shallow_copy()
+        other.device = "cpu"
         # Beams of one expected range keep their order in time: a stride beside a scan's length must not alias with it.
         chosen = np.sort(np.random.default_rng(0).permutation(self.ranges.size)[: self.ranges.size // stride])
         other.order = self.order[chosen]
@@ -177,6 +192,7 @@ class IntrinsicLikelihood:
     def _shallow_copy(self) -> IntrinsicLikelihood:
         other = object.__new__(IntrinsicLikelihood)
         other.__dict__.update(self.__dict__)
+        other.__dict__.pop("_on_device", None)
         return other
 
     def expected_statistics(self, theta: FloatArray, *, slope_is_free: bool = False) -> ExpectedStatistics:
@@ -199,11 +215,16 @@ class IntrinsicLikelihood:
         sums = np.zeros((n_bins, 5))
         moments = np.zeros((n_bins, 4, TERMS))
         mixture = self._mixture(theta)
+        if self.device == "cuda":
+            from beamfield.kernels import cuda_em
 
-        def work(first: int, last: int) -> None:
-            kernels.em_pass(self._beams, mixture, bins, all_moments, first, last, sums, moments)
+            cuda_em.em_pass(self._on_device, mixture, bins, sums, moments)
+        else:
 
-        self._over_bins(work, bins)
+            def work(first: int, last: int) -> None:
+                kernels.em_pass(self._beams, mixture, bins, all_moments, first, last, sums, moments)
+
+            self._over_bins(work, bins)
         totals = sums.sum(axis=0)
         nodes = moments @ NODE_WEIGHTS
         log_max = self.n_max * np.log(theta[W_MAX]) if self.n_max > 0.0 and theta[W_MAX] > 0.0 else 0.0
@@ -235,11 +256,16 @@ class IntrinsicLikelihood:
         n = kernels.N_DERIVATIVES
         out = np.zeros((bins.starts.size, 1 + n + n * (n + 1) // 2))
         mixture = self._mixture(theta)
+        if self.device == "cuda":
+            from beamfield.kernels import cuda_em
 
-        def work(first: int, last: int) -> None:
-            kernels.newton_pass(self._beams, mixture, bins, first, last, out)
+            cuda_em.newton_pass(self._on_device, mixture, bins, out)
+        else:
 
-        self._over_bins(work, bins)
+            def work(first: int, last: int) -> None:
+                kernels.newton_pass(self._beams, mixture, bins, first, last, out)
+
+            self._over_bins(work, bins)
         totals = out.sum(axis=0)
         inner = np.zeros((n, n))
         inner[np.tril_indices(n)] = totals[1 + n :]
@@ -259,6 +285,12 @@ class IntrinsicLikelihood:
     @property
     def _beams(self) -> kernels.Beams:
         return kernels.Beams(self.ranges, self.expected, self.weights)
+
+    @cached_property
+    def _on_device(self) -> kernels.Beams:
+        from beamfield.kernels.cuda_target import upload
+
+        return kernels.Beams(*(upload(column) for column in self._beams))
 
     def _mixture(self, theta: FloatArray) -> Mixture:
         return mixture_of(theta, self.max_range, self.min_range)

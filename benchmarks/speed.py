@@ -50,6 +50,7 @@ def cases() -> Iterator[Case]:
     for name, poses in patterns.items():
         yield from rays(name, grid, finder, poses)
         yield beams(f"beam model, {name}", grid, scan, poses)
+        yield looked_up(name, grid, scan, near(PLACE, rng, 10**5) if name == "track" else anywhere(grid, rng, 10**5))
         yield from fields(name, grid, scan, poses)
     yield from landmarks(rng)
     yield matching(grid, scan, near(PLACE, rng, 500))
@@ -93,6 +94,17 @@ def beams(name: str, grid: OccupancyGrid, scan: Scan, poses: FloatArray) -> Case
     return Case(
         name, lambda: model.log_likelihood(scan, poses), plain, f"{PLAIN}, NumPy's closed form", *unit(poses),
         limit.beam(caster, poses, scan, PARAMETERS), nats(model.log_likelihood(scan, poses), plain()),
+    )  # fmt: skip
+
+
+def looked_up(name: str, grid: OccupancyGrid, scan: Scan, poses: FloatArray) -> Case:
+    """Return the beam model at very many poses, rays included, beside our rays alone."""
+    model = BeamModel(grid, PARAMETERS)
+    computed = [model.log_likelihood(scan, part) for part in np.split(poses, len(poses) // N_POSES)]
+    return Case(
+        f"beam model, {len(poses):,} poses, {name}", lambda: model.log_likelihood(scan, poses),
+        lambda: model.expected(poses, scan.finder), "our rays alone", *unit(poses),
+        accuracy=nats(model.log_likelihood(scan, poses), np.concatenate(computed)),
     )  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
 from beamfield.models.map_matching import MapMatchingModel
+from beamfield.models.range_mixture import RAYS_PER_CHUNK
 from beamfield.sensors import RangeFinder, Scan
 from landmark import numpy_log_likelihood as numpy_landmarks
 from learning import TRUTH
@@ -50,6 +51,7 @@ def cases() -> Iterator[Case]:
     for name, poses in patterns.items():
         yield from rays(name, grid, finder, poses)
         yield beams(f"beam model, {name}", grid, scan, poses)
+        yield looked_up(name, grid, scan)
         yield from fields(name, grid, scan, poses)
     yield from landmarks(rng)
     yield matching(grid, scan, near(PLACE, rng, 500))
@@ -93,6 +95,23 @@ def beams(name: str, grid: OccupancyGrid, scan: Scan, poses: FloatArray) -> Case
     return Case(
         name, lambda: model.log_likelihood(scan, poses), plain, f"{PLAIN}, NumPy's closed form", *unit(poses),
         limit.beam(caster, poses, scan, PARAMETERS), nats(model.log_likelihood(scan, poses), plain()),
+    )  # fmt: skip
+
+
+def looked_up(name: str, grid: OccupancyGrid, scan: Scan) -> Case:
+    """Return the beam model at very many poses, rays included, beside our rays alone, in parts as large as its own."""
+    model, rng, n = BeamModel(grid, PARAMETERS), np.random.default_rng(9), 10**5
+    poses = near(PLACE, rng, n) if name == "track" else anywhere(grid, rng, n)
+    parts = np.array_split(poses, n * N_BEAMS // RAYS_PER_CHUNK)
+
+    def rays_alone() -> None:
+        for part in parts:
+            model.expected(part, scan.finder)
+
+    computed = np.concatenate([model.log_likelihood(scan, part) for part in np.split(poses, n // N_POSES)])
+    return Case(
+        f"beam model, {n:,} poses, {name}", lambda: model.log_likelihood(scan, poses), rays_alone, "our rays alone",
+        *unit(poses), accuracy=nats(model.log_likelihood(scan, poses), computed),
     )  # fmt: skip
 
 

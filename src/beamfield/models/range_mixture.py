@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import as_generator, check_fields, checked, keep
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses
+from beamfield.kernels.beam import BeamView
 from beamfield.kernels.many_beams import fill_scan_log_likelihood
+from beamfield.kernels.mixture_table import MixtureTable, fill_looked_up
 from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_density import as_view, beam_log_density, beam_responsibilities, read_only
@@ -20,6 +22,7 @@ from beamfield.models.beam_dependence import settle_dependence
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.beam_sampling import sample_beams
 from beamfield.models.blind_zone import counted_from, expected_from
+from beamfield.models.mixture_table import POSES_WITH_TABLE, mixture_table
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
 
 # Rays in memory at a time: 8 MB of expected ranges, whatever the number of poses.
@@ -123,6 +126,10 @@ class RangeMixtureModel(ABC):
         ------
         InvalidInputError
             If the poses are not finite (..., 3).
+
+        Notes
+        -----
+        From 10,000 poses on, each beam is looked up in a table over z*, within 1e-4 nats; below, it is computed.
         """
         robot = as_poses(poses)
         beams = self.used_beams(z)
@@ -265,21 +272,15 @@ class RangeMixtureModel(ABC):
 
     def _add_up(self, scan: Scan, poses: FloatArray, out: FloatArray) -> None:
         """Fill out (n,) with the sum over beams, chunk by chunk so that memory does not grow with the poses."""
-        step = max(1, RAYS_PER_CHUNK // scan.finder.n_beams)
-        for start in range(0, len(poses), step):
-            part = poses[start : start + step]
-            self._fill(scan, self._source.expected_ranges(part, scan.finder), out[start : start + step])
-
-    def _fill(self, scan: Scan, expected: FloatArray, out: FloatArray) -> None:
-        """Fill out (n,) with the sum over beams, all of them used ones, given the expected ranges (n, k)."""
         finder = scan.finder
         view = as_view(self.parameters, finder.max_range, finder.min_range)
         ranges = read_only(counted_from(finder.min_range, scan.ranges, finder.max_range))
-        expected = read_only(expected_from(finder.min_range, expected))
-        n = len(ranges)
-        run_in_blocks(
-            lambda a, b: fill_scan_log_likelihood(ranges, expected[a:b], view, out[a:b]), len(out), work_per_row=n
-        )
+        table = mixture_table(ranges, view) if len(poses) >= POSES_WITH_TABLE else None
+        step = max(1, RAYS_PER_CHUNK // finder.n_beams)
+        for start in range(0, len(poses), step):
+            expected = self._source.expected_ranges(poses[start : start + step], finder)
+            expected = read_only(expected_from(finder.min_range, expected))
+            _fill(ranges, expected, view, table, out[start : start + step])
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the tables: they are large and quick to rebuild."""
@@ -288,6 +289,20 @@ class RangeMixtureModel(ABC):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         keep(self, _source=self._make_source())
+
+
+def _fill(
+    ranges: FloatArray, expected: FloatArray, view: BeamView, table: MixtureTable | None, out: FloatArray
+) -> None:
+    """Fill out (n,) with the sum over beams, given the expected ranges (n, k), from the table if there is one."""
+
+    def work(start: int, stop: int) -> None:
+        if table is None:
+            fill_scan_log_likelihood(ranges, expected[start:stop], view, out[start:stop])
+        else:
+            fill_looked_up(ranges, expected[start:stop], view, table, out[start:stop])
+
+    run_in_blocks(work, len(out), work_per_row=len(ranges))
 
 
 def _refuse_logs(scan: Scan) -> None:

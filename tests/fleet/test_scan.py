@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,6 +159,24 @@ def test_an_interrupted_scan_goes_on_and_gives_the_same_bytes(own: Path, tmp_pat
     done = scan(own / "fleet.csv", tmp_path / "catalogue")
     assert done.scanned == tuple(record.run for record in done.records[2:])
     assert contents(tmp_path / "catalogue") == contents(own / "catalogue")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
+def test_what_killed_workers_leave_beside_files_that_are_not_written_again_is_removed(own: Path):
+    before = contents(own / "catalogue")
+    killed = (
+        "import os, signal, sys\n"
+        "from beamfield.io.files.atomic import atomic_file\n"
+        "with atomic_file(sys.argv[1]) as part:\n"
+        "    part.write_text('half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    for name in before:
+        if name.startswith(("maps/", "runs/")):
+            subprocess.run([sys.executable, "-c", killed, str(own / "catalogue" / name)], check=False)
+    assert len(contents(own / "catalogue")) > len(before)
+    assert again(own).scanned == ()
+    assert contents(own / "catalogue") == before
 
 
 def test_what_cannot_be_used_is_left_out_with_the_reason_and_the_rest_goes_on(own: Path, drive: SensorLog):

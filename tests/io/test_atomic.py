@@ -108,7 +108,7 @@ def test_a_run_leaves_what_a_living_one_is_writing(tmp_path):
 
 def test_a_run_leaves_what_it_cannot_be_sure_of(tmp_path, monkeypatch):
     left = kill_a_writer_of(tmp_path / "a.txt")
-    monkeypatch.setattr("beamfield.io.files.atomic._kernel", lambda: "another machine of a network disk")
+    monkeypatch.setattr("beamfield.io.files.atomic._scratch_suffix", lambda: ".another.beamfield-part")
     write_file(tmp_path / "a.txt", "new")
     assert names(tmp_path) == [left.name, "a.txt"]
     monkeypatch.undo()

@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from beamfield.errors import BeamfieldError, InvalidInputError, MissingDependencyError
-from beamfield.io.files.atomic import atomic_file
+from beamfield.io.files.atomic import atomic_file, remove_abandoned
 
 # Whose uploads appear when they are complete. Elsewhere a file is uploaded under another name, and renamed.
 _OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "memory"}
@@ -153,6 +153,11 @@ class Folder:
         """Remove a file, which another process may have removed already."""
         with suppress(FileNotFoundError), self.named_errors(name):
             self.system.rm_file(self.path(name))
+
+    def remove_abandoned(self, folder: str) -> None:
+        """Remove what killed processes left in a folder of it, if it is on this machine."""
+        if self.is_local:
+            remove_abandoned(Path(self.path(folder)))
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:

@@ -13,6 +13,7 @@ from beamfield.fleet.manifest import ManifestRow, read_manifest
 from beamfield.fleet.run_record import RunRecord
 from beamfield.fleet.scan_job import RunContent, ScanJob, content_of, log_address
 from beamfield.fleet.scan_run import left_out, scan_run, worker_died, write_record
+from beamfield.fleet.stored_map import MAPS
 
 # Called with stage, logs done and logs in all.
 Progress = Callable[[str, int, int], None]
@@ -92,6 +93,8 @@ def scan_fleet(
         )
     )  # fmt: skip
     found = tuple(next(done) if record is None else record for record in records)
+    for name in (MAPS, "runs"):  # these are not written again where a killed worker was about to
+        opened.folder.remove_abandoned(name)
     return FleetScan(
         Catalogue(opened.folder), rows, found, tuple(job.run for job in open_jobs),
         tuple(old.run for job in open_jobs for old in job.replaces),

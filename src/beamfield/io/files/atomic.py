@@ -207,8 +207,8 @@ def scratch_folder(parent: Path, name: str) -> Iterator[Path]:
     OSError
         As the file system says.
     """
-    start, end = f".{name[:50]}.", f".{_kernel()}.beamfield-part"
-    _remove_abandoned(parent, start, end)
+    start, end = f".{name[:50]}.", _scratch_suffix()
+    remove_abandoned(parent, start)
     while True:
         folder = parent / f"{start}{secrets.token_hex(6)}{end}"
         folder.mkdir(mode=0o700)
@@ -221,6 +221,26 @@ def scratch_folder(parent: Path, name: str) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
         if lock is not None:
             os.close(lock)
+
+
+def remove_abandoned(parent: Path, start: str = ".") -> None:
+    """Remove the scratch folders that killed runs left in a folder.
+
+    Parameters
+    ----------
+    parent
+        The folder; nothing is done if there is none.
+    start
+        Of the names of those to remove.
+    """
+    with suppress(OSError):
+        for entry in parent.iterdir():
+            if entry.name.startswith(start) and entry.name.endswith(_scratch_suffix()):
+                with suppress(OSError):  # it is somebody's, or no folder of ours
+                    lock = _lock(entry)
+                    if lock is not None:
+                        shutil.rmtree(entry, ignore_errors=True)
+                        os.close(lock)
 
 
 def _replaceable(path: Path) -> Path:
@@ -264,14 +284,14 @@ def _require_access(folder: Path, path: Path) -> None:
 
 
 @cache
-def _kernel() -> str:
-    """Return what tells apart the systems that may not see each other's locks on a network disk."""
+def _scratch_suffix() -> str:
+    """Return the end of a scratch folder's name, which tells apart systems that may not see each other's locks."""
     try:
         # New with every boot, and shared by the containers of one machine, whose host names differ.
         identity = Path("/proc/sys/kernel/random/boot_id").read_bytes()
     except OSError:
         identity = platform.node().encode()
-    return hashlib.sha256(identity).hexdigest()[:8]
+    return f".{hashlib.sha256(identity).hexdigest()[:8]}.beamfield-part"
 
 
 def _lock(folder: Path) -> int | None:
@@ -292,17 +312,6 @@ def _lock(folder: Path) -> int | None:
         os.close(handle)
         return None
     return handle
-
-
-def _remove_abandoned(parent: Path, start: str, end: str) -> None:
-    with suppress(OSError):
-        for entry in parent.iterdir():
-            if entry.name.startswith(start) and entry.name.endswith(end):
-                with suppress(OSError):  # it is somebody's, or no folder of ours
-                    lock = _lock(entry)
-                    if lock is not None:
-                        shutil.rmtree(entry, ignore_errors=True)
-                        os.close(lock)
 
 
 def _flush(path: Path) -> None:

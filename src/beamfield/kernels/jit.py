@@ -108,7 +108,7 @@ def _stamp(file: str) -> tuple[float, int]:
 
 
 def _without_entry(function: F, **flags: Any) -> F:
-    """Compile what kernels alone call, without entry from Python and copy on disk, which take a fifth of the time."""
+    """Compile what kernels alone call, without entry from Python and copy on disk, which take a tenth of the time."""
     dispatcher = _jit(function, no_cpython_wrapper=True, **flags)
 
     def refuse(*_: object, **__: object) -> None:

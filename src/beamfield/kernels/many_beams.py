@@ -22,7 +22,7 @@ from beamfield.kernels.beam import (
     log_mixture,
 )
 from beamfield.kernels.elementary import LOG2_E, ROUNDING, fused_exp_2
-from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, kernel
+from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 
@@ -188,7 +188,7 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
             out[start + i] = _sum_of_logs(density[i * k : (i + 1) * k], ranges, expected[start + i], view)
 
 
-@kernel
+@inlined_kernel
 def _sum_of_logs(density: Floats, ranges: Floats, expected: Floats, view: BeamView) -> float:
     """Return the sum of the logarithms of what `_fill_quick` found, and `log_mixture` where it found none."""
     total, product = 0.0, 1.0

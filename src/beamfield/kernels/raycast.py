@@ -141,7 +141,7 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
         trace_fan(origins, frame, one_beam(), terrain, ranges, np.empty((0, 2), np.int32), True)
 
 
-@kernel
+@inlined_kernel
 def _aim(
     ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
 ) -> None:

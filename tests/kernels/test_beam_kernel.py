@@ -11,9 +11,11 @@ from scipy import integrate, special, stats
 
 from beamfield.kernels import beam, many_beams
 from beamfield.models.beam_density import read_only
+from tests.kernels.entry import Entries, entry
 from tests.reference.beam_tables import integral, p_hit, p_short
 
 MAX_RANGE = 8.0
+formulas, quick_normal_below = Entries(beam), entry(many_beams._quick_normal_below)
 THETA = beam.BeamView(0.6, 0.15, 0.05, 0.2, 0.1, 0.7, 0.0, 0.0, MAX_RANGE)
 NO_RAND = THETA._replace(z_hit=0.8, z_rand=0.0)
 
@@ -54,9 +56,9 @@ def test_density_plus_point_mass_integrates_to_one(variant, z_star):
     edges = breaks(z_star, view)
 
     def density(z):
-        return np.array([beam.mixture(x, z_star, view) for x in z])
+        return np.array([formulas.mixture(x, z_star, view) for x in z])
 
-    total = integral(density, 0.0, MAX_RANGE, edges, order=12) + beam.mixture(MAX_RANGE, z_star, view)
+    total = integral(density, 0.0, MAX_RANGE, edges, order=12) + formulas.mixture(MAX_RANGE, z_star, view)
     assert total == pytest.approx(1.0, abs=1e-9)
 
 
@@ -67,55 +69,55 @@ def test_distribution_function_is_the_integral_of_the_density(variant, z_star):
     edges = breaks(z_star, view)
 
     def density(z):
-        return np.array([beam.mixture(x, z_star, view) for x in z])
+        return np.array([formulas.mixture(x, z_star, view) for x in z])
 
     for z in (0.0, 1e-4, 0.1, z_star, 0.999 * MAX_RANGE):
         if z < MAX_RANGE:
             expected = integral(density, 0.0, z, edges, order=12) if z > 0.0 else 0.0
-            assert beam.mixture_cdf(z, z_star, view) == pytest.approx(expected, abs=1e-9)
-    assert beam.mixture_cdf(MAX_RANGE, z_star, view) == 1.0
-    just_below = beam.mixture_cdf(math.nextafter(MAX_RANGE, 0.0), z_star, view)
+            assert formulas.mixture_cdf(z, z_star, view) == pytest.approx(expected, abs=1e-9)
+    assert formulas.mixture_cdf(MAX_RANGE, z_star, view) == 1.0
+    just_below = formulas.mixture_cdf(math.nextafter(MAX_RANGE, 0.0), z_star, view)
     assert just_below == pytest.approx(1.0 - view.z_max, abs=1e-9)
 
 
 def test_hit_density_is_a_truncated_normal():
     for z, z_star, sigma in itertools.product([0.0, 0.02, 2.9, 3.0, 3.4, 7.99], [0.0, 0.1, 3.0, 7.9, 8.0], [0.1, 3.0]):
         view = THETA._replace(sigma_hit=sigma)
-        assert beam.hit_density(z, z_star, view) == pytest.approx(p_hit(z, z_star, sigma, MAX_RANGE), rel=1e-10)
+        assert formulas.hit_density(z, z_star, view) == pytest.approx(p_hit(z, z_star, sigma, MAX_RANGE), rel=1e-10)
 
 
 def test_short_density_is_a_truncated_exponential():
     for z, z_star, rate in itertools.product([0.0, 0.02, 2.9, 3.1], [1e-3, 0.1, 3.0, 8.0], [0.0, 0.1, 2.0, 400.0]):
         view = THETA._replace(lambda_short=rate)
-        assert beam.short_density(z, z_star, view) == pytest.approx(p_short(z, z_star, rate), rel=1e-10)
+        assert formulas.short_density(z, z_star, view) == pytest.approx(p_short(z, z_star, rate), rel=1e-10)
 
 
 def test_rand_density_and_max_mass_do_not_overlap():
     below = math.nextafter(MAX_RANGE, 0.0)
-    assert beam.rand_density(below, MAX_RANGE) == 1.0 / MAX_RANGE
-    assert beam.max_mass(below, MAX_RANGE) == 0.0
-    assert beam.rand_density(MAX_RANGE, MAX_RANGE) == 0.0
-    assert beam.max_mass(MAX_RANGE, MAX_RANGE) == 1.0
+    assert formulas.rand_density(below, MAX_RANGE) == 1.0 / MAX_RANGE
+    assert formulas.max_mass(below, MAX_RANGE) == 0.0
+    assert formulas.rand_density(MAX_RANGE, MAX_RANGE) == 0.0
+    assert formulas.max_mass(MAX_RANGE, MAX_RANGE) == 1.0
 
 
 def test_at_max_range_only_the_point_mass_counts():
     """Table 6.1 read literally would add p_hit there, a density: 0.6 * 7.98 for a ray that hits nothing."""
-    assert beam.mixture(MAX_RANGE, MAX_RANGE, THETA) == THETA.z_max
-    assert beam.mixture(math.inf, 3.0, THETA) == THETA.z_max
+    assert formulas.mixture(MAX_RANGE, MAX_RANGE, THETA) == THETA.z_max
+    assert formulas.mixture(math.inf, 3.0, THETA) == THETA.z_max
 
 
 def test_mixture_at_one_hand_computed_point():
     # z = 2.9, z* = 3: hit N(-1 sigma) = 0.241970724519143 / 0.1; short 0.7 e^-2.03 / (1 - e^-2.1); rand 1 / 8.
     hit = 2.41970724519143
     short = 0.7 * math.exp(-2.03) / (1.0 - math.exp(-2.1))
-    assert beam.mixture(2.9, 3.0, THETA) == pytest.approx(0.6 * hit + 0.15 * short + 0.2 / 8.0, rel=1e-13)
+    assert formulas.mixture(2.9, 3.0, THETA) == pytest.approx(0.6 * hit + 0.15 * short + 0.2 / 8.0, rel=1e-13)
 
 
 def test_no_unity_shortcut_where_it_would_show():
     """The normaliser is taken as 1 beyond 8.3 sigma from both limits; both sides of that border agree."""
     sigma = 0.1
     for mean in (8.29 * sigma, 8.31 * sigma, MAX_RANGE - 8.29 * sigma, MAX_RANGE - 8.31 * sigma):
-        factor, edge = beam.hit_normaliser(mean, sigma, MAX_RANGE)
+        factor, edge = formulas.hit_normaliser(mean, sigma, MAX_RANGE)
         assert edge == 0.0
         assert factor == pytest.approx(1.0 / (sigma * math.sqrt(2.0 * math.pi)), rel=3e-16)
 
@@ -123,8 +125,8 @@ def test_no_unity_shortcut_where_it_would_show():
 @pytest.mark.parametrize("near", [0.5, 3.0, 24.0, 26.0, 60.0, 1e3, 1e8])
 def test_normal_integral_far_in_a_tail(near):
     """Against scaled complementary error functions: integral over [a, inf) of exp(-(t^2 - a^2) / 2)."""
-    value, edge = beam.normal_interval(near, math.inf)
-    mirrored = beam.normal_interval(-math.inf, -near)
+    value, edge = formulas.normal_interval(near, math.inf)
+    mirrored = formulas.normal_interval(-math.inf, -near)
     scaled = value * math.exp(0.5 * (near * near - edge * edge)) if near < 25.0 else value
     assert scaled == pytest.approx(math.sqrt(math.pi / 2.0) * special.erfcx(near / math.sqrt(2.0)), rel=1e-12)
     assert mirrored == (value, edge)
@@ -132,7 +134,7 @@ def test_normal_integral_far_in_a_tail(near):
 
 @pytest.mark.parametrize(("low", "width"), [(0.1, 1e-9), (3.0, 1e-3), (12.0, 0.5), (40.0, 0.01), (1e5, 1e-7)])
 def test_normal_integral_over_a_narrow_slice(low, width):
-    value, edge = beam.normal_interval(low, low + width)
+    value, edge = formulas.normal_interval(low, low + width)
     width = (low + width) - low
     reference, _ = integrate.quad(lambda t: math.exp(-t * (low + 0.5 * t)), 0.0, width, epsabs=0.0, epsrel=1e-13)
     assert edge == low
@@ -140,7 +142,7 @@ def test_normal_integral_over_a_narrow_slice(low, width):
 
 
 def test_normal_integral_of_nothing_is_zero():
-    assert beam.normal_interval(2.0, 2.0) == (0.0, 0.0)
+    assert formulas.normal_interval(2.0, 2.0) == (0.0, 0.0)
 
 
 def test_hit_density_with_its_mean_far_outside_the_limits():
@@ -148,75 +150,75 @@ def test_hit_density_with_its_mean_far_outside_the_limits():
     sigma, distance = 0.1, 4.0
     view = THETA._replace(range_offset=distance, sigma_hit=sigma)
     reference = stats.truncnorm.logpdf(7.999, -120.0, -40.0, loc=MAX_RANGE + distance, scale=sigma)
-    assert math.log(beam.hit_density(7.999, MAX_RANGE, view)) == pytest.approx(reference, rel=1e-8)
+    assert math.log(formulas.hit_density(7.999, MAX_RANGE, view)) == pytest.approx(reference, rel=1e-8)
 
 
 def test_no_expected_range_gives_a_density_that_is_not_finite():
     for z_star in Z_STARS:
         for view in VARIANTS.values():
             for z in (0.0, 5e-324, 1e-7, 1.0, z_star):
-                assert math.isfinite(beam.mixture(z, z_star, view))
+                assert math.isfinite(formulas.mixture(z, z_star, view))
 
 
 def test_nearly_uniform_short_keeps_its_digits():
     """lambda z* = 9e-9 is on the series' side of the border; expm1 is exact on both."""
     for rate in (1e-12, 3e-9, 4e-9):
         view = THETA._replace(lambda_short=rate)
-        assert beam.short_cdf(1.5, 3.0, view) == pytest.approx(
+        assert formulas.short_cdf(1.5, 3.0, view) == pytest.approx(
             math.expm1(-rate * 1.5) / math.expm1(-rate * 3), rel=1e-15
         )
-        assert beam.short_factor(3.0, rate) == pytest.approx(rate / -math.expm1(-rate * 3.0), rel=1e-15)
+        assert formulas.short_factor(3.0, rate) == pytest.approx(rate / -math.expm1(-rate * 3.0), rel=1e-15)
 
 
 def test_inside_a_wall_short_readings_are_explained_by_the_first_micrometre_only():
-    assert beam.short_density(0.0, 0.0, THETA) == pytest.approx(1e6, rel=1e-6)
-    assert beam.short_density(2e-6, 0.0, THETA) == 0.0
+    assert formulas.short_density(0.0, 0.0, THETA) == pytest.approx(1e6, rel=1e-6)
+    assert formulas.short_density(2e-6, 0.0, THETA) == 0.0
 
 
 def test_log_does_not_underflow_for_possible_readings():
     """60 sigma off without a random component: log density -1800 + constants, not -inf."""
     expected = math.log(0.8) + stats.norm.logpdf(7.5, loc=1.5, scale=0.1)
-    assert beam.log_mixture(7.5, 1.5, NO_RAND) == pytest.approx(expected, rel=1e-13)
+    assert formulas.log_mixture(7.5, 1.5, NO_RAND) == pytest.approx(expected, rel=1e-13)
 
 
 def test_log_does_not_underflow_for_shorts_far_out_in_their_tail():
     """An exponential of rate 400 at 2.5 m, where the hit is 5 m off: log(0.15) + log(400) - 1000."""
     view = NO_RAND._replace(z_hit=0.8, lambda_short=400.0, sigma_hit=0.01)
-    assert beam.log_mixture(2.5, 7.5, view) == pytest.approx(math.log(0.15) + math.log(400.0) - 1000.0, rel=1e-14)
+    assert formulas.log_mixture(2.5, 7.5, view) == pytest.approx(math.log(0.15) + math.log(400.0) - 1000.0, rel=1e-14)
 
 
 def test_log_is_minus_infinity_only_for_impossible_readings():
     only_short = beam.BeamView(0.0, 1.0, 0.0, 0.0, 0.1, 0.7, 0.0, 0.0, MAX_RANGE)
-    assert beam.log_mixture(4.0, 3.0, only_short) == -math.inf
-    assert beam.log_mixture(MAX_RANGE, 3.0, only_short) == -math.inf
-    assert beam.log_mixture(2.0, 3.0, only_short) > -math.inf
+    assert formulas.log_mixture(4.0, 3.0, only_short) == -math.inf
+    assert formulas.log_mixture(MAX_RANGE, 3.0, only_short) == -math.inf
+    assert formulas.log_mixture(2.0, 3.0, only_short) > -math.inf
 
 
 @pytest.mark.parametrize("z", [math.nan, -0.1, -math.inf])
 def test_no_measurement_contributes_nothing(z):
-    assert beam.log_mixture(z, 3.0, THETA) == 0.0
-    assert beam.responsibilities(z, 3.0, THETA) == (0.0, 0.0, 0.0, 0.0)
-    assert math.isnan(beam.mixture_cdf(z, 3.0, THETA))
+    assert formulas.log_mixture(z, 3.0, THETA) == 0.0
+    assert formulas.responsibilities(z, 3.0, THETA) == (0.0, 0.0, 0.0, 0.0)
+    assert math.isnan(formulas.mixture_cdf(z, 3.0, THETA))
 
 
 def test_unknown_expected_range_contributes_nothing():
-    assert beam.log_mixture(1.0, math.nan, THETA) == 0.0
+    assert formulas.log_mixture(1.0, math.nan, THETA) == 0.0
 
 
 def test_responsibilities_are_the_weighted_shares():
     z, z_star = 2.8, 3.0
     parts = [0.6 * p_hit(z, z_star, 0.1, MAX_RANGE), 0.15 * p_short(z, z_star, 0.7), 0.0, 0.2 / MAX_RANGE]
-    assert beam.responsibilities(z, z_star, THETA) == pytest.approx(np.array(parts) / sum(parts), rel=1e-12)
-    assert beam.responsibilities(MAX_RANGE, z_star, THETA) == (0.0, 0.0, 1.0, 0.0)
+    assert formulas.responsibilities(z, z_star, THETA) == pytest.approx(np.array(parts) / sum(parts), rel=1e-12)
+    assert formulas.responsibilities(MAX_RANGE, z_star, THETA) == (0.0, 0.0, 1.0, 0.0)
 
 
 def test_responsibilities_survive_underflow():
-    assert beam.responsibilities(7.5, 1.5, NO_RAND) == (1.0, 0.0, 0.0, 0.0)
+    assert formulas.responsibilities(7.5, 1.5, NO_RAND) == (1.0, 0.0, 0.0, 0.0)
 
 
 def test_vectorised_normal_distribution_function_is_exact_to_rounding():
     t = np.linspace(0.0, 9.0, 5000)
-    np.testing.assert_allclose([many_beams.quick_normal_below(v) for v in t], special.ndtr(t), rtol=0, atol=5e-16)
+    np.testing.assert_allclose([quick_normal_below(v) for v in t], special.ndtr(t), rtol=0, atol=5e-16)
 
 
 def adversarial_beams(rng, n_poses):
@@ -238,7 +240,7 @@ def test_vectorised_loops_equal_the_scalar_formulas(variant):
     out = np.empty(flat_ranges.size)
     many_beams.fill_log_density(flat_ranges, flat_expected, view, out)
     capped = np.where(np.isnan(flat_expected), np.nan, np.minimum(flat_expected, MAX_RANGE))
-    one_by_one = [beam.log_mixture(z, z_star, view) for z, z_star in zip(flat_ranges, capped, strict=True)]
+    one_by_one = [formulas.log_mixture(z, z_star, view) for z, z_star in zip(flat_ranges, capped, strict=True)]
     np.testing.assert_allclose(out, one_by_one, rtol=1e-12, atol=1e-13)
 
 

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import distance
+from tests.kernels.entry import entry
 
+fill_near_squares, try_columns = entry(distance._fill_near_squares), entry(distance._try_columns)
+find_envelope, largest_of = entry(distance._find_envelope), entry(distance._largest_of)
+write_metres = entry(distance._write_metres)
 FAR = distance.NO_OBSTACLE
 
 
@@ -20,17 +24,15 @@ def nearest_squares(heights):
 
 def squares_by_trying(heights, reach):
     near = np.full(len(heights) + 2 * distance.NEAR, distance.CAP**2, np.uint16)
-    distance.fill_near_squares(heights, near[distance.NEAR : -distance.NEAR])
+    fill_near_squares(heights, near[distance.NEAR : -distance.NEAR])
     out = np.empty(len(heights))
-    distance.try_columns(near, reach, np.empty(len(heights) + 3, np.uint16), out)
+    try_columns(near, reach, np.empty(len(heights) + 3, np.uint16), out)
     return out
 
 
 def squares_by_envelope(heights, reach, first=0, last=None):
     out = np.full(len(heights), -1.0)
-    distance.find_envelope(
-        heights, reach, first, len(heights) if last is None else last, np.empty((3, len(heights))), out
-    )
+    find_envelope(heights, reach, first, len(heights) if last is None else last, np.empty((3, len(heights))), out)
     return out
 
 
@@ -116,12 +118,12 @@ def test_the_longest_sides_are_exact():
 def test_the_largest_square_is_found(rng):
     for n in (1, 7, 256):
         squares = np.floor(rng.uniform(0.0, 2.0**53, n))
-        assert distance.largest_of(squares) == squares.max()
+        assert largest_of(squares) == squares.max()
 
 
 def test_metres_are_rounded_once_and_cut_off():
     out = np.empty(4, np.float32)
-    distance.write_metres(np.array([0.0, 2.0, 2.0**40 + 1.0, 2.0**53]), 0.05, 1e6, out)
+    write_metres(np.array([0.0, 2.0, 2.0**40 + 1.0, 2.0**53]), 0.05, 1e6, out)
     assert out.tolist() == [0.0, np.float32(math.sqrt(2.0) * 0.05), np.float32(math.sqrt(2.0**40 + 1) * 0.05), 1e6]
 
 

@@ -11,35 +11,37 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import elementary, jit
-from tests.kernels.entry import entry
+from tests.kernels.entry import Entries, entry
+
+functions = Entries(elementary)
 
 
 def test_vectorised_exponential_is_exact_to_rounding():
     x = -np.concatenate([[0.0], np.geomspace(1e-10, 708.0, 3000)])
-    np.testing.assert_allclose([elementary.fast_exp(v) for v in x], np.exp(x), rtol=5e-16)
-    assert elementary.fast_exp(-1e9) == elementary.fast_exp(-math.inf) == elementary.fast_exp(-708.0)
-    assert elementary.fast_exp(math.nan) == elementary.fast_exp(-708.0)
-    assert elementary.fast_exp(1e9) == pytest.approx(math.exp(709.0), rel=1e-13)
+    np.testing.assert_allclose([functions.fast_exp(v) for v in x], np.exp(x), rtol=5e-16)
+    assert functions.fast_exp(-1e9) == functions.fast_exp(-math.inf) == functions.fast_exp(-708.0)
+    assert functions.fast_exp(math.nan) == functions.fast_exp(-708.0)
+    assert functions.fast_exp(1e9) == pytest.approx(math.exp(709.0), rel=1e-13)
 
 
 def test_exp_and_log_are_the_c_librarys():
     x = np.concatenate([np.linspace(-700.0, 700.0, 999), np.linspace(-1.0, 1.0, 999), [0.0]])
-    np.testing.assert_allclose([elementary.fast_exp(v) for v in x], np.exp(x), rtol=5e-16)
+    np.testing.assert_allclose([functions.fast_exp(v) for v in x], np.exp(x), rtol=5e-16)
     y = np.exp(x[(x > -690.0) & (x < 690.0)])
-    assert np.array([elementary.fast_log(v) for v in y]) == pytest.approx(np.log(y), rel=2e-15, abs=2e-15)
+    assert np.array([functions.fast_log(v) for v in y]) == pytest.approx(np.log(y), rel=2e-15, abs=2e-15)
 
 
 def test_powers_of_two_hold_to_thirteen_digits(rng):
     for x in [0.0, -0.5, -1.0, -1019.5, -1020.0, *rng.uniform(-1020, 0, 300), *rng.uniform(-3, 0, 100)]:
-        assert elementary.exp_2(np.float64(x)) == pytest.approx(2.0**x, rel=2e-14)
+        assert functions.exp_2(np.float64(x)) == pytest.approx(2.0**x, rel=2e-14)
     for x in (-1021.0, -1e300, -math.inf, math.nan):
-        assert elementary.exp_2(np.float64(x)) == 2.0**-1020
+        assert functions.exp_2(np.float64(x)) == 2.0**-1020
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e-3, 1.0, 10.0, 1e3, 9.9e5])
 def test_own_cosines_are_those_of_the_c_library(rng, scale):
     for angle in [*(rng.uniform(-1, 1, 200) * scale), 0.0, scale]:
-        cosine, sine = elementary.cos_sin(angle)
+        cosine, sine = functions.cos_sin(angle)
         assert abs(cosine - math.cos(angle)) <= 2.3e-16
         assert abs(sine - math.sin(angle)) <= 2.3e-16
 
@@ -47,14 +49,14 @@ def test_own_cosines_are_those_of_the_c_library(rng, scale):
 @pytest.mark.parametrize("quarter", range(-8, 9))
 def test_own_cosines_are_nearly_exact_at_multiples_of_a_right_angle(quarter):
     angle = quarter * math.pi / 2
-    for own, theirs in zip(elementary.cos_sin(angle), (math.cos(angle), math.sin(angle)), strict=True):
+    for own, theirs in zip(functions.cos_sin(angle), (math.cos(angle), math.sin(angle)), strict=True):
         assert own == pytest.approx(theirs, rel=1e-15, abs=1e-31)
 
 
 def test_quick_sine_and_cosine_hold_to_twelve_digits(rng):
     exact = np.pi / 4 * np.arange(-16, 17)
     for angle in [*exact, *rng.uniform(-10, 10, 200), *rng.uniform(-1e5, 1e5, 200)]:
-        sine, cosine = elementary.quick_sin_cos(angle)
+        sine, cosine = functions.quick_sin_cos(angle)
         assert sine == pytest.approx(math.sin(angle), abs=1e-12)
         assert cosine == pytest.approx(math.cos(angle), abs=1e-12)
 
@@ -62,12 +64,12 @@ def test_quick_sine_and_cosine_hold_to_twelve_digits(rng):
 def test_arc_tangent_is_exact_all_around(rng):
     for angle in [*rng.uniform(-np.pi, np.pi, 500), *(np.arange(-7, 9) * np.pi / 8)]:
         v, u = math.sin(angle), math.cos(angle)
-        assert elementary.arc_tangent_2(v, u) == pytest.approx(math.atan2(v, u), abs=5e-16)
+        assert functions.arc_tangent_2(v, u) == pytest.approx(math.atan2(v, u), abs=5e-16)
 
 
 @pytest.mark.parametrize(("x", "cell", "offset"), [(2.25, 2.0, 0.25), (-0.75, -1.0, 0.25), (3.0 - 1e-10, 3.0, 0.0)])
 def test_coordinates_near_a_border_are_on_it(x, cell, offset):
-    assert elementary.split(x) == (cell, offset)
+    assert functions.split(x) == (cell, offset)
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="kernels are interpreted")

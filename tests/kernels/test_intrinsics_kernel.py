@@ -10,11 +10,13 @@ import pytest
 from scipy import integrate, stats
 
 from beamfield.calibration.intrinsic.likelihood import IntrinsicLikelihood, parameters_of
-from beamfield.kernels.cuts import log_mass, mean_share, relative_rate
+from beamfield.kernels import cuts
 from beamfield.kernels.m_step import hit_objective
 from beamfield.models.beam_density import beam_log_density, beam_responsibilities
+from tests.kernels.entry import entry
 from tests.threads import forced_threads
 
+log_mass, relative_rate, mean_share = entry(cuts.log_mass), entry(cuts.relative_rate), entry(cuts.mean_share)
 MAX_RANGE = 8.0
 # w_hit, w_short, w_max, w_rand, sigma^2, sigma_slope^2, offset, lambda
 THETAS = {

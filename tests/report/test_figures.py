@@ -20,8 +20,8 @@ from beamfield.report.colours import CAUSE_COLOURS, THROUGH
 from beamfield.report.density_figures import averaged_cdf
 from beamfield.report.map_figures import beam_ends
 from beamfield.report.panel import png_panel
+from beamfield.report.pit_figure import PIT_BINS, pit_band
 from beamfield.report.range_bins import range_step, telling_bin, thinned, typical_bins
-from beamfield.report.score_figures import PIT_BINS, pit_band
 
 
 def test_bins_hold_exactly_the_beams_near_their_centre(case):

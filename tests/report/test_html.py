@@ -21,24 +21,20 @@ from beamfield.report.mixture_figure import mixture
 from beamfield.report.page import document, finding_list
 from beamfield.report.page_section import PageSection
 from beamfield.report.parameter_rows import parameter_rows
-from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace
+from beamfield.report.pit_figure import pit_histogram
 from beamfield.report.text_table import plus_minus
 from beamfield.scan_fit.calibration_fit import fit_of_calibration
 from beamfield.sensors import NoReturnPolicy
 
 FIGURES = {
-    "scores",
     "histograms",
     "readings",
     "mixture",
     "pit",
     "cause-map",
     "fit-map",
-    "timeline",
     "scan-fit",
     "noise",
-    "candidates",
-    "trace",
     "bearings",
     "opposite",
     "refinement",
@@ -268,13 +264,13 @@ def test_the_page_is_small(text):
 def test_the_same_calibration_gives_the_same_pictures_also_from_threads(case, text):
     def draw(_: int) -> list[str]:
         calibration = case.calibration
-        figures = (mixture(calibration), likelihood_over_time(calibration), fit_map(calibration, case.grid, case.log))
+        figures = (mixture(calibration), pit_histogram(calibration), fit_map(calibration, case.grid, case.log))
         return [panel.markup for figure in figures for panel in figure.panels]
 
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
         first, second = pool.map(draw, range(2))
     assert first == second
-    assert len(first) == 4
+    assert len(first) == 3
     assert all(picture in text for picture in first)
 
 
@@ -345,10 +341,8 @@ def test_degenerate_calibrations_have_a_page(make_case, changes, missing):
     assert "nan" not in page.text.lower().replace("no measurement (nan", "")
 
 
-def test_unknown_standard_errors_do_not_reach_the_page(case, monkeypatch):
-    # Of the figures, two show standard errors: that of the scores is always drawn.
-    monkeypatch.setattr("beamfield.report.html.report_figures", lambda calibration, *_: [candidate_plot(calibration)])
-    monkeypatch.setattr(f"{__name__}.fit_of_calibration", lambda *_: None)
+@pytest.mark.usefixtures("no_figures")
+def test_unknown_standard_errors_do_not_reach_the_page(case):
     scores = tuple(replace(s, standard_error=float("nan"), behind_fit_se=float("nan")) for s in case.calibration.scores)
     candidates = tuple(replace(c, gain_se=float("nan")) for c in case.calibration.candidates)
     intervals = replace(case.calibration.intervals, intervals={}, standard_errors={}, n_blocks=1)
@@ -358,8 +352,9 @@ def test_unknown_standard_errors_do_not_reach_the_page(case, monkeypatch):
     assert "nan" not in page.text.lower().replace("no measurement (nan", "")
 
 
-def test_one_candidate_and_a_short_trace_have_no_figure_of_their_own(case):
-    learning = replace(case.calibration.learning, trace=(0.5,))
-    calibration = replace(case.calibration, candidates=case.calibration.candidates[:1], learning=learning)
-    assert candidate_plot(calibration) is None
-    assert likelihood_trace(calibration) is None
+@pytest.mark.usefixtures("no_figures")
+def test_forms_are_compared_where_more_than_one_was_allowed(case):
+    first, second = case.calibration.candidates
+    page = Page(render(case, candidates=(first, replace(second, gain=0.25, gain_se=0.01))))
+    assert f"plain Gaussian {second.name}+0.2500 ± 0.0100" in page.text
+    assert "form of a hit" not in Page(render(case, candidates=(first,))).text

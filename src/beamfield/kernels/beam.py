@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.jit import kernel
+from beamfield.kernels.jit import kernel, shared
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class BeamView(NamedTuple):
     min_range: float = 0.0
 
 
-@kernel
+@shared
 def normal_interval(low: float, high: float) -> tuple[float, float]:
     """Return (v, e) with v = integral of exp(-(t^2 - e^2) / 2) from low to high: (6.6) without its constants.
 
@@ -82,7 +82,7 @@ def normal_interval(low: float, high: float) -> tuple[float, float]:
     return half * total, near
 
 
-@kernel
+@shared
 def hit_sigma(z_star: float, view: BeamView) -> float:
     """Return the standard deviation of a hit; it may grow with the expected range."""
     if view.sigma_slope == 0.0:
@@ -90,7 +90,7 @@ def hit_sigma(z_star: float, view: BeamView) -> float:
     return math.hypot(view.sigma_hit, view.sigma_slope * (view.min_range + z_star))
 
 
-@kernel
+@shared
 def hit_normaliser(mean: float, sigma: float, max_range: float) -> tuple[float, float]:
     """Return (f, e) so that p_hit(z) = f exp(-(u^2 - e^2) / 2) with u = (z - mean) / sigma: (6.5) and (6.6)."""
     if mean > WHOLE_SIGMAS * sigma and mean < max_range - WHOLE_SIGMAS * sigma:
@@ -99,7 +99,7 @@ def hit_normaliser(mean: float, sigma: float, max_range: float) -> tuple[float, 
     return 1.0 / (sigma * mass), edge
 
 
-@kernel
+@shared
 def hit_density(z: float, z_star: float, view: BeamView) -> float:
     """Return p_hit (6.4), a density on [0, max_range); its mean is the expected range plus the range offset."""
     if not 0.0 <= z < view.max_range:
@@ -111,7 +111,7 @@ def hit_density(z: float, z_star: float, view: BeamView) -> float:
     return factor * math.exp(-0.5 * (u - edge) * (u + edge))
 
 
-@kernel
+@shared
 def short_factor(z_star: float, lambda_short: float) -> float:
     """Return eta lambda of (6.7), with eta from (6.9): lambda / (1 - exp(-lambda z*)); 1 / z* for lambda = 0."""
     support = max(z_star, SHORTEST_SUPPORT)
@@ -121,7 +121,7 @@ def short_factor(z_star: float, lambda_short: float) -> float:
     return lambda_short / -math.expm1(-x)
 
 
-@kernel
+@shared
 def short_density(z: float, z_star: float, view: BeamView) -> float:
     """Return p_short (6.7), a density on [0, z*], or on the first micrometre if z* is shorter."""
     if not 0.0 <= z < view.max_range or z > max(z_star, SHORTEST_SUPPORT):
@@ -129,19 +129,19 @@ def short_density(z: float, z_star: float, view: BeamView) -> float:
     return short_factor(z_star, view.lambda_short) * math.exp(-view.lambda_short * z)
 
 
-@kernel
+@shared
 def max_mass(z: float, max_range: float) -> float:
     """Return p_max (6.10): a probability, not a density."""
     return 1.0 if z >= max_range else 0.0
 
 
-@kernel
+@shared
 def rand_density(z: float, max_range: float) -> float:
     """Return p_rand (6.11), a density on [0, max_range)."""
     return 1.0 / max_range if 0.0 <= z < max_range else 0.0
 
 
-@kernel
+@shared
 def mixture(z: float, z_star: float, view: BeamView) -> float:
     """Return (6.12): a density for z in [0, max_range), a probability for z >= max_range."""
     if z >= view.max_range:
@@ -185,7 +185,7 @@ def _log_parts(z: float, z_star: float, view: BeamView) -> tuple[float, float, f
     return log_hit, log_short, -math.inf, _log_or_minus_infinity(view.z_rand / view.max_range)
 
 
-@kernel
+@shared
 def log_mixture(z: float, z_star: float, view: BeamView) -> float:
     """Return the logarithm of (6.12); 0 where there is no measurement, -inf only where the range is impossible."""
     if not _is_measurement(z, z_star):
@@ -196,7 +196,7 @@ def log_mixture(z: float, z_star: float, view: BeamView) -> float:
     return log_sum(_log_parts(z, z_star, view))
 
 
-@kernel
+@shared
 def log_sum(logs: tuple[float, float, float, float]) -> float:
     """Return log(sum(exp(logs))) without underflow."""
     largest = max(max(logs[0], logs[1]), max(logs[2], logs[3]))
@@ -208,7 +208,7 @@ def log_sum(logs: tuple[float, float, float, float]) -> float:
     return largest + math.log(total)
 
 
-@kernel
+@shared
 def responsibilities(z: float, z_star: float, view: BeamView) -> tuple[float, float, float, float]:
     """Return the posterior probabilities of hit, short, max and rand given z: the weighted parts of (6.12), scaled.
 
@@ -246,7 +246,7 @@ def _hit_cdf(z: float, z_star: float, view: BeamView) -> float:
     return min(1.0, part / whole * math.exp(-0.5 * (part_edge - edge) * (part_edge + edge)))
 
 
-@kernel
+@shared
 def short_cdf(z: float, z_star: float, view: BeamView) -> float:
     """Return the integral of p_short from 0 to z."""
     if z <= 0.0:
@@ -260,7 +260,7 @@ def short_cdf(z: float, z_star: float, view: BeamView) -> float:
     return math.expm1(-view.lambda_short * z) / math.expm1(-view.lambda_short * support)
 
 
-@kernel
+@shared
 def mixture_cdf(z: float, z_star: float, view: BeamView) -> float:
     """Return P(range <= z): continuous on [0, max_range), then a step of z_max to 1; NaN without measurement."""
     if not _is_measurement(z, z_star):

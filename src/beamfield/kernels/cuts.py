@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 
-from beamfield.kernels.jit import kernel
+from beamfield.kernels.jit import kernel, shared
 
 HALF_LOG_2PI = 0.9189385332046727
 # Beyond this many sigma the tail of a normal distribution comes from its asymptotic series.
 _DEEP_SIGMAS = 25.0
 
 
-@kernel
+@shared
 def log_cut_mass(mean: float, s: float, max_range: float) -> tuple[float, float, float, float, float, float]:
     """Return log C and its derivatives in mean, v, mean mean, v mean, v v."""
     # C solves the heat equation: dC/dv = C'' / 2.
@@ -30,7 +30,7 @@ def log_cut_mass(mean: float, s: float, max_range: float) -> tuple[float, float,
     return log_c, d1, 0.5 * d2, d2 - d1 * d1, 0.5 * d3 - 0.5 * d1 * d2, 0.25 * d4 - 0.25 * d2 * d2
 
 
-@kernel
+@shared
 def log_mass(low: float, high: float) -> float:
     """Return the log of the standard normal's mass in [low, high]."""
     if low > 0.0:  # differences of the smaller tails keep their digits
@@ -53,7 +53,7 @@ def _log_tail(x: float) -> float:
     return -0.5 * x * x - math.log(x) - HALF_LOG_2PI + math.log(series)
 
 
-@kernel
+@shared
 def relative_rate(x: float) -> float:
     """Return x / (1 - e^-x): a short's density at z = 0 relative to the uniform one on [0, z*]; 1 at x = 0."""
     if x < 1e-5:
@@ -61,7 +61,7 @@ def relative_rate(x: float) -> float:
     return x / -math.expm1(-x)
 
 
-@kernel
+@shared
 def mean_share(x: float) -> tuple[float, float]:
     """Return 1/x - 1/(e^x - 1), the mean of a short over z*, and its derivative; 1/2 and -1/12 at x = 0.
 

@@ -44,7 +44,8 @@ def fill_heights(obstacles: NDArray[np.bool_], start: int, stop: int, out: Heigh
     """
     for first in range(start, stop, STRIP):
         last = min(first + STRIP, stop)
-        height = np.full(last - first, NO_OBSTACLE, np.int32)
+        height = np.empty(last - first, np.int32)
+        height[:] = NO_OBSTACLE  # np.full takes longer to compile
         for r in range(out.shape[0]):
             occupied, row = obstacles[r, first:last], out[r, first:last]
             for c in range(height.size):
@@ -67,13 +68,13 @@ def fill_metres(reach: int, resolution: float, limit: float, out: Singles) -> No
     rows, cols = out.shape
     all_heights = out.view(np.int32)
     heights, squares, envelope = np.empty(cols, np.int32), np.empty(cols), np.empty((3, cols))
-    near = np.full(cols + 2 * NEAR, CAP**2, np.uint16)
-    best = np.empty(BLOCK, np.uint16)
-    farthest = np.full((cols + BLOCK - 1) // BLOCK, reach)
+    near, best = np.empty(cols + 2 * NEAR, np.uint16), np.empty(BLOCK, np.uint16)
+    farthest = np.empty((cols + BLOCK - 1) // BLOCK, np.int64)
+    near[:], farthest[:] = CAP**2, reach
     for r in range(rows):
         for c in range(cols):
             heights[c] = all_heights[r, c]
-        fill_near_squares(heights, near[NEAR : NEAR + cols])
+        _fill_near_squares(heights, near[NEAR : NEAR + cols])
         b = 0
         while b < farthest.size:
             # A single block that is near, or all blocks in a row that are not.
@@ -84,17 +85,17 @@ def fill_metres(reach: int, resolution: float, limit: float, out: Singles) -> No
                 b += 1
             last = min(b * BLOCK, cols)
             if far <= NEAR:
-                try_columns(near[first : last + 2 * NEAR], far, best, squares[first:last])
+                _try_columns(near[first : last + 2 * NEAR], far, best, squares[first:last])
             else:
-                find_envelope(heights, far, first, last, envelope, squares)
+                _find_envelope(heights, far, first, last, envelope, squares)
         for b in range(farthest.size):
-            largest = largest_of(squares[b * BLOCK : min((b + 1) * BLOCK, cols)])
+            largest = _largest_of(squares[b * BLOCK : min((b + 1) * BLOCK, cols)])
             farthest[b] = min(reach, int(math.sqrt(largest)) + 1)
-        write_metres(squares, resolution, limit, out[r])
+        _write_metres(squares, resolution, limit, out[r])
 
 
 @kernel
-def fill_near_squares(heights: Heights, out: Squares) -> None:
+def _fill_near_squares(heights: Heights, out: Squares) -> None:
     """Fill out (n,) with the squares of heights, cut off at CAP^2."""
     for i in range(out.size):
         height = min(heights[i], np.int32(CAP))
@@ -102,7 +103,7 @@ def fill_near_squares(heights: Heights, out: Squares) -> None:
 
 
 @kernel
-def try_columns(near: Squares, reach: int, best: Squares, out: Floats) -> None:
+def _try_columns(near: Squares, reach: int, best: Squares, out: Floats) -> None:
     """Fill out (n,) with the squares of the distances, none of which is more than `reach`, up to NEAR.
 
     `near` (n + 2 NEAR,) holds the squares of the heights, also of the columns beside; best (>= n,) is overwritten.
@@ -123,7 +124,7 @@ def try_columns(near: Squares, reach: int, best: Squares, out: Floats) -> None:
 
 
 @kernel
-def find_envelope(heights: Heights, reach: int, first: int, last: int, envelope: Floats, out: Floats) -> None:
+def _find_envelope(heights: Heights, reach: int, first: int, last: int, envelope: Floats, out: Floats) -> None:
     """Fill out[first:last] with the squares of the distances in a row, none of which is more than `reach`.
 
     Other distances, and all if no obstacle is in reach, come out as `reach` or more. In `envelope` (3, cols), which is
@@ -155,7 +156,7 @@ def find_envelope(heights: Heights, reach: int, first: int, last: int, envelope:
 
 
 @fast_kernel
-def largest_of(squares: Floats) -> float:
+def _largest_of(squares: Floats) -> float:
     """Return the largest square."""
     largest = 0.0
     for i in range(squares.size):
@@ -164,7 +165,7 @@ def largest_of(squares: Floats) -> float:
 
 
 @kernel
-def write_metres(squares: Floats, resolution: float, limit: float, out: Singles) -> None:
+def _write_metres(squares: Floats, resolution: float, limit: float, out: Singles) -> None:
     """Fill out (n,) with the roots of squares of cells, in metres, at most `limit`."""
     for i in range(out.size):
         metres = math.sqrt(squares[i]) * resolution

@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from beamfield.kernels.jit import FUSED, shared
+from beamfield.kernels.jit import FUSED, inlined_shared, shared
 
 # exp is 0 or inf in double precision a little beyond these.
 SMALLEST_EXPONENT, LARGEST_EXPONENT = -708.0, 709.0
@@ -90,9 +90,9 @@ def _log(x: float) -> float:
 
 
 # Not with all of `fastmath`, which would cancel ROUNDING.
-fast_exp = shared(_exp, fast=FUSED, inline=False)
+fast_exp = shared(_exp, fast=FUSED)
 # May reorder sums: less exact by some 3e-17, quicker.
-fast_log = shared(_log, fast=True, inline=False)
+fast_log = shared(_log, fast=True)
 
 
 def _exp_2(x: float) -> float:
@@ -112,11 +112,11 @@ def _exp_2(x: float) -> float:
     return p * power
 
 
-exp_2 = shared(_exp_2)
-fused_exp_2 = shared(_exp_2, fast=FUSED)
+exp_2 = inlined_shared(_exp_2)
+fused_exp_2 = inlined_shared(_exp_2, fast=FUSED)
 
 
-@shared
+@inlined_shared
 def cos_sin(angle: float) -> tuple[float, float]:
     """Return cosine and sine within 2^-52 for |angle| <= MANY_TURNS."""
     turns = np.floor(angle * (2.0 / math.pi) + 0.5)
@@ -145,7 +145,7 @@ def cos_sin(angle: float) -> tuple[float, float]:
     return (-a if (quarter == 1.0) | (quarter == 2.0) else a), (-b if quarter >= 2.0 else b)
 
 
-@shared
+@inlined_shared
 def quick_sin_cos(angle: float) -> tuple[float, float]:
     """Return sine and cosine within 1e-12 for |angle| < 1e5: for single precision, and quicker than `cos_sin`."""
     quarters = np.floor(angle * TWO_OVER_PI + 0.5)
@@ -162,7 +162,7 @@ def quick_sin_cos(angle: float) -> tuple[float, float]:
     return -sine if turn >= 0.5 else sine, -cosine if abs(turn - 0.375) < 0.25 else cosine
 
 
-@shared
+@inlined_shared
 def arc_tangent_2(v: float, u: float) -> float:
     """Return atan2(v, u); NaN for (0, 0).
 
@@ -190,7 +190,7 @@ def arc_tangent_2(v: float, u: float) -> float:
     return -angle if v < 0.0 else angle
 
 
-@shared
+@inlined_shared
 def split(x: float) -> tuple[float, float]:
     """Return the cell of a coordinate and the offset in it; coordinates near a border are on it."""
     nearest = np.floor(x + 0.5)

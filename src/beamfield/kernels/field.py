@@ -73,7 +73,7 @@ class FrameView(NamedTuple):
 
 
 @kernel
-def exact_distance(cells: float) -> float:
+def _exact_distance(cells: float) -> float:
     """Return a distance between cells' centres, given in single precision and in cells, in double precision.
 
     Its square is a whole number, which is found again. Any other distance (cut off, or too large) is returned as it is.
@@ -136,7 +136,7 @@ def fill_codes(distance: Singles, resolution: float, view: FieldView, low: float
         for j in range(distance.shape[1]):
             d = distance[i, j]
             if d != last:
-                metres = exact_distance(d / resolution) * resolution
+                metres = _exact_distance(d / resolution) * resolution
                 last, code = d, encode(log_value(metres, view), low, step)
             out[i, j] = code
 
@@ -165,11 +165,11 @@ def place(poses: Floats, frame: FrameView, x: Singles, y: Singles, c: Singles, s
     for i in range(n):
         sine, cosine = quick_sin_cos(heading[i])
         s[i], c[i] = np.float32(sine), np.float32(cosine)
-    return usual == 3 * n or place_unusual(poses, heading, x, y, c, s)
+    return usual == 3 * n or _place_unusual(poses, heading, x, y, c, s)
 
 
 @kernel
-def place_unusual(poses: Floats, heading: Floats, x: Singles, y: Singles, c: Singles, s: Singles) -> bool:
+def _place_unusual(poses: Floats, heading: Floats, x: Singles, y: Singles, c: Singles, s: Singles) -> bool:
     """Do as `place` for the directions of large headings and for poses that are not finite."""
     all_finite = True
     for i in range(x.size):
@@ -184,7 +184,7 @@ def place_unusual(poses: Floats, heading: Floats, x: Singles, y: Singles, c: Sin
 @inlined_fast_kernel
 def cell_of(x: np.float32, y: np.float32, c: np.float32, s: np.float32, along: np.float32, across: np.float32,
             limits: tuple[int, int]) -> np.uint32:  # fmt: skip
-    """Return the index of the cell that holds the end point of a beam (6.32); see `fill_cells`."""
+    """Return the index of the cell that holds the end point of a beam (6.32); see `_fill_cells`."""
     zero, stride = np.float32(0.0), np.int32(limits[1])
     top, right = np.float32(limits[0] - 1), np.float32(limits[1] - 1)
     u = x + c * along - s * across
@@ -197,7 +197,7 @@ def cell_of(x: np.float32, y: np.float32, c: np.float32, s: np.float32, along: n
 
 
 @fast_kernel
-def fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: np.float32, across: np.float32,
+def _fill_cells(x: Singles, y: Singles, c: Singles, s: Singles, along: np.float32, across: np.float32,
                limits: tuple[int, int], out: NDArray[np.uint32]) -> None:  # fmt: skip
     """Fill out (n,) with the index of the cell that holds the end point of one beam (6.32), seen from n poses.
 
@@ -229,11 +229,11 @@ def fill_scan_sums(poses: Floats, frame: FrameView, ends: Singles, codes: Codes,
         total[:] = 0
         for j in range(0, grouped, GROUP):
             for g in range(GROUP):
-                fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j + g], ends[1, j + g], limits, cells[g, :n])
+                _fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j + g], ends[1, j + g], limits, cells[g, :n])
             m = (n + 1) // 2
-            add_four(flat, pairs[0, :m], pairs[1, :m], pairs[2, :m], pairs[3, :m], total)
+            _add_four(flat, pairs[0, :m], pairs[1, :m], pairs[2, :m], pairs[3, :m], total)
         for j in range(grouped, k):
-            fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], limits, cells[0, :n])
+            _fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], limits, cells[0, :n])
             for i in range(n):
                 total[i] += np.int64(flat[cells[0, i]])
         for i in range(n):
@@ -250,12 +250,12 @@ def fill_range_sums(poses: Floats, packed: Floats, ranges: Floats, mounts: Float
     """
     frame = FrameView(packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6])
     singles = np.empty((2, ranges.size), np.float32)
-    n = fill_single_ends(ranges, mounts, shortest, longest, frame.cells_per_metre, singles)
+    n = _fill_single_ends(ranges, mounts, shortest, longest, frame.cells_per_metre, singles)
     return fill_scan_sums(poses, frame, singles[:, :n], codes, packed[7], packed[8], out)
 
 
 @kernel
-def fill_single_ends(ranges: Floats, mounts: Floats, shortest: float, longest: float, cells_per_metre: float,
+def _fill_single_ends(ranges: Floats, mounts: Floats, shortest: float, longest: float, cells_per_metre: float,
                      out: Singles) -> int:  # fmt: skip
     """Fill out (2, n <= k) as `fill_end_points` does, in single precision; return n."""
     ends, beams = np.empty((2, ranges.size)), np.empty(ranges.size, np.int64)
@@ -266,7 +266,7 @@ def fill_single_ends(ranges: Floats, mounts: Floats, shortest: float, longest: f
 
 
 @kernel
-def add_four(flat: Codes, c0: NDArray[np.uint64], c1: NDArray[np.uint64], c2: NDArray[np.uint64],
+def _add_four(flat: Codes, c0: NDArray[np.uint64], c1: NDArray[np.uint64], c2: NDArray[np.uint64],
              c3: NDArray[np.uint64], total: NDArray[np.int64]) -> None:  # fmt: skip
     """Add the codes of four beams to total (2 n,), for (n,) pairs of 32-bit indices.
 
@@ -293,7 +293,7 @@ def fill_beam_values(poses: Floats, frame: FrameView, ends: Singles, codes: Code
         n = min(BLOCK, poses.shape[0] - start)
         place(poses[start : start + n], frame, x[:n], y[:n], c[:n], s[:n])
         for j in range(ends.shape[1]):
-            fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], codes.shape, cells[:n])
+            _fill_cells(x[:n], y[:n], c[:n], s[:n], ends[0, j], ends[1, j], codes.shape, cells[:n])
             for i in range(n):
                 code = flat[cells[i]]
                 out[start + i, j] = -math.inf if code == IMPOSSIBLE else low + step * code
@@ -321,6 +321,6 @@ def fill_distances(poses: Floats, frame: FrameView, ends: Floats, distance: Sing
             u, v = x + c * ends[0, j] - s * ends[1, j], y + s * ends[0, j] + c * ends[1, j]
             # Written so that NaN, from poses beyond all numbers, counts as off the field.
             if 0.0 <= u < cols and 0.0 <= v < rows:
-                out[i, j] = exact_distance(distance[int(v), int(u)] * frame.cells_per_metre) / frame.cells_per_metre
+                out[i, j] = _exact_distance(distance[int(v), int(u)] * frame.cells_per_metre) / frame.cells_per_metre
             else:
                 out[i, j] = far

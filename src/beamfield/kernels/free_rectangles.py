@@ -23,7 +23,7 @@ def free_rectangles(stops: NDArray[np.bool_], rectangles: NDArray[np.uint16]) ->
     """
     rows, cols = stops.shape
     rectangles[:] = 0
-    free_above = np.zeros(cols + 2, np.int32)
+    free_above = np.empty(cols + 2, np.int32)
     for quadrant in range(4):
         table = rectangles[quadrant]
         free_above[:] = 0

@@ -1,6 +1,6 @@
 """The decorators that own Numba's compiler flags, and its cache on disk.
 
-A kernel whose name begins with an underscore is compiled into the kernels that call it, and Python cannot.
+A kernel whose name begins with an underscore, or that is `shared`, is compiled for the kernels that call it alone.
 """
 
 from __future__ import annotations
@@ -68,9 +68,14 @@ def inlined_fused_kernel(function: F) -> F:
     return _compiled(function, fastmath=FUSED, forceinline=True)
 
 
-def shared(function: F, *, fast: bool | set[str] = False, inline: bool = True) -> F:
-    """Compile an elementary function for kernels of any file; it is on disk only within its callers."""
-    return cast(F, _jit(function, forceinline=inline, fastmath=fast))
+def shared(function: F, *, fast: bool | set[str] = False) -> F:
+    """Compile a function that kernels of other files call, too, and Python does not."""
+    return _without_entry(function, fastmath=fast)
+
+
+def inlined_shared(function: F, *, fast: bool | set[str] = False) -> F:
+    """Compile a function into its callers, kernels of any file, as `inlined_kernel` does."""
+    return _without_entry(function, fastmath=fast, forceinline=True)
 
 
 def _compiled(function: F, **flags: Any) -> F:
@@ -103,7 +108,7 @@ def _stamp(file: str) -> tuple[float, int]:
 
 
 def _without_entry(function: F, **flags: Any) -> F:
-    """Compile what kernels alone call: its entry from Python and its copy on disk would take a tenth of the time."""
+    """Compile what kernels alone call, without entry from Python and copy on disk, which take a tenth of the time."""
     dispatcher = _jit(function, no_cpython_wrapper=True, **flags)
 
     def refuse(*_: object, **__: object) -> None:

@@ -22,7 +22,7 @@ from beamfield.kernels.beam import (
     log_mixture,
 )
 from beamfield.kernels.elementary import LOG2_E, ROUNDING, fused_exp_2
-from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, kernel
+from beamfield.kernels.jit import fused_kernel, inlined_fused_kernel, inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ _SLOPE = np.array([INV_SQRT_2PI * math.exp(-0.5 * (n / 32.0) ** 2) for n in rang
 
 
 @inlined_fused_kernel
-def quick_normal_below(t: float) -> float:
+def _quick_normal_below(t: float) -> float:
     """Return the standard normal distribution function for 0 <= t, within 4e-16; that of the nearer limit outside.
 
     A Taylor series of order 6 around the nearest node: the next term is below 3e-16.
@@ -87,9 +87,9 @@ def _quick_mixture(
     near, far = (mean, rest) if mean < rest else (rest, mean)
     # With the mean in [0, max_range] at least half of the mass is, so that this sum keeps its digits unless the
     # interval is a narrow slice of the normal.
-    mass = quick_normal_below(near * scale)
+    mass = _quick_normal_below(near * scale)
     if not cut_once:
-        mass = mass + (quick_normal_below(far * scale) - 1.0)
+        mass = mass + (_quick_normal_below(far * scale) - 1.0)
     # hit / mass is p_hit. A negative at_limit comes with a mean beyond the limits.
     mass = 1.0 if at_end else mass
     sound = ((near >= 0.0) & (mass > 0.4)) | (at_end & (at_limit >= 0.0))
@@ -116,15 +116,17 @@ def _quick_mixture(
 def _fill_quick(ranges: Floats, decay: Floats, expected: Floats, at_limit: float, view: BeamView, out: Floats) -> None:
     """Fill out (n,) with `_quick_mixture`; n is a multiple of LANES."""
     widest = hit_sigma(view.max_range, view)
-    if view.sigma_slope == 0.0 and 2.0 * WHOLE_SIGMAS * widest < view.max_range:
+    # Given as a literal, Numba would compile the callee once for each.
+    cut_once = view.sigma_slope == 0.0 and 2.0 * WHOLE_SIGMAS * widest < view.max_range
+    if cut_once:
         scale = 1.0 / view.sigma_hit
         for i in range(out.size):
-            out[i] = _quick_mixture(ranges[i], decay[i], expected[i], scale, True, at_limit, view)
+            out[i] = _quick_mixture(ranges[i], decay[i], expected[i], scale, cut_once, at_limit, view)
     else:
         for i in range(out.size):
             slope = view.sigma_slope * (view.min_range + min(expected[i], view.max_range))
             scale = 1.0 / math.sqrt(view.sigma_hit * view.sigma_hit + slope * slope)
-            out[i] = _quick_mixture(ranges[i], decay[i], expected[i], scale, False, at_limit, view)
+            out[i] = _quick_mixture(ranges[i], decay[i], expected[i], scale, cut_once, at_limit, view)
 
 
 @fused_kernel
@@ -186,7 +188,7 @@ def fill_scan_log_likelihood(ranges: Floats, expected: Floats, view: BeamView, o
             out[start + i] = _sum_of_logs(density[i * k : (i + 1) * k], ranges, expected[start + i], view)
 
 
-@kernel
+@inlined_kernel
 def _sum_of_logs(density: Floats, ranges: Floats, expected: Floats, view: BeamView) -> float:
     """Return the sum of the logarithms of what `_fill_quick` found, and `log_mixture` where it found none."""
     total, product = 0.0, 1.0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.kernels.elementary import MANY_TURNS, cos_sin
-from beamfield.kernels.jit import integer, kernel
+from beamfield.kernels.jit import integer, kernel, shared
 
 Floats = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ BLOCK = integer(256)
 STRIDE = BLOCK + 8
 
 
-@kernel
+@shared
 def place(
     poses: Floats, frame: tuple[float, float, float], resolution: float, first: int, count: int, placed: Floats
 ) -> None:

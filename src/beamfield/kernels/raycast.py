@@ -141,7 +141,7 @@ def cast_rays(origins: Floats, frame: tuple[float, float, float], terrain: Terra
         trace_fan(origins, frame, one_beam(), terrain, ranges, np.empty((0, 2), np.int32), True)
 
 
-@kernel
+@inlined_kernel
 def _aim(
     ray: Floats, to: int, count: int, x: float, y: float, c: float, s: float, fan: Floats, first: int, same_mount: bool
 ) -> None:
@@ -178,7 +178,7 @@ def _aim(
 def _allocate() -> Scratch:
     """Return working memory; all places in the pool are free."""
     # Filled here: np.full and np.arange take longer to compile than these lines.
-    owner, free = np.zeros(BLOCK, np.int64), np.zeros(BLOCK, np.int64)
+    owner, free = np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
     for i in range(BLOCK):
         owner[i], free[i] = -1, BLOCK - 1 - i
     return Scratch(
@@ -186,10 +186,10 @@ def _allocate() -> Scratch:
         Lanes(np.zeros(RAY_ROWS * STRIDE), np.zeros(STATE_ROWS * BLOCK, np.float32), np.zeros(BLOCK, np.int32)),
         owner,
         free,
-        np.zeros(BLOCK, np.int64),
-        np.zeros(BLOCK, np.uint32),
-        np.zeros(BLOCK, np.uint16),
-        np.zeros(BLOCK, np.uint8),
+        np.empty(BLOCK, np.int64),
+        np.empty(BLOCK, np.uint32),
+        np.empty(BLOCK, np.uint16),
+        np.empty(BLOCK, np.uint8),
     )
 
 

@@ -16,7 +16,7 @@ from beamfield.calibration.selection import Selection
 from beamfield.models.beam_density import CAUSES
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.parameter_rows import MEANINGS, finite_interval
-from beamfield.report.score_figures import PIT_BINS, pit_band
+from beamfield.report.pit_figure import PIT_BINS, pit_band
 from beamfield.report.verdict import verdict, verdict_level
 from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.scan_fit.reference import ScanFitReference

@@ -10,8 +10,8 @@ from beamfield.report.density_figures import range_histograms, reading_series
 from beamfield.report.map_figures import cause_map, fit_map
 from beamfield.report.mixture_figure import mixture
 from beamfield.report.panel import ReportFigure
+from beamfield.report.pit_figure import pit_histogram
 from beamfield.report.scan_fit_figures import fit_of_own_log
-from beamfield.report.score_figures import candidate_plot, likelihood_over_time, likelihood_trace, pit_histogram
 from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.sensors import SensorLog
 
@@ -38,11 +38,8 @@ def report_figures(
         pit_histogram(calibration),
         cause_map(calibration, shown, log),
         fit_map(calibration, shown, log),
-        likelihood_over_time(calibration),
         None if scan_fit is None else fit_of_own_log(scan_fit, map_from_log=calibration.map_from_log),
         noise_by_range(calibration),
-        candidate_plot(calibration),
-        likelihood_trace(calibration),
         causes_by_bearing(calibration, log),
         opposite_widths(calibration, log),
         pose_shifts(calibration),

@@ -12,6 +12,8 @@ import numpy as np
 from beamfield import __version__
 from beamfield.calibration.calibrate import Calibration
 from beamfield.calibration.cross_fit import CrossFitMaps
+from beamfield.calibration.evaluation import LEAST_GAIN
+from beamfield.calibration.hit_forms import Candidate
 from beamfield.finding import Finding
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_parameters import BeamParameters
@@ -21,8 +23,7 @@ from beamfield.report.figures import report_figures
 from beamfield.report.page import LEVELS, document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import PageSection
 from beamfield.report.parameter_rows import EXTENSIONS, HEADER, parameter_rows
-from beamfield.report.score_figures import score_plot
-from beamfield.report.text_table import form_line, score_rows
+from beamfield.report.text_table import form_line, form_name, plus_minus, score_rows
 from beamfield.report.verdict import doubts, verdict, verdict_level
 from beamfield.scan_fit.calibration_fit import CalibrationFit
 from beamfield.sensors import SensorLog
@@ -204,8 +205,23 @@ def _score(calibration: Calibration) -> str:
     header = ("model", "nats per beam", "gain of the fit")
     return (
         f'<h2 id="score">Held-out score</h2>\n{table(header, score_rows(calibration), right=(1, 2), bold=(0,))}\n'
-        "<p>The defaults' weights sum to more than 1 and are scaled to sum 1; ± is one standard error. "
-        f"{escaped(form_line(calibration))}</p>\n{figure(score_plot(calibration))}"
+        "<p>The defaults' weights sum to more than 1 and are scaled to sum 1; ± is one standard error, from blocks of "
+        f"time. One nat more makes a beam 2.7 times as likely. {escaped(form_line(calibration))}</p>\n"
+        f"{_forms(calibration.candidates)}"
+    )
+
+
+def _forms(candidates: Sequence[Candidate]) -> str:
+    """The gain of every form of the hit component; nothing if only one was allowed."""
+    if len(candidates) < 2:
+        return ""
+    rows = [(form_name(c), plus_minus(c.gain, c.gain_se, sign=True) if i else "") for i, c in enumerate(candidates)]
+    kept = [i for i, candidate in enumerate(candidates) if candidate.chosen]
+    return (
+        f"{table(('form of a hit', 'gain, nats per beam'), rows, right=(1,), bold=kept)}\n"
+        "<p>A range offset lets hits lie beside the expected range (walls drawn too thick or too thin); a sigma slope "
+        f"lets the noise grow with range. A further parameter must gain {LEAST_GAIN:g} nats per held-out beam and "
+        "twice the standard error.</p>"
     )
 
 

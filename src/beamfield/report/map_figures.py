@@ -93,7 +93,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
         f"{worst[0]:.1f} m, y {worst[1]:.1f} m.",
         "One dot per scan where the robot stood, dark where its beams fit badly, with the worst on top. Dark dots "
         "that come back at one place speak against the map there; dark dots along one stretch of the path only once "
-        "speak against the reference poses.",
+        "speak of people, or against the reference poses. Wrong poses along a corridor hardly show.",
         "Section 6.1, (6.2); Table 6.1",
         cloud=True,
     )

@@ -11,32 +11,26 @@ from beamfield.models.beam_density import CAUSES, beam_components
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.colours import CAUSE_COLOURS, QUIET
 from beamfield.report.drawing import NARROW, legend, log_scale, new_panel, style
-from beamfield.report.panel import ReportFigure, svg_panel
+from beamfield.report.panel import ReportFigure, one_picture
 from beamfield.report.range_bins import telling_bin, typical_bins
 
 
 def mixture(calibration: Calibration) -> ReportFigure:
-    """The four components and their mixture at one expected range: Figures 6.3 and 6.4."""
+    """The four components and their mixture at one expected range: Figure 6.4."""
     table, parameters = calibration.table, calibration.parameters
     expected = telling_bin(typical_bins(table)).centre
-    causes, both = new_panel(NARROW, 4.2), new_panel(NARROW, 4.2)
-    draw_components(causes, expected, parameters, table.max_range, min_range=table.min_range)
-    draw_mixture(both, expected, parameters, table.max_range, min_range=table.min_range)
-    each = (
-        f"Four small plots for an expected range of {expected:g} m: the peak of a hit, the decay of unexpected "
-        f"objects up to the expected range, the point mass at {table.max_range:g} m, the flat density of random "
-        "readings."
-    )
+    figure = new_panel(NARROW, 4.2)
+    draw_mixture(figure, expected, parameters, table.max_range, min_range=table.min_range)
     weights = ", ".join(f"{name} {weight:.3f}" for name, weight in zip(CAUSES, parameters.weights, strict=True))
-    total = f"The mixture density for an expected range of {expected:g} m on a logarithmic scale; weights: {weights}."
-    return ReportFigure(
+    return one_picture(
         "mixture",
         f"The four causes and their mixture, for an expected range of {expected:g} m",
-        (svg_panel(causes, "components", each), svg_panel(both, "mixture", total)),
-        "First, each cause alone, over the ranges where it matters (dashed: z*); the densities integrate to 1. Then "
-        "the same multiplied by their fitted weights, on a logarithmic scale, and in grey their sum, the model's "
-        "answer. The readings without return are not a density but a probability, hence the axis of their own.",
-        "Section 6.3.1; Figures 6.3 and 6.4, (6.4) to (6.12)",
+        figure,
+        f"The mixture density for an expected range of {expected:g} m on a logarithmic scale; weights: {weights}.",
+        "The density of each cause multiplied by its fitted weight, on a logarithmic scale (dashed: z*), and in grey "
+        "their sum, the model's answer. The readings without return are not a density but a probability, hence the "
+        "axis of their own.",
+        "Section 6.3.1; Figure 6.4, (6.4) to (6.12)",
     )
 
 

@@ -21,6 +21,14 @@ from beamfield.short_repr import short_repr
 FEWEST_SEEDS = 10
 # Samples of seeds that an interval is taken from, and the share of intervals that hold the difference in the long run.
 REPLICATES, LEVEL = 4000, 0.95
+# What is compared between filters, with its unit.
+COMPARED = {
+    "mean": ("mean position error", "m"),
+    "p95": ("95 % of position errors", "m"),
+    "yaw_mean_deg": ("mean heading error", "deg"),
+    "inside": ("share inside", ""),
+    "lost": ("share of lost runs", ""),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +157,10 @@ class ReplayComparison:
     def summary(self) -> str:
         """Return one line for people."""
         sure = "lower" if self.is_lower else "higher" if self.is_higher else "no sure difference"
+        label, unit = COMPARED.get(self.measure, (self.measure, ""))
+        unit = unit and f" {unit}"
         return (
-            f"{self.measure}: {self.before:.3f} -> {self.after:.3f}, difference {self.difference:+.3f} "
+            f"{label}: {self.before:.3f} -> {self.after:.3f}{unit}, difference {self.difference:+.3f}{unit} "
             f"({LEVEL:.0%} interval {self.low:+.3f} to {self.high:+.3f}): {sure}"
         )
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from beamfield.localization.replay import MEASURES
 from beamfield.localization.replay_comparison import (
+    COMPARED,
     FEWEST_SEEDS,
     ReplayComparison,
     ReplayTrials,
@@ -21,15 +22,6 @@ from beamfield.localization.replay_comparison import (
 )
 from beamfield.report.as_json import plain
 from beamfield.report.text_table import aligned
-
-# What is compared between filters, with its unit.
-COMPARED = {
-    "mean": ("mean position error", "m"),
-    "p95": ("95 % of position errors", "m"),
-    "yaw_mean_deg": ("mean heading error", "deg"),
-    "inside": ("share inside", ""),
-    "lost": ("share of lost runs", ""),
-}
 
 
 @dataclass(frozen=True, eq=False)

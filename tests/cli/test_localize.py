@@ -128,7 +128,7 @@ def test_json_has_what_the_docs_list(folder, capsys):
 def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
     assert run(folder, "--particles", "1000", poses=False) == 0
     text = capsys.readouterr().out
-    assert "started from: anywhere on the map" in text
+    assert "started from: anywhere on the map: no --start, and no reference pose in the log\n" in text
     assert "no reference poses to judge by" in text
     assert "sure of the place from" in text
     assert main(["localize", str(folder / "short.log"), "--map", str(folder / "map.yaml"), "--global"]) == 3

@@ -258,7 +258,9 @@ def learn_field_parameters(
         scores=tuple(scores),
         findings=(
             *density_findings(fitted, fit, n_blocks),
-            *exponent_findings(reason, scores[0].posterior, scores[0].posterior_se),
+            *exponent_findings(
+                reason, scores[0].posterior, scores[0].posterior_se, cones=log.finder.opening_angle > 0.0
+            ),
         ),
         finder=log.finder,
     )

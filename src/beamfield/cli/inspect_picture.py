@@ -16,7 +16,7 @@ from beamfield.maps.end_points import end_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import MAP_COLOURS, PATH_COLOUR, draw_map, draw_ranges, draw_scan, draw_trajectory
 from beamfield.printable import printable
-from beamfield.sensors import ScanLog, SensorLog
+from beamfield.sensors import ScanLog, SensorLog, Track
 
 MOST_POINTS = 150_000
 MOST_SENSORS = 4
@@ -52,6 +52,18 @@ def map_picture(grid: OccupancyGrid, title: str) -> Figure:
         fontsize=9,
         frameon=False,
     )
+    return figure
+
+
+def poses_picture(track: Track, title: str, grid: OccupancyGrid | None = None) -> Figure:
+    """Draw the path of a file of poses, over a map if there is one."""
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    ax = figure.add_subplot()
+    if grid is not None:
+        draw_map(grid, ax)
+    draw_trajectory(track.poses, ax, label="robot")
+    ax.set_title(f"{title}: {len(track):,} poses", fontsize=11)
+    ax.legend(loc="best", fontsize=8, framealpha=0.9)
     return figure
 
 

@@ -147,7 +147,7 @@ def draw_array(values: ArrayLike, resolution: float, origin: FloatArray, ax: Axe
 def draw_trajectory(
     poses: ArrayLike, ax: Axes, *, label: str = "trajectory", color: str = PATH_COLOUR, ends: bool = True
 ) -> Axes:
-    """Draw the way a robot went; it breaks where a pose is missing.
+    """Draw the path of a robot; it breaks where a pose is missing.
 
     Parameters
     ----------

@@ -204,7 +204,7 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
     assert "the robot is most likely lost" in said.err
     (finding,) = (one for one in json.loads(said.out)["findings"] if one["name"] == "robot-lost")
     assert finding["values"]["median_agreement"] < 0.45
-    assert (finding["values"]["way_m"] == 0.0) == (log == "still.log")
+    assert (finding["values"]["path_length_m"] == 0.0) == (log == "still.log")
 
 
 @pytest.mark.usefixtures("undrawn")

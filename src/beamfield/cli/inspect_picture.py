@@ -147,11 +147,11 @@ def _draw_path_and_scans(sensor: SensorLog, ax: Axes, grid: OccupancyGrid | None
 
 
 def _scans_along(poses: FloatArray, n_beams: int) -> NDArray[np.int64]:
-    """Return scans that have a pose, spread evenly over the way so that standing still does not fill the picture."""
+    """Return scans that have a pose, spread evenly along the path so that standing still does not fill the picture."""
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     steps = np.hypot(*np.diff(poses[known, :2], axis=0).T)
     turns = np.abs(np.angle(np.exp(1j * np.diff(poses[known, 2]))))
-    # A turn by one radian shows as much that is new as a way of one metre; the last term keeps the order strict.
+    # A turn by one radian shows as much that is new as a path of one metre; the last term keeps the order strict.
     way = np.concatenate([[0.0], np.cumsum(steps + turns + 1e-6)])
     wanted = np.linspace(0.0, way[-1], max(2, min(len(known), MOST_POINTS // max(n_beams, 1))))
     return np.asarray(known[np.unique(np.searchsorted(way, wanted).clip(max=len(known) - 1))], dtype=np.int64)

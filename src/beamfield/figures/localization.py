@@ -41,8 +41,8 @@ def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> F
         The map.
     """
     figure = new_figure(12.0, 6.0)
-    axes = figure.subplot_mosaic([["way", "position"], ["way", "heading"]], width_ratios=(1.15, 1.0))
-    _draw_way(found, log, grid, axes["way"])
+    axes = figure.subplot_mosaic([["path", "position"], ["path", "heading"]], width_ratios=(1.15, 1.0))
+    _draw_path(found, log, grid, axes["path"])
     _draw_errors(found, log, axes["position"], axes["heading"])
     return figure
 
@@ -95,7 +95,7 @@ def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: Sens
     return out.getvalue()
 
 
-def _draw_way(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes) -> None:
+def _draw_path(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes) -> None:
     framed_map(grid, ax)
     if log.has_poses:
         draw_trajectory(log.poses, ax, label="reference", color=REFERENCE, ends=False)

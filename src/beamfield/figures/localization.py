@@ -125,16 +125,16 @@ def _draw_errors(found: Replay, log: SensorLog, top: Axes, bottom: Axes) -> None
     time = log.stamps - log.stamps[0]
     at = time[found.updates]
     widest = np.linalg.eigvalsh(found.covariances[:, :2, :2])[:, -1]
-    top.plot(at, np.sqrt(BOUND_2D * np.maximum(widest, 0.0)), color=BOUND, linewidth=1.0, label="95 % of the particles")
+    top.plot(at, np.sqrt(BOUND_2D * np.maximum(widest, 0.0)), color=BOUND, linewidth=1.0, label="95% of the particles")
     heading = np.degrees(np.sqrt(found.covariances[:, 2, 2]))
-    bottom.plot(at, BOUND_1D * heading, color=BOUND, linewidth=1.0, label="95 % of the particles")
+    bottom.plot(at, BOUND_1D * heading, color=BOUND, linewidth=1.0, label="95% of the particles")
     if log.has_poses:
         off = found.poses - log.poses
         top.plot(time, np.hypot(off[:, 0], off[:, 1]), color=ESTIMATE, linewidth=1.0, label="error")
         turn = np.degrees(np.abs(wrap_angle(off[:, 2])))
         bottom.plot(time, turn, color=ESTIMATE, linewidth=1.0, label="error")
     for ax, title, unit in ((top, "Position", "m"), (bottom, "Heading", "deg")):
-        style(ax, title=title, x="time [s]", y=f"{'error' if log.has_poses else '95 % of the particles'} [{unit}]")
+        style(ax, title=title, x="time [s]", y=f"{'error' if log.has_poses else '95% of the particles'} [{unit}]")
         ax.set_ylim(bottom=0.0)
         ax.set_xlim(0.0, max(float(time[-1]), 1e-3))
         legend(ax, loc="upper right")

@@ -66,8 +66,10 @@ def fitted_poses_section(
 def _details(fitted: CrossFittedPoses, results: Mapping[str, Calibration], *, given: bool) -> str:
     """Return what was measured about the fit."""
     how = "as given" if given else "from the fit's covariance, and at least half a cell of the map"
-    error = f"How wrong the poses count: {how}. In simulated maps whose walls were up to 5 cm off, sigma_hit came "
-    error += "out 10 to 28 % too small."
+    error = (
+        f"How wrong the poses count: {how}. In simulated maps whose walls were up to 5 cm off, sigma_hit came out 10 "
+        "to 28% too small."
+    )
     if fitted.swapped is None:
         return error
     swapped, same = (f"{_noise(results, name):.4f} m, z_hit {_of(results, name).z_hit:.3f}" for name in (SWAPPED, SAME))

@@ -16,7 +16,7 @@ from beamfield.report.panel import ReportFigure, one_picture
 from beamfield.report.text_table import form_line, form_name, plus_minus
 
 PIT_BINS = 20
-# Half the width of a 95 % interval in standard errors.
+# Half the width of a 95% interval in standard errors.
 Z95 = 1.96
 
 
@@ -32,7 +32,7 @@ def score_plot(calibration: Calibration) -> ReportFigure:
         "Log-likelihood per beam",
         figure,
         f"Dot plot of the log-likelihood per held-out beam: {said}",
-        "Mean log-likelihood of beams from blocks of time that the fit has not seen, with 95 % intervals from these "
+        "Mean log-likelihood of beams from blocks of time that the fit has not seen, with 95% intervals from these "
         "blocks. The intervals of two models overlap more than their difference is uncertain, because both are scored "
         "on the same beams: the table gives the uncertainty of the differences. One nat more makes a beam 2.7 times as "
         "likely.",
@@ -79,7 +79,7 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
     x = "share of the predicted distribution below the reading (randomised PIT) [1]"
     figure, axes = new_axes(WIDE, 3.2, x=x, y="density [1]", grid="y")
     filled_steps(axes, density, edges, facecolor=DATA, edgecolor=QUIET, linewidth=0.8, label="held-out beams")
-    axes.axhspan(max(1 - band, 0.0), 1 + band, color=FIT, alpha=0.22, linewidth=0, label="95 % band of a right model")
+    axes.axhspan(max(1 - band, 0.0), 1 + band, color=FIT, alpha=0.22, linewidth=0, label="95% band of a right model")
     axes.axhline(1.0, color=FIT, linewidth=1.0)
     axes.set(xlim=(0, 1), ylim=(0, max(float(density.max()) * 1.18, 1 + 1.3 * band, 1.4)))
     legend(axes, loc="upper center", ncols=2)
@@ -106,7 +106,7 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
 
 
 def pit_band(calibration: Calibration) -> tuple[float, bool]:
-    """Return the half width of the 95 % band of a PIT histogram's density, and whether it comes from time blocks.
+    """Return the half width of the 95% band of a PIT histogram's density, and whether it comes from time blocks.
 
     Within blocks, beams depend on each other: the standard error of each bin's share is taken from blocks of time,
     pooled over the bins. With fewer than two blocks it is that of independent beams.
@@ -183,7 +183,7 @@ def likelihood_trace(calibration: Calibration) -> ReportFigure | None:
 
 
 def _dots(axes: Axes, values: list[tuple[str, float, float, bool]], *, decimals: int = 3) -> None:
-    """One line per (name, value, standard error, filled), from top to bottom: dot, 95 % whiskers, number."""
+    """One line per (name, value, standard error, filled), from top to bottom: dot, 95% whiskers, number."""
     y = np.arange(len(values))[::-1]
     for place, (_, value, error, filled) in zip(y, values, strict=True):
         if not np.isfinite(value):

@@ -67,7 +67,7 @@ def _draw_path(fit: TrajectoryFit, points: FloatArray, ax: Axes) -> None:
     for number, i in enumerate(_spread_along(fit.poses)):
         root = np.linalg.cholesky(fit.covariances[i, :2, :2])
         ellipse = fit.poses[i, :2, None] + MAGNIFIED * np.sqrt(CHI_SQUARE_95) * (root @ circle)
-        label = f"95 % ellipses, {MAGNIFIED:g} times larger" if number == 0 else None
+        label = f"95% ellipses, {MAGNIFIED:g} times larger" if number == 0 else None
         ax.plot(*ellipse, color="#111111", lw=0.8, zorder=5, label=label)
 
 

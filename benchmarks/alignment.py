@@ -46,7 +46,7 @@ FR079_CLOCK = 1211.36
 # The relations are those of a laser 0.1 m ahead of the centre about which Intel's odometry turns: turns on the spot
 # have relations that move, and there the odometry's median error is smallest.
 INTEL_LEVER = np.array([0.1, 0.0, 0.0])
-# 95 %, 80 % and 50 % of chi-square with three degrees of freedom.
+# 95%, 80% and 50% of chi-square with three degrees of freedom.
 CHI_SQUARE = {95: 7.815, 80: 4.642, 50: 2.366}
 # Relations and corrected poses agree to this many metres and radians.
 AGREEING = (0.06, np.radians(1.5))
@@ -233,10 +233,10 @@ def result_row(name: str, pairs: Pairs, results: list[AlignmentResult]) -> dict[
     poses = np.array([result.pose for result in results])
     row = error_row(name, "align", pairs.truth, poses)
     squares = mahalanobis_squares(pairs.truth, results)
-    row |= {f"in {level} %": f"{np.mean(squares < limit):.3f}" for level, limit in CHI_SQUARE.items()}
+    row |= {f"in {level}%": f"{np.mean(squares < limit):.3f}" for level, limit in CHI_SQUARE.items()}
     agreeing = pairs.agreeing()
     row["agreeing"] = int(agreeing.sum())
-    row["of them in 95 %"] = f"{np.mean(squares[agreeing] < CHI_SQUARE[95]):.3f}"
+    row["of them in 95%"] = f"{np.mean(squares[agreeing] < CHI_SQUARE[95]):.3f}"
     for problem in ("undetermined", "ambiguous"):
         row[problem] = f"{np.mean([result.problem == problem for result in results]):.3f}"
     row["sure and wrong"] = int(sure_and_wrong(pairs.truth, results).sum())
@@ -315,9 +315,9 @@ def error_row(name: str, source: str, truth: np.ndarray, poses: np.ndarray) -> d
         "source": source,
         "pairs": len(truth),
         "median m": f"{np.median(translation):.4f}",
-        "95 % m": f"{np.quantile(translation, 0.95):.4f}",
+        "95% m": f"{np.quantile(translation, 0.95):.4f}",
         "median deg": f"{np.median(rotation):.3f}",
-        "95 % deg": f"{np.quantile(rotation, 0.95):.3f}",
+        "95% deg": f"{np.quantile(rotation, 0.95):.3f}",
     }
 
 

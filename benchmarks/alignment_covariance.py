@@ -3,7 +3,7 @@
 Run: python benchmarks/alignment_covariance.py [FOLDER WITH DATA]
 
 NEES is the mean of e^T P^-1 e over the alignments without a problem, for the errors e of x, y and theta and their
-covariances P: 3 if P is right, its median 2.37, and 95 % lie below 7.81. Flagged alignments count in "sure and wrong"
+covariances P: 3 if P is right, its median 2.37, and 95% lie below 7.81. Flagged alignments count in "sure and wrong"
 only: more than 0.1 m off, and more than three of their own worst deviations.
 
 - **Exact truth**: rooms, corridors and offices of `alignment_worlds` and of `alignment`, and rooms under one condition
@@ -188,17 +188,17 @@ def relations_row(name: str, pairs: Pairs) -> dict[str, Any]:
     row |= {"align mm": f"{1e3 * deviations[:2].mean():.1f}", "align deg": f"{np.degrees(deviations[2]):.2f}"}
     row["sure and wrong"] = int(sure_and_wrong(pairs.truth, results).sum())
     columns = nees_columns((poses - pairs.truth)[fine], covariance + np.diag(own))
-    return row | {name: columns[name] for name in ("median NEES", "in 95 %")}
+    return row | {name: columns[name] for name in ("median NEES", "in 95%")}
 
 
 def nees_columns(error: np.ndarray, covariance: np.ndarray) -> dict[str, str]:
-    """Return mean and median of the errors (n, 3) in units of their covariances, and the share within 95 %."""
+    """Return mean and median of the errors (n, 3) in units of their covariances, and the share within 95%."""
     error = np.column_stack([error[:, :2], wrap_angle(error[:, 2])])
     nees = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
     return {
         "NEES": f"{nees.mean():.2f}",
         "median NEES": f"{np.median(nees):.2f}",
-        "in 95 %": f"{np.mean(nees < CHI_SQUARE[95]):.3f}",
+        "in 95%": f"{np.mean(nees < CHI_SQUARE[95]):.3f}",
     }
 
 

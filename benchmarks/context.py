@@ -61,7 +61,7 @@ ODOMETRY = ("Wean Hall 1", "TurtleBot", "Pioneer")
 CORRECTED = ("belgioioso", "intel", "freiburg-079")
 BEAM_COUNTS = (4, 8, 15, 30, 60, 120, 180)
 N_BEAMS = {"beam": 30, "field": 60}
-# Many drives of few scans: coverage of 100 posteriors is known to 3 %.
+# Many drives of few scans: coverage of 100 posteriors is known to 3%.
 MANY = 150
 N_SEEDS = 6
 # A drive shorter than this, seconds, has too few windows in its half.
@@ -175,7 +175,7 @@ def _coverages(
     place: Place, model: BeamModel | LikelihoodFieldModel, log: SensorLog, learned: ExponentLearning, *,
     only_held_out: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the share of 90 % regions that hold the truth, of single scans and drives, in percent."""
+    """Return the share of 90% regions that hold the truth, of single scans and drives, in percent."""
     options = options_of(place)
     rivals = draw_rivals(options, place.grid)
     windows = cut_windows(log, place.grid, rivals, options)

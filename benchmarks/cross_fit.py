@@ -1,7 +1,7 @@
 """How near `calibrate` comes to the truth without a map: bias and coverage on simulated logs with exact poses.
 
 Each log is calibrated with the true map and with the maps that its halves draw. A parameter's bias is the mean of
-estimate minus truth, over logs; its coverage the share of logs whose 95 % interval holds the truth. Where the interval
+estimate minus truth, over logs; its coverage the share of logs whose 95% interval holds the truth. Where the interval
 of lambda_short is (0, inf), it counts as holding it.
 
 Run: python benchmarks/cross_fit.py [--worlds N] [--first SEED] [--real FOLDER WITH DATA]

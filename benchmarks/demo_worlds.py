@@ -48,10 +48,10 @@ class World:
 
 WORLDS = {
     "as the demo's": World(),
-    "readings cut short: 20 % instead of 9 %": World(truth=MANY_PEOPLE),
+    "readings cut short: 20% instead of 9%": World(truth=MANY_PEOPLE),
     "the same, in bursts of 8 degrees and 3 s": World(truth=MANY_PEOPLE, bursts=(8.0, 3.0)),
     "corridors of 70 m": World(size=(70.0, 20.0)),
-    "wheels twice as noisy, scales off by 1 and 2 %": World(odometry=OdometryNoise(0.02, 0.02, 0.03, 0.01, -0.02)),
+    "wheels twice as noisy, scales off by 1 and 2%": World(odometry=OdometryNoise(0.02, 0.02, 0.03, 0.01, -0.02)),
     "360 degrees, 8 m": World(bearings=(-180.0, 179.0, 360), max_range=8.0),
     "half as fast": World(speed=0.5),
 }

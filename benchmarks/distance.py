@@ -57,9 +57,9 @@ def maps(n_cells: int) -> Iterator[tuple[str, np.ndarray]]:
     yield "walls every 100 and 137 cells", framed(empty, 100, 137)
     yield "halls of 700 x 900 cells", framed(empty, 700, 900)
     yield "empty room", framed(empty, side - 1, side - 1)
-    yield "clutter, 10 %", rng.random(empty.shape, np.float32) < 0.1
-    yield "clutter, 50 %", rng.random(empty.shape, np.float32) < 0.5
-    yield "clutter, 0.1 %", rng.random(empty.shape, np.float32) < 0.001
+    yield "clutter, 10%", rng.random(empty.shape, np.float32) < 0.1
+    yield "clutter, 50%", rng.random(empty.shape, np.float32) < 0.5
+    yield "clutter, 0.1%", rng.random(empty.shape, np.float32) < 0.001
     few = empty.copy()
     few.flat[rng.integers(0, few.size, 10)] = True
     yield "ten obstacles", few

@@ -118,7 +118,7 @@ def drag(name: str, session: Session, *, heat: bool) -> None:
         thread.join(timeout=20)
     after, within = np.median(waits), np.percentile(waits, 95)
     print(f"{name}, dragged in the page {'with' if heat else 'without'} heat maps: scores after {after:.0f} ms, "
-          f"95 % within {within:.0f} ms ({len(waits)} movements)")  # fmt: skip
+          f"95% within {within:.0f} ms ({len(waits)} movements)")  # fmt: skip
 
 
 def main() -> int:

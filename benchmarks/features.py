@@ -35,7 +35,7 @@ N_SCANS = 200
 FINDER = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, 720, endpoint=False), 12.0, mount=(0.15, 0.0, 0.0))
 # A find belongs to a truth within these differences of range (m) and bearing (rad), or within six deviations.
 NEAR = np.array([0.15, 0.1])
-# 95 % of chi-square with two degrees of freedom: range and bearing.
+# 95% of chi-square with two degrees of freedom: range and bearing.
 CHI_SQUARE_95 = 5.991
 KINDS = ("line", "corner", "pole", "local minimum")
 
@@ -137,7 +137,7 @@ class Tally:
             "range error (mm)": f"{1e3 * typical[0]:.1f}",
             "bearing error (mrad)": f"{1e3 * typical[1]:.1f}",
             "signature error": "" if np.isnan(typical[2]) else f"{typical[2]:.4f}",
-            "in 95 % ellipse": f"{np.mean(np.array(self.squares) < CHI_SQUARE_95):.3f}",
+            "in 95% ellipse": f"{np.mean(np.array(self.squares) < CHI_SQUARE_95):.3f}",
             "ms per scan, all kinds": f"{1e3 * np.median(self.seconds):.0f}",
         }
 

@@ -7,7 +7,7 @@ feature of the one scan is moved by the relative pose. It counts if the next sca
 ten of its end points, for a wall half of them: inside the view, and not behind what that scan measured). It is found
 again if the next scan has a feature of its kind within fixed gates, whatever the covariances say.
 
-"In 95 %" is the share of those found whose difference lies in the ellipse of both covariances, first as if the
+"In 95%" is the share of those found whose difference lies in the ellipse of both covariances, first as if the
 relative pose were exact, then with its covariance. The second table needs no alignment: the relative pose is the one
 that fits all the pair's walls best, so that chi-square per degree of freedom is 1 where covariances are honest. Its
 last two columns tell whose covariances are too small: each wall is predicted by the pose that fits the *other* walls
@@ -134,8 +134,8 @@ class Tally:
         posed = np.array([match.square(pair.covariance) for match, pair in self.matches])
         return row | {
             "difference (mm)": f"{1e3 * np.median([length(match) for match, _ in self.matches]):.0f}",
-            "in 95 %, pose exact": f"{np.mean(alone < CHI_SQUARE_95):.3f}",
-            "in 95 %, with the pose's": f"{np.mean(posed < CHI_SQUARE_95):.3f}",
+            "in 95%, pose exact": f"{np.mean(alone < CHI_SQUARE_95):.3f}",
+            "in 95%, with the pose's": f"{np.mean(posed < CHI_SQUARE_95):.3f}",
         }
 
 
@@ -173,8 +173,8 @@ def run(name: str, data: Path = DATA, n_pairs: int | None = None) -> tuple[list[
         "chi-square per degree": f"{middle:.2f}",
         "half of the pairs": f"{low:.2f} to {high:.2f}",
         "deviations are too small by": f"{np.sqrt(middle):.2f}",
-        "in 95 %, by the other walls": f"{by_others:.3f}",
-        "in 95 %, by align": f"{by_align:.3f}",
+        "in 95%, by the other walls": f"{by_others:.3f}",
+        "in 95%, by align": f"{by_align:.3f}",
     }
     return rows, honest
 

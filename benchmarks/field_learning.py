@@ -1,7 +1,7 @@
 """Ways to learn a likelihood field, on held-out blocks of real logs: ``python benchmarks/field_learning.py [FOLDER]``.
 
 Each way is judged by the posteriors that 60 beams of a scan make around the reference poses, in nats over knowing
-nothing, and by the share of them whose 90 % region holds the truth. FOLDER holds the logs and maps (default:
+nothing, and by the share of them whose 90% region holds the truth. FOLDER holds the logs and maps (default:
 ../shared/data beside the checkout).
 """
 

@@ -207,10 +207,10 @@ def _line(fault: str, size: float, first: bool, outcomes: Sequence[Outcome]) -> 
     scale, unit = {"turned-mount": (180.0 / np.pi, "deg"), "range-bias": (100.0, "cm")}.get(fault, (100.0, "%"))
     seen = [item for item in outcomes if item.delay is not None]
     cells = [fault, f"{size * scale:.3g} {unit}", "first day" if first else "day 5 to 11", str(len(outcomes))]
-    cells.append(f"{100.0 * len(seen) / len(outcomes):.0f} %")
+    cells.append(f"{100.0 * len(seen) / len(outcomes):.0f}%")
     cells.append(f"{np.median([item.delay for item in seen]):.0f}" if seen else "")
-    cells.append(f"{100.0 * np.mean([item.day_is_right for item in seen]):.0f} %" if seen and not first else "")
-    cells.append(f"{100.0 * np.mean([item.interval_holds for item in seen]):.0f} %" if seen else "")
+    cells.append(f"{100.0 * np.mean([item.day_is_right for item in seen]):.0f}%" if seen and not first else "")
+    cells.append(f"{100.0 * np.mean([item.interval_holds for item in seen]):.0f}%" if seen else "")
     return f"| {' | '.join(cells)} |"
 
 

@@ -1,4 +1,4 @@
-"""How often the 95 % intervals of learned beam models hold the truth, on simulated logs of 1 to 20 minutes.
+"""How often the 95% intervals of learned beam models hold the truth, on simulated logs of 1 to 20 minutes.
 
 A laser drives through a room; its readings are drawn from known parameters, four ways:
 

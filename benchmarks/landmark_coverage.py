@@ -1,4 +1,4 @@
-"""How often the 95 % intervals of a learned landmark sensor hold the truth, on simulated logs of few blocks.
+"""How often the 95% intervals of a learned landmark sensor hold the truth, on simulated logs of few blocks.
 
 A robot visits places and sees six landmarks from each, with known noise; three ways:
 

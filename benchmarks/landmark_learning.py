@@ -41,7 +41,7 @@ PARAMETERS = (
 
 
 def run(folder: Path) -> list[dict[str, Any]]:
-    """Return one row per set: parameters with 95 % intervals, seconds, findings."""
+    """Return one row per set: parameters with 95% intervals, seconds, findings."""
     return [row(name, *read(folder / path), options) for name, path, read, options in SETS]
 
 

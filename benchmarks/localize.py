@@ -63,7 +63,7 @@ LASER = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 181), 12.0)
 # Few and many people, who hide neighbouring beams for a while.
 CROWDED = tuple(BeamParameters(0.95 - share, share, 0.02, 0.03, 0.05, 0.3) for share in (0.1, 0.4, 0.7))
 BURSTS = Dependence(angle=0.3, time=1.0)
-# Found: within this distance of the reference in 95 % of the last fifth of the scans. Wrong: farther than that.
+# Found: within this distance of the reference in 95% of the last fifth of the scans. Wrong: farther than that.
 FOUND_WITHIN, WRONG_FROM = 0.5, 1.0
 # Where a robot at the start of Wean Hall 5 would be that sees much the same for 80 s.
 RIVAL = (52.2, 40.55, -1.62)
@@ -203,7 +203,7 @@ def numbers(errors: Sequence[ReplayErrors]) -> dict[str, Any]:
     each = np.array([e.mean for e in errors])
     return {
         "mean error [m]": f"{each.mean():.3f} +- {each.std(ddof=1) / np.sqrt(len(each)):.3f}",
-        "95 % [m]": round(mean("p95"), 3),
+        "95% [m]": round(mean("p95"), 3),
         "heading, rms [deg]": round(mean("yaw_rmse_deg"), 2),
         "inside": round(mean("inside_noisy"), 2),
         "NEES, median": round(mean("nees_median"), 2),
@@ -376,7 +376,7 @@ RULES: dict[str, dict[str, float] | None] = {
 
 
 def kidnapped(log: SensorLog) -> SensorLog:
-    """Return the log without its scans from 35 to 60 %, whose motion the odometry has not noticed."""
+    """Return the log without its scans from 35 to 60%, whose motion the odometry has not noticed."""
     first, last = int(0.35 * len(log)), int(0.6 * len(log))
     rest = log[np.r_[:first, last : len(log)]]
     odometry, stamps = np.array(rest.odometry), np.array(rest.stamps)

@@ -202,7 +202,7 @@ def either_sum() -> list[dict[str, Any]]:
         size = np.abs(difference[(n_cells >= low) & (n_cells < high)])
         rows.append({
             "cells compared": f"{low} to {high:g}", "poses": len(size), "median": float(np.median(size)),
-            "95 %": float(np.quantile(size, 0.95)), "largest": float(size.max()),
+            "95%": float(np.quantile(size, 0.95)), "largest": float(size.max()),
         })  # fmt: skip
     return rows
 

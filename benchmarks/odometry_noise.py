@@ -2,7 +2,7 @@
 
 Simulated, COUNT logs a row: a drive of 300 update steps of about 0.27 m, one in four with a turn. AMCL's motion model
 with known alphas, or odometry whose error grows with the root of the distance and with wrong scales, and reference
-poses with noise of 0.02 m and 0.005 rad, which is told to the calibration. Printed: how often the 95 % intervals hold
+poses with noise of 0.02 m and 0.005 rad, which is told to the calibration. Printed: how often the 95% intervals hold
 the truth, the median of estimate over truth, and which family was chosen.
 
 Real: Wean Hall 1, 3, 5, intel and fr079 of FOLDER (default: ../shared/data beside the checkout). They are other

@@ -57,8 +57,8 @@ def run(repeats: int = 7) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
                 "MB": round(table.table_bytes / 1e6, 1),
                 "build [s]": round(seconds, 2),
                 "error, median [m]": round(error.median, 4),
-                "95 % [m]": round(error.percentile_95, 3),
-                "99 % [m]": round(error.percentile_99, 2),
+                "95% [m]": round(error.percentile_95, 3),
+                "99% [m]": round(error.percentile_99, 2),
                 "largest [m]": round(error.largest, 2),
                 "off by > a cell": f"{error.share_off_by_a_cell:.1%}",
             }

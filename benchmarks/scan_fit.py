@@ -1,6 +1,6 @@
 """Measure what tells scans that fit from scans that do not: ``python benchmarks/scan_fit.py [FOLDER]``.
 
-Each statistic gets its 5 % threshold from one good drive, and is then tried on another: on its scans at right poses, at
+Each statistic gets its 5% threshold from one good drive, and is then tried on another: on its scans at right poses, at
 wrong ones (kidnapped), and in maps that are out of date. FOLDER holds real logs (default: ../shared/data beside the
 checkout); without it only simulated worlds are measured.
 """
@@ -77,7 +77,7 @@ def area(good: np.ndarray, bad: np.ndarray) -> float:
 
 
 def compare(own: Trial, good: Trial, bad: Trial, scans: np.ndarray | None = None) -> dict[str, tuple[float, ...]]:
-    """Return per statistic: area, TPR at 5 % false alarms, and false alarms and TPR at the own drive's threshold."""
+    """Return per statistic: area, TPR at 5% false alarms, and false alarms and TPR at the own drive's threshold."""
     rows = {}
     chosen = slice(None) if scans is None else scans
     for name in STATISTICS:
@@ -213,7 +213,7 @@ def posed(folder: Path, log: str, poses: str, **options: float) -> SensorLog:
 
 
 def print_tables(results: dict[str, dict[str, tuple[float, ...]]]) -> None:
-    print("| trouble | statistic | area | TPR at 5 % false alarms | false alarms at its own 5 % | TPR there |")
+    print("| trouble | statistic | area | TPR at 5% false alarms | false alarms at its own 5% | TPR there |")
     print("|---|---|---|---|---|---|")
     for trouble, rows in results.items():
         for name, values in rows.items():

@@ -96,7 +96,7 @@ def cone_times(repeats: int = 25) -> list[dict[str, Any]]:
                     "rays in the fan": n_rays,
                     "fan [ns]": f"{ns['fan']:.0f}",
                     "times as fast": f"{ns['fan'] / ns['cones']:.1f}",
-                    "fan too long by [m]: 99 %, most": f"{np.quantile(too_long, 0.99):.4f}, {too_long.max():.3f}",
+                    "fan too long by [m]: 99%, most": f"{np.quantile(too_long, 0.99):.4f}, {too_long.max():.3f}",
                 }
             )
     return rows

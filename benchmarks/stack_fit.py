@@ -100,7 +100,7 @@ def judge(
 
 
 def replay(model: StackModel[Any, Any], log: SensorLog) -> tuple[np.ndarray, float]:
-    """Return mean position errors (seeds,) in metres, and how often the reference is in the 95 % ellipse."""
+    """Return mean position errors (seeds,) in metres, and how often the reference is in the 95% ellipse."""
     rng = np.random.default_rng(7)
     known = np.isfinite(log.poses).all(axis=1) & np.isfinite(log.odometry).all(axis=1)
     last = first = int(np.argmax(known))

@@ -4,12 +4,12 @@ Run: python benchmarks/trajectory.py [simulated|real|halves|all] [FOLDER WITH DA
 
 - Simulations have exact truth: offices, a corridor 60 m long without ends in sight, and a Pioneer's sensor in the map
   that the real Stage log was recorded in. Odometry drifts with the noise of `OdometryNoise`.
-- Stage's own log has exact poses too, but the map that comes with the data is about 0.3 % too small for them, and its
-  true poses are up to one sample (0.1 s) beside the scans. The second row has the map 0.36 % larger.
+- Stage's own log has exact poses too, but the map that comes with the data is about 0.3% too small for them, and its
+  true poses are up to one sample (0.1 s) beside the scans. The second row has the map 0.36% larger.
 - Wean Hall and TurtleBot 4 have references that were fitted to the same maps, good to about 0.05 m.
 - "halves" fits the poses of the real logs by every other beam, as ``beamfield calibrate`` does for a log without poses.
 
-"in 95 %" is the share of scans whose true position lies in the ellipse; "NEES" the mean square of its error in standard
+"in 95%" is the share of scans whose true position lies in the ellipse; "NEES" the mean square of its error in standard
 deviations, per axis: 1 if the ellipses are right, less if they are too large. "seconds" are the process's own.
 """
 
@@ -61,7 +61,7 @@ def main(which: str, data: Path) -> None:
             rows.append(measured(*case))
             print(rows[-1], file=sys.stderr)
         print_table(rows, digits=3)
-        averages = (f"{key} {np.mean([row[key] for row in rows]):.3f}" for key in ("NEES", "in 95 %"))
+        averages = (f"{key} {np.mean([row[key] for row in rows]):.3f}" for key in ("NEES", "in 95%"))
         print("on average:", ", ".join(averages))
 
 
@@ -80,7 +80,7 @@ def halved(name: str, log: SensorLog, grid: OccupancyGrid) -> dict[str, Any]:
     off = off[np.isfinite(off)]
     return {
         "log": name, "scans": len(log), "trusted": fitted.n_trusted / len(log), "mean m": float(off.mean()),
-        "median m": float(np.median(off)), "95 % m": float(np.quantile(off, 0.95)), "largest m": float(off.max()),
+        "median m": float(np.median(off)), "95% m": float(np.quantile(off, 0.95)), "largest m": float(off.max()),
         "stated, per axis m": fitted.deviation, "seconds": round(time.process_time() - before, 1),
     }  # fmt: skip
 
@@ -94,10 +94,10 @@ def errors(fit: TrajectoryFit, log: SensorLog) -> dict[str, Any]:
     square = np.einsum("ni,nij,nj->n", error[:, :2], np.linalg.inv(covariance[:, :2, :2]), error[:, :2])
     return {
         "mean m": float(distance.mean()), "median m": float(np.median(distance)),
-        "95 % m": float(np.quantile(distance, 0.95)), "largest m": float(distance.max()),
+        "95% m": float(np.quantile(distance, 0.95)), "largest m": float(distance.max()),
         "heading deg": float(np.degrees(np.abs(error[:, 2]).mean())),
         "sd m": float(np.median(position_deviations(covariance))),
-        "NEES": float(0.5 * square.mean()), "in 95 %": float(np.mean(square < CHI_SQUARE_95)),
+        "NEES": float(0.5 * square.mean()), "in 95%": float(np.mean(square < CHI_SQUARE_95)),
         "trusted": float(fit.trusted.mean()),
         "findings": ", ".join(sorted({one.name for one in fit.findings})),
     }  # fmt: skip
@@ -159,7 +159,7 @@ def real(data: Path) -> Iterator[Case]:
     log, grid = read_log(data / "uob_stage_sim/simpath2.bag"), _stage_map(data)
     yield "Stage, map as it comes", log.only_sensor(), grid
     larger = replace(grid, resolution=1.0036 * grid.resolution, origin=1.0036 * grid.origin)
-    yield "Stage, map 0.36 % larger", log.only_sensor(), larger
+    yield "Stage, map 0.36% larger", log.only_sensor(), larger
     grid = read_map(data / "wean_hall/derived_wean.yaml")
     for i in (1, 3, 5):
         track = read_trajectory(data / f"wean_hall/reference_robotdata{i}.csv.gz")

@@ -40,7 +40,7 @@ def main() -> None:
         for truth in COMMON:
             mean = np.mean([shifts(duration, truth, seed) for seed in range(N_LOGS)], axis=0)
             head = {"log": f"{duration:g} s", "z_short, lambda_short": f"{truth.z_short:g}, {truth.lambda_short:g}"}
-            rows.append(head | {f"{100 * share:g} %": f"{x:.2g}" for share, x in zip(SHARES, mean, strict=True)})
+            rows.append(head | {f"{100 * share:g}%": f"{x:.2g}" for share, x in zip(SHARES, mean, strict=True)})
     print_table(rows)
 
 

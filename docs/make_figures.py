@@ -75,7 +75,7 @@ def draw_scan_fit(result: Calibration, grid: OccupancyGrid, log: SensorLog) -> N
     figure = new_figure(11, 4.8)
     axes = figure.subplot_mosaic([["p", "map"], ["lost", "map"]], width_ratios=(1.4, 1))
     low = fits.p_value <= 0.05
-    for mask, color, name in ((~low, FIT, "fits at 5 %"), (low, HELD_OUT, "does not fit")):
+    for mask, color, name in ((~low, FIT, "fits at 5%"), (low, HELD_OUT, "does not fit")):
         axes["p"].scatter(seconds[mask], fits.p_value[mask], s=9, linewidths=0, color=color, label=name)
     axes["p"].axhline(0.05, color=QUIET, lw=0.9, ls="--")
     log_scale(axes["p"])

@@ -3,7 +3,7 @@
 
 Maps of real logs are drawn from every second group of scans; the other groups are judged. Their noise is learned from
 every second one of those, the rest is held out. A posterior over the whole map holds the pose if the pose's cell is
-among the most probable ones that make up 95 % of it; that must happen for 95 % of all scans. "Told" is the information
+among the most probable ones that make up 95% of it; that must happen for 95% of all scans. "Told" is the information
 of the posterior, "found" the log of how much more probable the pose's cell became; their means are the same where
 posteriors are honest. To save time, a random part of the map's cells is taken for all there are; the reference poses'
 cells are always among them.
@@ -188,9 +188,9 @@ def rows(here: Place, others: CornerNoise, walls: bool) -> Iterator[dict[str, An
             "features": kind,
             "noise": name,
             "scans": len(above),
-            "in 50 %": f"{np.mean(above < 0.5):.2f}",
-            "in 95 %": f"{np.mean(above < 0.95):.2f}",
-            "in 99 %": f"{np.mean(above < 0.99):.2f}",
+            "in 50%": f"{np.mean(above < 0.5):.2f}",
+            "in 95%": f"{np.mean(above < 0.95):.2f}",
+            "in 99%": f"{np.mean(above < 0.99):.2f}",
             "told": f"{told.mean():.2f}",
             "found": f"{found.mean():.2f}",
         }

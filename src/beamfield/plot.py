@@ -41,7 +41,7 @@ FEATURE_STYLES: tuple[tuple[type[Feature], str, str, str], ...] = (
     (LocalMinimum, "local minimum", "#CC79A7", "v"),
     (Pole, "pole", "#111111", "+"),
 )
-# 95 % of chi-square with two degrees of freedom.
+# 95% of chi-square with two degrees of freedom.
 CHI_SQUARE_95 = 5.991
 
 
@@ -147,7 +147,7 @@ def draw_array(values: ArrayLike, resolution: float, origin: FloatArray, ax: Axe
 def draw_trajectory(
     poses: ArrayLike, ax: Axes, *, label: str = "trajectory", color: str = PATH_COLOUR, ends: bool = True
 ) -> Axes:
-    """Draw the way a robot went; it breaks where a pose is missing.
+    """Draw the path of a robot; it breaks where a pose is missing.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def draw_scan(
 def draw_features(features: Sequence[Feature], pose: ArrayLike, ax: Axes) -> Axes:
     """Draw the features of a scan seen from a pose: lines from end to end, poles as circles, the others as points.
 
-    Around each position, but not a line's, stands its 95 % ellipse.
+    Around each position, but not a line's, stands its 95% ellipse.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def draw_ranges(ranges: ArrayLike, finder: RangeFinder, ax: Axes) -> Axes:
 
 
 def _ellipse(feature: Feature) -> FloatArray:
-    """Return the outline (n, 2) of the 95 % ellipse around a feature's position, robot frame, metres."""
+    """Return the outline (n, 2) of the 95% ellipse around a feature's position, robot frame, metres."""
     from_polar = np.linalg.inv(polar_jacobian(feature.position))
     covariance = from_polar @ feature.covariance[:2, :2] @ from_polar.T
     values, vectors = np.linalg.eigh(covariance)

@@ -77,7 +77,7 @@ def test_the_pit_is_uniform_for_the_true_model_and_not_for_another(rng):
     table = simulated(rng)
     good = randomized_pit(table, TRUTH, rng)
     assert len(good) == (~table.hits_nothing).sum()
-    assert pit_deviation(good) < 1.63 / np.sqrt(len(good))  # 1 % point of Kolmogorov's distribution
+    assert pit_deviation(good) < 1.63 / np.sqrt(len(good))  # 1% point of Kolmogorov's distribution
     wide = BeamParameters(0.75, 0.1, 0.05, 0.1, 0.2, 0.4)
     assert pit_deviation(randomized_pit(table, wide, rng)) > 0.05
 

@@ -10,6 +10,7 @@ import pytest
 
 from beamfield.calibration.block_errors import block_interval
 from beamfield.calibration.context.exponent import EXPONENTS, score_exponents, suited_exponent
+from beamfield.calibration.field.findings import exponent_findings
 from beamfield.calibration.field.learning import FieldLearning, learn_field_parameters
 from beamfield.calibration.pose_windows import WindowOptions, draw_rivals
 from beamfield.errors import InvalidInputError, TooLittleDataError
@@ -94,6 +95,13 @@ def test_a_wrong_map_is_told(drive, office):
     result = learn_field_parameters(drive, turned, n_beams=30)
     assert "field-says-nothing" in [finding.name for finding in result.findings]
     assert [score.name for score in result.scores] == ["learned", "learned, exponent 1", "uniform"]
+
+
+@pytest.mark.parametrize(("cones", "cause"), [(False, "map, the poses"), (True, "takes a sonar's cones for rays")])
+def test_a_field_that_says_nothing_of_a_sonar_does_not_blame_the_map(cones, cause):
+    (finding,) = exponent_findings("", 0.1, 0.2, cones=cones)
+    assert finding.name == "field-says-nothing"
+    assert cause in finding.why
 
 
 def test_a_short_log_has_no_exponent(drive, office):

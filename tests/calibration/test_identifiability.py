@@ -50,7 +50,7 @@ def test_readings_at_the_near_limit_are_named_before_they_spoil_the_rate(share, 
     assert len(found) == is_named
     if share == 0.02:
         assert result.parameters.lambda_short > 0.8
-        assert f"2 % of the readings are exactly {min_range:g} m" in found[0].text
+        assert f"2% of the readings are exactly {min_range:g} m" in found[0].text
         assert found[0].severity == "warning"
 
 

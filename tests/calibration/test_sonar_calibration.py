@@ -54,7 +54,7 @@ def as_beams(log: SensorLog) -> SensorLog:
 
 
 def misses(result: Calibration) -> int:
-    """Return how many true values lie outside the 95 % intervals."""
+    """Return how many true values lie outside the 95% intervals."""
     intervals = result.intervals.intervals
     return sum(not intervals[name][0] <= getattr(TRUTH, name) <= intervals[name][1] for name in LEARNED)
 

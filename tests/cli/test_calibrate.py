@@ -137,7 +137,7 @@ def test_the_table_is_printed(run: tuple[Path, str]):
     out, text = run
     assert json.loads((out / "calibration.json").read_text())["verdict"] in text
     for words in (
-        "scans used", "sigma_hit", "95 % interval", "nav2 defaults", "ROS 1 defaults", "uniform", "likelihood field",
+        "scans used", "sigma_hit", "95% interval", "nav2 defaults", "ROS 1 defaults", "uniform", "likelihood field",
         "beam model's, exponent 1", "The exponents are for 60 beams", "A scan of 61 beams is worth about",
     ):  # fmt: skip
         assert words in text

@@ -109,8 +109,10 @@ def test_the_outputs_say_where_the_poses_come_from_and_what_that_hides(fitted: P
     assert f"{part['n_trusted']} of 160 scans are trusted" in finding["text"]
     assert "do not show" in finding["why"]
     assert finding["do"]
+    assert "count as 0.025 m wrong (--reference-error)" in finding["text"]
     page = (fitted / "report.html").read_text()
     assert "odd beams" in page
+    assert "so much would be hidden" in page
     assert "do not show" in page
     assert "The poses were fitted to this map" in document["verdict"]
 

@@ -326,6 +326,40 @@ def test_every_offered_format_is_written(capsys, map_path, tmp_path, suffix):
     assert start in (b"\x89PNG\r", b"<?xml", b"%PDF-")
 
 
+# ---------------------------------------------------------------------------------------------------------------- poses
+
+
+@pytest.fixture
+def poses_path(tmp_path) -> Path:
+    sensor = make_sensor()
+    write_tum(tmp_path / "truth.tum", Track(sensor.stamps, sensor.poses))
+    return tmp_path / "truth.tum"
+
+
+def test_a_file_of_poses_is_described_by_its_time_path_and_extent(capsys, poses_path):
+    text = shown(capsys, poses_path)
+    assert "truth.tum: 20 poses in 3.8 s (5 per second), path of 1.9 m" in text
+    assert "x 1.00 m to 2.90 m, y 2.00 m to 2.00 m" in text
+    assert "--poses" in text
+    facts = json.loads(shown(capsys, poses_path, "--json"))
+    assert (facts["kind"], facts["poses"], facts["start_s"]) == ("poses", 20, 10.0)
+    assert facts["path_length_m"] == pytest.approx(1.9)
+    assert facts["extent"] == {"x_m": pytest.approx([1.0, 2.9]), "y_m": [2.0, 2.0]}
+
+
+def test_poses_are_drawn_over_a_map(capsys, poses_path, map_path, tmp_path):
+    assert "wrote" in shown(capsys, poses_path, "--map", map_path, "--out", tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as picture:
+        assert len(np.unique(np.asarray(picture.convert("L")))) > 20
+
+
+def test_a_bad_line_among_poses_is_named(capsys, poses_path):
+    with poses_path.open("a") as file:
+        file.write("14 1 2\n")
+    assert "truth.tum:22: expected 8 numbers" in refused(capsys, poses_path)
+    assert "--poses: goes with a log" in refused(capsys, poses_path, "--poses", poses_path, code=2)
+
+
 # ------------------------------------------------------------------------------------------------------------ bad input
 
 

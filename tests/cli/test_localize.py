@@ -128,7 +128,7 @@ def test_json_has_what_the_docs_list(folder, capsys):
 def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
     assert run(folder, "--particles", "1000", poses=False) == 0
     text = capsys.readouterr().out
-    assert "started from: anywhere on the map" in text
+    assert "started from: anywhere on the map: no --start, and no reference pose in the log\n" in text
     assert "no reference poses to judge by" in text
     assert "sure of the place from" in text
     assert main(["localize", str(folder / "short.log"), "--map", str(folder / "map.yaml"), "--global"]) == 3
@@ -204,7 +204,7 @@ def test_a_robot_that_is_lost_is_said_to_be(folder, capsys, log, words):
     assert "the robot is most likely lost" in said.err
     (finding,) = (one for one in json.loads(said.out)["findings"] if one["name"] == "robot-lost")
     assert finding["values"]["median_agreement"] < 0.45
-    assert (finding["values"]["way_m"] == 0.0) == (log == "still.log")
+    assert (finding["values"]["path_length_m"] == 0.0) == (log == "still.log")
 
 
 @pytest.mark.usefixtures("undrawn")

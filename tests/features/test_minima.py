@@ -54,7 +54,7 @@ def test_gaps_and_missing_readings_are_passed_over():
     ranges = 2.0 / np.cos(BEARINGS - 0.2)
     ranges[[235, 240]] = np.nan, np.inf
     [found] = find_local_minima(Scan(ranges, finder), RangeNoise(0.005))
-    # The wall is no parabola: its curvature comes out 2.5 % too large in a window of 15 degrees.
+    # The wall is no parabola: its curvature comes out 2.5% too large in a window of 15 degrees.
     np.testing.assert_allclose(found.measurement, [2.0, 0.2, 2.0], atol=0.06)
     assert not np.isin([235, 240], found.beams).any()
     assert find_local_minima(Scan(np.full(401, np.nan), finder), RangeNoise()) == []

@@ -50,7 +50,7 @@ def test_covariance_of_a_pole_is_that_of_its_errors(rng, diameter):
     ("diameter", "sigma"), [(0.16, 0.03), (0.3, 0.05)], ids=["a fifth of the diameter", "a sixth of the diameter"]
 )
 def test_ellipses_hold_the_truth_also_where_a_circle_is_far_from_linear(rng, diameter, sigma):
-    """The normal equations of a fit give ellipses that hold 61 % of the truth at 5 cm."""
+    """The normal equations of a fit give ellipses that hold 61% of the truth at 5 cm."""
     centred = RangeFinder.from_bearings(FINDER.bearings, 20.0)
     squares, scores = [], []
     for _ in range(63):

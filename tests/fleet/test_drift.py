@@ -68,8 +68,8 @@ def test_sentences_say_what_since_when_and_how_much(drifts):
     assert " degrees have no return, before " in sentences[0]
     assert sentences[0].endswith("%: is the lens dirty there?")
     assert "the direction of motion is turned" in sentences[1]
-    assert "degrees left (95 %: " in sentences[1]
-    assert "cm too long (95 %: " in sentences[2]
+    assert "degrees left (95%: " in sentences[1]
+    assert "cm too long (95%: " in sentences[2]
     assert "distances of the odometry are" in sentences[3]
     assert "% too long" in sentences[3]
     assert sentences[4].startswith("r04 (s0): from its first day on, ranges are")

@@ -31,6 +31,8 @@ def main() -> int:
     parser.add_argument("--replay", type=Path, metavar="FOLDER", help="read a kept input once more")
     arguments = parser.parse_args()
     if arguments.replay is not None:
+        if not (arguments.replay / "fault.json").is_file():
+            parser.error(f"--replay: no kept input in {arguments.replay}: it has no fault.json")
         return replay(arguments.replay)
     names = arguments.only.split(",") if arguments.only else [target.name for target in TARGETS]
     unknown = [name for name in names if name not in BY_NAME]

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.fuzz import outcome, planted
+from tests.fuzz.__main__ import main
 from tests.fuzz.campaign import Limits, run
 from tests.fuzz.case import Case, one_file
 from tests.fuzz.memory import PeakMemory
@@ -50,6 +51,15 @@ def test_faulty_inputs_are_kept_with_what_went_wrong(tmp_path: Path) -> None:
     assert "KeyError: 'planted'" in document["text"]
     again = Case.read(kept[0] / "case", document["entry"])
     assert observe(planted.BY_NAME[document["target"]], again, tmp_path / "again").kind == "exception"
+
+
+def test_replaying_a_folder_that_is_missing_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["tests.fuzz", "--replay", str(tmp_path / "none")])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert capsys.readouterr().err.endswith(f"--replay: no kept input in {tmp_path / 'none'}: it has no fault.json\n")
 
 
 def test_a_stream_is_the_same_again_for_the_same_seed(tmp_path: Path) -> None:

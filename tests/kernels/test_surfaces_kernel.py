@@ -44,7 +44,7 @@ def test_a_near_wall_stays_a_wall_however_dense_its_noisy_end_points(
     found = elements_of(*wall(spacing_deg, 0.03, rng))
     lines = found[:, surfaces.PULL] == surfaces.LINE
     assert lines.mean() > 0.95
-    # Along the wall, its elements say nothing: with the nearest 0.15 m only, 40 % of them would.
+    # Along the wall, its elements say nothing: with the nearest 0.15 m only, 40% of them would.
     along = np.where(lines, found[:, surfaces.NX] ** 2, 1.0)
     assert along.mean() < 0.06
     assert np.abs(found[lines, surfaces.Y] - 1.0).max() < 0.05

@@ -103,7 +103,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     for seed in range(14):
         result = learn(simulate(BOTH, np.random.default_rng(100 + seed), n=200), max_range=14.0, fit_scale=True)
         held += [low <= getattr(BOTH, name) <= high for name, (low, high) in result.intervals.items()]
-    # 84 intervals of 95 %: fewer than 71 would be a chance of 1e-5.
+    # 84 intervals of 95%: fewer than 71 would be a chance of 1e-5.
     assert sum(held) >= 71
 
 

@@ -28,7 +28,7 @@ def replay(log: SensorLog, off: np.ndarray) -> Replay:
 def test_found_from_the_first_scan_on_after_which_nearly_all_are_close(log):
     off = np.where(np.arange(N) < 12, 3.0, 0.1)
     assert time_to_find(replay(log, off), log) == 24.0
-    off[20] = 3.0  # more than 5 % of those that follow
+    off[20] = 3.0  # more than 5% of those that follow
     assert time_to_find(replay(log, off), log) == 42.0
     assert time_to_find(replay(log, off), log, 15) == 12.0
 

@@ -147,6 +147,7 @@ def test_logs_count_alike_and_seeds_are_drawn_within_them():
     verdict = judge_change(before, after)
     assert not verdict.is_better  # log b is worse for sure
     assert "not better for sure" in verdict.summary()
+    assert "mean position error: 1.500 -> 1.250 m, difference -0.250 m" in verdict.summary()
 
 
 def test_a_change_that_loses_more_runs_is_not_better():

@@ -168,7 +168,7 @@ def test_assignment_is_the_best_of_all_exclusive_correspondences(rate):
 
 
 def test_in_a_large_map_a_feature_far_from_its_nearest_landmark_is_of_none_by_every_correspondence():
-    """Every landmark has the prior 0.7 / 1000: over two sigmas off, the nearest has 1.6 % of the posterior."""
+    """Every landmark has the prior 0.7 / 1000: over two sigmas off, the nearest has 1.6% of the posterior."""
     grid = np.stack(np.meshgrid(np.arange(1, 41) * 50.0, np.arange(25) * 50.0), axis=-1).reshape(-1, 2)
     landmarks, parameters = LandmarkMap(grid), LandmarkParameters(0.5, 0.1, spurious_rate=0.3, max_range=60.0)
     feature = (49.0, 0.25, None)

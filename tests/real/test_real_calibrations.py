@@ -66,7 +66,7 @@ def test_the_turtlebot_is_calibrated_better_than_the_defaults(data: Path):
     log = sensor_log(data, "olin_mac_tb4/macfirst_floor_take_2", "olin_mac_tb4/derived_ref_take_2.csv.gz")
     result = calibrate(log, read_map(data / "olin_mac_tb4/map/mac_1st_floor_final.yaml"), OPTIONS)
     assert beats_the_defaults(result)
-    # A lidar with 1 % accuracy against its own map: hits a few cells of 3 cm behind the cell's edge, not decimetres.
+    # A lidar with 1% accuracy against its own map: hits a few cells of 3 cm behind the cell's edge, not decimetres.
     assert 0.02 < result.parameters.range_offset < 0.06
     assert 0.1 < result.parameters.z_max < 0.3
 
@@ -80,7 +80,7 @@ def test_the_simulated_pioneers_truth_is_off_by_some_centimetres(data: Path, pio
 
 
 def test_the_wrong_map_file_of_the_pioneer_is_found_out(data: Path, pioneer: SensorLog):
-    """Its own YAML is 3 % too small and elsewhere; in the right place it is still too small."""
+    """Its own YAML is 3% too small and elsewhere; in the right place it is still too small."""
     good = read_map(data / "uob_stage_sim/derived_meeting_stageframe.yaml")
     small = replace(good, resolution=0.05, origin=good.origin * 0.05 / 0.05161)
     log = pioneer.with_poses(pioneer.poses * np.array([0.05 / 0.05161, 0.05 / 0.05161, 1.0]))

@@ -37,5 +37,5 @@ def test_exponents_of_one_log_cover_the_truth_in_another(data):
     values = scan_log_likelihoods(model, logs[1], cut_windows(logs[1], grid, rivals, options))
     for each, power in ((values[:, 0], learned.single.value), (values.sum(axis=1), learned.drive.value)):
         (scores,) = score_exponents(each, np.array([power]), rivals)
-        # Ninety posteriors: 3 % of a standard error.
+        # Ninety posteriors: 3% of a standard error.
         assert 0.85 < scores.coverage_at(0.9) < 0.95

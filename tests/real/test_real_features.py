@@ -46,9 +46,9 @@ def test_features_are_found_again_in_the_next_scan(
         assert float(by_kind[kind]["difference (mm)"]) < 35.0, kind
     # Honest but for what is no noise of single readings; neither far too small nor blown up until everything fits.
     assert 0.7 < float(honest["deviations are too small by"]) < too_small
-    # The walls' own covariances are too small, so that they hold less than 95 % of other walls. The alignment's holds
+    # The walls' own covariances are too small, so that they hold less than 95% of other walls. The alignment's holds
     # more than they do: what is missing is not its share.
-    assert float(honest["in 95 %, by align"]) > max(float(honest["in 95 %, by the other walls"]), 0.7)
+    assert float(honest["in 95%, by align"]) > max(float(honest["in 95%, by the other walls"]), 0.7)
 
 
 def test_noise_that_grows_with_the_range_finds_more_of_a_triangulating_scanners_walls(data: Path) -> None:

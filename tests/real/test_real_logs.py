@@ -25,13 +25,13 @@ LOGS = {
     "fr079": (RADISH.format("freiburg-079"), 4791, 360, -90, 89.5, 80.99, 2.1),
     "aces": (RADISH.format("aces"), 440, 180, -90, 89, 50.0, 0.8),
     "belgioioso": (RADISH.format("belgioioso"), 395, 361, -90, 90, 80.99, 0.5),
-    # Here the source counts only the readings of 51.15 m, and there are 0.6 % more of 51.09 to 51.16 m.
+    # Here the source counts only the readings of 51.15 m, and there are 0.6% more of 51.09 to 51.16 m.
     "edmonton": (RADISH.format("edmonton"), 340, 180, -90, 89, 51.1, 5.5),
     "fhw": (RADISH.format("fhw"), 488, 180, -90, 89, 51.05, 0.7),
     "orebro": (RADISH.format("orebro"), 237, 181, -90, 90, 32.759, 2.3),
     "acapulco": (RADISH.format("acapulco"), 861, 181, -90, 90, 51.14, 7.9),
     "infinite corridor": (RADISH.format("infinite-corridor"), 1941, 180, -90, 89, 51.05, 1.3),
-    # 81.91 m are 25.5 %, 81.83 m 0.4 %.
+    # 81.91 m are 25.5%, 81.83 m 0.4%.
     "campus": (RADISH.format("freiburg-campus"), 2008, 360, -90, 89.5, 80.99, 25.9),
     "csail raw": ("csail_gfs/derived_csail_rawodom.log.gz", 406, 361, -90, 90, 81.91, 2.7),
     "csail gfs": ("csail_gfs/csail.corrected.gfs.gz", 406, 361, -90, 90, 80.0, 2.7),

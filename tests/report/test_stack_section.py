@@ -54,7 +54,7 @@ def test_choices_at_the_end_of_what_was_tried_are_named(fit, names):
 
 def test_the_verdict_compares_with_the_values_before():
     text = stack_verdict(result(fitted()))
-    assert "95 % regions hold the reference in 95% of 20 held-out windows, with the values before in 50%" in text
+    assert "95% regions hold the reference in 95% of 20 held-out windows, with the values before in 50%" in text
     assert "0.100 m from the reference in the mean, before 0.200 m." in text
     assert "before 0.200 m: the values before were surer" in stack_verdict(result(fitted(error=0.3)))
     assert "still too sure" in stack_verdict(result(fitted(coverage=0.6)))

@@ -217,7 +217,7 @@ def test_each_beam_is_judged_by_hand():
 
 class TestVisits:
     def test_the_mixture_is_learned_back_and_its_probability_is_reliable(self, rng):
-        """6000 places in 10 visits: 5 % differ in 85 % of them, others in 2 %, where a third stays with 0.6 a block."""
+        """6000 places in 10 visits: 5% differ in 85% of them, others in 2%, where a third stays with 0.6 a block."""
         n, v = 6000, 10
         lasting = rng.random(n) < 0.05
         differs = rng.random((n, v)) < np.where(lasting, 0.85, 0.02)[:, None]

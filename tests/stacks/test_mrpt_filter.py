@@ -113,7 +113,7 @@ def test_the_number_of_particles_is_that_of_a_loop_over_them(rng, spread, enough
             bins.add(key)
             k = len(bins) - 1
             if k:
-                share = 2.0 / (9.0 * k)  # Wilson and Hilferty's 99 % quantile of chi-square
+                share = 2.0 / (9.0 * k)  # Wilson and Hilferty's 99% quantile of chi-square
                 needed = round(0.5 / 0.02 * k * (1.0 - share + math.sqrt(share) * 2.3263478740408408) ** 3)
         if n >= max(needed, 100):
             break

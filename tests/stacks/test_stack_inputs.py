@@ -63,7 +63,7 @@ def test_maps_are_read_by_thresholds_percents_or_raw_values():
     nan = np.nan
     expected = {
         "trinary": [0.0, 0.0, nan, nan, nan, 1.0, 1.0, nan],
-        # (0.253 - 0.25) / 0.4 rounds to 1 %, (0.648 - 0.25) / 0.4 to 100 %.
+        # (0.253 - 0.25) / 0.4 rounds to 1%, (0.648 - 0.25) / 0.4 to 100%.
         "scale": [0.0, 0.0, 0.5, 0.5, 1.0, 1.0, 1.0, nan],
         "raw": [0.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, nan],
     }

@@ -28,7 +28,7 @@ def jackknife_error(replicates: FloatArray) -> FloatArray:
 
 
 def block_interval(value: float, standard_error: float, n_blocks: int, *, most: float = np.inf) -> tuple[float, float]:
-    """Return the 95 % interval of a positive parameter, symmetric in its logarithm, or in its logit if it has a limit.
+    """Return the 95% interval of a positive parameter, symmetric in its logarithm, or in its logit if it has a limit.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ class Calibration:
     parameters
         The fitted parameters.
     intervals
-        95 % intervals by parameter, and what they rest on.
+        95% intervals by parameter, and what they rest on.
     learning
         Trace, iterations and convergence of the chosen fit.
     candidates
@@ -136,7 +136,7 @@ class Calibration:
         return self.learning.n_beams
 
     def summary(self) -> str:
-        """Return the data used, the parameters with 95 % intervals, held-out scores and warnings, as text to print."""
+        """Return the data used, the parameters with 95% intervals, held-out scores and warnings, as text to print."""
         from beamfield.report.results import calibration_summary
 
         return calibration_summary(self)

@@ -176,7 +176,7 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> Iterator[Fin
         "widening": pairs.widening,
         "widening_se": pairs.widening_se,
     }
-    # At a scale surely wrong by more than 1 %; by less, the walls' thickness is the larger error.
+    # At a scale surely wrong by more than 1%; by less, the walls' thickness is the larger error.
     if abs(pairs.scale - 1.0) > max(MOST_SCALE_ERROR + 2.0 * pairs.scale_se, 4.0 * pairs.scale_se):
         yield Finding(
             "map-scale",

@@ -260,7 +260,7 @@ def _anywhere(grid: OccupancyGrid, free: NDArray[np.int64], n: int, rng: np.rand
 
 
 def _normal_points(rng: np.random.Generator) -> FloatArray:
-    """Return points (c, 3) of a normal distribution whose distances are its quantiles, one in twenty beyond 95 %."""
+    """Return points (c, 3) of a normal distribution whose distances are its quantiles, one in twenty beyond 95%."""
     directions = rng.standard_normal((N_GUESSES, 3))
     # Every other one opposite to the last, so that they balance.
     directions[1::2] = -directions[::2]

@@ -122,7 +122,7 @@ def _against_odometry(log: SensorLog) -> Iterator[Finding]:
             why="The robot was not at these poses; the likelihood alone does not show it.",
             do="Localize again, or cut this part out of the log.",
         )
-    # Wheels that measure 25 % too far are seen; sideways a robot hardly moves without its odometry noticing.
+    # Wheels that measure 25% too far are seen; sideways a robot hardly moves without its odometry noticing.
     direction = driven[:, :2] / np.maximum(moved, 1e-9)[:, None]
     sideways = np.abs(reference[:, 1] * direction[:, 0] - reference[:, 0] * direction[:, 1])
     reach = np.maximum(moved, shown)

@@ -49,11 +49,11 @@ def judge_fitted(job: CalibrationJob, fitted: CrossFittedPoses, grid: OccupancyG
     from beamfield.report.fitted_poses_section import (
         SAME,
         SWAPPED,
+        TITLE,
         USED,
         fitted_poses_as_dict,
         fitted_poses_section,
         fitted_poses_sentence,
-        fitted_poses_table,
     )
 
     results = {USED: result}
@@ -68,10 +68,10 @@ def judge_fitted(job: CalibrationJob, fitted: CrossFittedPoses, grid: OccupancyG
             results[name] = calibrate(log, grid, plain)
             job.progress("learning from the other beams", len(results) - 1, 2)
     error = job.arguments.reference_error
-    measured = fitted_poses_sentence(fitted, results, error, given=job.error_is_given)
-    findings = fitted.findings(measured)
+    findings = fitted.findings(fitted_poses_sentence(fitted, error))
     sentence = findings[0].full_text
     return ReportPart(
-        NAME, f"{sentence}\n\n{fitted_poses_table(results)}", fitted_poses_as_dict(fitted, results, error),
-        fitted_poses_section(sentence, results), {}, findings,
+        NAME, f"{sentence} What was measured about the fit: report.html, {TITLE!r}.",
+        fitted_poses_as_dict(fitted, results, error),
+        fitted_poses_section(sentence, fitted, results, given=job.error_is_given), {}, findings,
     )  # fmt: skip

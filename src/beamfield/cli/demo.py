@@ -41,7 +41,7 @@ amcl:
 # Runs of the filter before and after.
 SEEDS = 10
 BEFORE, AFTER = "nav2_defaults.yaml", "nav2.yaml"
-SHOWN = {"mean": "position error [m]", "p95": "95 % of position errors [m]", "yaw_mean_deg": "heading error [deg]"}
+SHOWN = {"mean": "position error [m]", "p95": "95% of position errors [m]", "yaw_mean_deg": "heading error [deg]"}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -164,7 +164,7 @@ def parameter_comparison(truth: Mapping[str, float], fitted: Mapping[str, Mappin
         held += holds
         numbers = f"{truth[name]:.4f}", f"{entry['value']:.4f}", f"[{low:.4f}, {high:.4f}]"
         rows.append((name, *numbers, "yes" if holds else "NO"))
-    table = aligned(("parameter", "truth", "fit", "95 % interval", "holds the truth"), rows, right=(1, 2))
+    table = aligned(("parameter", "truth", "fit", "95% interval", "holds the truth"), rows, right=(1, 2))
     return f"{table}\n{held} of {len(rows)} intervals hold the truth; the error of the fitted poses is not in them"
 
 
@@ -190,5 +190,5 @@ def error_comparison(evaluation: Mapping[str, Any]) -> str:
         )
     n = len(before["runs"])
     rows.append(("lost runs", f"{before['lost_runs']} of {n}", f"{after['lost_runs']} of {n}", "", ""))
-    header = ("nav2's filter on the second drive", "before", "after", "change", "95 % interval")
+    header = ("nav2's filter on the second drive", "before", "after", "change", "95% interval")
     return aligned(header, rows, right=(1, 2, 3))

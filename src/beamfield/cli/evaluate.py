@@ -248,7 +248,7 @@ def _find(
 def _recording(
     arguments: argparse.Namespace, filters: Mapping[str, ReplayedFilter], log: SensorLog, grid: OccupancyGrid
 ) -> Recording:
-    """Return the way that each filter published in the run of the first seed, and how far it was off."""
+    """Return the path that each filter published in the run of the first seed, and how far it was off."""
     import numpy as np
 
     from beamfield.io.recordings.recording import Recording

@@ -1,8 +1,8 @@
-"""Show what a log or map contains.
+"""Show what a log, a map or a file of poses contains.
 
-Show what a log contains (sensors, beams, ranges, what counted as no return, odometry, reference poses) or a map (size,
-place, free, occupied and unknown cells). With --out it is drawn too: the map; or the path, the scans seen from it, one
-scan, and the histogram of the ranges.
+Show what a log contains (sensors, beams, ranges, what counted as no return, odometry, reference poses), a map (size,
+place, free, occupied and unknown cells) or a file of poses (time, path, extent). With --out it is drawn too: the map;
+or the path, the scans seen from it, one scan, and the histogram of the ranges.
 
 for example:
 
@@ -25,14 +25,16 @@ from beamfield.errors import BeamfieldError, FormatError, InvalidInputError
 
 if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
-    from beamfield.sensors import ScanLog
+    from beamfield.sensors import ScanLog, Track
+
+    Content = OccupancyGrid | ScanLog | Track
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     """Register the command."""
     parser = add_command(subparsers, run, "inspect", __doc__)
-    formats = f"a map: {options.MAP_FORMATS}; or a log: {options.LOG_FORMATS}"
-    parser.add_argument("log", type=Path, metavar="LOG|MAP", help=formats)
+    formats = f"a map: {options.MAP_FORMATS}; poses: TUM or CSV; or a log: {options.LOG_FORMATS}"
+    parser.add_argument("log", type=Path, metavar="LOG|MAP|POSES", help=formats)
     options.add_out(parser, None, metavar="FILE", what=f"draw it into this file ({', '.join(options.PICTURES)})")
     options.add_map(parser, what="draw the log, which needs reference poses, over this map")
     options.add_poses(parser)
@@ -63,7 +65,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     return Outcome(hint, text, facts, brief=text.splitlines()[0])
 
 
-def _read(arguments: argparse.Namespace) -> OccupancyGrid | ScanLog:
+def _read(arguments: argparse.Namespace) -> Content:
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.io.read_map import read_map
 
@@ -79,7 +81,21 @@ def _read(arguments: argparse.Namespace) -> OccupancyGrid | ScanLog:
     try:
         return options.read_scans(arguments)
     except FormatError as error:
-        return _map_of_bag(path, error)
+        return _poses(path, arguments) or _map_of_bag(path, error)
+
+
+def _poses(path: Path, arguments: argparse.Namespace) -> Track | None:
+    """Return the poses of a file that is a table of them; None if it is none."""
+    from beamfield.io.trajectory import is_pose_table, read_trajectory
+
+    try:
+        if path.is_dir() or not is_pose_table(path):
+            return None
+    except FormatError:  # binary
+        return None
+    if arguments.poses is not None:
+        raise InvalidInputError(f"--poses: goes with a log, and {path} is read as poses")
+    return read_trajectory(path)
 
 
 def _known(path: Path) -> BeamfieldError | None:
@@ -116,7 +132,7 @@ def _map_of_bag(path: Path, no_log: FormatError) -> OccupancyGrid:
     return read_map(path)
 
 
-def _read_background(content: OccupancyGrid | ScanLog, arguments: argparse.Namespace) -> OccupancyGrid:
+def _read_background(content: Content, arguments: argparse.Namespace) -> OccupancyGrid:
     from beamfield.sensors import ScanLog
 
     if isinstance(content, ScanLog) and not any(sensor.has_poses for sensor in content.sensors.values()):
@@ -124,29 +140,37 @@ def _read_background(content: OccupancyGrid | ScanLog, arguments: argparse.Names
     return options.read_grid(arguments)
 
 
-def _facts(content: OccupancyGrid | ScanLog, path: Path) -> dict[str, Any]:
-    from beamfield.cli.inspect_summary import log_facts, map_facts
+def _facts(content: Content, path: Path) -> dict[str, Any]:
+    from beamfield.cli.inspect_summary import log_facts, map_facts, poses_facts
     from beamfield.io.maps.ros_map import ros_map_notes
-    from beamfield.sensors import ScanLog
+    from beamfield.sensors import ScanLog, Track
 
     if isinstance(content, ScanLog):
         return log_facts(content)
+    if isinstance(content, Track):
+        return poses_facts(content)
     return map_facts(content, ros_map_notes(path) if path.suffix in (".yaml", ".yml") else ())
 
 
-def _write_picture(content: OccupancyGrid | ScanLog, grid: OccupancyGrid | None, arguments: argparse.Namespace) -> None:
-    from beamfield.cli.inspect_picture import log_picture, map_picture
+def _write_picture(content: Content, grid: OccupancyGrid | None, arguments: argparse.Namespace) -> None:
+    from beamfield.cli.inspect_picture import log_picture, map_picture, poses_picture
     from beamfield.io.files.atomic import atomic_file
-    from beamfield.sensors import ScanLog
+    from beamfield.sensors import ScanLog, Track
 
     # Two dollar signs in a name would make a formula of what is between them.
     title = file_name(arguments.log).replace("$", r"\$")
-    figure = log_picture(content, title, grid) if isinstance(content, ScanLog) else map_picture(content, title)
+    if isinstance(content, ScanLog):
+        figure = log_picture(content, title, grid)
+    elif isinstance(content, Track):
+        figure = poses_picture(content, title, grid)
+    else:
+        figure = map_picture(content, title)
     with atomic_file(arguments.out) as part:
         figure.savefig(part, dpi=150, facecolor="white")
 
 
 def _text(facts: dict[str, Any]) -> str:
-    from beamfield.cli.inspect_summary import log_text, map_text
+    from beamfield.cli.inspect_summary import log_text, map_text, poses_text
 
-    return in_options(map_text(facts) if facts["kind"] == "map" else log_text(facts))
+    text = {"map": map_text, "log": log_text, "poses": poses_text}[facts["kind"]]
+    return in_options(text(facts))

@@ -16,7 +16,7 @@ from beamfield.maps.end_points import end_points
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.plot import MAP_COLOURS, PATH_COLOUR, draw_map, draw_ranges, draw_scan, draw_trajectory
 from beamfield.printable import printable
-from beamfield.sensors import ScanLog, SensorLog
+from beamfield.sensors import ScanLog, SensorLog, Track
 
 MOST_POINTS = 150_000
 MOST_SENSORS = 4
@@ -52,6 +52,18 @@ def map_picture(grid: OccupancyGrid, title: str) -> Figure:
         fontsize=9,
         frameon=False,
     )
+    return figure
+
+
+def poses_picture(track: Track, title: str, grid: OccupancyGrid | None = None) -> Figure:
+    """Draw the path of a file of poses, over a map if there is one."""
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    ax = figure.add_subplot()
+    if grid is not None:
+        draw_map(grid, ax)
+    draw_trajectory(track.poses, ax, label="robot")
+    ax.set_title(f"{title}: {len(track):,} poses", fontsize=11)
+    ax.legend(loc="best", fontsize=8, framealpha=0.9)
     return figure
 
 
@@ -135,11 +147,11 @@ def _draw_path_and_scans(sensor: SensorLog, ax: Axes, grid: OccupancyGrid | None
 
 
 def _scans_along(poses: FloatArray, n_beams: int) -> NDArray[np.int64]:
-    """Return scans that have a pose, spread evenly over the way so that standing still does not fill the picture."""
+    """Return scans that have a pose, spread evenly along the path so that standing still does not fill the picture."""
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     steps = np.hypot(*np.diff(poses[known, :2], axis=0).T)
     turns = np.abs(np.angle(np.exp(1j * np.diff(poses[known, 2]))))
-    # A turn by one radian shows as much that is new as a way of one metre; the last term keeps the order strict.
+    # A turn by one radian shows as much that is new as a path of one metre; the last term keeps the order strict.
     way = np.concatenate([[0.0], np.cumsum(steps + turns + 1e-6)])
     wanted = np.linspace(0.0, way[-1], max(2, min(len(known), MOST_POINTS // max(n_beams, 1))))
     return np.asarray(known[np.unique(np.searchsorted(way, wanted).clip(max=len(known) - 1))], dtype=np.int64)

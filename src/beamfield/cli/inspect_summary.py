@@ -1,4 +1,4 @@
-"""What ``beamfield inspect`` says about a map or a log, as plain values; units are in the names."""
+"""What ``beamfield inspect`` says about a map, a log or poses, as plain values; units are in the names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.printable import printable
-from beamfield.sensors import RangeFinder, ScanLog, SensorLog
+from beamfield.sensors import RangeFinder, ScanLog, SensorLog, Track
 
 Facts = dict[str, Any]
 
@@ -53,6 +53,18 @@ def log_facts(log: ScanLog) -> Facts:
         "odometry": odometry,
         "notes": list(log.notes),
         "parameters": dict(log.parameters),
+    }
+
+
+def poses_facts(track: Track) -> Facts:
+    """Return what a file of poses holds: time, path and extent."""
+    low, high = track.poses[:, :2].min(axis=0), track.poses[:, :2].max(axis=0)
+    return {
+        "kind": "poses",
+        "poses": len(track),
+        **_timing(track.stamps),
+        "path_length_m": path_length(track.poses),
+        "extent": {"x_m": [float(low[0]), float(high[0])], "y_m": [float(low[1]), float(high[1])]},
     }
 
 
@@ -162,6 +174,19 @@ def map_text(facts: Mapping[str, Any]) -> str:
     for name, cell in facts["cells"].items():
         lines.append(f"  {name:<10}{cell['count']:>12,} cells {cell['share']:>7.2%} {cell['area_m2']:>10.1f} m2")
     return "\n".join(lines + _note_lines(facts))
+
+
+def poses_text(facts: Mapping[str, Any]) -> str:
+    """Return the facts of a file of poses as lines to read."""
+    (left, right), (bottom, top) = facts["extent"]["x_m"], facts["extent"]["y_m"]
+    return "\n".join(
+        [
+            f"{facts['poses']:,} poses{_when(facts)}, {_length(facts)}",
+            f"  time    from {facts['start_s']:.3f} s on",
+            f"  extent  x {left:.2f} m to {right:.2f} m, y {bottom:.2f} m to {top:.2f} m",
+            "  use     as reference poses of a log: --poses",
+        ]
+    )
 
 
 def log_text(facts: Mapping[str, Any]) -> str:

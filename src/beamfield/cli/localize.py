@@ -1,9 +1,10 @@
 """Localize the robot of a log in a map with a particle filter.
 
 Run a particle filter over the scans and the odometry of a log, and write where the robot was (trajectory.tum), up to
-200 particles of each update (particles.csv.gz), a picture of its way and of how sure the filter was (localization.png),
-and the numbers (localization.json), whole or not at all; beamfield explore --run shows them. Reference poses only judge
-the errors, but for the first, where the filter starts unless --start or --global say otherwise.
+200 particles of each update (particles.csv.gz), a picture of its path and of how sure the filter was
+(localization.png), and the numbers (localization.json), whole or not at all; beamfield explore --run shows them. The
+filter starts at --start, else at the first reference pose, else, or with --global, anywhere on the map; the other
+reference poses only judge the errors.
 
 With --params of nav2 or another stack, the robot's own filter runs instead of ours, emulated; evaluate compares
 several.
@@ -132,7 +133,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     problem = next((text for name, text in PROBLEMS.items() if name in seen_names), "")
     line = ", ".join([f"wrote {', '.join(names)} into {arguments.out}", *map(str, recorded)])
     return Outcome(
-        line, _summary(document, errors), document, notes, [arguments.out, *recorded],
+        line, _summary(document, errors, arguments), document, notes, [arguments.out, *recorded],
         code=3 if problem else 0, problem=problem, brief=_ended(document),
     )  # fmt: skip
 
@@ -368,10 +369,13 @@ def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: F
     return Recording(grid, log, paths, covariances, film.particles, numbers)
 
 
-def _summary(document: Mapping[str, Any], errors: ReplayErrors | None) -> str:
+def _summary(document: Mapping[str, Any], errors: ReplayErrors | None, arguments: argparse.Namespace) -> str:
     rate = document["updates_per_second"]
     speed = "" if rate is None else f", {rate:.0f} updates/s"
-    where = "anywhere on the map" if document["start"] is None else pose_text(document["start"])
+    if document["start"] is None:
+        where = "anywhere on the map" + ("" if arguments.anywhere else ": no --start, and no reference pose in the log")
+    else:
+        where = pose_text(document["start"]) + ("" if arguments.start else ", the first reference pose")
     lines = [
         f"filter: {document['filter']}",
         f"started from: {where}",

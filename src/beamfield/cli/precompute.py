@@ -78,8 +78,8 @@ def _text(table: RangeTable, seconds: float | None) -> str:
             "time: it was there already" if seconds is None else f"time: {seconds:.1f} s",
             f"error of {error.n_rays:,} random rays, beside exact casting:",
             f"  median  {error.median:.3f} m",
-            f"  95 %    {error.percentile_95:.3f} m",
-            f"  99 %    {error.percentile_99:.3f} m",
+            f"  95%     {error.percentile_95:.3f} m",
+            f"  99%     {error.percentile_99:.3f} m",
             f"  largest {error.largest:.3f} m",
             f"  off by more than a cell of the map: {error.share_off_by_a_cell:.1%} of the rays",
         ]

@@ -281,7 +281,7 @@ class Session:
         return known[np.unique(np.linspace(0, len(known) - 1, JUDGED_SCANS).astype(int))].tolist() if len(known) else []
 
     def _filter(self, request: Request) -> dict[str, Any]:
-        """Return the way of a particle filter from a scan and a pose on, and some of its particles."""
+        """Return the path of a particle filter from a scan and a pose on, and some of its particles."""
         i = request.integer("i", len(self.log))
         one, values = self._set_of(request)
         return _shown(run_from(self.log, self.grid, one.make_for_filter(values), i, request.pose()))

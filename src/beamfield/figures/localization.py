@@ -41,8 +41,8 @@ def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> F
         The map.
     """
     figure = new_figure(12.0, 6.0)
-    axes = figure.subplot_mosaic([["way", "position"], ["way", "heading"]], width_ratios=(1.15, 1.0))
-    _draw_way(found, log, grid, axes["way"])
+    axes = figure.subplot_mosaic([["path", "position"], ["path", "heading"]], width_ratios=(1.15, 1.0))
+    _draw_path(found, log, grid, axes["path"])
     _draw_errors(found, log, axes["position"], axes["heading"])
     return figure
 
@@ -95,7 +95,7 @@ def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: Sens
     return out.getvalue()
 
 
-def _draw_way(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes) -> None:
+def _draw_path(found: Replay, log: SensorLog, grid: OccupancyGrid, ax: Axes) -> None:
     framed_map(grid, ax)
     if log.has_poses:
         draw_trajectory(log.poses, ax, label="reference", color=REFERENCE, ends=False)
@@ -125,16 +125,16 @@ def _draw_errors(found: Replay, log: SensorLog, top: Axes, bottom: Axes) -> None
     time = log.stamps - log.stamps[0]
     at = time[found.updates]
     widest = np.linalg.eigvalsh(found.covariances[:, :2, :2])[:, -1]
-    top.plot(at, np.sqrt(BOUND_2D * np.maximum(widest, 0.0)), color=BOUND, linewidth=1.0, label="95 % of the particles")
+    top.plot(at, np.sqrt(BOUND_2D * np.maximum(widest, 0.0)), color=BOUND, linewidth=1.0, label="95% of the particles")
     heading = np.degrees(np.sqrt(found.covariances[:, 2, 2]))
-    bottom.plot(at, BOUND_1D * heading, color=BOUND, linewidth=1.0, label="95 % of the particles")
+    bottom.plot(at, BOUND_1D * heading, color=BOUND, linewidth=1.0, label="95% of the particles")
     if log.has_poses:
         off = found.poses - log.poses
         top.plot(time, np.hypot(off[:, 0], off[:, 1]), color=ESTIMATE, linewidth=1.0, label="error")
         turn = np.degrees(np.abs(wrap_angle(off[:, 2])))
         bottom.plot(time, turn, color=ESTIMATE, linewidth=1.0, label="error")
     for ax, title, unit in ((top, "Position", "m"), (bottom, "Heading", "deg")):
-        style(ax, title=title, x="time [s]", y=f"{'error' if log.has_poses else '95 % of the particles'} [{unit}]")
+        style(ax, title=title, x="time [s]", y=f"{'error' if log.has_poses else '95% of the particles'} [{unit}]")
         ax.set_ylim(bottom=0.0)
         ax.set_xlim(0.0, max(float(time[-1]), 1e-3))
         legend(ax, loc="upper right")

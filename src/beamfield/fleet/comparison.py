@@ -21,7 +21,7 @@ FALSE_DISCOVERIES = 0.05
 FEWEST_ROBOTS = 5
 # Corrections of Qn for 2 to 9 values (Croux and Rousseeuw).
 _SMALL = (0.399, 0.994, 0.512, 0.844, 0.611, 0.857, 0.669, 0.872)
-# Huber's bound, standard deviations: 95 % efficient on normal data.
+# Huber's bound, standard deviations: 95% efficient on normal data.
 _HUBER = 1.345
 
 
@@ -38,7 +38,7 @@ class Difference:
     value, usual
         The robot's, and the median of those it is compared with.
     low, high
-        95 % interval of the robot's own value.
+        95% interval of the robot's own value.
     p_value, q_value
         Chance of such a difference in a robot like the others; the least rate of false discoveries at which it counts.
     differs
@@ -79,7 +79,7 @@ def compare_robots(fit: FleetFit) -> tuple[Difference, ...]:
     -----
     Robots are not alike to the last digit, and with enough beams every difference shows. A robot *differs* if it does
     so by more than the others do among each other: see `unlike_others`. All rows are judged together: of those that
-    differ, 5 % are false in the mean over many fleets.
+    differ, 5% are false in the mean over many fleets.
 
     References
     ----------

@@ -47,7 +47,7 @@ class Drift:
     since
         First day with the fault; None: from the robot's first day on, by comparison with the other robots.
     size, low, high
-        How much the number changed, or how far it is from that of the other robots, with its 95 % interval.
+        How much the number changed, or how far it is from that of the other robots, with its 95% interval.
     before, after
         The number before that day (that of the other robots, where `since` is None) and from it on.
     unit
@@ -93,8 +93,8 @@ class Drift:
         against = "of the other robots" if self.since is None else "before"
         low, high = (100.0 * (self.before + change) for change in (self.low, self.high))
         return (
-            f"{100.0 * self.after:.2g} % (95 %: {low:.2g} to {high:.2g}) of the readings at bearings from {start} "
-            f"to {end} degrees {what}, {against} {100.0 * self.before:.2g} %: is the lens dirty there?"
+            f"{100.0 * self.after:.2g}% (95%: {low:.2g} to {high:.2g}) of the readings at bearings from {start} "
+            f"to {end} degrees {what}, {against} {100.0 * self.before:.2g}%: is the lens dirty there?"
         )
 
     def _deviation(self) -> str:
@@ -104,7 +104,7 @@ class Drift:
         more, less, what = _WORDS[self.fault]
         against = "the other robots" if self.since is None else "the days before"
         amount = f"{abs(self.size) * scale:.2g}{unit} {more if sign > 0.0 else less}"
-        return f"{what} {amount} (95 %: {low:.2g} to {high:.2g}) against {against}."
+        return f"{what} {amount} (95%: {low:.2g} to {high:.2g}) against {against}."
 
 
 @checked

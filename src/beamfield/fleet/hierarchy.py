@@ -20,7 +20,7 @@ from beamfield.short_repr import short_repr
 # near 0.
 _GRID = np.linspace(0.0, 1.0, 61)[1:]
 _WIDEST = 3.0
-# 95 % of a normal distribution.
+# 95% of a normal distribution.
 _REACH = 1.959963984540054
 
 
@@ -35,7 +35,7 @@ class Pooled:
     parameters
         Posterior means of the transformed parameters, as a beam model.
     intervals
-        (low, high) that hold the truth with 95 %, by the names of `BeamParameters` that were learned.
+        (low, high) that hold the truth with 95%, by the names of `BeamParameters` that were learned.
     shrinkage
         By the same names less z_hit, for robots: 0 where the robot's own estimate stands, 1 where that of its site
         takes its place. Empty for sites and the fleet.

@@ -47,7 +47,7 @@ class GroupFit:
     first
         The first answer, from a thinned sample.
     intervals
-        95 % intervals and standard errors by blocks of time; without entries where there is one block only.
+        95% intervals and standard errors by blocks of time; without entries where there is one block only.
     covariance
         Of the working vector (z_hit, z_short, z_max, z_rand, sigma_hit^2, sigma_slope^2, range_offset, lambda_short),
         by blocks of time, shape (8, 8); 0 for what is held or sits on a bound, NaN where

@@ -67,7 +67,7 @@ def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> Repo
             panels.append(_drift_panel(f"drift-{number}", drift, mine, others))
     more = f" {len(drifts) - MOST_CURVES} more are in series.parquet." if len(drifts) > MOST_CURVES else ""
     caption = (
-        "Thick: the robot's number of each day with its 95 % interval; grey: the same of the other robots. The dashed "
+        "Thick: the robot's number of each day with its 95% interval; grey: the same of the other robots. The dashed "
         f"line is the day since when it has changed; without one, it was so from the first day on.{more}"
         if panels
         else "No change was found."
@@ -163,7 +163,7 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], states: Se
         panels.append(svg_panel(figure, f"parameters-{number}", alt))
     return ReportFigure(
         "robot-parameters", "Which robots need their own parameters", tuple(panels),
-        "Open: what a robot's own beams say. Filled: what to use, with its 95 % interval: the robot's own estimate, "
+        "Open: what a robot's own beams say. Filled: what to use, with its 95% interval: the robot's own estimate, "
         "moved towards that of its site as far as its data are few. Vertical line: the fleet. "
         f"At most {MOST_ROBOTS} robots are drawn.", "",
     )  # fmt: skip

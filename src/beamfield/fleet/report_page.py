@@ -26,7 +26,7 @@ KEY = (
 )
 OWN = (
     "Robots listed here differ from the others in these parameters by more than chance and the usual spread explain, "
-    "so they are better served by parameters of their own; of those listed, about 5 % are expected to be false."
+    "so they are better served by parameters of their own; of those listed, about 5% are expected to be false."
 )
 
 

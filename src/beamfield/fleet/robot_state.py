@@ -39,7 +39,7 @@ _ADVICE: Mapping[FaultKind, tuple[str, str]] = {
     ),
     "wheel-scale": (
         "Odometry is off by as much on every metre, which a filter must make up for.",
-        "Check the tyres and their pressure; else correct the described radius of the wheels by {percent} %.",
+        "Check the tyres and their pressure; else correct the described radius of the wheels by {percent}%.",
     ),
 }
 # A robot with so large a share of runs that cannot be used needs a look, and a site.

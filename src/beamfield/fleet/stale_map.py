@@ -144,7 +144,7 @@ def find_stale_places(
 
     Returns
     -------
-    One per site and map, by site. Of the places found, 5 % may be false.
+    One per site and map, by site. Of the places found, 5% may be false.
 
     Notes
     -----

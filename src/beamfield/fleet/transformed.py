@@ -15,7 +15,7 @@ from beamfield.models.beam_parameters import BeamParameters
 # Log odds of the weights against z_hit, log sigma_hit, log lambda_short, and range_offset as it is.
 WEIGHTS = ("z_short", "z_max", "z_rand")
 NAMES = (*WEIGHTS, "sigma_hit", "lambda_short", "range_offset")
-# An estimate on its bound, 0, leaves an exponential distribution: its mean is the upper end of the 95 % interval over
+# An estimate on its bound, 0, leaves an exponential distribution: its mean is the upper end of the 95% interval over
 # ln 20; its logarithm has Euler's constant less, and this variance.
 _EULER = 0.5772156649015329
 _VARIANCE_OF_LOG = math.pi**2 / 6.0

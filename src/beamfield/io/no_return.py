@@ -16,7 +16,7 @@ from beamfield.sensors import NoReturnPolicy
 NoReturnRule = Literal["detect", "none"] | tuple[float, ...]
 
 # The evidence behind these: in the public CARMEN logs the values for "no return" (81.83, 81.91, 51.05 ... 51.16, 50.0,
-# 32.759 ... 32.767 m) are 40 to 10,000 times as frequent as the values in the tenth below them, and lie within 0.3 %.
+# 32.759 ... 32.767 m) are 40 to 10,000 times as frequent as the values in the tenth below them, and lie within 0.3%.
 CODE_SPREAD = 0.002  # relative distance below the most frequent code in which further codes lie
 CONTRAST = 30.0  # how much more frequent than the values below it a code must be
 VALUES_BELOW = 10
@@ -63,9 +63,9 @@ def resolve_no_return(
     1. Readings that reach the limit (`max_range`, else `declared_max` unless more than `CONTRADICTING_SHARE` of the
        readings are ordinary ones beyond it) are no return.
     2. "detect" looks for *codes*: the most frequent value in the top tenth of the readings, and its neighbours within
-       0.2 %, if it is `CONTRAST` times as frequent as the values next below it. Without a limit from (1) the
+       0.2%, if it is `CONTRAST` times as frequent as the values next below it. Without a limit from (1) the
        smallest code is the limit.
-    3. "detect" takes zeros as no return if at least 1 % of the readings are 0 and nothing else means "no return".
+    3. "detect" takes zeros as no return if at least 1% of the readings are 0 and nothing else means "no return".
     4. Without any limit so far, it is set just beyond the largest reading, and a note says so.
 
     Zeros that are not explained so and negative readings are not measurements (NaN).
@@ -145,7 +145,7 @@ def _find_codes(z: FloatArray) -> tuple[float, ...]:
     # The values of the tenth below, or the next ones where that is (almost) empty.
     first, end = (int(i) for i in np.searchsorted(values, (0.9 * values[peak], lowest)))
     below = counts[max(0, min(first, end - VALUES_BELOW)) : end]
-    # Their 90 % quantile, because a second code (or a beam that is stuck) below must not hide the first.
+    # Their 90% quantile, because a second code (or a beam that is stuck) below must not hide the first.
     ordinary = max(1.0, float(np.quantile(below, 0.9))) if below.size else 1.0
     enough = max(10.0, SHARE_OF_OUTLIERS * z.size)
     # Data of one value only: it may be a wall, there is nothing to compare it with.

@@ -78,12 +78,37 @@ def read_trajectory(path: str | Path) -> Track:
     first = next(rows, None)
     if first is None:
         raise FormatError(source, "no poses: the file is empty")
+    kind = _table_of(first)
+    if kind == "csv":
+        return _read_csv(first, rows)
+    return _read_tum([first, *rows]) if kind == "tum" else _read_from_log(first)
+
+
+def is_pose_table(path: str | Path) -> bool:
+    """Return whether a file is a table of poses by its first row, TUM or CSV, and no log.
+
+    Parameters
+    ----------
+    path
+        A text file, plain or gzip.
+
+    Raises
+    ------
+    FormatError
+        If it is binary, or its gzip stream is damaged.
+    OSError
+        As the file system says.
+    """
+    first = next(_rows(Path(path)), None)
+    return first is not None and bool(_table_of(first))
+
+
+def _table_of(first: Line) -> str:
+    """Return "csv" or "tum", or "" for what is no table of poses."""
     names = [word.lower() for word in first.words]
     if any(name in TIME_NAMES for name in names) and any(name in ("x", "map_x", "tx") for name in names):
-        return _read_csv(first, names, rows)
-    if len(names) == 8 and is_number(names[0]):
-        return _read_tum([first, *rows])
-    return _read_from_log(first)
+        return "csv"
+    return "tum" if len(names) == 8 and is_number(names[0]) else ""
 
 
 def write_tum(path: str | Path, track: Track) -> None:
@@ -179,7 +204,8 @@ def _read_tum(rows: list[Line]) -> Track:
     return _checked(rows, numbers[:, 0], np.column_stack([numbers[:, 1:3], _yaw(rows, numbers[:, 4:])]))
 
 
-def _read_csv(header: Line, names: list[str], rows: Iterator[Line]) -> Track:
+def _read_csv(header: Line, rows: Iterator[Line]) -> Track:
+    names = [word.lower() for word in header.words]
     columns = {name: i for i, name in reversed(list(enumerate(names)))}
     time = next(name for name in TIME_NAMES if name in columns)
     prefix = next(p for p in ("", "map_", "t") if p + "x" in columns)

@@ -12,7 +12,7 @@ from beamfield.kernels.jit import integer, kernel, shared
 
 Floats = NDArray[np.float64]
 
-# Poses that are placed at a time, and rays that walk in lockstep. Measured: 128 are 5 % slower, 512 no faster. A power
+# Poses that are placed at a time, and rays that walk in lockstep. Measured: 128 are 5% slower, 512 no faster. A power
 # of 2.
 BLOCK = integer(256)
 # Length of a float64 row: BLOCK numbers, and room for a vector that is stored beyond them.

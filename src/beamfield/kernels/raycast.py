@@ -34,7 +34,7 @@ NOTHING = integer(0)
 LANES = integer(32)
 # Fewer beams of a pose are quicker aimed one by one.
 FEW = integer(4)
-# Jumps before a block hands its unfinished rays (10 %) to the pool, and jumps of the pool between two clearances.
+# Jumps before a block hands its unfinished rays (10%) to the pool, and jumps of the pool between two clearances.
 FIRST_STEPS = integer(4)
 MORE_STEPS = integer(3)
 # State of each ray in float32: rows of ONE buffer, because LLVM vectorises only loops whose arrays it can prove apart.

@@ -19,7 +19,7 @@ from beamfield.landmark_noise.sighting_table import SightingTable
 NOTABLE_BIAS = 0.25
 # Deviations of the nearest and the farthest quarter that differ by more than this factor.
 NOTABLE_RATIO = 1.5
-# A normal has 0.27 % beyond three deviations.
+# A normal has 0.27% beyond three deviations.
 NOTABLE_TAIL, FEWEST_IN_TAIL = 4.0 * 0.0027, 5
 # From the median of absolute values to the deviation of a normal.
 NORMAL_FROM_MIDDLE = 1.4826
@@ -204,7 +204,7 @@ def _tails(what: str, e: FloatArray, w: FloatArray) -> Iterator[Finding]:
         f"{what}-heavy-tails",
         "warning",
         f"{beyond:.1%} of the {what}s of landmarks lie beyond three times the deviation of the middle half, "
-        f"{middle:.3g} {UNITS[what]}, where a normal has 0.3 %: the tails are heavier.",
+        f"{middle:.3g} {UNITS[what]}, where a normal has 0.3%: the tails are heavier.",
         {"beyond": beyond, "middle_deviation": middle},
         why=f"sigma_{what} is a compromise between most sightings and the few that are far off.",
         do="Give a filter a larger spurious_rate.",

@@ -165,11 +165,11 @@ def align(
 
     Notes
     -----
-    **Undetermined directions** are those along which the end points' information is that of less than 2 % of them
+    **Undetermined directions** are those along which the end points' information is that of less than 2% of them
     facing it squarely. Nothing moves along them: the pose keeps what `initial` says.
 
     **Slides.** Along a corridor few end points tell one place from the next, and the score has many small peaks. Where
-    a move in the weakest direction meets less than 35 % of the end points' resistance, the line along it is looked at
+    a move in the weakest direction meets less than 35% of the end points' resistance, the line along it is looked at
     every sigma, up to 0.5 m from the initial pose. The best peaks are climbed, and all places are weighed by their
     scores (one independent beam per 16 degrees) and by their distance from the initial pose (deviation 0.2 m).
 

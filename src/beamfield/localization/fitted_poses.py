@@ -59,16 +59,8 @@ class FittedPoses:
         """Where the poses come from, for people."""
         return (
             "The log has no reference poses: they were fitted to this map from its odometry and scans. "
-            f"{self.n_trusted} of {len(self.log)} scans are trusted, their positions to {self.deviation:.3f} m "
-            "(standard deviation per axis, median)."
-        )
-
-    @property
-    def hidden(self) -> str:
-        """What does not show at fitted poses, for people."""
-        return (
-            "Errors of the map that all beams follow, such as a wall drawn 5 cm off, move the poses with them and do "
-            "not show."
+            f"{self.n_trusted} of {len(self.log)} scans are trusted, to {self.deviation:.3f} m (standard deviation per "
+            "axis, median)."
         )
 
     def findings(self, measured: str = "") -> tuple[Finding, ...]:
@@ -87,9 +79,9 @@ class FittedPoses:
             "info" if share >= MOST and self.fit.converged else "warning",
             " ".join(filter(None, (self.sentence, measured))),
             values,
-            why=self.hidden,
-            do="Look at the path over the map (beamfield trajectory draws it). If you have poses from motion capture "
-            "or from a SLAM run that did not use this map, give those.",
+            why="Errors of the map, such as a wall drawn 5 cm off, move the poses with them and do not show.",
+            do="Look at the path over the map (beamfield trajectory draws it); poses from elsewhere, such as motion "
+            "capture's, are better.",
         )
         return (said, *self.fit.findings)
 
@@ -111,14 +103,6 @@ class CrossFittedPoses(FittedPoses):
     judged: SensorLog
     swapped: SensorLog | None
     same: SensorLog | None
-
-    @property
-    def hidden(self) -> str:
-        """What does not show at fitted poses, and what that did to sigma_hit where it was measured."""
-        return (
-            f"{super().hidden} In simulated maps whose walls were up to 5 cm off, sigma_hit came out 10 to 28 % too "
-            "small."
-        )
 
 
 @checked

@@ -36,7 +36,7 @@ def time_to_find(replay: Replay, log: SensorLog, first: int = 0) -> float | None
 
     Returns
     -------
-    Seconds from the scan `first` until the first one from which on 95 % of the scans are within 0.5 m of the
+    Seconds from the scan `first` until the first one from which on 95% of the scans are within 0.5 m of the
     reference; None if there is none that leaves at least a fifth of these scans.
 
     Raises

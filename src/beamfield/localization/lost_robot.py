@@ -48,7 +48,7 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
         f"Where the filter takes the robot to be, {int(100.0 * median)}% of a scan's readings agree with the map "
         f"(median; expected {LEAST_AGREEMENT:.0%} or more). By its odometry it drove {way:.1f} m and "
         f"turned {np.degrees(turn):.0f} degrees.",
-        {"median_agreement": median, "way_m": way, "turn_rad": turn},
+        {"median_agreement": median, "path_length_m": way, "turn_rad": turn},
         why="The robot was most likely elsewhere: the start, the map or the odometry (its signs, or it stands still) "
         "is wrong; or most readings are of people.",
         do="Run beamfield trajectory on this log and map: it searches all starts, and odometry of the wrong sign.",

@@ -275,7 +275,7 @@ def reweigh(
     return log_mean, effective, power
 
 
-# Halvings of the interval of log power: it is found to 0.1 %.
+# Halvings of the interval of log power: it is found to 0.1%.
 HALVINGS = 12
 LOWEST_POWER = 1e-3
 

@@ -153,14 +153,14 @@ class ReplayErrors:
     mean, median, p95, end
         Distance between published and reference position, metres: over all scans that have both, and at the last.
     lost
-        Whether the distance exceeds 2 m at the last scan, or in more than 10 % of the scans.
+        Whether the distance exceeds 2 m at the last scan, or in more than 10% of the scans.
     yaw_mean_deg, yaw_median_deg, yaw_p95_deg, yaw_rmse_deg
         Error of the published heading over the same scans, without sign, degrees.
     nees_median
         Median over updates of the particles' normalised estimation error squared,
         ``(mean - reference)^T covariance^-1 (mean - reference)`` in x, y and theta; 2.37 if the covariance is right.
     inside
-        Share of the updates in which the particles' 95 % ellipse of x and y holds the reference; 0.95 if it is right.
+        Share of the updates in which the particles' 95% ellipse of x and y holds the reference; 0.95 if it is right.
     inside_noisy
         The same, with a noise of the reference of 3 cm in x and in y.
     sd_position
@@ -194,9 +194,9 @@ class ReplayErrors:
         """Return the numbers in three lines for people."""
         time = "" if self.update_ms is None else f", {self.update_ms:.3g} ms an update"
         return (
-            f"position error {self.mean:.3f} m mean, {self.median:.3f} median, {self.p95:.3f} 95 %, {self.end:.3f} at "
-            f"the end{': LOST' if self.lost else ''}; heading {self.yaw_rmse_deg:.2f} deg rms\n"
-            f"reference inside the particles' 95 % ellipse in {self.inside:.0%} of {self.updates} updates "
+            f"position error {self.mean:.3f} m mean, {self.median:.3f} median, 95% below {self.p95:.3f}, {self.end:.3f} "
+            f"at the end{': LOST' if self.lost else ''}; heading {self.yaw_rmse_deg:.2f} deg rms\n"
+            f"reference inside the particles' 95% ellipse in {self.inside:.0%} of {self.updates} updates "
             f"({self.inside_noisy:.0%} with {REFERENCE_NOISE:g} m of noise of the reference), median NEES "
             f"{self.nees_median:.2f} (right: 2.37)\n"
             f"{self.particles:.0f} particles, standard deviation {self.sd_position:.3f} m{time}"

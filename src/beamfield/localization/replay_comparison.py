@@ -21,6 +21,14 @@ from beamfield.short_repr import short_repr
 FEWEST_SEEDS = 10
 # Samples of seeds that an interval is taken from, and the share of intervals that hold the difference in the long run.
 REPLICATES, LEVEL = 4000, 0.95
+# What is compared between filters, with its unit.
+COMPARED = {
+    "mean": ("mean position error", "m"),
+    "p95": ("95% of position errors", "m"),
+    "yaw_mean_deg": ("mean heading error", "deg"),
+    "inside": ("share inside", ""),
+    "lost": ("share of lost runs", ""),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +100,7 @@ class ReplayTrials:
         """Return one line for people: means over the runs."""
         return (
             f"{self.log}: {self.mean('mean'):.3f} m mean position error (median run "
-            f"{np.median(self.column('mean')):.3f}, 95 % of scans {self.mean('p95'):.3f}), heading "
+            f"{np.median(self.column('mean')):.3f}, 95% of scans {self.mean('p95'):.3f}), heading "
             f"{self.mean('yaw_rmse_deg'):.2f} deg, inside {self.mean('inside'):.0%}, NEES "
             f"{self.mean('nees_median'):.2f}, {self.n_lost} of {len(self)} runs lost"
         )
@@ -114,7 +122,7 @@ class ReplayComparison:
     before, after
         Its mean over runs, and over logs.
     low, high
-        The 95 % interval of after - before.
+        The 95% interval of after - before.
     n_seeds
         The least number of seeds of a log.
     """
@@ -149,8 +157,10 @@ class ReplayComparison:
     def summary(self) -> str:
         """Return one line for people."""
         sure = "lower" if self.is_lower else "higher" if self.is_higher else "no sure difference"
+        label, unit = COMPARED.get(self.measure, (self.measure, ""))
+        unit = unit and f" {unit}"
         return (
-            f"{self.measure}: {self.before:.3f} -> {self.after:.3f}, difference {self.difference:+.3f} "
+            f"{label}: {self.before:.3f} -> {self.after:.3f}{unit}, difference {self.difference:+.3f}{unit} "
             f"({LEVEL:.0%} interval {self.low:+.3f} to {self.high:+.3f}): {sure}"
         )
 
@@ -193,7 +203,7 @@ def compare_trials(
 ) -> ReplayComparison:
     """Compare two filters by one number, run for run.
 
-    The 95 % interval is a bootstrap percentile interval of the mean paired difference: seeds are drawn within each log,
+    The 95% interval is a bootstrap percentile interval of the mean paired difference: seeds are drawn within each log,
     and logs count alike. It speaks of these logs, and of all seeds. Percentiles are moved outwards as far as Student's
     t is wider than the normal distribution, because they are too narrow for few seeds.
 

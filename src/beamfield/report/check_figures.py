@@ -44,7 +44,7 @@ def noise_by_range(calibration: Calibration) -> ReportFigure | None:
         "The noise of a hit, by expected range",
         (spread, mean),
         "Dots: standard deviation and mean of measured minus expected range, over readings weighted by their "
-        "probability of being a hit, in groups of equal size by expected range; bars are 95 % intervals from blocks of "
+        "probability of being a hit, in groups of equal size by expected range; bars are 95% intervals from blocks of "
         "time. Lines: the fitted model. Dots that rise to the right show noise that grows with range "
         "(sigma_slope; errors of the reference heading do the same). A mean off zero means that mapped walls are "
         "drawn too thick (positive) or too thin (negative), or the sensor has a bias.",

@@ -53,7 +53,7 @@ def reading_series(calibration: Calibration) -> ReportFigure:
         "readings",
         f"Readings one after the other, for an expected range of {group.centre:g} m",
         figure,
-        f"Measured range against number of the reading for expected ranges around {group.centre:g} m: 90 % of the "
+        f"Measured range against number of the reading for expected ranges around {group.centre:g} m: 90% of the "
         f"readings lie between {low:.2f} and {high:.2f} m, the rest are short, random or without return.",
         f"{count} whose expected range is within {group.half_width:g} m of {group.centre:g} m, in the order of "
         "the log. Scattered dots are what the model is made for. Bands and stripes are not: a block of readings away "

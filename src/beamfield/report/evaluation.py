@@ -13,6 +13,7 @@ import numpy as np
 
 from beamfield.localization.replay import MEASURES
 from beamfield.localization.replay_comparison import (
+    COMPARED,
     FEWEST_SEEDS,
     ReplayComparison,
     ReplayTrials,
@@ -21,15 +22,6 @@ from beamfield.localization.replay_comparison import (
 )
 from beamfield.report.as_json import plain
 from beamfield.report.text_table import aligned
-
-# What is compared between filters, with its unit.
-COMPARED = {
-    "mean": ("mean position error", "m"),
-    "p95": ("95 % of position errors", "m"),
-    "yaw_mean_deg": ("mean heading error", "deg"),
-    "inside": ("share inside", ""),
-    "lost": ("share of lost runs", ""),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +144,7 @@ def evaluation_csv(evaluation: Evaluation) -> str:
 
 def _error_table(evaluation: Evaluation) -> str:
     header = (
-        "log", "filter", "position m: mean", "median", "95 %", "heading deg: mean", "median", "95 %", "inside", "NEES",
+        "log", "filter", "position m: mean", "median", "95%", "heading deg: mean", "median", "95%", "inside", "NEES",
         "lost", "particles", "ms",
     )  # fmt: skip
     rows = [
@@ -167,8 +159,8 @@ def _error_table(evaluation: Evaluation) -> str:
         for name, one in zip(evaluation.trials, trials, strict=True)
     ]  # fmt: skip
     note = (
-        "Means over runs of each run's own figures. inside: reference in the particles' 95 % ellipse (right: 95 %); "
-        "NEES: median (right: 2.37); lost: off by more than 2 m at the end or in over 10 % of scans; ms: processor "
+        "Means over runs of each run's own figures. inside: reference in the particles' 95% ellipse (right: 95%); "
+        "NEES: median (right: 2.37); lost: off by more than 2 m at the end or in over 10% of scans; ms: processor "
         "time of an update here, not on the robot."
     )
     return f"{aligned(header, rows, right=tuple(range(2, len(header))))}\n{note}"
@@ -187,7 +179,7 @@ def _find_table(evaluation: Evaluation) -> str:
         for name, one in zip(evaluation.finds, finds, strict=True)
     ]  # fmt: skip
     table = aligned(("task", "log", "filter", "found", "after s (median)"), rows, right=(3, 4))
-    return f"{table}\nfound: within 0.5 m in 95 % of the scans from then on, and that for a fifth of them at least."
+    return f"{table}\nfound: within 0.5 m in 95% of the scans from then on, and that for a fifth of them at least."
 
 
 def _difference_table(evaluation: Evaluation) -> str:
@@ -198,7 +190,7 @@ def _difference_table(evaluation: Evaluation) -> str:
             sure = "lower" if one.is_lower else "higher" if one.is_higher else "not sure"
             interval = f"{one.low:+.3f} to {one.high:+.3f}" if math.isfinite(one.low) else "unknown"
             rows.append((name, label, unit or "-", f"{one.difference:+.3f}", interval, sure))
-    header = ("filter", f"against {evaluation.first}", "unit", "difference", "95 % interval", "for sure")
+    header = ("filter", f"against {evaluation.first}", "unit", "difference", "95% interval", "for sure")
     few = min(len(one) for one in evaluation.trials[evaluation.first])
     note = f"\nFewer than {FEWEST_SEEDS} seeds: nothing is sure." if few < FEWEST_SEEDS else ""
     return f"{aligned(header, rows, right=(3,))}\nOver all logs, run for run; intervals by paired bootstrap.{note}"

@@ -43,7 +43,7 @@ def evaluation_figure(evaluation: Evaluation) -> Figure:
     _error_axis(errors, [one for _, one, _, _ in rows])
     inside.axvline(RIGHT_SHARE, color=QUIET, linewidth=1.0, linestyle="--")
     inside.set_xlim(-0.03, 1.03)
-    style(inside, x="share of updates with the reference\nin the particles' 95 % ellipse", grid="x")
+    style(inside, x="share of updates with the reference\nin the particles' 95% ellipse", grid="x")
     errors.set_yticks(heights, [_shortened(label) for label, *_ in rows])
     errors.set_ylim(heights[-1] + 0.6, -0.6)
     return figure

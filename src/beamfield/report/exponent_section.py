@@ -13,7 +13,7 @@ from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned
 
 TITLE = "Independent beams"
-HEADER = ("how beams count", "exponent", "95 % interval", "independent beams", "covered", "nats ± s.e.", "exponent 1")
+HEADER = ("how beams count", "exponent", "95% interval", "independent beams", "covered", "nats ± s.e.", "exponent 1")
 # Beyond this the stated error of the reference poses, and not the beams' dependence, sets the exponent.
 LIMITED = 1.5
 
@@ -61,8 +61,8 @@ def exponent_section(learned: ExponentLearning) -> PageSection:
     markup = (
         f"<p>{escaped(exponent_sentence(learned))}</p>{table(HEADER, _rows(learned), right=(1, 3, 4, 5, 6))}"
         f"<p>For the beam model with {learned.n_beams} beams of each scan. Neighbouring beams err together: each "
-        "beam's value to the power of the exponent makes posteriors around the reference poses whose 90 % regions "
-        "hold the truth in 90 % of the cases. Covered: the share on held-out blocks of time. Nats: mean logarithm of "
+        "beam's value to the power of the exponent makes posteriors around the reference poses whose 90% regions "
+        "hold the truth in 90% of the cases. Covered: the share on held-out blocks of time. Nats: mean logarithm of "
         "the posterior's density at the truth over the prior's; 0 says nothing, far below 0 is certain and wrong.</p>"
     )
     return PageSection("independent-beams", TITLE, markup)

@@ -19,7 +19,7 @@ MEANINGS = {
     "exponent": ("-", "power of each beam's value in a filter, because beams and scans depend on each other"),
     "single_scan_exponent": ("-", "the same for one scan on its own"),
 }
-PARAMETER_HEADER = ("likelihood field", "value", "95 % interval", "unit", "meaning")
+PARAMETER_HEADER = ("likelihood field", "value", "95% interval", "unit", "meaning")
 SCORE_HEADER = ("held-out blocks", "nats per reading ± s.e.", "nats per posterior ± s.e.", "covered")
 
 
@@ -53,13 +53,13 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
         f"{table(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), css='parameters')}"
         f"<p>For <code>LikelihoodFieldModel</code> with {learned.n_beams} beams of each scan. z_hit, z_rand and "
         "sigma_hit make the readings most likely along the axes of their beams; without the reference poses' error "
-        f"sigma_hit is {learned.density_sigma:.4g} m. With the exponents, the 90 % regions of posteriors around the "
-        f"reference poses hold the truth in 90 % of the cases: of drives of some scans, and of single scans.</p>"
+        f"sigma_hit is {learned.density_sigma:.4g} m. With the exponents, the 90% regions of posteriors around the "
+        f"reference poses hold the truth in 90% of the cases: of drives of some scans, and of single scans.</p>"
         f"{table(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3))}"
         "<p>Nats per reading: mean log density along the axis, given that the reading is a range. Nats per posterior: "
         "mean logarithm of the posterior's density at the reference over the prior's, of a few scans each; 0 for a "
         "field that says nothing, far below 0 for one that is certain and wrong. Covered: share of those posteriors "
-        f"whose 90 % region holds the truth.</p>"
+        f"whose 90% region holds the truth.</p>"
         f"<details><summary>The file likelihood_field.yaml</summary><pre>{escaped(file_text)}</pre></details>"
     )
     return PageSection("field", TITLE, markup)

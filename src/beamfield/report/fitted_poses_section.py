@@ -1,4 +1,4 @@
-"""What fitting the poses of a log to the map did to the parameters: a sentence, a table, a section of the page."""
+"""What fitting the poses of a log to the map did to the parameters: a sentence, and a section of the page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from beamfield.report.as_json import plain
 from beamfield.report.escape import escaped
 from beamfield.report.page import table
 from beamfield.report.page_section import PageSection
-from beamfield.report.text_table import aligned
 
 TITLE = "Poses fitted to the map"
 # The parameters that are used, and two that show what would be hidden.
@@ -25,60 +24,59 @@ NAMES = ("z_hit", "z_short", "z_max", "z_rand")
 NUMBERS = (2, 3, 4, 5, 6)
 
 
-def fitted_poses_sentence(
-    fitted: CrossFittedPoses, results: Mapping[str, Calibration], reference_error: float, *, given: bool
-) -> str:
-    """Return in words what was measured about the fit, and what was done about it.
+def fitted_poses_sentence(fitted: CrossFittedPoses, reference_error: float) -> str:
+    """Return in a sentence or two which beams made the poses, and how wrong they are taken to be.
 
     Parameters
     ----------
     fitted
         The poses.
-    results
-        What was learned, by `USED`, `SWAPPED` and `SAME`; only the first where the beams were not halved.
     reference_error
-        How wrong the poses are taken to be.
-    given
-        Whether the user said so.
+        How wrong the poses are taken to be, metres.
     """
-    how = "as given" if given else "from the fit's covariance, and at least half a cell of the map"
-    error = f"The poses count as {reference_error:.3g} m wrong (--reference-error), {how}."
+    count = f"count as {reference_error:.3g} m wrong (--reference-error)"
     if fitted.swapped is None:
         return (
             f"With {fitted.log.finder.n_beams} beams the poses were fitted to all of them, and the parameters learned "
-            f"from the same: they flatter the sensor. {error}"
+            f"from the same: they flatter the sensor. The poses {count}."
         )
-    swapped, same = (f"{_noise(results, name):.4f} m, z_hit {_of(results, name).z_hit:.3f}" for name in (SWAPPED, SAME))
-    return (
-        "The poses were fitted to every other beam, and the parameters learned from the beams between. On the beams "
-        f"that made the poses, the noise of a hit is {same} at these poses, and {swapped} at poses from the other "
-        f"half: so much would be hidden. {error}"
-    )
+    return f"Every other beam made the poses, which {count}; the parameters are learned from the beams between."
 
 
-def fitted_poses_table(results: Mapping[str, Calibration]) -> str:
-    """Return what is printed: the parameters of both halves, and those that the fit would have flattered.
-
-    Parameters
-    ----------
-    results
-        As for `fitted_poses_sentence`.
-    """
-    return aligned(_header(results), _rows(results), right=NUMBERS)
-
-
-def fitted_poses_section(sentence: str, results: Mapping[str, Calibration]) -> PageSection:
+def fitted_poses_section(
+    sentence: str, fitted: CrossFittedPoses, results: Mapping[str, Calibration], *, given: bool
+) -> PageSection:
     """Return the section of the report.
 
     Parameters
     ----------
     sentence
-        Where the poses come from, `fitted_poses_sentence`, and what stays hidden.
+        Where the poses come from, and what stays hidden.
+    fitted
+        The poses.
     results
-        As for `fitted_poses_sentence`.
+        What was learned, by `USED`, `SWAPPED` and `SAME`; only the first where the beams were not halved.
+    given
+        Whether the user said how wrong the poses are.
     """
-    markup = f"<p>{escaped(sentence)}</p>{table(_header(results), _rows(results), right=NUMBERS)}"
-    return PageSection("fitted-poses", TITLE, markup)
+    markup = f"<p>{escaped(sentence)}</p><p>{escaped(_details(fitted, results, given=given))}</p>"
+    return PageSection("fitted-poses", TITLE, markup + table(_header(results), _rows(results), right=NUMBERS))
+
+
+def _details(fitted: CrossFittedPoses, results: Mapping[str, Calibration], *, given: bool) -> str:
+    """Return what was measured about the fit."""
+    how = "as given" if given else "from the fit's covariance, and at least half a cell of the map"
+    error = (
+        f"How wrong the poses count: {how}. In simulated maps whose walls were up to 5 cm off, sigma_hit came out 10 "
+        "to 28% too small."
+    )
+    if fitted.swapped is None:
+        return error
+    swapped, same = (f"{_noise(results, name):.4f} m, z_hit {_of(results, name).z_hit:.3f}" for name in (SWAPPED, SAME))
+    return (
+        f"On the beams that made the poses, the noise of a hit is {same} at these poses, and {swapped} at poses from "
+        f"the other half: so much would be hidden. {error}"
+    )
 
 
 def fitted_poses_as_dict(
@@ -88,7 +86,9 @@ def fitted_poses_as_dict(
 
     Parameters
     ----------
-    fitted, results, reference_error
+    fitted, results
+        As for `fitted_poses_section`.
+    reference_error
         As for `fitted_poses_sentence`.
     """
     return {

@@ -15,8 +15,8 @@ from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned, plus_minus, warning_lines
 
 TITLE = "Odometry"
-NOISE_HEADER = ("odometry noise", "levels with 95 % intervals", "nats per held-out window", "gain over the default")
-SYSTEMATIC_HEADER = ("systematic error", "value", "95 % interval", "unit", "meaning")
+NOISE_HEADER = ("odometry noise", "levels with 95% intervals", "nats per held-out window", "gain over the default")
+SYSTEMATIC_HEADER = ("systematic error", "value", "95% interval", "unit", "meaning")
 MEANINGS = {
     "distance_scale": ("-", "true distance over odometry's, minus 1"),
     "turn_scale": ("-", "true turn over odometry's, minus 1"),
@@ -140,7 +140,7 @@ def _advice_line(result: OdometryCalibration) -> str:
     return (
         f"Advised at updates every {options.update_min_d:g} m or {options.update_min_a:g} rad: {values} (none below "
         f"{options.floor:g}). {result.n_windows} windows of {options.window} steps, {len(result.fault_stamps)} of them "
-        f"faults; 95 % regions hold the reference in {result.coverage:.0%} of the others."
+        f"faults; 95% regions hold the reference in {result.coverage:.0%} of the others."
     )
 
 

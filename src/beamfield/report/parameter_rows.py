@@ -31,7 +31,7 @@ NOISE_AT = (1.0, 3.0, 10.0)
 EXTENSIONS = ("range_offset", "sigma_slope")
 
 
-HEADER = ("parameter", "value", "95 % interval", "unit", "meaning")
+HEADER = ("parameter", "value", "95% interval", "unit", "meaning")
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ParameterRow:
         The fitted value with as many digits as its interval supports; "below ..." where the fit stopped at the floor of
         sigma_hit, "-" where the log does not determine it.
     interval
-        (low, high) of the 95 % interval, in the same digits; None if there is none.
+        (low, high) of the 95% interval, in the same digits; None if there is none.
     unit
         SI unit; empty for shares.
     meaning
@@ -85,7 +85,7 @@ def parameter_rows(calibration: Calibration) -> list[ParameterRow]:
 
 
 def finite_interval(calibration: Calibration, name: str) -> tuple[float, float] | None:
-    """Return the 95 % interval of a parameter; None if there is none or a bound is not finite."""
+    """Return the 95% interval of a parameter; None if there is none or a bound is not finite."""
     interval = calibration.intervals.intervals.get(name)
     if interval is None or name in calibration.options.hold:
         return None

@@ -12,7 +12,7 @@ from beamfield.report.drawing import WIDE, filled_steps, legend, new_axes
 from beamfield.report.panel import ReportFigure, one_picture
 
 PIT_BINS = 20
-# Half the width of a 95 % interval in standard errors.
+# Half the width of a 95% interval in standard errors.
 Z95 = 1.96
 
 
@@ -25,7 +25,7 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
     x = "share of the predicted distribution below the reading (randomised PIT) [1]"
     figure, axes = new_axes(WIDE, 3.2, x=x, y="density [1]", grid="y")
     filled_steps(axes, density, edges, facecolor=DATA, edgecolor=QUIET, linewidth=0.8, label="held-out beams")
-    axes.axhspan(max(1 - band, 0.0), 1 + band, color=FIT, alpha=0.22, linewidth=0, label="95 % band of a right model")
+    axes.axhspan(max(1 - band, 0.0), 1 + band, color=FIT, alpha=0.22, linewidth=0, label="95% band of a right model")
     axes.axhline(1.0, color=FIT, linewidth=1.0)
     axes.set(xlim=(0, 1), ylim=(0, max(float(density.max()) * 1.18, 1 + 1.3 * band, 1.4)))
     legend(axes, loc="upper center", ncols=2)
@@ -52,7 +52,7 @@ def pit_histogram(calibration: Calibration) -> ReportFigure:
 
 
 def pit_band(calibration: Calibration) -> tuple[float, bool]:
-    """Return the half width of the 95 % band of a PIT histogram's density, and whether it comes from time blocks.
+    """Return the half width of the 95% band of a PIT histogram's density, and whether it comes from time blocks.
 
     Within blocks, beams depend on each other: the standard error of each bin's share is taken from blocks of time,
     pooled over the bins. With fewer than two blocks it is that of independent beams.

@@ -33,7 +33,7 @@ COLOURS: Mapping[Kind, str] = {
 PALE = 0.35
 # Told apart without colour, too.
 HATCHES: Mapping[Kind, str] = {"missing wall": "////", "no return (glass?)": "...."}
-COLUMNS = ("", "kind", "x [m]", "y [m]", "size [m]", "rate", "95 % interval", "visits")
+COLUMNS = ("", "kind", "x [m]", "y [m]", "size [m]", "rate", "95% interval", "visits")
 
 
 def places_figure(found: ChangedPlaces, grid: OccupancyGrid, path: FloatArray) -> ReportFigure:

@@ -17,7 +17,7 @@ from beamfield.stacks.fit.replay_choice import ReplayChoice
 from beamfield.stacks.fit.replay_runs import ReplaySetting
 from beamfield.stacks.registry import STACKS
 
-_HEADER = ("", "position error [m]", "difference, 95 % interval", "lost runs", "inside 95 %")
+_HEADER = ("", "position error [m]", "difference, 95% interval", "lost runs", "inside 95%")
 _PARTS = {
     "sensor": "with the sensor's values before",
     "motion": "with the motion noise before",
@@ -46,7 +46,7 @@ def replay_verdict(choice: ReplayChoice) -> str:
         f"replayed in {choice.before.filter.stack}'s own filter, emulated, on {len(before)} "
         f"{'stretches' if len(before) > 1 else 'stretch'} of this log, {choice.n_runs} runs"
     )
-    inside = f"truth in the particles' 95 % ellipse {_inside(before):.0%} -> {_inside(after):.0%}"
+    inside = f"truth in the particles' 95% ellipse {_inside(before):.0%} -> {_inside(after):.0%}"
     lost = f"lost runs {_lost(before)} -> {_lost(after)}"
     if choice.is_better:
         return (
@@ -123,7 +123,7 @@ def _interval(comparison: ReplayComparison, sign: float = 1.0) -> str:
 
 
 def _told(comparison: ReplayComparison) -> str:
-    return f"difference {_interval(comparison)} m, 95 % interval"
+    return f"difference {_interval(comparison)} m, 95% interval"
 
 
 def _lost(trials: Sequence[ReplayTrials]) -> int:

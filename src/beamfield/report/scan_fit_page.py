@@ -38,7 +38,7 @@ def fit_table(fits: ScanFits, worst: NDArray[np.int64]) -> str:
     judged = int((~np.isnan(fits.p_value)).sum())
     share = fits.share_that_fits(LEVEL)
     fit_line = f"{share:.1%} of {judged} scans fit at {LEVEL:.0%}" if judged else "no scan could be judged"
-    lines = [f"{fit_line} (95 % of good scans do)" if judged else fit_line]
+    lines = [f"{fit_line} (95% of good scans do)" if judged else fit_line]
     for number, name in enumerate(PROBLEMS):
         count = int((fits.problem == number).sum())
         if number and count:
@@ -124,7 +124,7 @@ def render_fit_page(
         Inputs, options and program; see `cli.provenance`.
     """
     judged = int((~np.isnan(fits.p_value)).sum())
-    share = f"{fits.share_that_fits(LEVEL):.1%} of {judged} scans fit the map at {LEVEL:.0%}; of good scans 95 % do."
+    share = f"{fits.share_that_fits(LEVEL):.1%} of {judged} scans fit the map at {LEVEL:.0%}; of good scans 95% do."
     sentence = f"{share} {lost_line(fits).capitalize()}." if judged else "No scan could be judged."
     answers: dict[bool | None, tuple[Level, str]] = {
         None: ("care", "Not judged"), True: ("bad", "Lost"), False: ("good", "Not lost")

@@ -75,7 +75,7 @@ class StackResult:
 
     @property
     def covers(self) -> bool:
-        """Whether enough held-out windows have the reference in their 95 % region with these values."""
+        """Whether enough held-out windows have the reference in their 95% region with these values."""
         return self.trial.held_out.coverage >= LEAST_COVERAGE
 
     @property
@@ -129,7 +129,7 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         "What was chosen, and what one scan does to particles",
         (_beams_panel(chosen), _error_panel(chosen)),
         "Left: the score of each setting on windows that its values were not fitted to, and the same minus a penalty "
-        "for 95 % regions that miss the reference; the circle is the setting taken. Right: the mean distance of "
+        "for 95% regions that miss the reference; the circle is the setting taken. Right: the mean distance of "
         "particles from the reference after one scan, over held-out scans; left of the dashed line the scan helped.",
         "",
     )
@@ -139,7 +139,7 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         f"<p>Score: on {len(chosen.chosen.held_out.log_score)} held-out windows of {options.scans} scans, the mean "
         "logarithm of the posterior's density at the reference over the prior's, in "
         "nats: 0 for weights that say nothing, far below 0 for weights that are certain and wrong. Coverage: share of "
-        "those windows whose 95 % region holds the reference, which itself may be "
+        "those windows whose 95% region holds the reference, which itself may be "
         f"{options.reference_error * 100:g} cm off. Effective particles and error: {chosen.update.n_particles} "
         f"particles, {chosen.update.error_before[0] * 100:.0f} cm from the reference in the mean, weighed by one "
         f"scan.</p>\n<p>{escaped(HOW[chosen.how])} A scan multiplies a particle's weight by "
@@ -157,7 +157,7 @@ def stack_verdict(result: StackResult) -> str:
     fit = result.chosen
     name, held_out, before = f"{fit.model.stack}'s {fit.model.model}", fit.chosen.held_out, fit.before.held_out
     n = len(held_out.log_score)
-    covered = f"95 % regions hold the reference in {held_out.coverage:.0%} of {n} held-out windows"
+    covered = f"95% regions hold the reference in {held_out.coverage:.0%} of {n} held-out windows"
     if fit.chosen is fit.before:
         return f"Keep the values you have for {name}: none that was tried does better on this log; {covered}."
     errors = fit.update.error_after.mean(), fit.update_before.error_after.mean()
@@ -216,7 +216,7 @@ def _about_coverage(result: StackResult) -> Iterator[Finding]:
         yield Finding(
             "stack-coverage",
             "warning",
-            f"Only {coverage:.0%} of the held-out windows have the truth in their 95 % region.",
+            f"Only {coverage:.0%} of the held-out windows have the truth in their 95% region.",
             {"coverage": coverage},
             why="The weights are still too sure here: a filter may drop the right pose.",
             do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",

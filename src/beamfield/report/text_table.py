@@ -17,7 +17,7 @@ LEAST_ROOM = 24
 
 
 def parameter_table(calibration: Calibration, *, width: int | None = None) -> str:
-    """Return a table of the parameters, each with its 95 % interval and its unit.
+    """Return a table of the parameters, each with its 95% interval and its unit.
 
     Parameters
     ----------

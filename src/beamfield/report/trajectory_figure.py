@@ -1,4 +1,4 @@
-"""The picture of a fitted trajectory: the way over the map, coloured by trust."""
+"""The picture of a fitted trajectory: the path over the map, coloured by trust."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from beamfield.sensors import SensorLog
 
 NOT_TRUSTED = "#D55E00"
 SCANS = "#56B4E9"
-# Ellipses are drawn this far apart, share of the way, and so many times larger, so that centimetres can be seen.
+# Ellipses are drawn this far apart, share of the path, and so many times larger, so that centimetres can be seen.
 ELLIPSES, MAGNIFIED = 25, 10.0
 MOST_POINTS = 40_000
 MARGIN = 1.5
 
 
 def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str) -> Figure:
-    """Draw the map, the scans' end points, the way, and what it is worth.
+    """Draw the map, the scans' end points, the path, and what it is worth.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str
     size = 9.0 / max(width, height)
     figure = Figure(figsize=(max(6.0, width * size), max(3.5, height * size) + 3.4), layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=(max(3.5, height * size), 2.2))
-    _draw_way(fit, points, draw_map(grid, above))
+    _draw_path(fit, points, draw_map(grid, above))
     above.set_xlim(low[0], high[0])
     above.set_ylim(low[1], high[1])
     above.set_title(title, fontsize=11)
@@ -53,7 +53,7 @@ def _points(fit: TrajectoryFit, log: SensorLog) -> FloatArray:
     return hit_points(log.ranges[::every], log.finder, fit.poses[::every])
 
 
-def _draw_way(fit: TrajectoryFit, points: FloatArray, ax: Axes) -> None:
+def _draw_path(fit: TrajectoryFit, points: FloatArray, ax: Axes) -> None:
     ax.scatter(
         points[:, 0], points[:, 1], s=0.5, color=SCANS, linewidths=0, rasterized=True, zorder=2, label="end points"
     )
@@ -64,22 +64,22 @@ def _draw_way(fit: TrajectoryFit, points: FloatArray, ax: Axes) -> None:
     ax.plot(x[0], y[0], "o", color="#111111", markersize=7, label="start", zorder=6)
     ax.plot(x[-1], y[-1], "s", color="#111111", markersize=6, label="end", zorder=6)
     circle = np.stack([np.cos(np.linspace(0.0, 2.0 * np.pi, 40)), np.sin(np.linspace(0.0, 2.0 * np.pi, 40))])
-    for number, i in enumerate(_spread_over_way(fit.poses)):
+    for number, i in enumerate(_spread_along(fit.poses)):
         root = np.linalg.cholesky(fit.covariances[i, :2, :2])
         ellipse = fit.poses[i, :2, None] + MAGNIFIED * np.sqrt(CHI_SQUARE_95) * (root @ circle)
-        label = f"95 % ellipses, {MAGNIFIED:g} times larger" if number == 0 else None
+        label = f"95% ellipses, {MAGNIFIED:g} times larger" if number == 0 else None
         ax.plot(*ellipse, color="#111111", lw=0.8, zorder=5, label=label)
 
 
 def _with_neighbours(mask: NDArray[np.bool_], x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the way where it is not trusted, joined to what is before and after."""
+    """Return the path where it is not trusted, joined to what is before and after."""
     wider = mask.copy()
     wider[1:] |= mask[:-1]
     wider[:-1] |= mask[1:]
     return np.where(wider, x, np.nan), y
 
 
-def _spread_over_way(poses: FloatArray) -> NDArray[np.int64]:
+def _spread_along(poses: FloatArray) -> NDArray[np.int64]:
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], ELLIPSES)).clip(max=len(poses) - 1))
 

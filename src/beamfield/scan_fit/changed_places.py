@@ -73,7 +73,7 @@ class ChangedPlace:
         Share of the beams with the chance to tell that differ: short readings that end there over beams that crossed
         the place or ended there; or readings beyond, or without return, over beams that test the mapped surface.
     interval
-        95 % interval of the rate, from how it varies between visits; (0, 1) for a single visit.
+        95% interval of the rate, from how it varies between visits; (0, 1) for a single visit.
     readings, beams
         The numbers behind the rate.
     visits_changed, visits
@@ -144,7 +144,7 @@ class ChangedPlaces:
         counts = ", ".join(_counted(len(self.of_kind(kind)), kind) for kind in KINDS)
         lines = [f"places where the world differs from the map: {counts}"]
         if self.lasting:
-            lines.append("  kind                   x [m]    y [m]  size [m]    rate  95 % interval   visits")
+            lines.append("  kind                   x [m]    y [m]  size [m]    rate  95% interval   visits")
         for place in self.lasting[:MOST_LISTED]:
             size, (low, high) = f"{place.width:.1f} x {place.height:.1f}", place.interval
             lines.append(

@@ -32,7 +32,7 @@ from beamfield.sensors import SensorLog
 from beamfield.short_repr import short_repr
 
 SCHEMA = "beamfield-scan-fit/1"
-# With fewer good scans no p-value would be below 5 %.
+# With fewer good scans no p-value would be below 5%.
 FEWEST_SCANS = 20
 # How often the log is scored at wrong poses.
 N_LOST = 4
@@ -89,7 +89,7 @@ class ScanFitReference:
             keep(self, **{name: array})
         if len(self.stamps) < FEWEST_SCANS:
             raise TooLittleDataError(
-                f"{len(self.stamps)} good scans, need {FEWEST_SCANS}: with fewer no p-value would be below 5 %"
+                f"{len(self.stamps)} good scans, need {FEWEST_SCANS}: with fewer no p-value would be below 5%"
             )
 
     def __len__(self) -> int:

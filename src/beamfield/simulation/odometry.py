@@ -15,7 +15,7 @@ from beamfield.geometry import FloatArray, as_poses, between, chained, wrap_angl
 class OdometryNoise:
     """How odometry goes wrong.
 
-    Random errors are sums of independent small ones, so their variance grows with the way driven and the angle turned,
+    Random errors are sums of independent small ones, so their variance grows with the path length and the angle turned,
     however often the odometry is read. (The alphas of the chapter on motion make the standard deviation of one step
     grow with its length; that noise depends on the rate.)
 

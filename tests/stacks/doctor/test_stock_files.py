@@ -41,7 +41,7 @@ STOCK = [(stack, model) for stack, described in STACKS.items() for model in desc
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """A map of 5 cm with unmapped space behind a door, and 40 scans of 360 beams up to 12 m, 1 % NaN and no returns."""
+    """A map of 5 cm with unmapped space behind a door, and 40 scans of 360 beams up to 12 m, 1% NaN and no returns."""
     folder = tmp_path_factory.mktemp("world")
     cells = np.full((160, 220), -1)
     cells[10:150, 10:210] = 0

@@ -48,12 +48,12 @@ class LearnedExponent:
     value
         The power of each beam's value, in (0, 1].
     interval
-        95 % interval, from blocks of time; (0, inf) if there are not two of them.
+        95% interval, from blocks of time; (0, inf) if there are not two of them.
     if_reference_exact
         The exponent, or less, if the reference poses had no error: well above `value` where their stated error sets the
         limit.
     coverage
-        Share of the held-out posteriors whose 90 % region holds the truth.
+        Share of the held-out posteriors whose 90% region holds the truth.
     score, score_se
         Mean log of the held-out posteriors' density at the truth over the prior's, and its standard error, nats; 0 for
         beams that say nothing.
@@ -123,8 +123,8 @@ def learn_exponent(
 
     Errors of neighbouring beams and scans go together, because the map, the pose and the people before the sensor are
     the same: multiplied as if they were independent, their values make posteriors that are certain and wrong. Each
-    value to the power of the exponent makes posteriors around the reference poses whose 90 % regions hold the truth in
-    90 % of the cases. docs/evidence/in_context.md has what this gives on real logs.
+    value to the power of the exponent makes posteriors around the reference poses whose 90% regions hold the truth in
+    90% of the cases. docs/evidence/in_context.md has what this gives on real logs.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def _learn(
 
 
 def _interval(power: float, covered: FloatArray, blocks: NDArray[np.int64]) -> tuple[float, float]:
-    """Return the 95 % interval of an exponent, from what each block of time adds to it."""
+    """Return the 95% interval of an exponent, from what each block of time adds to it."""
     _, block = np.unique(blocks, return_inverse=True)
     n_blocks = int(block.max()) + 1
     if n_blocks < 2:

@@ -215,7 +215,7 @@ def _climb(followed: Evidence, stopping: Evidence, start: FloatArray, rivals: Ri
 
 
 def _exponent(values: Sequence[FloatArray], rivals: Rivals) -> float:
-    """Return the exponent whose 90 % regions hold the truth in 90 % of the windows."""
+    """Return the exponent whose 90% regions hold the truth in 90% of the windows."""
     scores = score_exponents(np.concatenate(values), EXPONENTS, rivals)
     return suited_exponent(np.array([each.coverage_at(LEVEL) for each in scores]))
 

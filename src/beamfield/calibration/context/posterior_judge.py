@@ -43,7 +43,7 @@ class PosteriorScores:
 
     @property
     def coverage(self) -> float:
-        """Share of the guesses at the truth, over all windows, that the 95 % region holds."""
+        """Share of the guesses at the truth, over all windows, that the 95% region holds."""
         return self.coverage_at(0.95)
 
     def coverage_at(self, level: float) -> float:

@@ -19,7 +19,7 @@ _STEP = 0.01
 def axis_intervals(
     table: AxisTable, fit: DensityFit, blocks: NDArray[np.int64]
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return 95 % intervals of z_hit, z_rand and sigma_hit, and the number of blocks they rest on.
+    """Return 95% intervals of z_hit, z_rand and sigma_hit, and the number of blocks they rest on.
 
     What each block of time adds to an estimate is, to first order, the inverse of the curvature times the sum of its
     readings' gradients; the spread of that is what a jackknife over blocks finds.

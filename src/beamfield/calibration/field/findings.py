@@ -86,7 +86,9 @@ def density_findings(table: AxisTable, fit: DensityFit, n_blocks: int) -> Iterat
         )
 
 
-def exponent_findings(reason: str, score: float | None, standard_error: float | None) -> Iterator[Finding]:
+def exponent_findings(
+    reason: str, score: float | None, standard_error: float | None, *, cones: bool
+) -> Iterator[Finding]:
     """Return what is to be known of the exponent and of the posteriors it makes.
 
     Parameters
@@ -95,6 +97,8 @@ def exponent_findings(reason: str, score: float | None, standard_error: float | 
         Why the exponent was not learned; empty if it was.
     score, standard_error
         Of held-out windows, nats over knowing nothing; None without windows.
+    cones
+        Whether the readings are cones, as a sonar's.
     """
     if reason:
         yield Finding(
@@ -111,7 +115,10 @@ def exponent_findings(reason: str, score: float | None, standard_error: float | 
             "On held-out windows the likelihood field's posterior is not surely better than a uniform one "
             f"({score:+.2f} ± {standard_error:.2f} nats).",
             {"score": score, "standard_error": standard_error},
-            why="The map, the poses or their frame are wrong, or the log is too short, or its sensor a sonar, of whose "
-            "cones a field knows nothing.",
-            do="Correct what is wrong, or do not use the likelihood field, and calibrate again.",
+            why="A field takes a sonar's cones for rays: it says little, even in the right map."
+            if cones
+            else "The map, the poses or their frame are wrong, or the log is too short.",
+            do="Use the beam model's parameters, with SonarModel, not the likelihood field."
+            if cones
+            else "Correct what is wrong and calibrate again; until then do not use the likelihood field.",
         )

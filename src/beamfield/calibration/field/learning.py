@@ -65,7 +65,7 @@ class FieldScore:
         Mean log of the posterior's density at the reference pose over the prior's, per window, and its standard error,
         nats; 0 for a field that says nothing. None if the log has no windows to judge by.
     coverage
-        Share of the windows whose 90 % region holds the truth around the reference; None likewise.
+        Share of the windows whose 90% region holds the truth around the reference; None likewise.
     """
 
     name: str
@@ -91,7 +91,7 @@ class FieldLearning:
     n_beams
         Beams of a scan that the exponent is for.
     intervals
-        95 % intervals by name, "exponent" too; (0, inf) where a parameter is undetermined.
+        95% intervals by name, "exponent" too; (0, inf) where a parameter is undetermined.
     density_sigma
         sigma_hit that makes the readings most likely along their axes, metres, before the references' error is added.
     log_likelihood, trace, converged
@@ -127,7 +127,7 @@ class FieldLearning:
     __repr__ = short_repr
 
     def summary(self) -> str:
-        """Return the parameters with 95 % intervals, held-out scores and warnings, as text to print."""
+        """Return the parameters with 95% intervals, held-out scores and warnings, as text to print."""
         from beamfield.report.results import field_summary
 
         return field_summary(self)
@@ -258,7 +258,9 @@ def learn_field_parameters(
         scores=tuple(scores),
         findings=(
             *density_findings(fitted, fit, n_blocks),
-            *exponent_findings(reason, scores[0].posterior, scores[0].posterior_se),
+            *exponent_findings(
+                reason, scores[0].posterior, scores[0].posterior_se, cones=log.finder.opening_angle > 0.0
+            ),
         ),
         finder=log.finder,
     )

@@ -21,8 +21,8 @@ from beamfield.geometry import FloatArray
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.short_repr import short_repr
 
-# From this much time on, 95 % intervals hold the truth in 92 to 97 % of simulated logs, also where people walk by in
-# bursts every 30 s; in less time such bursts take that down to 84 % (docs/reliability.md). With fewer blocks
+# From this much time on, 95% intervals hold the truth in 92 to 97% of simulated logs, also where people walk by in
+# bursts every 30 s; in less time such bursts take that down to 84% (docs/reliability.md). With fewer blocks
 # than the second number, Student's t is too wide to be of use.
 LEAST_TIME_S = 10 * LONGEST_BLOCK_S
 FEWEST_COMPARED_BLOCKS = 5

@@ -39,8 +39,8 @@ SMALL_SHARE = 0.1
 # Modes within this many nats per beam are nearly equal; dependence makes a log worth a sixteenth of its beams or less.
 NEARLY_EQUAL = 1e-3
 _EFFECTIVE_NATS = 3.0
-# Readings exactly at the near limit move lambda_short by a standard error if they are more than 0.2 to 0.4 % of all in
-# a log of 2 minutes, 0.05 to 0.2 % in one of 10 minutes (docs/evidence/learning.md).
+# Readings exactly at the near limit move lambda_short by a standard error if they are more than 0.2 to 0.4% of all in
+# a log of 2 minutes, 0.05 to 0.2% in one of 10 minutes (docs/evidence/learning.md).
 NOTABLE_SHARE_AT_LIMIT = 0.001
 # They are the same number but for rounding: of the maximum range.
 _SAME_RANGE = 1e-6
@@ -139,7 +139,7 @@ def _near_limit_findings(likelihood: IntrinsicLikelihood, problem: LearningProbl
     yield Finding(
         "readings-at-near-limit",
         "warning",
-        f"{100.0 * share:.2g} % of the readings are exactly {likelihood.min_range:g} m, which some sensors report for "
+        f"{100.0 * share:.2g}% of the readings are exactly {likelihood.min_range:g} m, which some sensors report for "
         "an invalid reading.",
         {"n": n, "share": share},
         why="They look like unexpected objects and raise z_short and lambda_short.",
@@ -222,7 +222,7 @@ def _sigma_findings(
         yield Finding(
             "sigma-confounded",
             "warning",
-            f"sigma_hit = {sigma:.3g} m is {100 * error:.0f} % uncertain: hits are confused with shorts or random "
+            f"sigma_hit = {sigma:.3g} m is {100 * error:.0f}% uncertain: hits are confused with shorts or random "
             "readings.",
             {"sigma_hit": sigma, "relative_error": error, "share_of_information": float(share)},
             why="A quite different sigma_hit explains the log nearly as well.",

@@ -50,7 +50,7 @@ ROUNDS = 3
 NO_LEVEL = 10.0 * LEAST_LEVEL
 # No pose is more exact than this, metres and radians.
 EXACT = 1e-4
-# 95 % of a chi-square of 3 degrees of freedom lie below.
+# 95% of a chi-square of 3 degrees of freedom lie below.
 NINETY_FIVE = 7.815
 DEFAULT = DifferentialMotion()
 

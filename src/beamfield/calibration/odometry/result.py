@@ -144,7 +144,7 @@ class OdometryCalibration:
     by_length
         Steps of a window, and the common alpha learned with such windows.
     coverage
-        Share of the windows, faults aside, whose 95 % region under the chosen candidate holds the reference.
+        Share of the windows, faults aside, whose 95% region under the chosen candidate holds the reference.
     fault_stamps
         Stamps of the windows that no noise explains: slips, missed turns, lost signs.
     n_windows, n_steps, n_blocks

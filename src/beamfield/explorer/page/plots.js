@@ -39,7 +39,7 @@ export function densityWords(beam, densities, letters) {
   densities.forEach((one, k) => {
     const of = letters ? `${letters[k]}: ` : "";
     if (!one.curves) parts.push(`${of}Only a beam model has a density of the range.`);
-    else if (one.shares.some((share) => share > 0)) parts.push(`${of}Causes: ${CAUSES.map((name, c) => `${name} ${Math.round(100 * one.shares[c])} %`).join(", ")}.`);
+    else if (one.shares.some((share) => share > 0)) parts.push(`${of}Causes: ${CAUSES.map((name, c) => `${name} ${Math.round(100 * one.shares[c])}%`).join(", ")}.`);
   });
   return parts.join(" ");
 }

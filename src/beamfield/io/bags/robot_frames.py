@@ -17,7 +17,7 @@ from beamfield.io.bags.pose_topic import PoseTopicCollector, in_base_frame, pose
 from beamfield.sensors import Track
 
 MAX_GAP = 2.0  # seconds without a transform or pose over which nothing is interpolated
-MAX_TILT = np.deg2rad(5.0)  # from here on a scan is not a cut through the map's plane: cos(5 deg) shortens it by 0.4 %
+MAX_TILT = np.deg2rad(5.0)  # from here on a scan is not a cut through the map's plane: cos(5 deg) shortens it by 0.4%
 MAX_MOTION = (0.02, np.deg2rad(2.0))  # how far a mount may wander over the log, metres and radians
 BASE_FRAMES = ("base_link", "base_footprint")
 TRUTH_NAMES = ("ground_truth", "groundtruth", "amcl_pose")

@@ -55,7 +55,7 @@ def resolve_stamps(
     """Return stamps that do not decrease, from the first usable column of a file.
 
     A column is usable if its stamps are finite, at least half of them differ from the one before (public logs exist
-    whose stamps were rounded until they are all equal), and they run forwards. Single steps back, at most 1 % of all
+    whose stamps were rounded until they are all equal), and they run forwards. Single steps back, at most 1% of all
     and none longer than 1 s, pass: clocks of two computers differ. There the scans stay in the order of the file and
     the stamp that is too early is raised to the one before it. In the Intel log, where this occurs, the heading turns
     steadily in the order of the file and jumps back and forth in the order of the stamps.

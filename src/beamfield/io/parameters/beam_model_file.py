@@ -23,7 +23,7 @@ from beamfield.models.beam_parameters import BeamParameters, SavedBeamModel
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
-# Beam model p(z | x, m) of a range finder: parameters, their 95 % intervals, and where they come from.
+# Beam model p(z | x, m) of a range finder: parameters, their 95% intervals, and where they come from.
 # An interval of null: the log does not determine that parameter.
 # z_hit + z_short + z_max + z_rand = 1; sigma_hit and range_offset in metres, lambda_short in 1/metre.
 # A hit is a Gaussian around expected range + range_offset with variance sigma_hit^2 + (sigma_slope * expected range)^2.

@@ -33,7 +33,7 @@ def document_text(
     document
         The sections, of plain values; numbers are written so that reading returns the same bits.
     intervals
-        95 % interval per parameter, written with six digits; null where a bound is not finite: not determined.
+        95% interval per parameter, written with six digits; null where a bound is not finite: not determined.
     provenance
         Plain values that say where the parameters come from.
     """

@@ -12,7 +12,7 @@ from beamfield.io.parameters.document import document_text, named_numbers
 from beamfield.models.landmark_parameters import LandmarkParameters
 
 HEADER = """\
-# Landmark model p(r, phi | x, m): parameters, their 95 % intervals, and where they come from. Metres and radians.
+# Landmark model p(r, phi | x, m): parameters, their 95% intervals, and where they come from. Metres and radians.
 # measured range = range_scale * range + range_bias + noise(sigma_range); measured bearing = bearing + bearing_bias +
 # noise(sigma_bearing). With spurious_rate a feature is of no landmark: any range up to max_range, any bearing.
 # null: never measured.

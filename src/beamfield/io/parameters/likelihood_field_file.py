@@ -22,7 +22,7 @@ from beamfield.models.field_parameters import LikelihoodFieldParameters, SavedLi
 from beamfield.sensors import RangeFinder
 
 HEADER = """\
-# Likelihood field q(z | x, m) of a range finder: parameters, their 95 % intervals, and where they come from.
+# Likelihood field q(z | x, m) of a range finder: parameters, their 95% intervals, and where they come from.
 # An interval of null: the log does not determine that parameter.
 # sigma_hit in metres, z_hit + z_rand <= 1. Each beam's value counts to the power of exponent, with n_beams beams of a
 # scan, in a filter, which multiplies the values of scan after scan: each is worth about exponent * n_beams independent

@@ -24,7 +24,7 @@ FREE, UNKNOWN, OCCUPIED = 254, 205, 0
 PATH_HEIGHT, SCAN_HEIGHT, PARTICLE_HEIGHT, ROBOT_HEIGHT = 0.02, 0.04, 0.06, 0.08
 PARTICLE_COLOUR = (86, 180, 233)
 ELLIPSE_POINTS = 48
-# A point on the 95 % ellipse is so many standard deviations out.
+# A point on the 95% ellipse is so many standard deviations out.
 ELLIPSE_RADIUS = 2.4477
 
 
@@ -144,7 +144,7 @@ def _write_robot(stream: rerun.RecordingStream, recording: Recording, time: Floa
 
 
 def _ellipse(middle: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return points (n, 2) of the 95 % ellipse of a normal distribution."""
+    """Return points (n, 2) of the 95% ellipse of a normal distribution."""
     values, vectors = np.linalg.eigh(covariance)
     angles = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     circle = ELLIPSE_RADIUS * np.stack([np.cos(angles), np.sin(angles)])

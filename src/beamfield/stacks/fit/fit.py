@@ -27,7 +27,7 @@ from beamfield.stacks.registry import build_model
 
 Progress = Callable[[str, int, int], None]
 
-# Of the held-out windows so many must have the reference in their 95 % region. With a few dozen windows a calibrated
+# Of the held-out windows so many must have the reference in their 95% region. With a few dozen windows a calibrated
 # model falls below by chance once in twenty.
 LEAST_COVERAGE = 0.85
 # Nats per window that missing coverage costs: a share of 0.1 too few costs 0.3 nats.
@@ -102,7 +102,7 @@ class StackFit:
 
     @property
     def covers(self) -> bool:
-        """Whether enough held-out windows have the reference in their 95 % region."""
+        """Whether enough held-out windows have the reference in their 95% region."""
         return self.chosen.held_out.coverage >= LEAST_COVERAGE
 
 
@@ -126,7 +126,7 @@ def fit_stack(
     few scans, in which the reference trajectory competes with others around it and elsewhere on the map. The objective
     is the mean log of the posterior's density at the reference, a proper score: weights that are too flat lose, and so
     do weights that are certain and wrong. Of the settings the one is taken that scores best on windows it was not
-    fitted to, less a price for 95 % regions that miss the reference. The start is kept if none does better.
+    fitted to, less a price for 95% regions that miss the reference. The start is kept if none does better.
 
     Parameters
     ----------

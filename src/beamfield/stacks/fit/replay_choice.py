@@ -33,8 +33,8 @@ FIRST_SEEDS, KEPT, LAST = 2, 6, 3
 OWN = Key(BEFORE, BEFORE, 0.0)
 # Motion noise of 0 is compared as this.
 LEAST_NOISE = 1e-6
-# An error counts this many times more than it is, per share of the updates that the particles' 95 % ellipse lacks of
-# holding the reference in 90 %: 0.1 m with 70 % as 0.14 m. That much is missing by chance in a few dozen updates.
+# An error counts this many times more than it is, per share of the updates that the particles' 95% ellipse lacks of
+# holding the reference in 90%: 0.1 m with 70% as 0.14 m. That much is missing by chance in a few dozen updates.
 COVERAGE_PRICE = 2.0
 COVERAGE = 0.9
 # Settings that cost so little more than the best, relatively, are as good on a few stretches. Of them the one is taken
@@ -107,7 +107,7 @@ class ReplayChoice:
     error
         Mean position error of a run, no more than 1 m: before and finalist.
     cost
-        The same raised for missing coverage, as a natural logarithm: a difference of -0.1 is about 10 % less. Places
+        The same raised for missing coverage, as a natural logarithm: a difference of -0.1 is about 10% less. Places
         where every setting is far off so count no more than others.
     parts
         By "sensor", "motion" or "origin", as far as the finalist differs in it: the error without and with it.

@@ -52,7 +52,7 @@ def test_writes_a_map_that_reads_back_as_the_one_in_memory(log, tmp_path, capsys
     assert f"map of {cols} x {rows} cells of 0.1 m: {cols * 0.1:.2f} m x {rows * 0.1:.2f} m" in out
     assert re.search(rf"free +{built.free.sum():,} cells", out)
     assert re.search(rf"occupied +{built.occupied.sum():,} cells", out)
-    share = float(out.split("sharpness: ")[1].split(" %")[0])
+    share = float(out.split("sharpness: ")[1].split("%")[0])
     assert share > 95.0
     assert f"wrote {tmp_path / 'room.yaml'} and room.pgm" in out
 

@@ -222,9 +222,8 @@ def _find(
     arguments: argparse.Namespace, stage: str, replayed: ReplayedFilter, log: SensorLog, progress: StageProgress
 ) -> dict[str, tuple[float | None, ...]]:
     """Return when each run found the robot, by the tasks that were asked for."""
-    import numpy as np
-
-    from beamfield.localization.found import kidnapped, time_to_find
+    from beamfield.localization.found import kidnapped
+    from beamfield.localization.parallel_runs import run_each
     from beamfield.localization.replay import reference_start
 
     first, start = reference_start(log)
@@ -236,13 +235,20 @@ def _find(
         cut, after = kidnapped(part)
         tasks["kidnapping"] = cut, start, after
 
-    def seconds(task: str, i: int) -> float | None:
-        its_log, belief, since = tasks[task]
-        progress(f"{stage}, {task}", i, arguments.seeds)
-        replay = replayed.run(its_log, belief, np.random.default_rng(arguments.seed + i))
-        return time_to_find(replay, its_log, since)
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
+    return {
+        name: tuple(run_each(partial(_seconds, replayed, *task), seeds, partial(progress, f"{stage}, {name}")))
+        for name, task in tasks.items()
+    }
 
-    return {task: tuple(seconds(task, i) for i in range(arguments.seeds)) for task in tasks}
+
+def _seconds(replayed: ReplayedFilter, log: SensorLog, start: PoseBelief | None, since: int, seed: int) -> float | None:
+    """Return when a run found the robot, in seconds after a scan."""
+    import numpy as np
+
+    from beamfield.localization.found import time_to_find
+
+    return time_to_find(replayed.run(log, start, np.random.default_rng(seed)), log, since)
 
 
 def _recording(

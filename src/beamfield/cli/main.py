@@ -39,6 +39,7 @@ from beamfield.cli.terminal import complain
 from beamfield.cli.wording import in_options
 from beamfield.errors import BeamfieldError
 from beamfield.kernels.threads import set_threads
+from beamfield.localization.parallel_runs import parallel_runs
 
 COMMANDS = (
     calibrate, calibrate_landmarks, check, doctor, evaluate, explore, translate, inspect, trajectory, map_command,
@@ -92,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(end.code or 0)
     threads = getattr(parsed, "threads", None)
     try:
-        with _unpacking_limit(parsed), set_threads(threads) if threads is not None else nullcontext():
+        with _unpacking_limit(parsed), set_threads(threads) if threads is not None else nullcontext(), parallel_runs():
             outcome = parsed.run(parsed)
         show(outcome, parsed)
         sys.stdout.flush()

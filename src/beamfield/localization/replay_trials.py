@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from beamfield.arguments import checked
-from beamfield.localization.replay import ReplayedFilter, judge_replay, reference_start
+from beamfield.localization.parallel_runs import run_each
+from beamfield.localization.replay import PoseBelief, ReplayedFilter, ReplayErrors, judge_replay, reference_start
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.sensors import SensorLog
 
@@ -53,9 +55,9 @@ def run_trials(
     """
     first, start = reference_start(log, sd_position=spread[0], sd_heading=spread[1])
     part = log[first:]
-    errors = []
-    for done, seed in enumerate(seeds):
-        if progress is not None:
-            progress(done, len(seeds))
-        errors.append(judge_replay(replayed.run(part, start, np.random.default_rng(seed)), part.poses))
+    errors = run_each(partial(_errors, replayed, part, start), seeds, progress)
     return ReplayTrials(name, tuple(seeds), tuple(errors))
+
+
+def _errors(replayed: ReplayedFilter, log: SensorLog, start: PoseBelief, seed: int) -> ReplayErrors:
+    return judge_replay(replayed.run(log, start, np.random.default_rng(seed)), log.poses)

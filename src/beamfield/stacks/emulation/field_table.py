@@ -17,6 +17,8 @@ from beamfield.maps.occupancy import BoolArray, OccupancyGrid
 DistanceChoice = Literal["exact", "brushfire"]
 # Single precision but where a program keeps squares.
 Metres = NDArray[np.floating[Any]]
+# How many look-ups that are only summed take as long as a ray, the unit of work.
+SUMMED_PER_WORK_UNIT = 5
 # Steps (row, col).
 _RIGHT, _UP, _LEFT, _DOWN = (0, 1), (1, 0), (0, -1), (-1, 0)
 
@@ -90,7 +92,7 @@ class CellTerms(NamedTuple):
                 rows[a:b], (x, y, yaw), self.grid.resolution, self.grid.shape, ends, self.terms, sums[a:b]
             ),
             len(rows),
-            work_per_row=ends.shape[1],
+            work_per_row=ends.shape[1] / SUMMED_PER_WORK_UNIT,
         )
         return sums
 

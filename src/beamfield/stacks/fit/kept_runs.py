@@ -6,7 +6,7 @@ import hashlib
 import json
 import pickle
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -33,16 +33,18 @@ class KeptRuns:
             with suppress(OSError, ValueError):
                 self._runs = json.loads(path.read_bytes())
 
-    def of(self, key: tuple[object, ...], run: Callable[[], ReplayTrials]) -> ReplayTrials:
-        """Return the runs of a key, run now if they are not there."""
-        if (kept := self._runs.get(repr(key))) is not None:
-            errors = tuple(ReplayErrors(**one) for one in kept["errors"])
-            return ReplayTrials(kept["log"], tuple(kept["seeds"]), errors)
-        trials = run()
+    def find(self, key: tuple[object, ...]) -> ReplayTrials | None:
+        """Return the runs of a key, if they are there."""
+        kept = self._runs.get(repr(key))
+        if kept is None:
+            return None
+        return ReplayTrials(kept["log"], tuple(kept["seeds"]), tuple(ReplayErrors(**one) for one in kept["errors"]))
+
+    def keep(self, key: tuple[object, ...], trials: ReplayTrials) -> None:
+        """Take in the runs of a key."""
         self._runs[repr(key)] = asdict(trials)
         if time.monotonic() - self._written > EVERY_S:
             self.write()
-        return trials
 
     def write(self) -> None:
         """Write all runs, if there is a file and it can be written: no result depends on it."""

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from beamfield.calibration.pose_windows import WindowOptions
+from beamfield.localization.parallel_runs import run_each
+from beamfield.localization.replay import ReplayedFilter
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
@@ -74,28 +76,60 @@ class Replays:
         self, settings: Iterable[ReplaySetting], n_seeds: int, stage: str = "", progress: Progress | None = None
     ) -> dict[Key, list[ReplayTrials]]:
         """Return the runs of settings with so many seeds on each stretch."""
-        chosen = list(settings)
-        for done, one in enumerate(chosen):
-            if progress is not None and stage:
-                progress(f"replay: {stage}", done, len(chosen))
-            self._run(one, n_seeds)
-        return {one.key: [_first_of(trials, n_seeds) for trials in self._runs[one.key]] for one in chosen}
-
-    def _run(self, setting: ReplaySetting, n_seeds: int) -> None:
-        """Run the seeds that are missing."""
-        known = self._runs.get(setting.key, [])
-        seeds = range(self._first + (len(known[0]) if known else 0), self._first + n_seeds)
-        if not seeds:
-            return
-        replayed = setting.filter.filter(shifted_map(self._grid, setting.shift))
-        named = {f"stretch {i + 1}": log for i, log in enumerate(self._stretches)}
-        new = [
-            self._kept.of(
-                (name, setting.key, seeds), partial(run_trials, replayed, log, seeds, name=name, spread=SPREAD)
-            )
-            for name, log in named.items()
+        chosen = {one.key: one for one in settings}
+        asked = [
+            _Asked(one, i, seeds)
+            for one in chosen.values()
+            if (seeds := range(self._first + self._n_known(one.key), self._first + n_seeds))
+            for i in range(len(self._stretches))
         ]
-        self._runs[setting.key] = [_joined(*pair) for pair in zip(known, new, strict=True)] if known else new
+        found = {one: trials for one in asked if (trials := self._kept.find(one.key)) is not None}
+        missing = [one for one in asked if one not in found]
+        made = run_each(
+            _RunsOnStretches(self._grid, self._stretches),
+            missing,
+            None if progress is None or not stage else partial(progress, f"replay: {stage}"),
+            lambda one, trials: self._kept.keep(one.key, trials),
+        )
+        found.update(zip(missing, made, strict=True))
+        for one in asked:
+            known = self._runs.setdefault(one.setting.key, [])
+            if one.stretch < len(known):
+                known[one.stretch] = _joined(known[one.stretch], found[one])
+            else:
+                known.append(found[one])
+        return {key: [_first_of(trials, n_seeds) for trials in self._runs[key]] for key in chosen}
+
+    def _n_known(self, key: Key) -> int:
+        known = self._runs.get(key)
+        return len(known[0]) if known else 0
+
+
+class _Asked(NamedTuple):
+    """Runs of a setting on a stretch."""
+
+    setting: ReplaySetting
+    stretch: int
+    seeds: range
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells them from others."""
+        return self.stretch, self.setting.key, self.seeds
+
+
+class _RunsOnStretches:
+    """Makes them, one setting's after another's."""
+
+    def __init__(self, grid: OccupancyGrid, stretches: Sequence[SensorLog]) -> None:
+        self._grid, self._stretches = grid, stretches
+        self._built: tuple[ReplaySetting, ReplayedFilter] | None = None
+
+    def __call__(self, asked: _Asked) -> ReplayTrials:
+        setting, i, seeds = asked
+        if self._built is None or self._built[0] is not setting:
+            self._built = setting, setting.filter.filter(shifted_map(self._grid, setting.shift))
+        return run_trials(self._built[1], self._stretches[i], seeds, name=f"stretch {i + 1}", spread=SPREAD)
 
 
 def _first_of(trials: ReplayTrials, n: int) -> ReplayTrials:

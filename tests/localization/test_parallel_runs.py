@@ -1,0 +1,120 @@
+"""Runs in several processes are those of one: in order, whatever dies, and never without being asked for."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import wait
+from functools import partial
+
+import pytest
+
+from beamfield.kernels.threads import n_threads, set_threads
+from beamfield.localization import parallel_runs
+from beamfield.localization.parallel_runs import run_each
+
+SEEDS = list(range(11))
+
+
+def made(seed: int) -> tuple[int, int, int]:
+    return seed, os.getpid(), n_threads()
+
+
+def fails(seed: int) -> int:
+    if seed == 7:
+        raise ZeroDivisionError("seed 7")
+    return seed
+
+
+def dies_elsewhere(home: int, seed: int) -> int:
+    if os.getpid() != home:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return seed
+
+
+@pytest.fixture
+def three_processes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Two processes beside this one, ready."""
+    monkeypatch.setattr(parallel_runs, "START_AFTER_S", 0.0)
+    with set_threads(3), parallel_runs.parallel_runs():
+        run_each(made, [1])
+        assert parallel_runs._helpers is not None
+        wait(parallel_runs._helpers._started)
+        yield
+
+
+@pytest.mark.usefixtures("three_processes")
+@pytest.mark.parametrize("n", [1, 2, 3, 11])
+def test_processes_share_the_runs_which_come_in_order(n: int):
+    told: list[tuple[int, int]] = []
+    results = run_each(made, SEEDS[:n], lambda done, of: told.append((done, of)))
+    assert [seed for seed, _, _ in results] == SEEDS[:n]
+    assert len({pid for _, pid, _ in results}) in ({1} if n == 1 else {2, 3})
+    # Each has one thread: all processors are taken.
+    assert {threads for _, _, threads in results} == ({3} if n == 1 else {1})
+    assert told == [(done, n) for done in range(0, n, min(n, 3))]
+    assert n_threads() == 3
+
+
+@pytest.mark.usefixtures("three_processes")
+def test_an_error_of_a_run_is_raised_wherever_it_ran():
+    for seeds in ([7, 1], [1, 7], [1, 2, 7]):
+        with pytest.raises(ZeroDivisionError, match="seed 7"):
+            run_each(fails, seeds)
+    assert run_each(fails, SEEDS[:7]) == SEEDS[:7]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
+@pytest.mark.usefixtures("three_processes")
+def test_runs_of_a_process_that_dies_are_made_here():
+    assert run_each(partial(dies_elsewhere, os.getpid()), SEEDS) == SEEDS
+    assert [pid for _, pid, _ in run_each(made, SEEDS)] == [os.getpid()] * 11
+
+
+@pytest.mark.usefixtures("three_processes")
+def test_what_cannot_be_sent_runs_here(monkeypatch):
+    assert run_each(lambda seed: (seed, os.getpid()), SEEDS) == [(seed, os.getpid()) for seed in SEEDS]
+    monkeypatch.setattr(parallel_runs, "MOST_BYTES", 10)
+    assert {pid for _, pid, _ in run_each(made, SEEDS)} == {os.getpid()}
+
+
+def test_short_work_one_thread_and_whoever_does_not_ask_start_no_process(monkeypatch):
+    with set_threads(3), parallel_runs.parallel_runs():
+        run_each(made, SEEDS)
+        assert parallel_runs._helpers is not None
+        assert parallel_runs._helpers._pool is None
+    monkeypatch.setattr(parallel_runs, "START_AFTER_S", 0.0)
+    with set_threads(1), parallel_runs.parallel_runs():
+        assert {pid for _, pid, _ in run_each(made, SEEDS)} == {os.getpid()}
+        assert parallel_runs._helpers._pool is None
+    assert parallel_runs._helpers is None
+    with set_threads(3):
+        assert {pid for _, pid, _ in run_each(made, SEEDS)} == {os.getpid()}
+
+
+KILLED = """
+import os, signal, sys
+from concurrent.futures import wait
+from beamfield.localization import parallel_runs
+from beamfield.kernels.threads import set_threads
+if __name__ == "__main__":
+    parallel_runs.START_AFTER_S = 0.0
+    with set_threads(2), parallel_runs.parallel_runs():
+        parallel_runs.run_each(abs, [1])
+        print(parallel_runs._helpers._pool.submit(os.getpid).result(), flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills are POSIX's")
+def test_processes_end_when_the_one_that_began_them_is_killed(tmp_path):
+    (tmp_path / "killed.py").write_text(KILLED)
+    # They write to the same pipe: it ends with the last of them.
+    done = subprocess.run(
+        [sys.executable, tmp_path / "killed.py"], stdout=subprocess.PIPE, text=True, check=False, timeout=60
+    )
+    assert done.returncode == -signal.SIGKILL
+    assert int(done.stdout) > 0

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.tables import print_table
 from scipy.stats import ks_2samp, mannwhitneyu
 
 from beamfield.io.read_log import read_log
@@ -31,6 +30,11 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
 from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.registry import build_filter, build_model, parameter_class
+
+if __package__:
+    from benchmarks.tables import print_table
+else:
+    from tables import print_table
 
 WEAN = "wean_hall/derived_wean.yaml"
 # Log, map, reference poses; Stage knows where its robot is.

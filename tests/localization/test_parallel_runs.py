@@ -81,6 +81,16 @@ def test_what_cannot_be_sent_runs_here(monkeypatch):
     assert {pid for _, pid, _ in run_each(made, SEEDS)} == {os.getpid()}
 
 
+def test_where_no_process_can_be_started_all_run_here(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise OSError("no semaphores")
+
+    monkeypatch.setattr(parallel_runs, "START_AFTER_S", 0.0)
+    monkeypatch.setattr("concurrent.futures.ProcessPoolExecutor", refuse)
+    with set_threads(3), parallel_runs.parallel_runs():
+        assert {pid for _, pid, _ in run_each(made, SEEDS)} == {os.getpid()}
+
+
 def test_short_work_one_thread_and_whoever_does_not_ask_start_no_process(monkeypatch):
     with set_threads(3), parallel_runs.parallel_runs():
         run_each(made, SEEDS)

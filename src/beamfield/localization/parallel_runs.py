@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache, partial
+from math import inf
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from beamfield.kernels.threads import n_threads, set_threads
@@ -30,6 +31,8 @@ Content = Callable[[], bytes | None]
 
 # Seconds of runs before processes are started: each takes about as long to import what it needs.
 START_AFTER_S = 2.0
+# Each takes 200 MB.
+MOST_PROCESSES = 16
 # Of what a run needs. More takes longer to send than it is worth, and as much memory in each process.
 MOST_BYTES = 1 << 28
 
@@ -83,7 +86,7 @@ def run_each(
 
 @contextmanager
 def parallel_runs() -> Iterator[None]:
-    """Let `run_each` use as many processes as `n_threads` says, once runs have taken a while."""
+    """Let `run_each` use as many processes as `n_threads` says, up to 16, once runs have taken a while."""
     global _helpers
     before, _helpers = _helpers, _Helpers()
     try:
@@ -145,9 +148,13 @@ class _Helpers:
             import multiprocessing
             from concurrent.futures import ProcessPoolExecutor
 
-            n = n_threads() - 1
-            self._pool = ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), _begin)
-            self._started = [self._pool.submit(_run_some, sent, []) for _ in range(n)]
+            n = min(n_threads(), MOST_PROCESSES) - 1
+            try:
+                self._pool = ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), _begin)
+            except OSError:  # no memory that processes share, as in some containers
+                self._spent = -inf
+            else:
+                self._started = [self._pool.submit(_run_some, sent, []) for _ in range(n)]
 
     def end(self) -> None:
         """Let the processes end."""

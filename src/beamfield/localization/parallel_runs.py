@@ -31,7 +31,7 @@ Content = Callable[[], bytes | None]
 
 # Seconds of runs before processes are started: each takes about as long to import what it needs.
 START_AFTER_S = 2.0
-# Each takes 200 MB.
+# Each takes 100 MB or more.
 MOST_PROCESSES = 16
 # Of what a run needs. More takes longer to send than it is worth, and as much memory in each process.
 MOST_BYTES = 1 << 28

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import wait
 from functools import partial
@@ -79,6 +81,33 @@ def test_what_cannot_be_sent_runs_here(monkeypatch):
     assert run_each(lambda seed: (seed, os.getpid()), SEEDS) == [(seed, os.getpid()) for seed in SEEDS]
     monkeypatch.setattr(parallel_runs, "MOST_BYTES", 10)
     assert {pid for _, pid, _ in run_each(made, SEEDS)} == {os.getpid()}
+
+
+def waits(seed: int) -> int:
+    if seed > 1:
+        time.sleep(60.0)
+    return seed
+
+
+def test_nobody_waits_for_what_others_are_at_after_an_interrupt(monkeypatch):
+    def interrupt(done: int, _: int) -> None:
+        if done > 0:
+            raise KeyboardInterrupt
+
+    def work() -> None:
+        with set_threads(2), parallel_runs.parallel_runs():
+            run_each(made, [1])
+            assert parallel_runs._helpers is not None
+            wait(parallel_runs._helpers._started)
+            run_each(waits, [0, 2, 1, 2], interrupt)
+
+    monkeypatch.setattr(parallel_runs, "START_AFTER_S", 0.0)
+    before = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    for child in set(multiprocessing.active_children()) - before:
+        child.join(10.0)
+        assert not child.is_alive()
 
 
 def test_where_no_process_can_be_started_all_run_here(monkeypatch):

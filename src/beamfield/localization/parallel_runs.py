@@ -22,6 +22,7 @@ from beamfield.kernels.threads import n_threads, set_threads
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
+    from multiprocessing.process import BaseProcess
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -121,6 +122,7 @@ class _Helpers:
         self._spent = 0.0
         self._pool: ProcessPoolExecutor | None = None
         self._started: list[Future[list[Any]]] = []
+        self._others: set[BaseProcess] = set()
 
     def shares(self, run: Callable[[S], T], content: Content, items: Sequence[S]) -> list[_Share[S, T]]:
         """Give each process that is there its share of the runs: every n-th, from the second on."""
@@ -148,6 +150,7 @@ class _Helpers:
             import multiprocessing
             from concurrent.futures import ProcessPoolExecutor
 
+            self._others = set(multiprocessing.active_children())
             n = min(n_threads(), MOST_PROCESSES) - 1
             try:
                 self._pool = ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), _begin)
@@ -157,9 +160,13 @@ class _Helpers:
                 self._started = [self._pool.submit(_run_some, sent, []) for _ in range(n)]
 
     def end(self) -> None:
-        """Let the processes end."""
+        """End the processes, whatever they are at: after Ctrl-C nobody asks for it."""
         if self._pool is not None:
+            import multiprocessing
+
             self._pool.shutdown(wait=False, cancel_futures=True)
+            for child in set(multiprocessing.active_children()) - self._others:
+                child.terminate()
 
 
 def _pickled(run: Callable[..., Any]) -> bytes | None:

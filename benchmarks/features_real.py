@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -213,7 +214,13 @@ def draw(name: str, data: Path, path: Path) -> None:
 
 def load(name: str, data: Path) -> SensorLog:
     """Read a log."""
-    return read_log(data / LOGS[name].path).only_sensor()
+    return read_once(data / LOGS[name].path)
+
+
+@cache
+def read_once(path: Path) -> SensorLog:
+    """Read a log, of which several choices of pairs are compared."""
+    return read_log(path).only_sensor()
 
 
 def aligned_pairs(log: SensorLog, spacing: float, turn_rate: float) -> Iterator[Pair]:

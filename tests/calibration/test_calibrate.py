@@ -74,12 +74,20 @@ def test_every_beam_of_the_used_scans_is_accounted_for(result, drive):
     assert len(result.table) + result.table.n_no_measurement + result.table.n_unknown == used
 
 
-def test_the_same_seed_gives_the_same_result_on_any_number_of_threads(result, drive, office):
+def test_the_same_seed_gives_the_same_result_on_any_number_of_threads_and_progress_stage_by_stage(
+    result, drive, office
+):
+    seen: list[tuple[str, int, int]] = []
     with forced_threads(2):
-        again = calibrate(drive, office, OPTIONS)
+        again = calibrate(drive, office, OPTIONS, progress=lambda *step: seen.append(step))
     assert again.parameters == result.parameters
     assert again.intervals.intervals == result.intervals.intervals
     np.testing.assert_array_equal(again.pit, result.pit)
+    stages = list(dict.fromkeys(stage for stage, _, _ in seen))
+    assert stages == ["casting rays", "learning", "intervals", "refining poses"]
+    for stage in stages:
+        steps = [(done, total) for name, done, total in seen if name == stage]
+        assert steps[-1][0] == steps[-1][1]
 
 
 def test_a_range_offset_is_found_and_kept_whatever_its_form_is_called(drive, office, truth, monkeypatch):
@@ -148,16 +156,6 @@ def test_a_held_parameter_stays(drive, office):
     found = calibrate(drive, office, replace(OPTIONS, hold={"z_rand": 0.1}, refine=False))
     assert found.parameters.z_rand == pytest.approx(0.1, abs=1e-12)
     assert "z_rand" not in found.intervals.intervals
-
-
-def test_progress_is_reported_stage_by_stage(drive, office):
-    seen: list[tuple[str, int, int]] = []
-    calibrate(drive, office, OPTIONS, progress=lambda *step: seen.append(step))
-    stages = list(dict.fromkeys(stage for stage, _, _ in seen))
-    assert stages == ["casting rays", "learning", "intervals", "refining poses"]
-    for stage in stages:
-        steps = [(done, total) for name, done, total in seen if name == stage]
-        assert steps[-1][0] == steps[-1][1]
 
 
 def test_a_map_without_obstacles_is_refused(drive):

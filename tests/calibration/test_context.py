@@ -46,18 +46,21 @@ def windows(drive: SensorLog, office: OccupancyGrid):
     return rivals, cut_windows(drive, office, rivals, options)[:4]
 
 
-def test_independent_beams_count_whole(poor_drive, office):
-    learned = learn_exponent(BeamModel(office, POOR), poor_drive, office, reference_error=EXACT)
-    assert (learned.n_beams, learned.beams_of_scan, learned.n_scans) == (N_BEAMS, N_BEAMS, 4)
-    for exponent in (learned.single, learned.drive):
+@pytest.fixture(scope="module")
+def once(poor_drive, office):
+    return learn_exponent(BeamModel(office, POOR), poor_drive, office, reference_error=EXACT)
+
+
+def test_independent_beams_count_whole(once):
+    assert (once.n_beams, once.beams_of_scan, once.n_scans) == (N_BEAMS, N_BEAMS, 4)
+    for exponent in (once.single, once.drive):
         assert exponent.value > 0.75
         assert exponent.interval[1] == 1.0
         assert exponent.coverage == pytest.approx(0.9, abs=0.08)
 
 
-def test_beams_that_come_four_times_count_a_quarter(copied_drive, poor_drive, office):
+def test_beams_that_come_four_times_count_a_quarter(copied_drive, once, office):
     learned = learn_exponent(BeamModel(office, POOR), copied_drive, office, reference_error=EXACT)
-    once = learn_exponent(BeamModel(office, POOR), poor_drive, office, reference_error=EXACT)
     for exponent, whole in ((learned.single, once.single), (learned.drive, once.drive)):
         low, high = exponent.interval
         assert low < 1.0 / COPIES < high

@@ -33,6 +33,12 @@ def maps(drive):
     return build_cross_fit_maps(drive)
 
 
+@pytest.fixture(scope="module")
+def tables(drive, maps):
+    """The beams of all scans that meet walls, and those in clutter."""
+    return cross_fit_table(drive, maps, np.ones(len(drive), bool))
+
+
 def test_each_half_is_drawn_from_its_own_scans_alone(drive, maps):
     alone = count_hits(drive.select(maps.half == 0), np.ones(int((maps.half == 0).sum()), bool), 0.05).to_grid()
     np.testing.assert_array_equal(maps.halves[0].probability, alone.probability)
@@ -46,10 +52,14 @@ def test_the_whole_map_is_drawn_from_all_scans(drive, maps):
     np.testing.assert_array_equal(maps.whole.probability, together.probability)
 
 
-def test_no_beam_is_judged_by_the_map_it_drew(drive, maps):
-    scans = np.ones(len(drive), bool)
-    table, clutter = cross_fit_table(drive, maps, scans)
+def test_no_beam_is_judged_by_the_map_it_drew(drive, maps, tables):
+    table, clutter = tables
     assert clutter is not None
+    seen = {
+        (half, drawn): ranges_to_walls(maps.counts[drawn], drive.poses[maps.half == half], drive.finder).expected
+        for half in (0, 1)
+        for drawn in (0, 1)
+    }
     for part in (table, clutter):
         assert len(part) > 1000
         assert (np.diff(part.scan) >= 0).all()
@@ -57,10 +67,7 @@ def test_no_beam_is_judged_by_the_map_it_drew(drive, maps):
             mine = np.flatnonzero(maps.half == half)
             rows = maps.half[part.scan] == half
             scan, beam = np.searchsorted(mine, part.scan[rows]), part.beam[rows]
-            other, own = (
-                ranges_to_walls(maps.counts[h], drive.poses[mine], drive.finder).expected[scan, beam]
-                for h in (1 - half, half)
-            )
+            other, own = seen[half, 1 - half][scan, beam], seen[half, half][scan, beam]
             np.testing.assert_array_equal(part.expected_ranges[rows], other)
             assert (own != other).mean() > 0.5
 
@@ -76,8 +83,8 @@ def test_which_beams_are_used_does_not_depend_on_what_they_read(drive, maps):
     assert {(s, b) for s, b in used[1] if measured[s, b]} == used[0]
 
 
-def test_beams_are_counted_once(drive, maps):
-    table, clutter = cross_fit_table(drive, maps, np.ones(len(drive), bool))
+def test_beams_are_counted_once(drive, maps, tables):
+    table, clutter = tables
     assert len(table) + table.n_no_measurement + table.n_unknown + table.n_unsure == drive.ranges.size
     assert 0 < len(clutter) < table.n_unsure
     (note,) = (f for f in cross_fit_findings(maps, table, len(clutter), TRUTH, NONE) if f.name == "cross-fitted-map")
@@ -166,17 +173,19 @@ def test_what_the_halves_walls_differ_by_is_taken_out_of_sigma():
     assert without_wall_error(TRUTH, learned, 1.0)[0].sigma_hit == pytest.approx(0.05 * np.sqrt(0.1))
 
 
-def test_the_error_of_drawn_walls_grows_as_scans_get_fewer(drive, maps):
+def test_the_error_of_drawn_walls_grows_as_scans_get_fewer(drive, maps, tables):
     few = drive.select(np.arange(0, len(drive), 3))
-    variances = []
-    for log, drawn in ((drive, maps), (few, build_cross_fit_maps(few))):
-        table, _ = cross_fit_table(log, drawn, np.ones(len(log), bool))
-        variances.append(wall_variance(log, drawn, table, TRUTH.sigma_hit))
+    drawn = build_cross_fit_maps(few)
+    table, _ = cross_fit_table(few, drawn, np.ones(len(few), bool))
+    variances = [
+        wall_variance(drive, maps, tables[0], TRUTH.sigma_hit),
+        wall_variance(few, drawn, table, TRUTH.sigma_hit),
+    ]
     assert 0.0 < variances[0] < variances[1] < 0.2 * TRUTH.sigma_hit**2
 
 
-def test_much_uncertainty_is_a_warning(maps, drive):
-    table, _ = cross_fit_table(drive, maps, np.ones(len(drive), bool))
+def test_much_uncertainty_is_a_warning(maps, tables):
+    table, _ = tables
     wide = replace(NONE, intervals={"sigma_hit": (0.03, 0.055)})
     thin = replace(table, n_unknown=20 * len(table))
     names = [finding.name for finding in cross_fit_findings(maps, thin, 0, TRUTH, wide)]

@@ -33,8 +33,8 @@ def wall_in_view(room: Room, pose, wall: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("sigma_bearing", [0.0, 0.003], ids=["exact bearings", "noisy bearings"])
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.3, -0.2, 2.0)], ids=["no mount", "mounted"])
-def test_covariance_of_a_line_is_that_of_its_errors(rng, offset, sigma_bearing):
+def test_covariance_of_a_line_is_that_of_its_errors(rng, sigma_bearing):
+    offset = (0.3, -0.2, 2.0)
     noise = RangeNoise(0.02, sigma_bearing)
     angles = np.sort(rng.uniform(-0.4, 1.4, 60))
     finder = RangeFinder.from_bearings(angles, 20.0, mount=offset)

@@ -13,8 +13,8 @@ from beamfield.sensors import RangeFinder, Scan
 BEARINGS = np.linspace(-1.0, 1.0, 401)
 
 
-@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.4, -0.3, 2.5)], ids=["no mount", "mounted"])
-def test_covariance_of_a_minimum_is_that_of_its_errors(rng, mount):
+def test_covariance_of_a_minimum_is_that_of_its_errors(rng):
+    mount = (0.4, -0.3, 2.5)
     finder = RangeFinder.from_bearings(BEARINGS, 10.0, mount=mount)
     position = np.array(mount[:2]) + 2.0 * np.array([np.cos(0.3 + mount[2]), np.sin(0.3 + mount[2])])
     # The parabola in a window of 5 degrees leaves a bias far below the noise.

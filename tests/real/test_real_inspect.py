@@ -31,10 +31,10 @@ def test_wean_hall_with_its_reference_poses_over_its_map(data, tmp_path, capsys)
         assert min(picture.size) > 800
 
 
-def test_the_turtlebots_bag_and_the_map_whose_unknown_cells_read_as_free(data, tmp_path, capsys):
+def test_the_turtlebots_bag_and_the_map_whose_unknown_cells_read_as_free(data, capsys):
     pytest.importorskip("rosbags")
     folder = data / "olin_mac_tb4"
-    facts = inspected(capsys, folder / "macfirst_floor_take_2", "--out", tmp_path / "a.png")
+    facts = inspected(capsys, folder / "macfirst_floor_take_2")
     sensor = facts["sensors"]["/scan"]
     assert (sensor["scans"], sensor["beams"]["count"], sensor["max_range_m"]) == (357, 720, 12.0)
     (note,) = inspected(capsys, folder / "map/mac_1st_floor_final.yaml")["notes"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,11 @@ def corridor(data: Path) -> SensorLog:
     return read_log(data / "sonar_corridor").only_sensor()
 
 
+@cache
+def drone(data: Path, name: str) -> SensorLog:
+    return crazyflie(data / "crazyflie_multiranger" / f"{name}.bag")
+
+
 def gain(log: SensorLog, width_deg: float) -> float:
     """Return the nats per held-out reading by which a fit of such cones is ahead of a uniform."""
     return held_out_score(log, np.radians(width_deg))["gain"]
@@ -39,7 +45,7 @@ def test_cones_explain_the_corridors_sonars_and_beams_do_not(corridor: SensorLog
 
 @pytest.mark.parametrize("name", ["olsson-3loop", "rice"])
 def test_the_drones_rangers_are_as_wide_as_their_data_sheet_says(data: Path, name: str):
-    log = crazyflie(data / "crazyflie_multiranger" / f"{name}.bag")
+    log = drone(data, name)
     assert np.degrees(log.finder.opening_angle) == pytest.approx(27.0)
     beams, narrow, declared, wide = (gain(log, width) for width in (0.0, 10.0, 27.0, 55.0))
     assert declared > 0.5
@@ -64,7 +70,7 @@ def test_the_main_job_calibrates_the_corridors_sonars_without_a_map(corridor: Se
 
 
 def test_the_main_job_calibrates_the_drones_rangers_without_a_map(data: Path):
-    log = crazyflie(data / "crazyflie_multiranger" / "olsson-3loop.bag")
+    log = drone(data, "olsson-3loop")
     result = calibrate(log, build_cross_fit_maps(log), CalibrationOptions(refine=False))
     # Drifting odometry makes the noise about as large as the defaults have it; they are behind all the same.
     assert all(score.behind_fit > score.behind_fit_se > 0.0 for score in result.scores[1:])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache, partial
+from math import inf
 
 import pytest
 
 from beamfield.calibration import pose_windows
+from beamfield.localization import parallel_runs
 from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
@@ -17,6 +19,14 @@ def plans_drawn_once() -> Iterator[None]:
     """Draw each floor plan once for all commands that simulate in it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(floor_plan, "draw_floor_plan", cache(floor_plan.draw_floor_plan))
+        yield
+
+
+@pytest.fixture(scope="package", autouse=True)
+def runs_in_this_process() -> Iterator[None]:
+    """Start no processes for the runs of filters: to import everything again costs more than a test's few runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parallel_runs, "START_AFTER_S", inf)
         yield
 
 
@@ -32,9 +42,13 @@ def short_stack_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     few = replay_choice.ReplayOptions(runs=10, most_stretches=2, longest=12)
     monkeypatch.setattr(replay_choice, "OF_FIELDS", few)
     monkeypatch.setattr(replay_choice, "OF_RAYS", few)
+    monkeypatch.setattr(replay_choice, "KEPT", 2)
+    monkeypatch.setattr(replay_choice, "LAST", 1)
     monkeypatch.setattr(motion_candidates, "ALPHAS", ((0.05, 0.05),))
     monkeypatch.setattr(fit_space, "BEAM_COUNTS", (9,))
-    monkeypatch.setattr(pose_windows, "WindowOptions", partial(pose_windows.WindowOptions, near=100, far=25))
+    monkeypatch.setattr(
+        pose_windows, "WindowOptions", partial(pose_windows.WindowOptions, windows=60, near=100, far=25)
+    )
 
 
 @pytest.fixture

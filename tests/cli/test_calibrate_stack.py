@@ -28,6 +28,8 @@ amcl:
     sigma_hit: 0.6   # wide
     laser_model_type: "likelihood_field"
     max_beams: 60
+    min_particles: 100
+    max_particles: 500
     alpha1: 0.2   # as shipped
 """
 

@@ -77,6 +77,7 @@ def test_it_counts_the_runs_that_recover_from_a_kidnapping(result):
     assert len(found["seconds"]) == SEEDS
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_it_prints_tables_the_result_and_the_files(world, tmp_path, capsys):
     recorded = tmp_path / "way.mcap"
     words = ("--seeds", "2", "--global", "--mcap", str(recorded))
@@ -92,6 +93,7 @@ def test_it_prints_tables_the_result_and_the_files(world, tmp_path, capsys):
     assert "sighted.yaml on log.carmen" in err  # progress
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
     assert evaluate(world, tmp_path / "out", "--seeds", "1", params=("blind.yaml",)) == 0
     assert "blind.yaml: read as nav2's; pass --stack beluga if that is what the robot runs" in capsys.readouterr().err
@@ -99,7 +101,8 @@ def test_a_file_of_several_programs_is_noted(world, tmp_path, capsys):
     assert "pass --stack" not in capsys.readouterr().err
 
 
-def test_a_filter_may_read_a_map_of_its_own(world, tmp_path):
+@pytest.mark.usefixtures("undrawn")
+def test_a_filter_may_read_a_map_of_its_own_and_files_of_one_name_are_told_apart(world, tmp_path):
     moved = world / "drive" / "moved.yaml"
     moved.write_text(moved_map_text(world / "drive" / "map.yaml", (0.4, 0.0), "map.pgm"))
     maps = ("--filter-maps", str(world / "drive" / "map.yaml"), str(moved))
@@ -108,19 +111,12 @@ def test_a_filter_may_read_a_map_of_its_own(world, tmp_path):
     params = ("sighted.yaml", "again/sighted.yaml")
     assert evaluate(world, tmp_path / "out", "--seeds", "2", *maps, params=params) == 0
     document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert list(document["filters"]) == [f"{world.name}/sighted.yaml", "again/sighted.yaml"]
     right, wrong = (one["tracking"][0]["means"]["mean"] for one in document["filters"].values())
     # The whole map lies 0.4 m to one side, and so does the answer.
     assert abs(wrong - 0.4) < right + 0.05
     assert document["provenance"]["inputs"]["filter maps 2"]["name"] == "moved.yaml"
     assert evaluate(world, tmp_path / "out", *maps[:2], params=params) == 2
-
-
-def test_files_of_one_name_are_told_apart(world, tmp_path):
-    (world / "other").mkdir()
-    (world / "other" / "blind.yaml").write_text(BLIND)
-    assert evaluate(world, tmp_path / "out", "--seeds", "1", params=("blind.yaml", "other/blind.yaml")) == 0
-    document = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert list(document["filters"]) == [f"{world.name}/blind.yaml", "other/blind.yaml"]
 
 
 @pytest.mark.parametrize(
@@ -145,6 +141,7 @@ def test_a_file_that_cannot_be_run_is_refused_on_one_line(world, tmp_path, capsy
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_program_s_filter_runs(world, tmp_path):
     files = {
         "pf.ini": "[MetricMap_occupancyGrid_00_likelihoodOpts]\nlikelihoodMethod = 4\nLF_stdHit = 0.2\n",
@@ -162,6 +159,7 @@ def test_every_program_s_filter_runs(world, tmp_path):
         assert tracking["runs"][0]["mean"] < 0.6
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_it_says_why_a_filter_cannot_follow(world, tmp_path, capsys):
     lines = (world / "drive" / "log.carmen").read_text().splitlines()
     turned = []

@@ -88,6 +88,7 @@ def test_a_map_of_the_log_is_drawn_from_cones(folder, tmp_path, capsys):
     assert free[0] > 1.2 * free[1]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_likelihood_of_a_scan_is_that_of_cones(folder, tmp_path, capsys):
     scores = {}
     for angle in ("20", "0"):

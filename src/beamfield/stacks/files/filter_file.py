@@ -52,7 +52,11 @@ class FilterSettings:
 
     def filter(self, grid: OccupancyGrid) -> EmulatedFilter:
         """Return the filter on a map."""
-        return cast(EmulatedFilter, build_filter(self.stack, self.emulator(grid), self.motion, self.particles))
+        return self.filter_with(self.emulator(grid))
+
+    def filter_with(self, emulator: StackModel[Any, Any]) -> EmulatedFilter:
+        """Return the filter with its measurement model."""
+        return cast(EmulatedFilter, build_filter(self.stack, emulator, self.motion, self.particles))
 
 
 def read_filter_settings(file: StackFile) -> FilterSettings:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from beamfield.calibration.pose_windows import WindowOptions
 from beamfield.localization.parallel_runs import run_each
-from beamfield.localization.replay import ReplayedFilter
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import SensorLog
+from beamfield.stacks.emulation.emulator import StackModel
 from beamfield.stacks.files.filter_file import FilterSettings
 from beamfield.stacks.fit.kept_runs import KeptRuns
 
@@ -119,17 +119,19 @@ class _Asked(NamedTuple):
 
 
 class _RunsOnStretches:
-    """Makes them, one setting's after another's."""
+    """Makes them. A model's table of a map takes as long as a run: settings with the same sensor and map share it."""
 
     def __init__(self, grid: OccupancyGrid, stretches: Sequence[SensorLog]) -> None:
         self._grid, self._stretches = grid, stretches
-        self._built: tuple[ReplaySetting, ReplayedFilter] | None = None
+        self._emulators: dict[tuple[str, float], StackModel[Any, Any]] = {}
 
     def __call__(self, asked: _Asked) -> ReplayTrials:
         setting, i, seeds = asked
-        if self._built is None or self._built[0] is not setting:
-            self._built = setting, setting.filter.filter(shifted_map(self._grid, setting.shift))
-        return run_trials(self._built[1], self._stretches[i], seeds, name=f"stretch {i + 1}", spread=SPREAD)
+        of = setting.sensor, setting.shift
+        if of not in self._emulators:
+            self._emulators[of] = setting.filter.emulator(shifted_map(self._grid, setting.shift))
+        replayed = setting.filter.filter_with(self._emulators[of])
+        return run_trials(replayed, self._stretches[i], seeds, name=f"stretch {i + 1}", spread=SPREAD)
 
 
 def _first_of(trials: ReplayTrials, n: int) -> ReplayTrials:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache, partial
-from math import inf
 
 import pytest
 
 from beamfield.calibration import pose_windows
-from beamfield.localization import parallel_runs
 from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
@@ -19,14 +17,6 @@ def plans_drawn_once() -> Iterator[None]:
     """Draw each floor plan once for all commands that simulate in it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(floor_plan, "draw_floor_plan", cache(floor_plan.draw_floor_plan))
-        yield
-
-
-@pytest.fixture(scope="package", autouse=True)
-def runs_in_this_process() -> Iterator[None]:
-    """Start no processes for the runs of filters: to import everything again costs more than a test's few runs."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parallel_runs, "START_AFTER_S", inf)
         yield
 
 

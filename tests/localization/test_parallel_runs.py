@@ -15,6 +15,8 @@ from multiprocessing import connection
 
 import pytest
 
+from beamfield.cli.main import main
+from beamfield.cli.outcome import Outcome
 from beamfield.kernels.threads import n_threads, set_threads
 from beamfield.localization import parallel_runs
 from beamfield.localization.parallel_runs import run_each
@@ -133,6 +135,18 @@ def test_short_work_one_thread_and_whoever_does_not_ask_start_no_process(monkeyp
     assert parallel_runs._helpers is None
     with set_threads(3):
         assert {pid for _, pid, _ in run_each(made, SEEDS)} == {os.getpid()}
+
+
+def test_a_command_that_a_script_calls_starts_no_process(monkeypatch):
+    seen: list[object] = []
+
+    def run(_: object) -> Outcome:
+        seen.append(parallel_runs._helpers)
+        return Outcome("figures")
+
+    monkeypatch.setattr("beamfield.cli.figures.run", run)
+    assert main(["figures", "--list"]) == 0
+    assert seen == [None]
 
 
 KILLED = """

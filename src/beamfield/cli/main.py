@@ -72,13 +72,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments
-        Words of the command line without the program's name; None takes them from the process.
+        Words of the command line without the program's name; None takes them from the process. Only then runs of
+        filters start others beside it, which would run a script of the caller's anew.
     """
     for stream in (sys.stdout, sys.stderr):
         # A terminal that has no "±", or a file name that is no text, must not end a finished job with a traceback.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    if arguments is None:  # the process is ours
+    is_ours = arguments is None
+    if is_ours:
         # Its linear algebra is small: more threads of OpenBLAS would spin while they wait, a tenth of the CPU time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         gc.set_threshold(OBJECTS_PER_COLLECTION, *gc.get_threshold()[1:])
@@ -88,12 +90,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "_ARGCOMPLETE" in os.environ:  # the shell asks how a word goes on
         importlib.import_module("argcomplete").autocomplete(parser)
     try:
-        parsed = parser.parse_args(sys.argv[1:] if arguments is None else arguments)
+        parsed = parser.parse_args(sys.argv[1:] if is_ours else arguments)
     except SystemExit as end:
         return int(end.code or 0)
     threads = getattr(parsed, "threads", None)
     try:
-        with _unpacking_limit(parsed), set_threads(threads) if threads is not None else nullcontext(), parallel_runs():
+        few = nullcontext() if threads is None else set_threads(threads)
+        with _unpacking_limit(parsed), few, parallel_runs() if is_ours else nullcontext():
             outcome = parsed.run(parsed)
         show(outcome, parsed)
         sys.stdout.flush()

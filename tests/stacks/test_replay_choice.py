@@ -275,6 +275,31 @@ def test_a_sensor_that_loses_robots_does_not_hide_what_is_better_for_sure(office
     assert nothing.finalist.sensor == "fitted"
 
 
+@pytest.mark.parametrize(("inside_after", "is_better"), [(0.8, False), (0.95, True)])
+def test_a_little_less_where_errors_are_small_is_no_gain_unless_particles_hold_the_truth(
+    office, monkeypatch, inside_after, is_better
+):
+    def runs(key: Key, stretch: str) -> ReplayTrials:
+        new = key.motion == "alpha 0.02"
+        # Surely 4 cm less in two rooms; in the hall anything from 30 cm less to 36 cm more.
+        errors = [0.06 if new else 0.1] * 12 if stretch != "hall" else [0.5 + (0.06 * i - 0.3) * new for i in range(12)]
+        inside = inside_after if new else 0.8
+        errors_of_runs = [replace(RUN, mean=error, inside_noisy=inside) for error in errors]
+        return ReplayTrials(stretch, tuple(range(12)), tuple(errors_of_runs))
+
+    class Known(Replays):
+        def of(self, settings, *_):
+            return {one.key: [runs(one.key, stretch) for stretch in ("room", "other room", "hall")] for one in settings}
+
+    monkeypatch.setattr("beamfield.stacks.fit.replay_choice.Replays", Known)
+    noises = MotionCandidates({"before": {}, "alpha 0.02": GOOD}, None)
+    choice = choose_by_replay(nav2_filter(), {"before": (KIND, SENSOR)}, noises, 0.0, [None] * 3, office, FEW)
+    assert choice.finalist.motion == "alpha 0.02"
+    assert choice.cost.is_lower
+    assert not choice.error.is_sure
+    assert choice.is_better is is_better
+
+
 def test_lost_runs_and_missing_coverage_cost_without_drowning_the_rest():
     trials = ReplayTrials("hall", (0, 1, 2), (RUN, replace(RUN, inside_noisy=0.7), replace(RUN, mean=40.0)))
     np.testing.assert_allclose(clipped(trials).column("mean"), [0.1, 0.1, 1.0])

@@ -99,8 +99,8 @@ class ReplayChoice:
     finalist
         The best over all stretches; the same if that was the user's.
     is_better
-        Whether the finalist won: its cost is surely lower, and neither its error nor the share of lost runs is surely
-        higher.
+        Whether the finalist won: its cost is surely lower, and its error lower or its coverage higher for sure; neither
+        the error nor the share of lost runs is surely higher.
     trials_before, trials_finalist
         Runs on each stretch, paired: of the user's setting, and of the one that the other stretches choose, mostly the
         finalist. No stretch judges what it has chosen.
@@ -220,10 +220,13 @@ def choose_by_replay(
 
     before_, after = trials[own.key], on_each(crossed)
     error, cost = _compared(before_, after, clipped), _compared(before_, after, costs)
+    coverage, lost = (compare_trials(before_, after, measure) for measure in ("inside_noisy", "lost"))
+    # A few per cent less where errors are small lower the cost, though the error elsewhere may well have grown by more.
+    gains = cost.is_lower and (error.is_lower or coverage.is_higher)
     choice = ReplayChoice(
         before=own,
         finalist=finalist,
-        is_better=cost.is_lower and not error.is_higher and not compare_trials(before_, after, "lost").is_higher,
+        is_better=gains and not (error.is_higher or lost.is_higher),
         trials_before=tuple(before_),
         trials_finalist=tuple(after),
         error=error,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, wrap_angle
-from beamfield.kernels import scan_field as kernels
+from beamfield.kernels import scan_alignment as kernels
 from beamfield.localization.alignment_covariance import sandwich_covariance
 from beamfield.localization.weak_direction import START_DEVIATION, UNDETERMINED, weigh_slides
 from beamfield.maps.end_points import hit_points

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, require
 from beamfield.geometry import FloatArray
+from beamfield.maps.end_points import points_along
 from beamfield.sensors import Scan, usable_ranges
 
 # Beams whose origins agree to a micrometre start at one point.
@@ -146,8 +147,7 @@ def one_sweep(group: NDArray[np.int64], scan: Scan, ranges: FloatArray) -> Sweep
 
 def widest_jump(scan: Scan, beams: NDArray[np.int64], ranges: FloatArray) -> int:
     """Return the place after which the next end point is farthest."""
-    mounts, z = scan.finder.mounts[beams], ranges[beams]
-    points = mounts[:, :2] + z[:, None] * np.column_stack([np.cos(mounts[:, 2]), np.sin(mounts[:, 2])])
+    points = points_along(scan.finder.mounts[beams], ranges[beams])
     return int(np.argmax(np.hypot(*(np.roll(points, -1, axis=0) - points).T)))
 
 

@@ -67,8 +67,7 @@ def draw_map(grid: OccupancyGrid, ax: Axes) -> Axes:
     step = -(-max(grid.shape) // MOST_PIXELS)
     # The last pixel of a coarser picture may stand over the map's edge.
     draw_cells(categories(grid, step), step * grid.resolution, grid.origin, ax)
-    corners = grid.to_map([[0, 0], [grid.shape[1], 0], grid.shape[::-1], [0, grid.shape[0]]])
-    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    (left, bottom), (right, top) = grid.bounds
     ax.set(xlim=(left, right), ylim=(bottom, top))
     return _in_metres(ax)
 

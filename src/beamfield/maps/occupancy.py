@@ -129,6 +129,13 @@ class OccupancyGrid:
         return rows, cols
 
     @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """The lowest and the highest (x, y) of the map, metres in the map frame."""
+        rows, cols = self.shape
+        corners = self.to_map([[0, 0], [cols, 0], [cols, rows], [0, rows]])
+        return corners.min(axis=0), corners.max(axis=0)
+
+    @property
     def occupied(self) -> BoolArray:
         """(rows, cols) mask of occupied cells."""
         with np.errstate(invalid="ignore"):

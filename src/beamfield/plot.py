@@ -67,7 +67,7 @@ def draw_map(grid: OccupancyGrid, ax: Axes) -> Axes:
     step = -(-max(grid.shape) // MOST_PIXELS)
     # The last pixel of a coarser picture may stand over the map's edge.
     draw_cells(categories(grid, step), step * grid.resolution, grid.origin, ax)
-    (left, bottom), (right, top) = grid.bounds
+    left, bottom, right, top = grid.bounds
     ax.set(xlim=(left, right), ylim=(bottom, top))
     return _in_metres(ax)
 

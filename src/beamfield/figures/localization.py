@@ -112,9 +112,8 @@ def _zoom(ax: Axes, poses: FloatArray, grid: OccupancyGrid) -> None:
     """Show the part of the map that the poses are in."""
     known = poses[np.isfinite(poses).all(axis=1), :2]
     margin = MARGIN + 0.1 * float(np.ptp(known, axis=0).max())
-    lowest, highest = grid.bounds
-    low = np.maximum(known.min(axis=0) - margin, lowest)
-    high = np.minimum(known.max(axis=0) + margin, highest)
+    low = np.maximum(known.min(axis=0) - margin, grid.bounds[:2])
+    high = np.minimum(known.max(axis=0) + margin, grid.bounds[2:])
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
 

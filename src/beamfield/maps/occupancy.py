@@ -129,11 +129,12 @@ class OccupancyGrid:
         return rows, cols
 
     @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """The lowest and the highest (x, y) of the map, metres in the map frame."""
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Left, bottom, right and top of the map, metres in the map frame."""
         rows, cols = self.shape
         corners = self.to_map([[0, 0], [cols, 0], [cols, rows], [0, rows]])
-        return corners.min(axis=0), corners.max(axis=0)
+        (left, bottom), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        return left, bottom, right, top
 
     @property
     def occupied(self) -> BoolArray:

@@ -106,7 +106,7 @@ def test_a_climb_never_lowers_the_score(scan: Scan, rng: np.random.Generator) ->
     for start in rng.normal(size=(5, 3)) * (0.3, 0.3, 0.2):
         for sigma in (0.4, 0.05):
             before = linearise(points, start, 1, sigma, 4 * sigma, view, np.zeros(3), np.zeros((3, 3)))[0]
-            after, _, _ = ascend(points, start, 1, sigma, 3.0, 0.02, 1e-4, 10, view)
+            after, _ = ascend(points, start, 1, sigma, 3.0, 0.02, 1e-4, 10, view)
             assert after >= before - 1e-9
 
 

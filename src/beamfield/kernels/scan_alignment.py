@@ -87,8 +87,8 @@ def _add(nx: float, ny: float, residual: float, weight: float, rx: float, ry: fl
 
 @kernel
 def ascend(points: Floats, pose: Floats, stride: int, sigma: float, lever: float, threshold: float, tolerance: float,
-           steps: int, view: FieldView) -> tuple[float, bool, int]:  # fmt: skip
-    """Move the pose (3,) uphill at one sigma by damped Gauss-Newton steps; return score, whether it converged, steps.
+           steps: int, view: FieldView) -> tuple[float, bool]:  # fmt: skip
+    """Move the pose (3,) uphill at one sigma by damped Gauss-Newton steps; return the score and whether it converged.
 
     Steps shorter than `tolerance` (metres, a turn times the lever) end the ascent. Directions that less than
     `threshold` of the weight determines are left alone. `lever` (metres) makes turning comparable with moving.
@@ -99,12 +99,12 @@ def ascend(points: Floats, pose: Floats, stride: int, sigma: float, lever: float
     trial, move, g, h = np.empty(3), np.empty(3), np.zeros(3), np.zeros((3, 3))
     scale = np.array([1.0, 1.0, 1.0 / lever])
     damping = 1e-3
-    for step in range(steps):
+    for _ in range(steps):
         if weight < 1e-9:
-            return score, False, step
+            return score, False
         size = _newton_step(gradient, information, weight, scale, threshold, damping, move)
         if size < tolerance:
-            return score, True, step
+            return score, True
         for a in range(3):  # not in one assignment: Numba would compile the text of its error, for a second
             trial[a] = pose[a] + move[a]
         trial_score, trial_weight, _, _ = linearise(points, trial, stride, sigma, reach, view, g, h)
@@ -118,8 +118,8 @@ def ascend(points: Floats, pose: Floats, stride: int, sigma: float, lever: float
         else:
             damping = max(10.0 * damping, 0.05)
             if damping > 1e4:
-                return score, True, step
-    return score, False, steps
+                return score, True
+    return score, False
 
 
 @kernel

@@ -151,7 +151,7 @@ def widest_jump(scan: Scan, beams: NDArray[np.int64], ranges: FloatArray) -> int
     return int(np.argmax(np.hypot(*(np.roll(points, -1, axis=0) - points).T)))
 
 
-def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float = 0.5) -> list[NDArray[np.int64]]:
+def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float) -> list[NDArray[np.int64]]:
     """Return runs of end points that may belong to one surface, as places in the sweep.
 
     Two neighbours part when they are farther apart than a wall under `GRAZING_ANGLE` puts them (Borges and Aldon's

@@ -48,7 +48,7 @@ from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.dependence import Dependence
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
-from localize import followed, numbers
+from followed_logs import followed, numbers
 from real_logs import LOGS, read_log_and_map
 from tables import print_table
 

@@ -132,9 +132,9 @@ def _look_up_alone(model: bf.LikelihoodFieldModel, scan: bf.Scan, poses: np.ndar
     from beamfield.kernels import cuda_field
     from beamfield.kernels.cuda_target import launch
 
-    table, codes = model._tables.table_on_device(scan.finder.max_range)
-    _, ends = model._end_points(scan)
-    placed = cuda.to_device(cuda_field._placed(poses, model._tables.framed))
+    table, codes = model._look_ups.tables.table_on_device(scan.finder.max_range)
+    _, ends = model._look_ups.end_points(scan)
+    placed = cuda.to_device(cuda_field._placed(poses, model._look_ups.tables.framed))
     beams, sums = cuda.to_device(ends.astype(np.float32)), cuda.device_array(len(poses), np.float64)
 
     def call() -> None:

@@ -25,7 +25,7 @@ from beamfield.maps.ray_agreement import LEAST_AGREEMENT, scan_agreement
 from beamfield.sensors import SensorLog
 from beamfield.stacks.files.filter_file import FilterSettings, read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
-from localize import LOGS, localizer_of, offices
+from followed_logs import LOGS, localizer_of, offices
 from real_logs import read_log_and_map
 from tables import print_table
 

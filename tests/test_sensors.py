@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from beamfield.errors import InvalidInputError
-from beamfield.sensors import RangeFinder, Scan, ScanLog, SensorLog, usable_ranges
+from beamfield.sensors.range_finder import RangeFinder
+from beamfield.sensors.scan import Scan, usable_ranges
+from beamfield.sensors.scan_log import ScanLog
+from beamfield.sensors.sensor_log import SensorLog
 
 FINDER = RangeFinder.from_bearings([-1.0, 0.0, 1.0], 10.0, min_range=0.2, mount=[0.3, 0.1, np.pi / 2], name="front")
 

@@ -19,7 +19,7 @@ from beamfield.features.minima import LocalMinimum
 from beamfield.features.poles import Pole
 from beamfield.features.straight_line import Line
 from beamfield.geometry import FloatArray, as_pose, compose, transform_points
-from beamfield.maps.end_points import end_points
+from beamfield.maps.end_points import end_points, points_along
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan, usable_ranges
 
@@ -67,8 +67,7 @@ def draw_map(grid: OccupancyGrid, ax: Axes) -> Axes:
     step = -(-max(grid.shape) // MOST_PIXELS)
     # The last pixel of a coarser picture may stand over the map's edge.
     draw_cells(categories(grid, step), step * grid.resolution, grid.origin, ax)
-    corners = grid.to_map([[0, 0], [grid.shape[1], 0], grid.shape[::-1], [0, grid.shape[0]]])
-    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    left, bottom, right, top = grid.bounds
     ax.set(xlim=(left, right), ylim=(bottom, top))
     return _in_metres(ax)
 
@@ -227,10 +226,9 @@ def draw_scan(
         starts = compose(place, scan.finder.mounts)
         z = usable_ranges(scan.ranges, scan.finder)
         stubs = np.where(z >= scan.finder.max_range, 0.1 * scan.finder.max_range, np.nan)
-        direction = np.column_stack([np.cos(starts[:, 2]), np.sin(starts[:, 2])])
         for ends, style, shade, name in (
             (points, "solid", color, "measured"),
-            (starts[:, :2] + stubs[:, None] * direction, "dotted", NO_RETURN_COLOUR, "no return"),
+            (points_along(starts, stubs), "dotted", NO_RETURN_COLOUR, "no return"),
         ):
             seen = np.isfinite(ends).all(axis=1)
             lines = np.stack([starts[seen, :2], ends[seen]], axis=1)

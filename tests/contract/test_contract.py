@@ -13,7 +13,6 @@ from scipy import stats
 from beamfield.detections import UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
-from beamfield.models.base import BeamwiseModel, ExpectingModel, GenerativeModel
 from tests.threads import forced_threads
 
 
@@ -158,13 +157,14 @@ def test_samples_follow_the_density(generative, rng):
 def test_what_a_model_can_do_is_seen_from_its_methods(case):
     model = case.build()
     if case.transform is not None:
-        assert isinstance(model, GenerativeModel)
+        assert hasattr(model, "sample")
     if "match" in case.name or "field" in case.name:
-        assert not isinstance(model, GenerativeModel | ExpectingModel)
-    if isinstance(model, BeamwiseModel):
+        assert not hasattr(model, "sample")
+        assert not hasattr(model, "expected")
+    if hasattr(model, "beam_log_likelihood"):
         z, poses = case.measurements[0], case.poses
         assert model.beam_log_likelihood(z, poses).shape[:-1] == (len(poses),)
-    if isinstance(model, ExpectingModel):
+    if hasattr(model, "expected"):
         assert len(model.expected(case.poses)) == len(case.poses)
 
 

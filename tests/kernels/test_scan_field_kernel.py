@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from beamfield.kernels import scan_field as kernels
+from beamfield.kernels.pull_scatter import SUMS, sum_patches
+from beamfield.kernels.scan_alignment import ascend, linearise, settle
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.scan_field import ScanField
 from beamfield.sensors import RangeFinder, Scan
@@ -72,9 +74,9 @@ def test_the_gradient_is_the_slope_of_the_score_away_from_ends_of_surfaces(scan:
     pose, gradient, information = np.array([0.02, -0.01, 0.002]), np.zeros(3), np.zeros((3, 3))
 
     def score(at: np.ndarray) -> float:
-        return kernels.linearise(points, at, 1, 0.1, 0.8, field.view, np.zeros(3), np.zeros((3, 3)))[0]
+        return linearise(points, at, 1, 0.1, 0.8, field.view, np.zeros(3), np.zeros((3, 3)))[0]
 
-    kernels.linearise(points, pose, 1, 0.1, 0.8, field.view, gradient, information)
+    linearise(points, pose, 1, 0.1, 0.8, field.view, gradient, information)
     step = 1e-6
     slopes = [(score(pose + d) - score(pose - d)) / (2 * step) for d in step * np.eye(3)]
     np.testing.assert_allclose(gradient / 0.1**2, slopes, rtol=1e-4, atol=1e-3)
@@ -90,7 +92,7 @@ def test_the_information_is_the_sum_over_points_of_their_levers(rng: np.random.G
     along = rng.uniform(-0.8, 0.8, (6, 1))
     points = 3.02 * normal + along * np.array([-normal[1], normal[0]])
     information, pose = np.zeros((3, 3)), np.zeros(3)
-    _, weight, _, _ = kernels.linearise(points, pose, 1, 0.1, 0.8, field.view, np.zeros(3), information)
+    _, weight, _, _ = linearise(points, pose, 1, 0.1, 0.8, field.view, np.zeros(3), information)
     assert weight > 1.0
     np.testing.assert_allclose(information[:2, :2], weight * np.outer(normal, normal), rtol=1e-6, atol=1e-9)
     # All points are as far from the wall and count the same.
@@ -103,8 +105,8 @@ def test_a_climb_never_lowers_the_score(scan: Scan, rng: np.random.Generator) ->
     view, points = ScanField.from_scan(scan).view, hit_points(scan.ranges, scan.finder)
     for start in rng.normal(size=(5, 3)) * (0.3, 0.3, 0.2):
         for sigma in (0.4, 0.05):
-            before = kernels.linearise(points, start, 1, sigma, 4 * sigma, view, np.zeros(3), np.zeros((3, 3)))[0]
-            after, _, _ = kernels.ascend(points, start, 1, sigma, 3.0, 0.02, 1e-4, 10, view)
+            before = linearise(points, start, 1, sigma, 4 * sigma, view, np.zeros(3), np.zeros((3, 3)))[0]
+            after, _ = ascend(points, start, 1, sigma, 3.0, 0.02, 1e-4, 10, view)
             assert after >= before - 1e-9
 
 
@@ -122,8 +124,8 @@ def test_pulls_are_summed_by_patches_of_surface(scan: Scan, rng: np.random.Gener
     view = ScanField.from_scan(noisy).view
     points = hit_points(scan.ranges, scan.finder)
     pose, sigma, reach, patch = np.array([0.02, -0.01, 0.005]), 0.03, 0.12, 0.5
-    pulls, noise, sums = np.empty((3, 3)), np.empty((3, 3)), np.empty((len(view.elements), kernels.SUMS))
-    kernels.sum_patches(points, pose, sigma, reach, patch, view, sums, pulls, noise)
+    pulls, noise, sums = np.empty((3, 3)), np.empty((3, 3)), np.empty((len(view.elements), SUMS))
+    sum_patches(points, pose, sigma, reach, patch, view, sums, pulls, noise)
 
     # One list of (residual, its square without the element's noise, pull of one metre, weight) per element.
     found: list[list[tuple[float, float, np.ndarray, float]]] = [[] for _ in view.elements]
@@ -178,13 +180,13 @@ def test_settling_ends_where_pulls_balance(scan: Scan, rng: np.random.Generator)
     noisy = Scan(scan.ranges + 0.02 * rng.normal(size=len(BEARINGS)), scan.finder)
     view, points = ScanField.from_scan(noisy).view, hit_points(scan.ranges, scan.finder)
     pose, gradient, information = np.array([0.01, -0.01, 0.003]), np.empty(3), np.empty((3, 3))
-    kernels.settle(points, pose, 0.03, 2.5, 0.02, 1e-6, 20, view)
-    kernels.linearise(points, pose, 1, 0.03, 0.12, view, gradient, information)
+    settle(points, pose, 0.03, 2.5, 0.02, 1e-6, 20, view)
+    linearise(points, pose, 1, 0.03, 0.12, view, gradient, information)
     assert np.abs(np.linalg.solve(information, gradient) * (1.0, 1.0, 2.5)).max() < 1e-5
 
 
 def test_settling_leaves_a_pose_far_from_an_optimum_alone(scan: Scan) -> None:
     view, points = ScanField.from_scan(scan).view, hit_points(scan.ranges, scan.finder)
     pose = np.array([0.08, 0.08, 0.0])
-    kernels.settle(points, pose, 0.03, 2.5, 0.02, 1e-6, 20, view)
+    settle(points, pose, 0.03, 2.5, 0.02, 1e-6, 20, view)
     np.testing.assert_array_equal(pose, [0.08, 0.08, 0.0])

@@ -38,3 +38,8 @@ def test_a_value_that_is_no_probability_is_named_with_its_place(bad):
 def test_cells_whose_area_cannot_be_computed_are_refused(resolution):
     with pytest.raises(InvalidInputError, match="resolution: expected a positive number from 1e-12 to 1e"):
         OccupancyGrid(np.zeros((2, 3)), resolution)
+
+
+def test_bounds_are_those_of_the_turned_map():
+    grid = OccupancyGrid(np.zeros((2, 4)), resolution=0.5, origin=(1.0, -1.0, np.pi / 2.0))
+    assert grid.bounds == pytest.approx((0.0, -1.0, 1.0, 1.0))

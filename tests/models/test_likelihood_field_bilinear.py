@@ -148,5 +148,5 @@ def test_any_number_of_threads_gives_the_same_bits(room, poses, scan, name, unkn
 def test_memory_of_the_table_is_as_stated(room, scan, unknown):
     model = LikelihoodFieldModel(room, PARAMETERS["usual"], interpolation="bilinear", unknown=unknown)
     model.log_likelihood(scan, np.zeros(3))
-    table = model._tables.smooth
+    table = model._look_ups.tables.smooth
     assert table.distance.nbytes + table.uniform.nbytes == model.table_bytes

@@ -164,13 +164,11 @@ def _require_overlap(log: SensorLog, grid: OccupancyGrid, outside: NDArray[np.bo
     if not outside[posed].all():
         return
     low, high = log.poses[posed, :2].min(axis=0), log.poses[posed, :2].max(axis=0)
-    rows, cols = grid.shape
-    corners = grid.to_map(np.array([[0, 0], [cols, 0], [0, rows], [cols, rows]]))
-    a, b = corners.min(axis=0), corners.max(axis=0)
+    left, bottom, right, top = grid.bounds
     raise InvalidInputError(
         f"{log.finder.name or 'log'}: all {int(posed.sum())} reference poses lie off the map: poses span "
         f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m; "
-        f"the map x {a[0]:.2f} to {b[0]:.2f} m, y {a[1]:.2f} to {b[1]:.2f} m"
+        f"the map x {left:.2f} to {right:.2f} m, y {bottom:.2f} to {top:.2f} m"
     )
 
 

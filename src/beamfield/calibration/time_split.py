@@ -59,7 +59,7 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
     return np.asarray(np.minimum(blocks, max(0, int(np.ceil(duration / length)) - 1)))
 
 
-def block_length(stamps: ArrayLike, block_s: float | None = None) -> float:
+def block_length(stamps: ArrayLike, block_s: float | None) -> float:
     """Return how long the blocks of `time_blocks` are.
 
     Parameters

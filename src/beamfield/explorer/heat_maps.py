@@ -125,7 +125,7 @@ def heat_around(
         "step_m": width / n,
         "origin": [pose[0] + corner, pose[1] + corner, 0.0],
         "best": poses[best],
-        "best_over_here": _finite(each[best] - each[n // 2, n // 2, n_headings // 2]),
+        "best_over_here": finite(each[best] - each[n // 2, n // 2, n_headings // 2]),
         "beams": [beams.used, beams.of],
     }
 
@@ -185,5 +185,6 @@ def _shades(log: FloatArray) -> str:
     return base64.b64encode(np.clip(shade, 0.0, 255.0).astype(np.uint8).tobytes()).decode()
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """Return a number as strict JSON can hold it; None for one that is not finite."""
     return float(value) if np.isfinite(value) else None

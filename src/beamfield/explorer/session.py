@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from beamfield.errors import InvalidInputError
-from beamfield.explorer.heat_maps import heat_around, heat_over, quick_weights
+from beamfield.explorer.heat_maps import finite, heat_around, heat_over, quick_weights
 from beamfield.explorer.parameter_set import ParameterSet, with_common_ends
 from beamfield.explorer.reading import beam_parameters, reading_density, reading_score
 from beamfield.explorer.requests import Request
@@ -343,7 +343,7 @@ def _png(picture: Image.Image) -> str:
 def _score(log: FloatArray) -> dict[str, float | None]:
     """Return log p(z | x, m) at a pose, and how much more that is than at the reference pose, if there is one."""
     over = float(log[0] - log[1]) if len(log) == 2 and np.isfinite(log).all() else None
-    return {"log": _finite(log[0]), "over_reference": over}
+    return {"log": finite(log[0]), "over_reference": over}
 
 
 def _shown(run: ShownRun) -> dict[str, Any]:
@@ -359,10 +359,6 @@ def _shown(run: ShownRun) -> dict[str, Any]:
 def _mean(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _with_gaps(values: FloatArray) -> list[float | None]:

@@ -66,14 +66,9 @@ def find_lines(
         runs = split_at_gaps(sweep, noise, max_gap=max_gap)
         if sweep.closed and runs and np.hypot(*(sweep.points[runs[0][0]] - sweep.points[runs[-1][-1]])) <= max_gap:
             runs = mend_start(sweep, runs, noise, min_points)
-        pieces = [piece for run in runs for piece in cut(sweep, run, noise, min_points)]
+        pieces = [piece for run in runs for piece in straight_pieces(sweep, run, noise, min_points=min_points)]
         lines += join_pieces(sweep, pieces, noise, max_gap, number)
     return [line for line in lines if line.length >= min_length and fits(line)]
-
-
-def cut(sweep: Sweep, run: NDArray[np.int64], noise: RangeNoise, min_points: int) -> list[NDArray[np.int64]]:
-    """Return the straight pieces of a run."""
-    return straight_pieces(sweep, run, noise, min_points=min_points)
 
 
 def mend_start(
@@ -85,7 +80,7 @@ def mend_start(
     """
     if len(runs) > 1:
         return [*runs[1:-1], np.concatenate([runs[-1], runs[0]])]
-    pieces = cut(sweep, runs[0], noise, min_points)
+    pieces = straight_pieces(sweep, runs[0], noise, min_points=min_points)
     if not pieces:
         return runs
     return [np.roll(runs[0], -1 - int(np.searchsorted(runs[0], pieces[0][-1])))]

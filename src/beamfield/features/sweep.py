@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from beamfield.arguments import check_fields, require
 from beamfield.geometry import FloatArray
+from beamfield.maps.end_points import points_along
 from beamfield.sensors import Scan, usable_ranges
 
 # Beams whose origins agree to a micrometre start at one point.
@@ -146,12 +147,11 @@ def one_sweep(group: NDArray[np.int64], scan: Scan, ranges: FloatArray) -> Sweep
 
 def widest_jump(scan: Scan, beams: NDArray[np.int64], ranges: FloatArray) -> int:
     """Return the place after which the next end point is farthest."""
-    mounts, z = scan.finder.mounts[beams], ranges[beams]
-    points = mounts[:, :2] + z[:, None] * np.column_stack([np.cos(mounts[:, 2]), np.sin(mounts[:, 2])])
+    points = points_along(scan.finder.mounts[beams], ranges[beams])
     return int(np.argmax(np.hypot(*(np.roll(points, -1, axis=0) - points).T)))
 
 
-def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float = 0.5) -> list[NDArray[np.int64]]:
+def split_at_gaps(sweep: Sweep, noise: RangeNoise, *, max_gap: float) -> list[NDArray[np.int64]]:
     """Return runs of end points that may belong to one surface, as places in the sweep.
 
     Two neighbours part when they are farther apart than a wall under `GRAZING_ANGLE` puts them (Borges and Aldon's

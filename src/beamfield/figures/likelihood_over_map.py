@@ -73,7 +73,7 @@ def likelihood_figure(
     return figure
 
 
-def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes, *, title: str = "") -> None:
+def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes, *, title: str) -> None:
     """Draw a scan in the part of the map that it sees.
 
     Parameters

@@ -112,10 +112,8 @@ def _zoom(ax: Axes, poses: FloatArray, grid: OccupancyGrid) -> None:
     """Show the part of the map that the poses are in."""
     known = poses[np.isfinite(poses).all(axis=1), :2]
     margin = MARGIN + 0.1 * float(np.ptp(known, axis=0).max())
-    rows, cols = grid.shape
-    corners = grid.to_map(np.array([[0, 0], [cols, 0], [0, rows], [cols, rows]]))
-    low = np.maximum(known.min(axis=0) - margin, corners.min(axis=0))
-    high = np.minimum(known.max(axis=0) + margin, corners.max(axis=0))
+    low = np.maximum(known.min(axis=0) - margin, grid.bounds[:2])
+    high = np.minimum(known.max(axis=0) + margin, grid.bounds[2:])
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
 

@@ -14,8 +14,6 @@ Floats = NDArray[np.float64]
 UNDEFINED = np.float32(2.0)
 # Cells that are transformed, then looked up, then summed: each step is a loop that LLVM vectorises.
 BLOCK = 256
-# Columns of the sums.
-N, LOCAL, GLOBAL, PRODUCT, LOCAL_SQUARE, GLOBAL_SQUARE = range(6)
 
 
 @fast_kernel

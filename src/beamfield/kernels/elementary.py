@@ -197,3 +197,9 @@ def split(x: float) -> tuple[float, float]:
     x = nearest if abs(x - nearest) <= SNAP else x
     cell = np.floor(x)
     return cell, x - cell
+
+
+@inlined_shared
+def never_nan(value: float) -> float:
+    """Return -inf for NaN: only coordinates beyond 1e150 m lead there."""
+    return value if value == value else -math.inf

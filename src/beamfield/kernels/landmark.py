@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.kernels.elementary import arc_tangent_2
+from beamfield.kernels.elementary import arc_tangent_2, never_nan
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -162,11 +162,11 @@ def add_known(
                 total[i] += log_value((x[i], y[i], cos[i], sin[i]), lx, ly, feature, constant)
             if each:
                 for i in range(m):
-                    out[start + i, k] += _never_nan(total[i])
+                    out[start + i, k] += never_nan(total[i])
                     total[i] = 0.0
         if not each:
             for i in range(m):
-                out[start + i, 0] += _never_nan(total[i])
+                out[start + i, 0] += never_nan(total[i])
 
 
 @kernel
@@ -183,7 +183,7 @@ def fill_candidates(
         for k in range(features.shape[0]):
             feature, constants, row = _measured(features[k]), base[k], out[i, k]
             for j in range(across.size):
-                row[j] = _never_nan(log_value(sensor, across[j], along[j], feature, constants[j]))
+                row[j] = never_nan(log_value(sensor, across[j], along[j], feature, constants[j]))
 
 
 @kernel
@@ -307,7 +307,7 @@ def _fill_values(
         out.x[i], out.y[i], out.base[i] = landmarks[0, j], landmarks[1, j], base[j]
     for i in range(m):
         sensor = at.x[i], at.y[i], at.cos[i], at.sin[i]
-        out.value[i] = _never_nan(log_value(sensor, out.x[i], out.y[i], feature, out.base[i]))
+        out.value[i] = never_nan(log_value(sensor, out.x[i], out.y[i], feature, out.base[i]))
 
 
 @inlined_kernel
@@ -323,7 +323,7 @@ def _best_of_all(
     for j in range(across.size):
         # A cost that is NaN says nothing.
         if not cost[j] > limit:
-            value = _never_nan(log_value(sensor, across[j], along[j], feature, base[j]))
+            value = never_nan(log_value(sensor, across[j], along[j], feature, base[j]))
             which, best = _better(which, best, j, value)
     return which, best
 
@@ -389,9 +389,3 @@ def _sensor(pose: Floats, mount: Floats) -> Sensor:
 def _measured(feature: Floats) -> Measured:
     """Return a row of features."""
     return feature[0], feature[1], feature[2], feature[3], feature[4]
-
-
-@inlined_kernel
-def _never_nan(value: float) -> float:
-    """Return -inf for NaN: only coordinates beyond 1e150 m lead there."""
-    return value if value == value else -math.inf

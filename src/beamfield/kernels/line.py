@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.kernels.elementary import never_nan
 from beamfield.kernels.jit import inlined_kernel, kernel
 
 Floats = NDArray[np.float64]
@@ -102,13 +103,13 @@ def add_known(
                 best[i] += base[k]
             if each:
                 for i in range(m):
-                    out[start + i, k] += _never_nan(best[i])
+                    out[start + i, k] += never_nan(best[i])
             else:
                 for i in range(m):
                     total[i] += best[i]
         if not each:
             for i in range(m):
-                out[start + i, 0] += _never_nan(total[i])
+                out[start + i, 0] += never_nan(total[i])
 
 
 @kernel
@@ -130,7 +131,7 @@ def fill_candidates(poses: Floats, mount: Floats, features: Floats, lines: Float
             _fill_exponents(d, a, features[k, 1] + heading, features[k, 0], weights, row, gap)
             _add_other_pair(row, gap)
             for j in range(n_lines):
-                row[j] = _never_nan(row[j] + base[k])
+                row[j] = never_nan(row[j] + base[k])
 
 
 @kernel
@@ -162,9 +163,3 @@ def _sensor(pose: Floats, mount: Floats) -> tuple[float, float, float, float, fl
     heading = pose[2] + mount[2]
     cos, sin = math.cos(heading), math.sin(heading)
     return pose[0] + cos * mount[0] - sin * mount[1], pose[1] + sin * mount[0] + cos * mount[1], heading, cos, sin
-
-
-@inlined_kernel
-def _never_nan(value: float) -> float:
-    """Return -inf for NaN: only coordinates beyond 1e150 m lead there."""
-    return value if value == value else -math.inf

@@ -142,6 +142,8 @@ def share_hits(poses: Floats, cones: Floats, half: float, lengths: Floats, kinds
         As for `count_passes`.
     first_mark
         Number of the first reading; each is entered into a cell once.
+    log_odds_of_pass
+        What a pass adds to a cell's log odds, below 0.
     passes
         (rows, cols) what `count_passes` found over the whole log.
     hits

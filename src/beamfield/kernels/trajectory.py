@@ -204,9 +204,11 @@ def track(points: Floats, first: Integers, steps: Floats, walls: Walls, noise: H
     independent
         How many independent end points a scan is worth.
     start
-        Scan at which `poses[start]` and `covariance` (3, 3, used up) are given.
+        Scan at which `poses[start]` and `covariance` are given.
     direction
         1 for forwards, -1 for backwards.
+    covariance
+        (3, 3) of the first pose, used up.
     poses, costs
         (n, 3) and (n,) overwritten from the start to the end of the log in that direction: where the robot is then
         thought to be, and the cost in nats of the scan and of the correction.

@@ -50,10 +50,10 @@ def noise_intervals(
     blocks: NDArray[np.int64],
     theta: NoiseTheta,
     *,
-    n_replicates: int = 200,
-    level: float = 0.95,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    n_replicates: int,
+    level: float,
+    seed: int,
+    progress: Callable[[int, int], None] | None,
 ) -> NoiseIntervals:
     """Resample blocks with replacement and learn again from each sample: how far the samples scatter tells intervals.
 

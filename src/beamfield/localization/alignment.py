@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from beamfield.arguments import checked
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_pose, wrap_angle
-from beamfield.kernels import scan_field as kernels
+from beamfield.kernels import scan_alignment as kernels
 from beamfield.localization.alignment_covariance import sandwich_covariance
 from beamfield.localization.weak_direction import START_DEVIATION, UNDETERMINED, weigh_slides
 from beamfield.maps.end_points import hit_points
@@ -207,7 +207,7 @@ def align(
         return _failure(start, 0.0, 0.0, lever, "no end points")
     pose = _climb_coarse(points, field, start, search, lever)
     sigma = field.sigma_hit
-    _, converged, _ = kernels.ascend(
+    _, converged = kernels.ascend(
         points, pose, 1, sigma, lever, UNDETERMINED, FINE_TOLERANCE * sigma, FINE_STEPS, field.view
     )
     fit = _inspect(points, pose, field, lever)
@@ -347,7 +347,7 @@ def _climb_coarse(points: FloatArray, field: ScanField, start: FloatArray, searc
     for factor in COARSE_SIGMAS:
         sigma = factor * field.sigma_hit
         for i, pose in enumerate(climbers):
-            scores[i], _, _ = kernels.ascend(
+            scores[i], _ = kernels.ascend(
                 points, pose, stride, sigma, lever, UNDETERMINED, COARSE_TOLERANCE * sigma, COARSE_STEPS, field.view
             )
         # The initial pose stays in the race as the first.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from beamfield.geometry import FloatArray
-from beamfield.kernels import scan_field as kernels
+from beamfield.kernels.pull_scatter import SUMS, sum_patches
+from beamfield.kernels.scan_alignment import linearise
 from beamfield.maps.scan_field import ScanField
 
 # The gradient is differenced this many sigma to both sides: about as far as alignments err.
@@ -58,8 +59,8 @@ def sandwich_covariance(points: FloatArray, pose: FloatArray, field: ScanField, 
     P. J. Huber, *The behavior of maximum likelihood estimates under nonstandard conditions*, 1967; for clusters:
     K.-Y. Liang, S. L. Zeger, *Longitudinal data analysis using generalized linear models*, 1986.
     """
-    pulls, noise, sums = np.empty((3, 3)), np.empty((3, 3)), np.empty((field.n_elements, kernels.SUMS))
-    kernels.sum_patches(points, pose, field.sigma_hit, reach, PATCH, field.view, sums, pulls, noise)
+    pulls, noise, sums = np.empty((3, 3)), np.empty((3, 3)), np.empty((field.n_elements, SUMS))
+    sum_patches(points, pose, field.sigma_hit, reach, PATCH, field.view, sums, pulls, noise)
     # In these moves the Gauss-Newton information is the identity.
     moves = directions / np.sqrt(information)[:, None]
     curvature = moves @ _curvature(points, pose, field, lever, reach) @ moves.T
@@ -78,9 +79,7 @@ def _curvature(points: FloatArray, pose: FloatArray, field: ScanField, lever: fl
         for axis in range(3):
             moved = pose.copy()
             moved[axis] += sign * step[axis]
-            kernels.linearise(
-                points, moved, 1, field.sigma_hit, reach, field.view, gradients[side, axis], np.empty((3, 3))
-            )
+            linearise(points, moved, 1, field.sigma_hit, reach, field.view, gradients[side, axis], np.empty((3, 3)))
     fall = (gradients[1] - gradients[0]) / (2.0 * step[:, None])
     return np.asarray(0.5 * (fall + fall.T))
 

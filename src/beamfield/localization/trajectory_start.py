@@ -110,7 +110,7 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
     return followed
 
 
-def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | None = None) -> Course:
+def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | None) -> Course:
     """Return the cheapest way through hypotheses, with jumps from one to another where that pays."""
     costs = np.array([one.costs for one in followed])
     n = costs.shape[1]
@@ -134,7 +134,7 @@ def cheapest_course(drive: Drive, followed: list[Followed], start: FloatArray | 
     return Course(poses, float(total.min()), np.array(jumps, dtype=np.int64))
 
 
-def other_courses(followed: list[Followed], best: Course, start: FloatArray | None = None) -> list[Course]:
+def other_courses(followed: list[Followed], best: Course, start: FloatArray | None) -> list[Course]:
     """Return the hypotheses that are elsewhere most of the time, cheapest first, each as a course without jumps.
 
     Of a start that is given, only those that begin there.

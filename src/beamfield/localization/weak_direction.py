@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from beamfield.geometry import FloatArray
-from beamfield.kernels import scan_field as kernels
+from beamfield.kernels.scan_alignment import ascend, linearise
+from beamfield.kernels.scan_field import fill_scores
 from beamfield.maps.scan_field import MARGIN_SIGMAS, ScanField
 
 # The line is searched this far to both sides of the initial pose, metres, in steps of one sigma, with at most so many
@@ -64,7 +65,7 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
     start
         (3,) initial pose of the alignment.
     lever
-        As in `kernels.scan_field.ascend`.
+        As in `kernels.scan_alignment.ascend`.
     beam_spacing
         Angle between neighbouring beams, radians: scores are divided by the number of beams per independent one.
     window
@@ -81,9 +82,7 @@ def weigh_slides(points: FloatArray, field: ScanField, pose: FloatArray, directi
     best, highest = pose, _log_posterior(_score(points, pose, field), pose, start, dependence, deviation)
     for peak in _peaks(scores):
         climbed = line[peak].copy()
-        kernels.ascend(
-            points, climbed, 1, field.sigma_hit, lever, UNDETERMINED, TOLERANCE * field.sigma_hit, STEPS, field.view
-        )
+        ascend(points, climbed, 1, field.sigma_hit, lever, UNDETERMINED, TOLERANCE * field.sigma_hit, STEPS, field.view)
         height = _log_posterior(_score(points, climbed, field), climbed, start, dependence, deviation)
         if height > highest:
             best, highest = climbed, height
@@ -105,7 +104,7 @@ def _profile(points: FloatArray, line: FloatArray, field: ScanField) -> FloatArr
     sigma = field.sigma_hit
     some = np.ascontiguousarray(points[:: max(1, len(points) // PROFILE_POINTS)])
     scores = np.empty(len(line))
-    kernels.fill_scores(some, line, REACH_SIGMAS * sigma, MARGIN_SIGMAS * sigma, sigma, field.view, scores)
+    fill_scores(some, line, REACH_SIGMAS * sigma, MARGIN_SIGMAS * sigma, sigma, field.view, scores)
     some_score = scores - len(some) * np.log(field.view.unseen_density)
     return np.asarray(some_score * (len(points) / len(some)))
 
@@ -120,7 +119,7 @@ def _peaks(scores: FloatArray) -> list[int]:
 def _score(points: FloatArray, pose: FloatArray, field: ScanField) -> float:
     """Return the score of a pose as in the climb."""
     reach = REACH_SIGMAS * field.sigma_hit
-    return kernels.linearise(points, pose, 1, field.sigma_hit, reach, field.view, np.empty(3), np.empty((3, 3)))[0]
+    return linearise(points, pose, 1, field.sigma_hit, reach, field.view, np.empty(3), np.empty((3, 3)))[0]
 
 
 def _log_posterior(score: FloatArray | float, pose: FloatArray, start: FloatArray, dependence: float,

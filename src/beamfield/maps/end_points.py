@@ -36,8 +36,13 @@ def end_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike | None =
     beams = finder.mounts
     if poses is not None:
         beams = compose(np.asarray(poses, dtype=np.float64)[..., None, :], beams)
-    direction = np.stack([np.cos(beams[..., 2]), np.sin(beams[..., 2])], axis=-1)
-    return np.asarray(beams[..., :2] + z[..., None] * direction)
+    return points_along(beams, z)
+
+
+def points_along(rays: FloatArray, distances: FloatArray) -> FloatArray:
+    """Return the points (..., 2) at distances (...) along rays (..., 3), each from a place in a direction."""
+    direction = np.stack([np.cos(rays[..., 2]), np.sin(rays[..., 2])], axis=-1)
+    return np.asarray(rays[..., :2] + distances[..., None] * direction)
 
 
 def hit_points(ranges: ArrayLike, finder: RangeFinder, poses: ArrayLike | None = None) -> FloatArray:

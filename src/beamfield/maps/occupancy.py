@@ -129,6 +129,14 @@ class OccupancyGrid:
         return rows, cols
 
     @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Left, bottom, right and top of the map, metres in the map frame."""
+        rows, cols = self.shape
+        corners = self.to_map([[0, 0], [cols, 0], [cols, rows], [0, rows]])
+        (left, bottom), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        return left, bottom, right, top
+
+    @property
     def occupied(self) -> BoolArray:
         """(rows, cols) mask of occupied cells."""
         with np.errstate(invalid="ignore"):

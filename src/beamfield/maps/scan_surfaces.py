@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray, compose
 from beamfield.kernels import surfaces as kernels
+from beamfield.maps.end_points import points_along
 from beamfield.sensors import Scan, usable_ranges
 
 # A surface goes on behind at most this many beams in a row that measured something else, or nothing.
@@ -90,7 +91,7 @@ def _fan(mounts: FloatArray, ranges: FloatArray, max_range: float, opening: floa
 
 def _elements(mounts: FloatArray, ranges: FloatArray, joined: NDArray[np.bool_], opening: float) -> FloatArray:
     """Return the elements (m, COLUMNS) of all end points, those in line past lone ones too."""
-    points = mounts[:, :2] + ranges[:, None] * np.column_stack([np.cos(mounts[:, 2]), np.sin(mounts[:, 2])])
+    points = points_along(mounts, ranges)
     in_company = joined | np.roll(joined, 1)
     lone = points[~in_company & ~np.isnan(ranges)]
     kept = np.flatnonzero(in_company)

@@ -1,17 +1,14 @@
-"""The one interface of all measurement models, and what only some of them can do."""
+"""The one interface of all measurement models, and what those add that weigh poses together."""
 
 from __future__ import annotations
 
 from typing import Protocol, TypeVar, runtime_checkable
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray
-from beamfield.sensors import Scan
 
-Z = TypeVar("Z")
 Z_contra = TypeVar("Z_contra", contravariant=True)
 
 
@@ -42,33 +39,6 @@ class MeasurementModel(Protocol[Z_contra]):
         InvalidInputError
             If the poses are not finite (..., 3), or the measurement is not what the model needs.
         """
-        ...
-
-
-@runtime_checkable
-class GenerativeModel(Protocol[Z]):
-    """A model that measurements can be drawn from."""
-
-    def sample(self, poses: ArrayLike, *, rng: np.random.Generator | int | None = None) -> list[Z]:
-        """Draw one measurement at each of the poses (n, 3); the class says what else it takes."""
-        ...
-
-
-@runtime_checkable
-class ExpectingModel(Protocol):
-    """A model that knows what it expects to measure."""
-
-    def expected(self, poses: ArrayLike) -> FloatArray:
-        """Return the noise-free measurement at poses (..., 3); the class says in which shape."""
-        ...
-
-
-@runtime_checkable
-class BeamwiseModel(Protocol):
-    """A model whose log-likelihood of a scan is a sum over beams."""
-
-    def beam_log_likelihood(self, z: Scan, poses: ArrayLike) -> FloatArray:
-        """Return the terms (..., k) of the beams, before the exponent."""
         ...
 
 

@@ -112,6 +112,8 @@ def sample_signatures(
     ----------
     which
         (...) indices of landmarks.
+    landmarks, parameters, rng
+        The map, the noise of signatures, and what draws it.
 
     Returns
     -------

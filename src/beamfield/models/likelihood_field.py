@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import InitVar, dataclass, field
-from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from beamfield.arguments import check_fields, checked, keep, require
 from beamfield.errors import InvalidInputError
-from beamfield.geometry import FloatArray, as_poses, as_unchecked_poses, pose_rows
-from beamfield.kernels import field as kernels
-from beamfield.kernels import smooth_field
+from beamfield.geometry import FloatArray, as_poses
 from beamfield.kernels.device import require_device
-from beamfield.kernels.threads import run_in_blocks
 from beamfield.maps.distance import DistanceField
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_dependence import settle_dependence
+from beamfield.models.field_look_ups import FieldLookUps
 from beamfield.models.field_parameters import LikelihoodFieldParameters
-from beamfield.models.field_tables import FieldTables, Table
+from beamfield.models.field_tables import FieldTables
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.short_repr import short_repr
 
@@ -29,12 +25,6 @@ from beamfield.short_repr import short_repr
 # number does its density underflow to 0.
 HIT_SIGMAS, HIT_SIGMAS_WITHOUT_RAND = 8.0, 38.6
 MAX_TABLE_CELLS = 2**32 - 1
-# How many look-ups take as long as what `run_in_blocks` calls a unit of work.
-LOOK_UPS_PER_WORK_UNIT = {"nearest": 30, "bilinear": 3}
-# Poses whose beams' values are kept at a time where they are summed one by one.
-POSES_TOGETHER = 512
-# Takes poses (n, 3) and fills in what is asked for of each.
-Fill = Callable[[FloatArray, FloatArray], object]
 
 
 class BeamProfile(NamedTuple):
@@ -157,7 +147,7 @@ class LikelihoodFieldModel:
     exponent: float = field(default=None, kw_only=True)  # type: ignore[assignment]  # the same
     n_beams: int | None = field(default=None, kw_only=True)
     device: Literal["cpu", "cuda"] = field(default="cpu", kw_only=True)
-    _tables: FieldTables = field(init=False, repr=False)
+    _look_ups: FieldLookUps = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -180,7 +170,7 @@ class LikelihoodFieldModel:
         rows, cols = self.distances.distance.shape
         if (rows + 2) * (cols + 2) > MAX_TABLE_CELLS:
             raise InvalidInputError(f"distances: expected fewer than 2^32 cells, got {rows} x {cols}")
-        self._make_tables()
+        self._make_look_ups()
 
     @property
     def table_bytes(self) -> int:
@@ -214,13 +204,7 @@ class LikelihoodFieldModel:
         InvalidInputError
             If the poses are not finite (..., 3).
         """
-        table = self._tables.table(z.finder.max_range) if self.interpolation == "nearest" else None
-        if self.device == "cuda":
-            total = self._sums_on_device(z, as_poses(poses))
-        elif table is None or table.has_impossible:
-            total = self._sums(z, as_poses(poses))
-        else:
-            total = self._code_sums(z, table, poses)
+        total = self._look_ups.sums(z, poses)
         return total if self.exponent == 1.0 else np.asarray(self.exponent * total)
 
     @checked
@@ -237,11 +221,8 @@ class LikelihoodFieldModel:
         (..., k) nats, times the exponent; 0 for beams without end point and those that n_beams leaves out.
         """
         robot = as_poses(poses)
-        beams, ends = self._end_points(z)
+        beams, values = self._look_ups.beam_values(z, robot)
         result: FloatArray = np.zeros((*robot.shape[:-1], z.finder.n_beams))
-        values = np.empty((robot.size // 3, len(beams)))
-        if values.size:
-            self._run(self._values(z.finder.max_range, ends), robot, values, len(beams))
         result[..., beams] = self.exponent * values.reshape(*robot.shape[:-1], len(beams))
         return result
 
@@ -266,18 +247,7 @@ class LikelihoodFieldModel:
         """
         if self.interpolation != "bilinear":
             raise InvalidInputError(f"interpolation: a gradient needs 'bilinear', got {self.interpolation!r}")
-        robot = as_poses(poses)
-        _, ends = self._end_points(z)
-        gradient: FloatArray = np.zeros(robot.shape)
-        if ends.size and gradient.size:
-            frame, table = self._tables.centred, self._tables.smooth
-            view = self._tables.smooth_view(z.finder.max_range)
-
-            def work(flat: FloatArray, out: FloatArray) -> None:
-                smooth_field.fill_gradient(flat, frame, ends, table, view, out)
-
-            self._run(work, robot, gradient.reshape(-1, 3), ends.shape[1])
-        return self.exponent * gradient
+        return self.exponent * self._look_ups.gradient(z, as_poses(poses))
 
     def distances_to_obstacles(self, z: Scan, poses: ArrayLike) -> FloatArray:
         """Return the distance of each beam's end point to the nearest obstacle, metres: dist of Table 6.3.
@@ -292,9 +262,9 @@ class LikelihoodFieldModel:
         (..., k); NaN for beams without end point. Unknown space counts as free here.
         """
         robot = as_poses(poses)
-        beams, ends = self._end_points(z)
+        beams, ends = self._look_ups.end_points(z)
         result: FloatArray = np.full((*robot.shape[:-1], z.finder.n_beams), np.nan)
-        values = self._distances(ends, robot.reshape(-1, 3))
+        values = self._look_ups.distances_at(ends, robot.reshape(-1, 3))
         result[..., beams] = values.reshape(*robot.shape[:-1], len(beams))
         return result
 
@@ -321,7 +291,7 @@ class LikelihoodFieldModel:
         mount = finder.mounts[beam]
         direction = np.array([np.cos(mount[2]), np.sin(mount[2])])
         axis = (mount[:2, None] + direction[:, None] * ranges) / self.distances.grid.resolution
-        dist = self._distances(axis, as_poses(pose).reshape(1, 3))[0]
+        dist = self._look_ups.distances_at(axis, as_poses(pose).reshape(1, 3))[0]
         hit: FloatArray = np.exp(np.square(dist / self.parameters.sigma_hit) * -0.5)
         mass = float(hit.sum()) * spacing
         if mass > 0.0:
@@ -329,121 +299,17 @@ class LikelihoodFieldModel:
         density: FloatArray = self.parameters.z_hit * hit + self.parameters.z_rand / finder.max_range
         return BeamProfile(ranges, hit, density)
 
-    def _end_points(self, scan: Scan) -> tuple[NDArray[np.int64], FloatArray]:
-        """Return which beams count and their end points in the robot frame, (2, k), in cells: (6.32) at pose 0."""
-        finder = scan.finder
-        beams, ends = np.empty(finder.n_beams, np.int64), np.empty((2, finder.n_beams))
-        n = kernels.fill_end_points(
-            scan.ranges, finder.mounts, finder.min_range, finder.max_range, 1.0 / self.distances.grid.resolution,
-            beams, ends,
-        )  # fmt: skip
-        if self.n_beams is not None and self.n_beams < n:
-            chosen = np.round(np.linspace(0, n - 1, self.n_beams)).astype(np.int64)
-            return beams[chosen], np.ascontiguousarray(ends[:, chosen])
-        return beams[:n], np.ascontiguousarray(ends[:, :n])
-
-    def _distances(self, ends: FloatArray, poses: FloatArray) -> FloatArray:
-        """Return the distances (n, k) at end points (2, k), in cells, for poses (n, 3)."""
-        values: FloatArray = np.empty((len(poses), ends.shape[1]))
-        poses = pose_rows(poses)
-        far = self.distances.max_distance
-        if self.interpolation == "bilinear":
-            table = self._tables.smooth._replace(uniform=np.empty(0, np.bool_))
-            smooth_field.fill_distances(poses, self._tables.centred, ends, table, far, values)
-        else:
-            kernels.fill_distances(poses, self._tables.frame, ends, self.distances.distance, far, values)
-        return values
-
-    def _code_sums(self, scan: Scan, table: Table, poses: ArrayLike) -> FloatArray:
-        """Return the sums over beams by a table without impossible cells: few steps, as short calls take 50 us."""
-        robot, finder = as_unchecked_poses(poses), scan.finder
-        flat = pose_rows(robot)
-        out, all_finite = np.empty(len(flat)), []
-        ranges = scan.ranges if self.n_beams is None else self._chosen_ranges(scan)
-        sensor = finder.mounts, finder.min_range, finder.max_range
-
-        def work(a: int, b: int) -> None:
-            rows, sums = flat[a:b], out[a:b]
-            all_finite.append(kernels.fill_range_sums(rows, table.packed, ranges, *sensor, table.codes, sums))
-
-        run_in_blocks(work, len(flat), work_per_row=finder.n_beams / LOOK_UPS_PER_WORK_UNIT["nearest"])
-        if not all(all_finite):
-            as_poses(robot)  # says which
-        return out.reshape(robot.shape[:-1])
-
-    def _chosen_ranges(self, scan: Scan) -> FloatArray:
-        """Return the ranges with NaN for beams that n_beams leaves out."""
-        beams, _ = self._end_points(scan)
-        ranges: FloatArray = np.full(scan.finder.n_beams, np.nan)
-        ranges[beams] = scan.ranges[beams]
-        # As a scan's own ranges are: kernels are compiled for these alone.
-        ranges.flags.writeable = False
-        return ranges
-
-    def _sums(self, scan: Scan, robot: FloatArray) -> FloatArray:
-        """Return the sums over beams where `_code_sums` does not."""
-        finder = scan.finder
-        _, ends = self._end_points(scan)
-        total = np.empty(robot.shape[:-1])
-        work: Fill = partial(_add_up, self._values(finder.max_range, ends), ends.shape[1])
-        if self.interpolation == "bilinear":
-            frame, smooth, view = self._tables.centred, self._tables.smooth, self._tables.smooth_view(finder.max_range)
-            n_factors = smooth_field.n_factors(view)
-            if n_factors:
-                work = lambda flat, out: smooth_field.fill_sums(flat, frame, ends, smooth, view, n_factors, out)  # noqa: E731
-        self._run(work, robot, total.reshape(-1), ends.shape[1])
-        return total
-
-    def _sums_on_device(self, scan: Scan, robot: FloatArray) -> FloatArray:
-        """Return the sums over beams, looked up on the GPU."""
-        from beamfield.kernels import cuda_field
-
-        table, codes = self._tables.table_on_device(scan.finder.max_range)
-        _, ends = self._end_points(scan)
-        total, flat = np.zeros(robot.shape[:-1]), np.ascontiguousarray(robot.reshape(-1, 3))
-        if ends.size:
-            singles, frame, sums = ends.astype(np.float32), self._tables.framed, total.reshape(-1)
-            cuda_field.fill_scan_sums(flat, frame, singles, codes, table.codes.shape, table.low, table.step, sums)
-        return total
-
-    def _values(self, max_range: float, ends: FloatArray) -> Fill:
-        """Return the function (poses (n, 3), out (n, k)) that fills in each beam."""
-        if self.interpolation == "bilinear":
-            centred, smooth, view = self._tables.centred, self._tables.smooth, self._tables.smooth_view(max_range)
-
-            def work(flat: FloatArray, out: FloatArray) -> None:
-                smooth_field.fill_distances(flat, centred, ends, smooth, np.nan, out)
-                smooth_field.fill_values(view, out)
-
-            return work
-        table, frame, singles = self._tables.table(max_range), self._tables.framed, ends.astype(np.float32)
-        return lambda flat, out: kernels.fill_beam_values(flat, frame, singles, table.codes, table.low, table.step, out)
-
-    def _run(self, work: Fill, robot: FloatArray, out: FloatArray, n_ends: int) -> None:
-        flat = pose_rows(robot)
-        work_per_row = n_ends / LOOK_UPS_PER_WORK_UNIT[self.interpolation]
-        run_in_blocks(lambda a, b: work(flat[a:b], out[a:b]), len(flat), work_per_row=work_per_row)
-
-    def _make_tables(self) -> None:
-        uniform = self.unknown == "uniform"
-        keep(self, _tables=FieldTables(self.distances, self.parameters, unknown_is_uniform=uniform))
+    def _make_look_ups(self) -> None:
+        tables = FieldTables(self.distances, self.parameters, unknown_is_uniform=self.unknown == "uniform")
+        keep(self, _look_ups=FieldLookUps(tables, self.distances, self.interpolation, self.n_beams, self.device))
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the tables: they are quick to make again."""
-        return {name: value for name, value in self.__dict__.items() if name != "_tables"}
+        return {name: value for name, value in self.__dict__.items() if name != "_look_ups"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._make_tables()
-
-
-def _add_up(fill: Fill, n_ends: int, flat: FloatArray, out: FloatArray) -> None:
-    """Fill out (n,) with the sums over beams of what a kernel fills in beam by beam, a part of the poses at a time."""
-    each = np.empty((min(len(flat), POSES_TOGETHER), n_ends))
-    for start in range(0, len(flat), POSES_TOGETHER):
-        part = flat[start : start + POSES_TOGETHER]
-        fill(part, each[: len(part)])
-        each[: len(part)].sum(axis=1, out=out[start : start + len(part)])
+        self._make_look_ups()
 
 
 @checked

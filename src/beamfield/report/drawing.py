@@ -92,7 +92,7 @@ def filled_steps(
         (n + 1,).
     linewidth
         Of an outline.
-    look
+    **look
         For `Axes.fill_between`.
     """
     tops = np.asarray(heights, np.float64)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from beamfield.calibration.calibrate import Calibration
 from beamfield.geometry import FloatArray, compose
+from beamfield.maps.end_points import points_along
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.beam_density import CAUSES
 from beamfield.plot import categories, draw_cells
@@ -113,7 +114,7 @@ def beam_ends(calibration: Calibration, log: SensorLog, rows: NDArray[np.int64])
     origin = compose(log.poses[table.scan[rows]], log.finder.mounts[table.beam[rows]])
     no_return = table.ranges[rows] >= table.max_range
     reach = np.where(no_return, table.expected_ranges[rows], table.ranges[rows])
-    return np.asarray(origin[:, :2] + reach[:, None] * np.column_stack([np.cos(origin[:, 2]), np.sin(origin[:, 2])]))
+    return points_along(origin, reach)
 
 
 def _limits(points: FloatArray, path: FloatArray, margin: float = MARGIN) -> Limits:

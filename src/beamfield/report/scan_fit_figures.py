@@ -11,6 +11,7 @@ from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from beamfield.geometry import FloatArray, compose
+from beamfield.maps.end_points import points_along
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.report.as_json import LEVEL
@@ -185,7 +186,7 @@ def draw_sides(axes: Axes, model: RangeMixtureModel, log: SensorLog, grid: Occup
     drawn = side >= 0
     reach = np.where(ranges >= finder.max_range, np.nan_to_num(expected), np.nan_to_num(ranges))
     rays = compose(pose, finder.mounts)
-    ends = rays[:, :2] + reach[:, None] * np.column_stack([np.cos(rays[:, 2]), np.sin(rays[:, 2])])
+    ends = points_along(rays, reach)
     # Where the ray hits nothing and nothing returned, there is nothing to show.
     drawn &= ~((ranges >= finder.max_range) & (np.nan_to_num(expected) >= finder.max_range))
     limits = _limits(np.vstack([pose[None, :2], ends[drawn]]))

@@ -12,6 +12,7 @@ from beamfield.calibration.pose_windows import REFERENCE_LEVER
 from beamfield.calibration.time_split import time_blocks
 from beamfield.geometry import FloatArray, compose
 from beamfield.maps.distance import distance_to_obstacles
+from beamfield.maps.end_points import points_along
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
 from beamfield.models.beam_density import beam_responsibilities
@@ -141,7 +142,7 @@ def judge_table(
     measured = z - np.where(returned, parameters.range_offset, 0.0)
     share = beam_responsibilities(z, expected, table.max_range, parameters, min_range=table.min_range)
     strange = share[:, 0] < HIT_PROBABILITY
-    ends, walls = _points(rays, measured), _points(rays, expected)
+    ends, walls = points_along(rays, measured), points_along(rays, expected)
     nearest, farthest = _range_of_expected(grid, rays, table, reference_error)
     tolerated = _tolerated(expected, parameters, reference_error)
     clear = _distance_to_map(grid, ends) > _tolerated(measured, parameters, reference_error)
@@ -173,10 +174,6 @@ def _tolerated(ranges: FloatArray, parameters: BeamParameters, reference_error: 
     sigma = np.hypot(parameters.sigma_hit, parameters.sigma_slope * ranges)
     pose = reference_error * np.hypot(1.0, ranges / REFERENCE_LEVER)
     return np.asarray(TOLERATED_SIGMAS * np.hypot(pose, sigma))
-
-
-def _points(rays: FloatArray, ranges: FloatArray) -> FloatArray:
-    return np.asarray(rays[:, :2] + ranges[:, None] * np.column_stack([np.cos(rays[:, 2]), np.sin(rays[:, 2])]))
 
 
 def _range_of_expected(

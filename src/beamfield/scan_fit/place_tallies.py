@@ -38,9 +38,7 @@ class Lattice:
     def over(cls, grid: OccupancyGrid, side: float) -> Lattice:
         """Return a lattice whose squares are at least as large as a cell of the map."""
         side = max(side, grid.resolution)
-        rows, cols = grid.shape
-        corners = grid.to_map(np.array([[0, 0], [cols, 0], [0, rows], [cols, rows]]))
-        low, high = np.floor(corners.min(axis=0) / side), np.ceil(corners.max(axis=0) / side)
+        low, high = np.floor(np.divide(grid.bounds[:2], side)), np.ceil(np.divide(grid.bounds[2:], side))
         n_cols, n_rows = (high - low).astype(np.int64).tolist()
         return cls(float(low[0] * side), float(low[1] * side), side, n_rows, n_cols)
 

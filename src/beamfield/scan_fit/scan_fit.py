@@ -126,19 +126,14 @@ class ScanFits:
         judged = self.p_value[~np.isnan(self.p_value)]
         return float((judged > level).mean()) if len(judged) else float("nan")
 
-    def longest_lost(self, threshold: float = 0.5) -> tuple[float, float] | None:
-        """Return the longest stretch of scans at which the robot is probably lost.
-
-        Parameters
-        ----------
-        threshold
-            The lost probability from which on it is.
+    def longest_lost(self) -> tuple[float, float] | None:
+        """Return the longest stretch of scans at which the robot is more likely lost than not.
 
         Returns
         -------
         Stamps of its first and last scan, seconds; None if there is none.
         """
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.lost > threshold, [0]])))
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.lost > 0.5, [0]])))
         spans = [(float(self.stamps[a]), float(self.stamps[b - 1])) for a, b in edges.reshape(-1, 2)]
         return max(spans, key=lambda span: span[1] - span[0], default=None)
 

@@ -58,7 +58,7 @@ def meeting_table(*, length: float, chairs_per_side: int) -> Thing:
     return Thing(tuple(shapes), Box(-length / 2, 0.0, length / 2, 2.4))
 
 
-def round_table(*, n_chairs: int = 3, turn: float = 0.0) -> Thing:
+def round_table(*, n_chairs: int, turn: float) -> Thing:
     """Return a bistro table on one foot with chairs around it."""
     shapes: list[Shape] = [Arc(0.0, 0.9, 0.22)]
     for i in range(n_chairs):

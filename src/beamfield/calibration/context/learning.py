@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from beamfield.arguments import require
 from beamfield.calibration.context.evidence import BeamEvidence, Evidence, FieldEvidence
 from beamfield.calibration.context.exponent import EXPONENTS, LEVEL, score_exponents, suited_exponent
-from beamfield.calibration.context.posterior_judge import LOWEST, PosteriorScores
+from beamfield.calibration.context.posterior_judge import LOWEST, PosteriorScores, relative_weights
 from beamfield.calibration.pose_windows import FAR_SHARE, Rivals, Window, WindowOptions, cut_windows, draw_rivals
 from beamfield.geometry import FloatArray
 from beamfield.maps.occupancy import OccupancyGrid
@@ -160,8 +160,7 @@ def score_and_weights(values: FloatArray, rivals: Rivals) -> tuple[FloatArray, F
     share = FAR_SHARE if n_far else 0.0
     elsewhere = np.full((n_truths, n_far), share / max(1, n_far))
     prior = np.concatenate([(1.0 - share) * rivals.mass, elsewhere], axis=1)
-    top = values.max(axis=1, keepdims=True)
-    weights = np.exp(np.where(top > -np.inf, values - np.where(top > -np.inf, top, 0.0), 0.0))
+    weights = relative_weights(values)
     total = weights @ prior.T
     ratios = np.divide(weights[:, :n_truths], total, out=np.zeros_like(total), where=total > 0.0)
     alive = ratios > np.exp(LOWEST)

@@ -69,9 +69,7 @@ def judge_weights(log_weights: FloatArray, n_near: int, rivals: Rivals) -> list[
     """Return the scores of c sets of log weights (w, c, n), near poses before far ones."""
     shape = log_weights.shape[:2]
     rows = log_weights.reshape(-1, log_weights.shape[2])
-    top = rows.max(axis=1, keepdims=True)
-    # No pose has any weight: the filter learns nothing (nav2 then makes all weights equal).
-    weights = np.exp(np.where(top > -np.inf, rows - np.where(top > -np.inf, top, 0.0), 0.0))
+    weights = relative_weights(rows)
     near, far = np.ascontiguousarray(weights[:, :n_near]), np.ascontiguousarray(weights[:, n_near:])
     share = FAR_SHARE if far.shape[1] else 0.0
     ratios, denser = np.empty((len(rows), len(rivals.mass))), np.empty((len(rows), len(rivals.mass)))
@@ -83,3 +81,10 @@ def judge_weights(log_weights: FloatArray, n_near: int, rivals: Rivals) -> list[
     scores = np.log(np.maximum(ratios, np.exp(LOWEST))).mean(axis=1).reshape(shape)
     denser = denser.reshape(*shape, -1)
     return [PosteriorScores(scores[:, i], denser[:, i]) for i in range(shape[1])]
+
+
+def relative_weights(log_weights: FloatArray) -> FloatArray:
+    """Return the weights (w, n) of logarithms, the largest of each window 1."""
+    top = log_weights.max(axis=1, keepdims=True)
+    # No pose has any weight: the filter learns nothing (nav2 then makes all weights equal).
+    return np.exp(np.where(top > -np.inf, log_weights - np.where(top > -np.inf, top, 0.0), 0.0))

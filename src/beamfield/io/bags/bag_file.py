@@ -82,7 +82,7 @@ class BagFile:
     Raises
     ------
     FormatError
-        If it is not a bag, is cut or damaged, or unpacks to far more than its size (`bag_unpacking`).
+        If it is not a bag, is cut or damaged, or unpacks to far more than its size (`unpacking`).
     MissingDependencyError
         If the package rosbags is not installed.
     FileNotFoundError, PermissionError

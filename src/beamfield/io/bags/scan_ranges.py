@@ -50,7 +50,7 @@ def resolve_limits(
 
 
 def resolve_scan_ranges(
-    ranges: FloatArray, min_range: float, max_range: float, rule: NoReturnRule = "detect", *, limit_given: bool = False
+    ranges: FloatArray, min_range: float, max_range: float, rule: NoReturnRule, *, limit_given: bool
 ) -> ResolvedRanges:
     """Return ranges in which the sensor's own values for "no return" are +inf, the limit, and what was done.
 

@@ -227,9 +227,7 @@ def finite_pose(line: Line, pose: FloatArray, field: str | None = None) -> Float
     return np.array([x, y, wrapped(theta)])
 
 
-def sorted_track(
-    stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str], *, numbered: bool = False
-) -> Track | None:
+def sorted_track(stamps: ArrayLike, poses: ArrayLike, name: str, notes: list[str], *, numbered: bool) -> Track | None:
     """Return a track sorted by its stamps; None if they are lost, the scans have none, or there are no poses.
 
     Messages of several programs reach a log in any order, and every pose has its own stamp, so sorting changes no data.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -64,6 +65,11 @@ def test_the_verdict_compares_with_the_values_before():
     assert stack_verdict(result(kept)).startswith("Keep the values you have for nav2's beam")
     kept.chosen.setting = {"max_beams": 13}
     assert stack_findings(result(kept)) == []
+
+
+def test_no_verdict_says_to_use_values_where_map_or_poses_are_wrong():
+    doubtful = replace(result(fitted()), doubt="Do not use these values yet: the scale of the map is wrong.")
+    assert stack_verdict(doubtful) == doubtful.doubt
 
 
 @pytest.mark.parametrize(("sigma", "names"), [(0.1, ()), (0.0205, ("sigma",)), (0.94, ()), (0.98, ("sigma",))])

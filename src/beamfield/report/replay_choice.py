@@ -26,9 +26,8 @@ _PARTS = {
 
 
 def replay_tables(choice: ReplayChoice) -> str:
-    """Return what was replayed, the table of errors, and the decision."""
-    rows = _rows(choice)
-    return "\n".join([f"{_what(choice)}\n", aligned(_HEADER, rows, right=(1, 2, 3, 4)), f"\n{replay_verdict(choice)}"])
+    """Return what was replayed, and the table of errors."""
+    return f"{_what(choice)}\n\n{aligned(_HEADER, _rows(choice), right=(1, 2, 3, 4))}"
 
 
 def replay_markup(choice: ReplayChoice) -> str:

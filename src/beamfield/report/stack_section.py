@@ -47,12 +47,15 @@ class StackResult:
         What its filter decided; None if it was not replayed.
     why_not
         Why not.
+    doubt
+        Why no value may be used yet, whatever replay says: map or poses cannot be trusted; empty if they can.
     """
 
     fits: Sequence[StackFit]
     chosen: StackFit
     replay: ReplayChoice | None = None
     why_not: str = ""
+    doubt: str = ""
 
     @property
     def start(self) -> Any:
@@ -97,7 +100,7 @@ def stack_tables(result: StackResult) -> str:
         aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, result.trial)], right=(2, 3, 4, 5)),
         f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
-    parts.append(_not_replayed(result) if result.replay is None else replay_tables(result.replay))
+    parts += [_not_replayed(result)] if result.replay is None else [replay_tables(result.replay), stack_verdict(result)]
     parts += [
         f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.text} {item.why} {item.do}"
         for item in stack_findings(result)
@@ -152,6 +155,8 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
 
 def stack_verdict(result: StackResult) -> str:
     """Return what the values to use do, before and after: in the replayed filter, or else on windows of the log."""
+    if result.doubt:
+        return result.doubt
     if result.replay is not None:
         return replay_verdict(result.replay)
     fit = result.chosen
@@ -176,7 +181,7 @@ def stack_findings(result: StackResult) -> list[Finding]:
     fit = result.chosen
     about_trial = () if result.trial is fit.before else _about_search(fit)
     z_hit = small_z_hit(fit.model.stack, fit.model.model, result.parameters)
-    return [*_about_model(result), *z_hit, *_about_coverage(result), *about_trial]
+    return [*_about_model(result), *_about_map(result), *z_hit, *_about_coverage(result), *about_trial]
 
 
 def _about_model(result: StackResult) -> Iterator[Finding]:
@@ -190,6 +195,20 @@ def _about_model(result: StackResult) -> Iterator[Finding]:
             f"{model_named(result.chosen.model.stack, model).weight.text}: one scan then says more.",
             do=f"If your robot has to find itself from anywhere, try that, too: {before} forgives more there, and "
             f"--model {before} keeps it.",
+        )
+
+
+def _about_map(result: StackResult) -> Iterator[Finding]:
+    if result.replay is not None and (shift := result.replay.chosen.shift):
+        origin = result.replay.parts["origin"]
+        yield Finding(
+            "stack-map",
+            "info",
+            f"The values go with amcl_map.yaml, your map with its origin moved by {shift:g} m.",
+            {"shift_m": shift},
+            why=f"{result.chosen.model.stack} reads maps half a cell off. In the replay the position error was "
+            f"{origin.before:.3f} m with your map as it is, {origin.after:.3f} m with this one.",
+            do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
         )
 
 

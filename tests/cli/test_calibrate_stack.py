@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
-from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack
+from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, write_patch
 from beamfield.cli.main import main
+from beamfield.cli.report_part import StackPart
 from beamfield.io.read_map import read_map
+from beamfield.report.page_section import PageSection
 from beamfield.report.verdict import DOUBTS
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
@@ -134,6 +137,22 @@ def test_wrong_requests_fail_before_any_work(world, tmp_path, capsys, options, m
     assert message in err
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE)
+    part = StackPart(
+        "stack", "", {}, PageSection("stack", "", ""), {}, values={"sigma_hit": 0.1}, record="as calibrated"
+    )
+    assert write_patch(read_stack_file(mine, stack="nav2"), part) == (
+        f"changed sigma_hit in {mine}; the old file is mine.yaml.bak"
+    )
+    after = mine.read_text()
+    again = write_patch(read_stack_file(mine, stack="nav2"), replace(part, values={}))
+    assert again == f"left {mine} as it was"
+    assert mine.read_text() == after
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml", "mine.yaml.bak"]
 
 
 def test_a_stack_needs_a_map(world, tmp_path, capsys):

@@ -196,14 +196,15 @@ def _window_options(job: CalibrationJob) -> WindowOptions:
 
 
 def write_patch(file: StackFile, fitted: StackPart) -> str:
-    """Change the user's file, unless no value may be used yet, and return a line that says so."""
+    """Change the user's file, unless there is nothing new or no value may be used yet; return a line that says so."""
     from beamfield.stacks.files.parameter_file import write_values
 
-    if fitted.doubt:
-        return f"left {file.section.path} as it was"
     values = file.by_names_in_file(fitted.values or {})
+    if fitted.doubt or (not values and fitted.record in file.section.text):
+        return f"left {file.section.path} as it was"
     backup = write_values(file.section, values, record=fitted.record)
-    return f"changed {', '.join(values) or 'nothing'} in {file.section.path}; the old file is {backup.name}"
+    changed = f"changed {', '.join(values)} in" if values else "noted that its values were checked in"
+    return f"{changed} {file.section.path}; the old file is {backup.name}"
 
 
 def _record(found: StackResult) -> str:

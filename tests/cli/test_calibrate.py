@@ -121,6 +121,7 @@ class TestResult:
 
     def test_the_provenance_names_inputs_by_hash_and_no_folder(self, out: Path, world: Path):
         origin = json.loads((out / "calibration.json").read_text())["provenance"]
+        assert not {"mask", "poses_topic"} & origin["options"].keys()  # not given
         assert set(origin["inputs"]) == {"log", "map", "map image"}
         assert origin["inputs"]["log"]["name"] == "log.carmen"
         assert len(origin["inputs"]["map image"]["sha256"]) == 64

@@ -53,6 +53,16 @@ def test_choices_at_the_end_of_what_was_tried_are_named(fit, names):
     assert all(finding.why and finding.do for finding in found)
 
 
+@pytest.mark.parametrize(
+    ("n", "is_better", "names"), [(3, True, ["stack-few-stretches"]), (3, False, []), (4, True, [])]
+)
+def test_values_that_few_places_have_judged_are_named(n, is_better, names):
+    kept = SimpleNamespace(filter=SimpleNamespace(model="beam"), shift=0.0, sensor="fitted")
+    replay = SimpleNamespace(before=kept, chosen=kept, trials_before=[()] * n, is_better=is_better)
+    fit = fitted()
+    assert [finding.name for finding in stack_findings(StackResult((fit,), fit, replay))] == names
+
+
 def test_the_verdict_compares_with_the_values_before():
     text = stack_verdict(result(fitted()))
     assert "95% regions hold the reference in 95% of 20 held-out windows, with the values before in 50%" in text

@@ -29,6 +29,8 @@ HOW = {
     "translated; the number of beams is chosen on windows of the log.",
     "posterior": "Values were chosen for the best pose posterior on short windows of the log.",
 }
+# Fewer stretches of a log than these are too few places to be judged by.
+FEW_STRETCHES = 4
 # A z_hit below this share of z_rand looks like a mistake to people.
 SMALL_Z_HIT = 0.1
 
@@ -80,6 +82,11 @@ class StackResult:
     def covers(self) -> bool:
         """Whether enough held-out windows have the reference in their 95% region with these values."""
         return self.trial.held_out.coverage >= LEAST_COVERAGE
+
+    @property
+    def is_from_few_places(self) -> bool:
+        """Whether replay changed values by what it saw in a few places."""
+        return self.replay is not None and self.replay.is_better and len(self.replay.trials_before) < FEW_STRETCHES
 
     @property
     def motion(self) -> dict[str, Any]:
@@ -149,7 +156,7 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         f"{escaped(model_named(stack, model).formula)}.</p>\n{figure(choice)}"
     )
     changed = chosen.chosen is not chosen.before if replay is None else replay.is_better
-    level: Level = "good" if result.covers and changed else "care"
+    level: Level = "good" if result.covers and changed and not result.is_from_few_places else "care"
     return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(result), level)
 
 
@@ -181,7 +188,27 @@ def stack_findings(result: StackResult) -> list[Finding]:
     fit = result.chosen
     about_trial = () if result.trial is fit.before else _about_search(fit)
     z_hit = small_z_hit(fit.model.stack, fit.model.model, result.parameters)
-    return [*_about_model(result), *_about_map(result), *z_hit, *_about_coverage(result), *about_trial]
+    return [
+        *_about_places(result),
+        *_about_model(result),
+        *_about_map(result),
+        *z_hit,
+        *_about_coverage(result),
+        *about_trial,
+    ]
+
+
+def _about_places(result: StackResult) -> Iterator[Finding]:
+    if result.replay is not None and result.is_from_few_places:
+        n = len(result.replay.trials_before)
+        yield Finding(
+            "stack-few-stretches",
+            "warning",
+            f"The log is short: the values were judged on {n} stretches.",
+            {"stretches": n},
+            why="The interval of the difference covers chance in the filter, not other places.",
+            do="Compare old and new values on another drive (beamfield evaluate) before you rely on them.",
+        )
 
 
 def _about_model(result: StackResult) -> Iterator[Finding]:

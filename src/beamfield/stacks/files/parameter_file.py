@@ -179,7 +179,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
 
 
 def check_patch_target(file: StackFile) -> None:
-    """Raise if this stack's values do not belong into a file.
+    """Raise if this stack's values do not belong in a file.
 
     Parameters
     ----------

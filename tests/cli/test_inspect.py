@@ -390,6 +390,8 @@ def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_pat
 
 def test_a_parameter_file_is_for_the_doctor(tmp_path, capsys):
     (tmp_path / "nav2_params.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n    laser_max_range: 9.0\n")
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n")
+    assert "of a ROS 2 bag: give its folder" in refused(capsys, tmp_path / "metadata.yaml")
     error = refused(capsys, tmp_path / "nav2_params.yaml")
     assert "this is a parameter file of nav2, not a map: use `beamfield doctor nav2_params.yaml`" in error
 

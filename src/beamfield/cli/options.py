@@ -269,13 +269,16 @@ def looks_like_a_map(path: Path) -> bool:
 
 
 def parameters_instead_of(expected: str, path: Path) -> FormatError | None:
-    """Return what a YAML file is that was given for a map or a log and holds parameters; None if it holds none."""
+    """Return what a YAML file is instead of a map or a log: parameters, or metadata; None if it is neither."""
+    from beamfield.io.files.yaml_file import read_yaml
     from beamfield.stacks.files.other_files import is_beam_model
     from beamfield.stacks.files.parameter_file import read_stack_file
 
     try:
         if is_beam_model(path):
             return FormatError(path, f"this is a beam model of beamfield, not a {expected}")
+        if path.suffix == ".yaml" and "rosbag2_bagfile_information" in read_yaml(path).values:
+            return FormatError(path, "this is the metadata of a ROS 2 bag: give its folder")
         stack = read_stack_file(path, unknown_model="default").stack
     except (BeamfieldError, OSError):
         return None

@@ -36,7 +36,8 @@ def short_repr(instance: Any) -> str:
 
 def _is_default(item: Field[Any], value: Any) -> bool:
     if item.default_factory is not MISSING:
-        return bool(value == item.default_factory())
+        default = item.default_factory()
+        return np.array_equal(value, default) if isinstance(default, np.ndarray) else bool(value == default)
     return value is item.default
 
 

@@ -11,12 +11,14 @@ import re
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from beamfield.cli.calibrate import _folders
 from beamfield.cli.calibrate_field import learn_field
+from beamfield.cli.calibrate_sensor import _table
 from beamfield.cli.main import main
 from beamfield.finding import Finding
 from beamfield.io.parameters.beam_model_file import read_beam_model
@@ -119,6 +121,7 @@ class TestResult:
 
     def test_the_provenance_names_inputs_by_hash_and_no_folder(self, out: Path, world: Path):
         origin = json.loads((out / "calibration.json").read_text())["provenance"]
+        assert not {"mask", "poses_topic"} & origin["options"].keys()  # not given
         assert set(origin["inputs"]) == {"log", "map", "map image"}
         assert origin["inputs"]["log"]["name"] == "log.carmen"
         assert len(origin["inputs"]["map image"]["sha256"]) == 64
@@ -474,3 +477,17 @@ def test_each_of_several_sensors_has_a_folder_of_its_own():
     assert _folders(["FLASER"]) == {"FLASER": "."}
     names = ("/front/scan", "/front_scan", "..", "LASER 1")
     assert list(_folders(names).values()) == ["front_scan", "front_scan_", "sensor", "LASER_1"]
+
+
+def test_sentences_are_broken_for_a_terminal_and_tables_are_not(monkeypatch):
+    monkeypatch.setattr("beamfield.cli.calibrate_sensor.calibration_summary", lambda *_, **__: "summary")
+    monkeypatch.setenv("COLUMNS", "80")
+    table = f"a  b\n-  {'-' * 99}\n1  {'x' * 99}"
+    parts = [SimpleNamespace(table=f"{'word ' * 30}end.\n\n{table}")]
+    monkeypatch.setattr("sys.stdout.isatty", lambda: False)
+    assert _table(None, parts) == f"summary\n\n{parts[0].table}"
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    _, sentence, shown = _table(None, parts).split("\n\n")
+    assert max(map(len, sentence.splitlines())) <= 80
+    assert sentence.split() == ["word"] * 30 + ["end."]
+    assert shown == table

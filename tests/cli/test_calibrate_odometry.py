@@ -42,6 +42,9 @@ def test_noise_and_errors_are_printed_reported_and_patched_into_the_users_file(w
     printed = capsys.readouterr().out
     assert "one alpha" in printed
     assert "distance_scale" in printed
+    # The motion noise of the program that was asked for, not that of the others.
+    assert "nav2_amcl::DifferentialMotionModel" in printed
+    assert "mmGaussian" not in printed
     document = json.loads((out / "calibration.json").read_text())["odometry"]
     scale = document["systematic"]["distance_scale"]
     assert scale["low"] < 1 / 1.005 - 1 < scale["high"]  # the simulator's wheels are half a percent too large

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,9 +12,12 @@ import numpy as np
 import pytest
 
 from beamfield.calibration.pose_windows import WindowOptions
-from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack
+from beamfield.cli.calibrate_stack import _fits, _said, fit_for_stack, write_patch
 from beamfield.cli.main import main
+from beamfield.cli.report_part import StackPart
 from beamfield.io.read_map import read_map
+from beamfield.report.page_section import PageSection
+from beamfield.report.verdict import DOUBTS
 from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
@@ -73,7 +77,7 @@ def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(
     # The product does better than the sum of cubes that the file asks for.
     assert (document["stack"], document["model"]) == ("nav2", "likelihood_field_prob")
     assert new.laser_model_type == "likelihood_field_prob"
-    assert "stack-other-model" in [finding["name"] for finding in document["findings"]]
+    assert {"stack-other-model", "stack-map"} <= {finding["name"] for finding in document["findings"]}
     own, taken = document["models"]
     assert (own["chosen"], taken["chosen"]) == (False, True)
     assert own["start"]["laser_model_type"] == "likelihood_field"
@@ -135,6 +139,22 @@ def test_wrong_requests_fail_before_any_work(world, tmp_path, capsys, options, m
     assert not (tmp_path / "out").exists()
 
 
+def test_a_file_that_was_patched_before_gets_no_second_backup_of_the_same(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(MINE)
+    part = StackPart(
+        "stack", "", {}, PageSection("stack", "", ""), {}, values={"sigma_hit": 0.1}, record="as calibrated"
+    )
+    assert write_patch(read_stack_file(mine, stack="nav2"), part) == (
+        f"changed sigma_hit in {mine}; the old file is mine.yaml.bak"
+    )
+    after = mine.read_text()
+    again = write_patch(read_stack_file(mine, stack="nav2"), replace(part, values={}))
+    assert again == f"left {mine} as it was"
+    assert mine.read_text() == after
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml", "mine.yaml.bak"]
+
+
 def test_a_stack_needs_a_map(world, tmp_path, capsys):
     log = str(next(world.glob("log.*")))
     assert main(["calibrate", log, "--stack", "nav2", "--out", str(tmp_path / "out"), "--quiet"]) == 2
@@ -192,6 +212,23 @@ def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tm
     assert mine.read_text() == MINE
     assert "need 5 of each" in json.loads((tmp_path / "out" / "calibration.json").read_text())["stack"]["missing"]
     assert "no values for nav2" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_where_map_or_poses_are_wrong_the_users_file_stays(world, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("beamfield.cli.calibrate_stack.replay_fit", lambda *_: (None, "not tested here"))
+    monkeypatch.setitem(DOUBTS, "few-blocks", "the map is wrong")  # stands for a finding of a wrong map
+    mine, out = tmp_path / "mine.yaml", tmp_path / "out"
+    mine.write_text(MINE)
+    asked = ("--stack", "nav2", "--model", "likelihood_field", "--patch", str(mine))
+    assert calibrate(world, out, *asked, quiet=False) == 3
+    assert f"left {mine} as it was" in capsys.readouterr().out
+    assert mine.read_text() == MINE
+    assert not (tmp_path / "mine.yaml.bak").exists()
+    said = "Do not use these values yet: the map is wrong."
+    assert f"# {said}\n" in (out / "nav2.yaml").read_text()
+    assert f'<p class="verdict bad"><b class="label">Do not trust</b> {said}</p>' in (out / "report.html").read_text()
+    main(["doctor", str(out / "nav2.yaml")])
+    assert "info: calibrated" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

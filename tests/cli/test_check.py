@@ -6,11 +6,14 @@ import csv
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from beamfield.cli.check import _parameters
 from beamfield.cli.main import main
+from beamfield.finding import Finding
 
 FILES = ["beam_model.yaml", "scan_fit.csv", "scan_fit.html", "scan_fit.json", "scan_fit_reference.json"]
 
@@ -156,3 +159,16 @@ def test_a_broken_reference_names_the_file(world, result, tmp_path, capsys):
     words = ("--params", str(result / "beam_model.yaml"), "--good-scans", str(tmp_path / "broken.json"))
     assert check(world, tmp_path / "out", *words) == 1
     assert "broken.json: reference: Expecting" in capsys.readouterr().err
+
+
+def test_where_the_map_is_wrong_what_to_do_is_said(monkeypatch):
+    wrong = Finding(
+        "map-scale", "warning", "The map is too small.", do="Check the map's resolution: 0.052 m would fit."
+    )
+    learned = SimpleNamespace(
+        findings=(wrong, Finding("few-blocks", "warning", "", do="Record more.")), parameters=None
+    )
+    monkeypatch.setattr("beamfield.calibration.calibrate.calibrate", lambda *_, **__: learned)
+    _, problem = _parameters(SimpleNamespace(parameters=None, good=None, grid=None), SimpleNamespace(seed=0), None)
+    assert problem.startswith("Do not use these values yet: the scale of the map is wrong; ")
+    assert problem.endswith(f"was learned all the same. {wrong.do}")

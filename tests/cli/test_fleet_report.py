@@ -28,7 +28,8 @@ def test_a_fleet_is_reported_from_raw_logs_and_the_same_when_asked_again(tmp_pat
     first = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in report.rglob("*") if path.is_file()}
     # Once more, elsewhere: nothing is scanned, and the same is said.
     other = ["--out", str(tmp_path / "other"), "--catalogue", str(report / "catalogue")]
-    assert main([*words[:3], *other, *words[5:]]) == 0
+    assert main([*words[:3], *other, *words[5:-1]]) == 0
+    assert ": not tested, which takes 2 days of runs" in capsys.readouterr().out
     for path, (content, written) in first.items():
         name = path.relative_to(report)
         if name.parts[0] == "catalogue":

@@ -390,8 +390,19 @@ def test_options_that_do_not_fit_are_refused(capsys, tmp_path, map_path, log_pat
 
 def test_a_parameter_file_is_for_the_doctor(tmp_path, capsys):
     (tmp_path / "nav2_params.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n    laser_max_range: 9.0\n")
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n")
+    assert "of a ROS 2 bag: give its folder" in refused(capsys, tmp_path / "metadata.yaml")
     error = refused(capsys, tmp_path / "nav2_params.yaml")
     assert "this is a parameter file of nav2, not a map: use `beamfield doctor nav2_params.yaml`" in error
+
+
+@pytest.mark.parametrize(("log", "grid", "kind"), [("run.bag", "nav2.yaml", "map"), ("nav2.yaml", "map.yaml", "log")])
+def test_a_parameter_file_in_place_of_another_is_named(capsys, map_path, tmp_path, monkeypatch, log, grid, kind):
+    (tmp_path / "nav2.yaml").write_text("amcl:\n  ros__parameters:\n    z_hit: 0.5\n    laser_max_range: 9.0\n")
+    monkeypatch.chdir(tmp_path)
+    words = ["calibrate", log, "--map", str(map_path) if grid == "map.yaml" else grid, "--quiet"]
+    assert main(words) == 1
+    assert f"nav2.yaml: this is a parameter file of nav2, not a {kind}" in capsys.readouterr().err
 
 
 def test_the_picture_comes_into_a_new_folder_but_an_error_leaves_none(capsys, log_path, tmp_path):

@@ -93,7 +93,7 @@ def test_a_map_that_is_there_is_replaced_and_missing_folders_are_made(log, tmp_p
         (("--sensor", "RAWLASER1"), "RAWLASER1", 2),
         (("--odometry", "--poses", "x.tum"), "--odometry: poses come from --poses already", 2),
         (("--poses", "no_such_file.tum"), "no_such_file.tum", 1),
-        (("--lone-poses", "odometry"), "no scan has a reference pose; give a TUM or CSV file with --poses, or", 1),
+        (("--lone-poses", "odometry"), "or a TUM or CSV file with --poses, or --odometry", 1),
     ],
 )
 def test_what_cannot_be_done_leaves_no_file(log, tmp_path, capsys, words, message, code):

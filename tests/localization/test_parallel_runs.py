@@ -172,3 +172,33 @@ def test_processes_end_when_the_one_that_began_them_is_killed(tmp_path):
     )
     assert done.returncode == -signal.SIGKILL
     assert int(done.stdout) > 0
+
+
+INTERRUPTED = """
+import os, signal, sys, time
+from beamfield.localization import parallel_runs
+from beamfield.kernels.threads import set_threads
+if __name__ == "__main__":
+    parallel_runs.START_AFTER_S = 0.0
+    try:
+        with set_threads(2), parallel_runs.parallel_runs():
+            parallel_runs.run_each(abs, [1])
+            time.sleep(0.1)  # the other process still imports
+            try:
+                os.killpg(0, signal.SIGINT)
+                time.sleep(60.0)
+            finally:
+                time.sleep(1.0)  # busy, as with a run
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="groups of processes are POSIX's")
+def test_processes_that_start_end_in_silence_with_ctrl_c(tmp_path):
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "interrupted.py"],
+        stderr=subprocess.PIPE, text=True, check=False, timeout=60, start_new_session=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (130, "")

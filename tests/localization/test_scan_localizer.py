@@ -33,7 +33,9 @@ def run(localizer: ScanLocalizer, log: SensorLog, start="reference", seed=0):
 
 
 def test_a_simulated_robot_is_followed_and_its_truth_lies_in_the_cloud(localizer, drive):
-    errors = judge_replay(run(localizer, drive), drive.poses)
+    found = run(localizer, drive)
+    assert repr(found).startswith("Localization(poses=<")
+    errors = judge_replay(found, drive.poses)
     assert errors.mean < 0.08
     assert errors.inside > 0.9
     assert not errors.lost

@@ -210,7 +210,7 @@ def test_the_part_that_was_asked_for_opens_the_page_and_warns_where_nothing_can_
     places = ["<h1>", "verdict good", "It is better.", "Values.", 'id="beam-model"', "beats nav2", "Field."]
     assert [text.index(place) for place in places] == sorted(text.index(place) for place in places)
     first = re.search(r'<p class="verdict bad">.*', with_findings(Finding("map-scale", "warning", "")))
-    assert "Do not use these values yet: the scale of the map is wrong. It is better." in first[0]
+    assert "Do not use these values yet: the scale of the map is wrong.</p>" in first[0]
 
 
 def test_the_page_can_be_read_without_seeing_it(text, page):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -52,6 +53,16 @@ def test_choices_at_the_end_of_what_was_tried_are_named(fit, names):
     assert all(finding.why and finding.do for finding in found)
 
 
+@pytest.mark.parametrize(
+    ("n", "is_better", "names"), [(3, True, ["stack-few-stretches"]), (3, False, []), (4, True, [])]
+)
+def test_values_that_few_places_have_judged_are_named(n, is_better, names):
+    kept = SimpleNamespace(filter=SimpleNamespace(model="beam"), shift=0.0, sensor="fitted")
+    replay = SimpleNamespace(before=kept, chosen=kept, trials_before=[()] * n, is_better=is_better)
+    fit = fitted()
+    assert [finding.name for finding in stack_findings(StackResult((fit,), fit, replay))] == names
+
+
 def test_the_verdict_compares_with_the_values_before():
     text = stack_verdict(result(fitted()))
     assert "95% regions hold the reference in 95% of 20 held-out windows, with the values before in 50%" in text
@@ -64,6 +75,11 @@ def test_the_verdict_compares_with_the_values_before():
     assert stack_verdict(result(kept)).startswith("Keep the values you have for nav2's beam")
     kept.chosen.setting = {"max_beams": 13}
     assert stack_findings(result(kept)) == []
+
+
+def test_no_verdict_says_to_use_values_where_map_or_poses_are_wrong():
+    doubtful = replace(result(fitted()), doubt="Do not use these values yet: the scale of the map is wrong.")
+    assert stack_verdict(doubtful) == doubtful.doubt
 
 
 @pytest.mark.parametrize(("sigma", "names"), [(0.1, ()), (0.0205, ("sigma",)), (0.94, ()), (0.98, ("sigma",))])

@@ -41,6 +41,7 @@ def test_a_record_is_of_one_stack_and_model():
     nav2, beluga = parameter_class("nav2")(), parameter_class("beluga")()
     text = with_record("", record_text("nav2", "beam", nav2, "1.0", "well"), "yaml")
     assert text.startswith("# nav2 beam: calibrated by beamfield 1.0, well; checksum ")
+    assert with_record(text, text[2:].rstrip(), "yaml") == text
     assert is_as_calibrated(text, "nav2", "beam", nav2)
     assert not is_as_calibrated(text, "nav2", "likelihood_field", nav2)
     assert not is_as_calibrated(text, "beluga", "beam", beluga)

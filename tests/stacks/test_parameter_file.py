@@ -298,6 +298,9 @@ def test_writing_keeps_backups_and_permissions(write):
     assert "z_hit: 0.6 " in second.read_text()
     assert "z_hit: 0.7 " in path.read_text()
     assert [p.stat().st_mode & 0o777 for p in (path, first, second)] == [0o600] * 3
+    launch = write(LAUNCH, "a.launch")
+    backup = write_values(read_stack_file(launch).section, {"laser_z_hit": 0.6})
+    assert read_stack_file(backup).stack == "ros1"  # as `evaluate` reads it
 
 
 def test_a_byte_order_mark_stays(write):

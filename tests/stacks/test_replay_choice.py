@@ -178,13 +178,13 @@ def test_an_interrupted_replay_goes_on_where_it_was(repaired, office, stretches,
 
 
 def test_what_was_decided_is_told_with_its_interval_and_parts(repaired):
-    text, document = replay_tables(repaired), replay_as_dict(repaired)
+    text, document = replay_verdict(repaired), replay_as_dict(repaired)
     assert "Use the new values: replayed in nav2's own filter, emulated, on 2 stretches of this log, 20 runs" in text
     assert f"{repaired.error.before:.3f} m before and {repaired.error.after:.3f} m after" in text
     assert document["error"]["high"] < 0.0
     assert document["chosen"]["parameters"]["alpha3"] == 0.02
     assert document["without"].keys() == repaired.parts.keys()
-    assert "alpha 0.02" in replay_markup(repaired)
+    assert all("alpha 0.02" in said for said in (replay_markup(repaired), replay_tables(repaired)))
 
 
 def test_of_a_stretch_only_what_follows_the_lead_in_is_judged(drive):

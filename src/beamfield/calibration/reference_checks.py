@@ -50,7 +50,8 @@ def map_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
         f"{LEAST_AGREEMENT:.0%} or more).",
         {"median_agreement": median},
         why="Log, poses and map most likely do not belong together: the map is mirrored, of another building or in "
-        "another frame, the sensor's mount is wrong, or most readings are of people.",
+        "another frame, headings of the poses are in degrees, the sensor's mount is wrong, or most readings are of "
+        "people.",
         do="Run beamfield trajectory on this log and map: it finds the robot in the map, or says that it cannot. If "
         "the poses are odometry (a text log with one pose per scan), read the log with lone_poses='odometry'.",
     )

@@ -129,7 +129,8 @@ def select_scans(log: SensorLog, grid: OccupancyGrid, options: SelectionOptions 
     options = options or SelectionOptions()
     if not log.has_poses:
         raise InvalidInputError(
-            f"{log.finder.name or 'log'}: no scan has a reference pose; give them with a pose file or topic"
+            f"{log.finder.name or 'log'}: no scan has a reference pose; give some with attach_poses, or fit them to "
+            "the map with localization.cross_fit_poses"
         )
     require_metres(log, grid)
     reason = np.full(len(log), -1, dtype=np.int8)

@@ -32,11 +32,11 @@ def learn_odometry(job: CalibrationJob, sensor: SensorLog) -> tuple[ReportPart, 
         why = f"odometry not calibrated: {missing}"
         part = ReportPart(NAME, why, {"missing": str(missing)}, odometry_missing(str(missing)), {}, problem=why)
         return part, {}
-    programs = _by_program(result)
+    programs, stack = _by_program(result), job.arguments.stack
+    shown = {stack: programs[stack]} if stack in programs else programs
     part = ReportPart(
-        NAME, odometry_tables(result, programs), odometry_as_dict(result, programs),
-        odometry_section(result, programs), {},
-    )  # fmt: skip
+        NAME, odometry_tables(result, shown), odometry_as_dict(result, programs), odometry_section(result, shown), {}
+    )
     return part, _for_stack(job.arguments.stack, job.patched, result)
 
 

@@ -6,6 +6,7 @@ import argparse
 import json
 import shutil
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -172,4 +173,7 @@ def _table(result: Calibration, parts: Sequence[ReportPart]) -> str:
     """Return what is printed. Lines are broken for a terminal only: elsewhere, a line is a parameter or a warning."""
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     summary = calibration_summary(result, width=width, wording=in_options)
-    return "\n\n".join([summary, *(part.table for part in parts)])
+    paragraphs = [paragraph for part in parts for paragraph in part.table.split("\n\n")]
+    if width is not None:  # a table has several lines, a sentence has one
+        paragraphs = [text if "\n" in text else textwrap.fill(text, width) for text in paragraphs]
+    return "\n\n".join([summary, *paragraphs])

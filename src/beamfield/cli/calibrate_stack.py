@@ -95,6 +95,7 @@ def fit_for_stack(
     from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
     from beamfield.report.stack_section import StackResult, stack_as_dict, stack_section, stack_tables
+    from beamfield.report.verdict import doubts
     from beamfield.stacks.registry import STACKS
 
     stack = job.arguments.stack
@@ -108,8 +109,9 @@ def fit_for_stack(
     # A file's own model stays unless replay says otherwise.
     own, others = (best, []) if job.patched is None else (fits[0], fits[1:])
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)
-    found = StackResult(fits, own if choice is None else _fit_of(fits, choice.chosen.filter.model), choice, why_not)
-    record = _record(found) if found.covers else ""
+    chosen = own if choice is None else _fit_of(fits, choice.chosen.filter.model)
+    found = StackResult(fits, chosen, choice, why_not, doubts(result))
+    record = _record(found) if found.covers and not found.doubt else ""
     start_values = asdict(found.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}
     noise = dict(motion) if choice is None else found.motion
@@ -121,7 +123,7 @@ def fit_for_stack(
         files |= shifted_map_file(job, choice)
     return StackPart(
         "stack", "\n\n".join([stack_tables(found), *said]), stack_as_dict(found), stack_section(found, text), files,
-        values=changed, record=record,
+        values=changed, record=record, doubt=found.doubt,
     )  # fmt: skip
 
 
@@ -194,12 +196,15 @@ def _window_options(job: CalibrationJob) -> WindowOptions:
 
 
 def write_patch(file: StackFile, fitted: StackPart) -> str:
-    """Change the user's file and return a line that says so."""
+    """Change the user's file, unless there is nothing new or no value may be used yet; return a line that says so."""
     from beamfield.stacks.files.parameter_file import write_values
 
     values = file.by_names_in_file(fitted.values or {})
+    if fitted.doubt or (not values and fitted.record in file.section.text):
+        return f"left {file.section.path} as it was"
     backup = write_values(file.section, values, record=fitted.record)
-    return f"changed {', '.join(values) or 'nothing'} in {file.section.path}; the old file is {backup.name}"
+    changed = f"changed {', '.join(values)} in" if values else "noted that its values were checked in"
+    return f"{changed} {file.section.path}; the old file is {backup.name}"
 
 
 def _record(found: StackResult) -> str:
@@ -217,9 +222,9 @@ def _file_text(
     from beamfield.stacks.files.new_file import new_file_text
 
     model = found.chosen.model
+    missed = "" if found.covers else ", but too many held-out windows missed"
     comments = [
-        record
-        or f"{model.stack} {model.model}: fitted by beamfield {__version__}, but too many held-out windows missed",
+        record or f"{model.stack} {model.model}: fitted by beamfield {__version__}{missed}",
         f"log {json.dumps(arguments.log.name)}, map {json.dumps(arguments.map.name)}",
         stack_verdict(found),
         *said,

@@ -208,7 +208,7 @@ def _sensor(
 def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StageProgress) -> tuple[BeamParameters, str]:
     """Return the parameters, and why they should not be used; empty if they may be."""
     from beamfield.calibration.calibrate import CalibrationOptions, calibrate
-    from beamfield.report.verdict import doubts
+    from beamfield.report.verdict import DOUBTS, doubts
 
     if given.parameters is not None:
         return given.parameters, ""
@@ -216,7 +216,10 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
         given.good, given.grid, CalibrationOptions(refine=False, seed=arguments.seed), progress=progress
     )
     reasons = doubts(learned).rstrip(".")
-    return learned.parameters, f"{reasons}; what good scans look like was learned all the same" if reasons else ""
+    if not reasons:
+        return learned.parameters, ""
+    said = f"{reasons}; what good scans look like was learned all the same."
+    return learned.parameters, " ".join([said, *(one.do for one in learned.findings if one.name in DOUBTS)])
 
 
 def _disagreement(given: _Inputs) -> str:

@@ -23,6 +23,7 @@ from beamfield.cli.fitted_poses import posed_log
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command
 from beamfield.cli.progress import StageProgress
+from beamfield.cli.wording import in_options
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 from beamfield.printable import printable
 
@@ -123,7 +124,9 @@ def _as_text(file: StackFile, found: tuple[Finding, ...]) -> str:
         head = f"{item.severity}: {item.name}{where}"
         lines.append(head)
         for label, text in (("seen", item.text), ("why", item.why), ("do", item.do)):
-            lines += textwrap.wrap(text, width, initial_indent=f"  {label + ':':6}", subsequent_indent=" " * 8)
+            lines += textwrap.wrap(
+                in_options(text), width, initial_indent=f"  {label + ':':6}", subsequent_indent=" " * 8
+            )
     return "\n".join(lines)
 
 

@@ -95,7 +95,8 @@ def _summary(report: FleetReport) -> str:
     lines.append(f"green  {sum(state.light == 'green' for state in report.states)} of {len(report.states)} robots")
     for stale in report.stale_maps:
         n = len(stale.lasting)
-        lines.append(f"map    {stale.site}: {n} place{'s' * (n != 1)} to map again")
+        said = f"{n} place{'s' * (n != 1)} to map again" if stale.days > 1 else "not tested, which takes 2 days of runs"
+        lines.append(f"map    {stale.site}: {said}")
     if left_out := sum(not record.is_used for record in report.records):
         lines.append(f"runs   {left_out} of {len(report.records)} left out; the page says why")
     return "\n".join(lines)

@@ -77,7 +77,7 @@ def _read(arguments: argparse.Namespace) -> Content:
         try:
             return read_map(path, topic=arguments.map_topic)
         except FormatError as error:
-            raise (_known(path) or error) from None
+            raise (options.parameters_instead_of("map", path) or error) from None
     try:
         return options.read_scans(arguments)
     except FormatError as error:
@@ -96,20 +96,6 @@ def _poses(path: Path, arguments: argparse.Namespace) -> Track | None:
     if arguments.poses is not None:
         raise InvalidInputError(f"--poses: goes with a log, and {path} is read as poses")
     return read_trajectory(path)
-
-
-def _known(path: Path) -> BeamfieldError | None:
-    """Return what to do with a YAML file that is no map but a parameter file; None if it is none."""
-    from beamfield.stacks.files.other_files import is_beam_model
-    from beamfield.stacks.files.parameter_file import read_stack_file
-
-    try:
-        if is_beam_model(path):
-            return FormatError(path, "this is a beam model of beamfield, not a map")
-        stack = read_stack_file(path, unknown_model="default").stack
-    except (BeamfieldError, OSError):
-        return None
-    return FormatError(path, f"this is a parameter file of {stack}, not a map: use `beamfield doctor {path.name}`")
 
 
 def _map_of_bag(path: Path, no_log: FormatError) -> OccupancyGrid:

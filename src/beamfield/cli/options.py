@@ -158,6 +158,8 @@ def read_grid(arguments: argparse.Namespace) -> OccupancyGrid:
     try:
         return read_map(arguments.map, topic=arguments.map_topic)
     except FormatError as error:
+        if parameters := parameters_instead_of("map", arguments.map):
+            raise parameters from None
         log = getattr(arguments, "log", None)
         if log is None or (looks_like_a_map(arguments.map) and not looks_like_a_map(log)):
             raise
@@ -192,6 +194,8 @@ def read_scans(arguments: argparse.Namespace, path: Path | None = None, poses: P
 
     log_path, poses = (arguments.log, arguments.poses) if path is None else (path, poses)
     if looks_like_a_map(log_path):
+        if parameters := parameters_instead_of("log", log_path):
+            raise parameters
         swapped = "; did you swap LOG and --map?" if getattr(arguments, "map", None) is not None else ""
         raise FormatError(log_path, f"expected a log, this is a map{swapped}")
     log = read_log(
@@ -244,10 +248,9 @@ def require_poses(sensor: SensorLog, arguments: argparse.Namespace) -> SensorLog
         return sensor.with_poses(sensor.odometry)
     if not sensor.has_poses:
         wheels = ", or --odometry to trust the wheels" if sensor.has_odometry else ""
+        fitted = "a map with --map, to which they are then fitted, or " if sensor.has_odometry else ""
         raise FormatError(
-            arguments.log,
-            f"no scan has a reference pose; give a TUM or CSV file with --poses{wheels} (beamfield trajectory finds "
-            "poses in a map)",
+            arguments.log, f"no scan has a reference pose; give {fitted}a TUM or CSV file with --poses{wheels}"
         )
     return sensor
 
@@ -263,6 +266,25 @@ def looks_like_a_map(path: Path) -> bool:
         _, text = next(iter(read_lines(path)), (1, ""))
         return text.startswith(("robot_specifications", "global_map"))
     return path.suffix in (".yaml", ".yml", ".pgm", ".png", ".bmp")
+
+
+def parameters_instead_of(expected: str, path: Path) -> FormatError | None:
+    """Return what a YAML file is instead of a map or a log: parameters, or metadata; None if it is neither."""
+    from beamfield.io.files.yaml_file import read_yaml
+    from beamfield.stacks.files.other_files import is_beam_model
+    from beamfield.stacks.files.parameter_file import read_stack_file
+
+    try:
+        if is_beam_model(path):
+            return FormatError(path, f"this is a beam model of beamfield, not a {expected}")
+        if path.suffix == ".yaml" and "rosbag2_bagfile_information" in read_yaml(path).values:
+            return FormatError(path, "this is the metadata of a ROS 2 bag: give its folder")
+        stack = read_stack_file(path, unknown_model="default").stack
+    except (BeamfieldError, OSError):
+        return None
+    return FormatError(
+        path, f"this is a parameter file of {stack}, not a {expected}: use `beamfield doctor {path.name}`"
+    )
 
 
 def _no_return(text: str) -> str | tuple[float, ...]:

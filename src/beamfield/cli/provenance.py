@@ -22,7 +22,7 @@ def file_name(path: str | Path) -> str:
 
 
 def provenance(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what a reader needs to repeat a result.
+    """Return what a reader needs to repeat a result; options that were not given and have no default are left out.
 
     Every path given is an input, but for those that are written; paths are recorded by name only, as results travel.
 
@@ -36,7 +36,7 @@ def provenance(arguments: argparse.Namespace) -> dict[str, Any]:
     inputs: dict[str, Path] = {}
     options: dict[str, Any] = {}
     for name, value in sorted(vars(arguments).items(), key=lambda item: (item[0] not in ("log", "map"), item[0])):
-        if name in _NO_OPTIONS:
+        if name in _NO_OPTIONS or value is None or value == []:  # not given
             continue
         if isinstance(value, list) and value and all(isinstance(one, Path) for one in value):
             inputs.update({f"{name.replace('_', ' ')} {i}": one for i, one in enumerate(value, 1)})

@@ -52,7 +52,10 @@ class StackPart(ReportPart):
         The parameters that changed, for a file that is patched.
     record
         The comment by which `beamfield doctor` knows the values again; "" if they did not do well.
+    doubt
+        Why no file may be changed: map or poses cannot be trusted; empty if they can.
     """
 
     values: Mapping[str, Any] | None = None
     record: str = ""
+    doubt: str = ""

@@ -157,7 +157,8 @@ class _Helpers:
             except OSError:  # no memory that processes share, as in some containers
                 self._spent = -inf
             else:
-                self._started = [self._pool.submit(_run_some, sent, []) for _ in range(n)]
+                with _deaf_to_ctrl_c():
+                    self._started = [self._pool.submit(_run_some, sent, []) for _ in range(n)]
 
     def end(self) -> None:
         """End the processes, whatever they are at: after Ctrl-C nobody asks for it."""
@@ -176,6 +177,22 @@ def _pickled(run: Callable[..., Any]) -> bytes | None:
     except (pickle.PicklingError, AttributeError, TypeError):  # a filter that the caller made up
         return None
     return content if len(content) <= MOST_BYTES else None
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Begin processes that Ctrl-C does not reach: while they import, they would print where they were; `end` ends them.
+
+    This one hears of it afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamfield.finding import Finding
-from beamfield.geometry import FloatArray
+from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.kernels import trajectory as kernels
 from beamfield.kernels.trajectory import Walls
 from beamfield.localization.drive import Drive
@@ -29,6 +29,8 @@ GAP, GAP_STEPS = 5.0, 20.0
 # Wheels are seldom this far off; maps and units more often.
 SCALE = 0.05
 MOST_NAMED = 5
+# Scanners and wheels seldom start and end together: so small a share of scans without odometry is no reason to worry.
+FEW_UNKNOWN = 0.01
 # Seconds from the nearest odometry after which a robot may be anywhere.
 BRIDGED = 2.0
 
@@ -74,8 +76,9 @@ def odometry_findings(drive: Drive, course: Course, fitted: Smoothed) -> Iterato
     yield from time_gaps(drive.stamps)
     if n_unknown := int(np.count_nonzero(drive.unknown)):
         which = "1 scan has" if n_unknown == 1 else f"{n_unknown} scans have"
+        few = n_unknown <= FEW_UNKNOWN * len(drive.unknown)
         yield Finding(
-            "odometry-missing", "warning", f"{which} no odometry; it was interpolated.",
+            "odometry-missing", "info" if few else "warning", f"{which} no odometry; it was interpolated.",
             {"scans": float(n_unknown)},
             why="Slips in between are not seen.", do="Record the odometry for as long as the scans.",
         )  # fmt: skip
@@ -131,10 +134,12 @@ def _carried(drive: Drive, course: Course, since: FloatArray) -> Iterator[Findin
     for jump in course.jumps:
         a, b = course.poses[jump - 1], course.poses[jump]
         distance, when = float(np.hypot(*(b - a)[:2])), float(since[drive.scans[jump]])
+        turn = abs(float(wrap_angle(b[2] - a[2])))
         yield Finding(
             "kidnapped", "warning",
-            f"The robot was carried {distance:.1f} m {when:.1f} s after the first scan, or its odometry failed there.",
-            {"time_s": when, "distance_m": distance},
+            f"The robot was carried {distance:.1f} m and turned by {np.degrees(turn):.0f} degrees {when:.1f} s after "
+            "the first scan, its odometry failed there, or the start that was given is wrong.",
+            {"time_s": when, "distance_m": distance, "turn_rad": turn},
             why="Nothing but the scans says where it went on; they are right only if the map is distinct there.",
             do="Split the log there if that was no accident.",
         )  # fmt: skip

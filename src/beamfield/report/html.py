@@ -128,7 +128,7 @@ def _answers(calibration: Calibration, lead: PageSection | None) -> list[str]:
     if lead is None:
         return [own, key]
     doubt = doubts(calibration)
-    first = verdict_box("bad" if doubt else lead.level, f"{doubt} {lead.verdict}".strip())
+    first = verdict_box("bad" if doubt else lead.level, doubt or lead.verdict)
     return [first, key, _section(lead), f'<h2 id="beam-model">Beam model</h2>\n{own}']
 
 

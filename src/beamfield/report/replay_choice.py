@@ -17,25 +17,26 @@ from beamfield.stacks.fit.replay_choice import ReplayChoice
 from beamfield.stacks.fit.replay_runs import ReplaySetting
 from beamfield.stacks.registry import STACKS
 
-_HEADER = ("", "position error [m]", "difference, 95% interval", "lost runs", "inside 95%")
+_HEADER = ("", "error [m]", "difference, 95% interval", "lost runs", "inside 95%")
 _PARTS = {
-    "sensor": "with the sensor's values before",
-    "motion": "with the motion noise before",
-    "origin": "with the map's origin before",
+    "sensor": "sensor as before",
+    "motion": "noise as before",
+    "origin": "origin as before",
 }
 
 
 def replay_tables(choice: ReplayChoice) -> str:
-    """Return what was replayed, the table of errors, and the decision."""
-    rows = _rows(choice)
-    return "\n".join([f"{_what(choice)}\n", aligned(_HEADER, rows, right=(1, 2, 3, 4)), f"\n{replay_verdict(choice)}"])
+    """Return what was replayed, the table of errors, and what the best setting is."""
+    parts = [_what(choice), aligned(_HEADER, _rows(choice), right=(1, 2, 3, 4))]
+    return "\n\n".join(parts if choice.finalist is choice.before else [*parts, _finalist(choice)])
 
 
 def replay_markup(choice: ReplayChoice) -> str:
     """Return the same for the page."""
+    finalist = "" if choice.finalist is choice.before else f"\n<p>{escaped(_finalist(choice))}</p>"
     return (
         f"<h3>Replay</h3>\n<p>{escaped(_what(choice))}</p>\n"
-        f"{table(_HEADER, _rows(choice), right=(1, 2, 3, 4), css='stack')}"
+        f"{table(_HEADER, _rows(choice), right=(1, 2, 3, 4), css='stack')}{finalist}"
     )
 
 
@@ -103,14 +104,21 @@ def _rows(choice: ReplayChoice) -> list[tuple[str, ...]]:
     """Return a row for the values before, for the best setting, and for it without each part."""
     rows: list[tuple[str, ...]] = [("before", f"{choice.error.before:.3f}", "", *_counts(choice.trials_before))]
     if choice.finalist is not choice.before:
-        name = f"{'chosen' if choice.is_better else 'best tried'}: {describe(choice.finalist)}"
         error = choice.error
-        rows.append((name, f"{error.after:.3f}", _interval(error), *_counts(choice.trials_finalist)))
+        rows.append((_place(choice), f"{error.after:.3f}", _interval(error), *_counts(choice.trials_finalist)))
     if len(choice.parts) > 1:
         rows += [
             (_PARTS[name], f"{one.before:.3f}", _interval(one, -1.0), "", "") for name, one in choice.parts.items()
         ]
     return rows
+
+
+def _place(choice: ReplayChoice) -> str:
+    return "chosen" if choice.is_better else "best tried"
+
+
+def _finalist(choice: ReplayChoice) -> str:
+    return f"{_place(choice)}: {describe(choice.finalist)}"
 
 
 def _counts(trials: Sequence[ReplayTrials]) -> tuple[str, str]:

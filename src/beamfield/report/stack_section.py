@@ -29,6 +29,8 @@ HOW = {
     "translated; the number of beams is chosen on windows of the log.",
     "posterior": "Values were chosen for the best pose posterior on short windows of the log.",
 }
+# Fewer stretches of a log than these are too few places to be judged by.
+FEW_STRETCHES = 4
 # A z_hit below this share of z_rand looks like a mistake to people.
 SMALL_Z_HIT = 0.1
 
@@ -47,12 +49,15 @@ class StackResult:
         What its filter decided; None if it was not replayed.
     why_not
         Why not.
+    doubt
+        Why no value may be used yet, whatever replay says: map or poses cannot be trusted; empty if they can.
     """
 
     fits: Sequence[StackFit]
     chosen: StackFit
     replay: ReplayChoice | None = None
     why_not: str = ""
+    doubt: str = ""
 
     @property
     def start(self) -> Any:
@@ -79,6 +84,11 @@ class StackResult:
         return self.trial.held_out.coverage >= LEAST_COVERAGE
 
     @property
+    def is_from_few_places(self) -> bool:
+        """Whether replay changed values by what it saw in a few places."""
+        return self.replay is not None and self.replay.is_better and len(self.replay.trials_before) < FEW_STRETCHES
+
+    @property
     def motion(self) -> dict[str, Any]:
         """The motion model's values that replay changed."""
         if self.replay is None:
@@ -97,7 +107,7 @@ def stack_tables(result: StackResult) -> str:
         aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, result.trial)], right=(2, 3, 4, 5)),
         f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
-    parts.append(_not_replayed(result) if result.replay is None else replay_tables(result.replay))
+    parts += [_not_replayed(result)] if result.replay is None else [replay_tables(result.replay), stack_verdict(result)]
     parts += [
         f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.text} {item.why} {item.do}"
         for item in stack_findings(result)
@@ -146,12 +156,14 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         f"{escaped(model_named(stack, model).formula)}.</p>\n{figure(choice)}"
     )
     changed = chosen.chosen is not chosen.before if replay is None else replay.is_better
-    level: Level = "good" if result.covers and changed else "care"
+    level: Level = "good" if result.covers and changed and not result.is_from_few_places else "care"
     return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(result), level)
 
 
 def stack_verdict(result: StackResult) -> str:
     """Return what the values to use do, before and after: in the replayed filter, or else on windows of the log."""
+    if result.doubt:
+        return result.doubt
     if result.replay is not None:
         return replay_verdict(result.replay)
     fit = result.chosen
@@ -176,20 +188,58 @@ def stack_findings(result: StackResult) -> list[Finding]:
     fit = result.chosen
     about_trial = () if result.trial is fit.before else _about_search(fit)
     z_hit = small_z_hit(fit.model.stack, fit.model.model, result.parameters)
-    return [*_about_model(result), *z_hit, *_about_coverage(result), *about_trial]
+    return [
+        *_about_places(result),
+        *_about_model(result),
+        *_about_map(result),
+        *z_hit,
+        *_about_coverage(result),
+        *about_trial,
+    ]
+
+
+def _about_places(result: StackResult) -> Iterator[Finding]:
+    if result.replay is not None and result.is_from_few_places:
+        n = len(result.replay.trials_before)
+        yield Finding(
+            "stack-few-stretches",
+            "warning",
+            f"The log is short: the values were judged on {n} stretches.",
+            {"stretches": n},
+            why="The interval of the difference covers chance in the filter, not other places.",
+            do="Compare old and new values on another drive (beamfield evaluate) before you rely on them.",
+        )
 
 
 def _about_model(result: StackResult) -> Iterator[Finding]:
-    model, before = result.chosen.model.model, result.replay and result.replay.before.filter.model
-    if before and before != model:
+    if result.replay is None:
+        return
+    model, before = result.chosen.model.model, result.replay.before.filter.model
+    if before != model:
+        sensor = result.replay.parts["sensor"]
         yield Finding(
             "stack-other-model",
             "info",
-            f"The filter does better with {model} than with {before}, which it ran before.",
+            f"The filter does better with {model} than with {before}, which it ran before: its position error was "
+            f"{sensor.after:.3f} m, not {sensor.before:.3f} m.",
             why=f"{before} computes {model_named(result.chosen.model.stack, before).weight.text}, {model} "
             f"{model_named(result.chosen.model.stack, model).weight.text}: one scan then says more.",
             do=f"If your robot has to find itself from anywhere, try that, too: {before} forgives more there, and "
             f"--model {before} keeps it.",
+        )
+
+
+def _about_map(result: StackResult) -> Iterator[Finding]:
+    if result.replay is not None and (shift := result.replay.chosen.shift):
+        origin = result.replay.parts["origin"]
+        yield Finding(
+            "stack-map",
+            "info",
+            f"The values go with amcl_map.yaml, your map with its origin moved by {shift:g} m.",
+            {"shift_m": shift},
+            why=f"{result.chosen.model.stack} reads maps half a cell off. In the replay the position error was "
+            f"{origin.before:.3f} m with your map as it is, {origin.after:.3f} m with this one.",
+            do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
         )
 
 

@@ -156,7 +156,7 @@ def _place(
         return _Placed(mount, nothing, poses)
     notes.append(
         f"{name}: the log has one pose per scan, taken as the corrected (reference) pose; if the log is raw, it is "
-        "odometry: read it with lone_poses='odometry' and supply reference poses"
+        "odometry: read it with lone_poses='odometry'"
     )
     if odometry is None or _follows(driven, poses):
         return _Placed(mount, poses, nothing, odometry is not None)

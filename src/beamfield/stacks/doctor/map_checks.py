@@ -51,8 +51,8 @@ def half_cell(subject: Subject) -> Iterator[Finding]:
         f"{subject.file.stack} centres cell (0, 0) on the map's origin: it sees every wall {shift:g} m too low in x "
         "and y",
         "poses come out shifted with the walls; other programs on the robot (costmaps, planners) do not shift them",
-        f"use a finer map, or give amcl alone a copy of the map's file with {shift:g} m added to x and y of its origin"
-        ", as in the amcl_map.yaml of beamfield calibrate --stack",
+        "nothing if this is the amcl_map.yaml of beamfield calibrate --stack; else use a finer map, or give amcl alone "
+        f"a copy of the map's file with {shift:g} m added to x and y of its origin",
         values=numbers,
     )  # fmt: skip
 

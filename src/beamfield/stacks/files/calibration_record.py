@@ -43,8 +43,10 @@ def values_checksum(stack: str, model: str, parameters: Any) -> str:
 
 
 def with_record(text: str, record: str, syntax: Syntax) -> str:
-    """Return the text of a file with a record as a comment in its last line."""
+    """Return the text of a file with a record as a comment in its last line, or as it is if it has that comment."""
     newline = line_break(text)
     comment = {"yaml": f"# {record}", "ini": f"// {record}", "launch": f"<!-- {record} -->"}[syntax]
+    if comment in text.splitlines():
+        return text
     before = "" if not text or text.endswith(("\n", "\r")) else newline
     return f"{text}{before}{comment}{newline}"

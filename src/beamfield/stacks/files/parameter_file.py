@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import stat
 from collections.abc import Mapping
@@ -178,7 +179,7 @@ def write_values(section: ParameterSection, values: Mapping[str, Value], *, reco
 
 
 def check_patch_target(file: StackFile) -> None:
-    """Raise if this stack's values do not belong into a file.
+    """Raise if this stack's values do not belong in a file.
 
     Parameters
     ----------
@@ -209,7 +210,8 @@ def _refuse_read_only(path: Path) -> None:
 
 
 def _sections(path: Path) -> list[ParameterSection]:
-    suffix, signs = path.suffix.lower(), _signs()
+    # A backup that `write_values` kept is read as the file it was.
+    suffix, signs = Path(re.sub(r"\.bak\d*$", "", path.name)).suffix.lower(), _signs()
     if suffix == ".py":
         raise FormatError(path, "Python launch files are not supported; give the YAML file that it loads")
     if suffix in (".launch", ".xml"):

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from beamfield.errors import InvalidInputError
 from beamfield.explorer.heat_maps import DEPTH, heat_around, quick_weights
-from beamfield.explorer.parameter_set import read_set, typical_sets
+from beamfield.explorer.parameter_set import _default_set, read_set, typical_sets
 from beamfield.explorer.server import as_json
 from beamfield.explorer.session import Session
 from beamfield.io.parameters.beam_model_file import read_beam_model
@@ -18,9 +18,10 @@ from beamfield.models.beam import BeamModel
 from beamfield.models.beam_density import beam_log_density
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
+from beamfield.sensors import Scan
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
-from beamfield.stacks.registry import build_model, model_named
+from beamfield.stacks.registry import STACKS, build_model, model_named
 
 BEAM, FIELD, NAV2 = 0, 1, 2
 POSE = [1.2, 0.5, 0.2]
@@ -185,6 +186,27 @@ def test_a_filter_follows_the_robot(session, log):
     assert np.hypot(*(cloud[:, :2].mean(axis=0) - log.odometry[int(last), :2])) < 0.4
 
 
+@pytest.mark.parametrize(("name", "idle"), [
+    ("likelihood_field_prob", {"z_short", "z_max", "lambda_short"}), ("beam", {"laser_likelihood_max_dist"}),
+])  # fmt: skip
+def test_a_programs_model_has_the_sliders_of_what_it_looks_at(grid, log, tmp_path, name, idle):
+    path = tmp_path / "nav2.yaml"
+    path.write_text(f"amcl:\n  ros__parameters:\n    laser_model_type: {name}\n    max_beams: 20\n")
+    read = read_set(path, grid, log.finder)
+    poses, ranges = log.poses[:5] + 0.05, log[2].ranges.copy()
+    ranges[::5] = log.finder.max_range
+
+    def scores(values):
+        return read.make(values).log_likelihood(Scan(ranges, log.finder), poses)
+
+    every = {"z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "laser_likelihood_max_dist"}
+    assert every - set(read.values) == idle
+    for slider in read.sliders:
+        if slider.name in every:
+            moved = {**read.values, slider.name: 0.5 * read.values[slider.name]}
+            assert np.any(scores(moved) != scores(read.values)), slider.name
+
+
 def test_files_hold_the_values_that_were_chosen(session, grid, log, tmp_path):
     answer = ask(session, "file", i=0, pose=POSE, set=BEAM, parameters={"sigma_hit": 0.07, "exponent": 0.2})
     path = tmp_path / answer["file"]
@@ -196,6 +218,17 @@ def test_files_hold_the_values_that_were_chosen(session, grid, log, tmp_path):
     again = read_set(path, grid, log.finder)
     assert again.kind == "beam"
     assert again.values["sigma_hit"] == pytest.approx(0.07)
+
+
+@pytest.mark.parametrize(("stack", "model"), [(name, model) for name in STACKS for model in STACKS[name].models])
+def test_a_file_of_a_programs_defaults_names_their_model(stack, model, grid, tmp_path):
+    default = _default_set(stack, model, grid)
+    name, text = default.write({**default.values, "sigma_hit": 0.15} if "sigma_hit" in default.values else {})
+    (tmp_path / name).write_text(text)
+    file = read_stack_file(tmp_path / name)
+    assert (file.stack, file.model) == (stack, model)
+    if "sigma_hit" in default.values:
+        assert checked_values(file).sigma_hit == 0.15
 
 
 def test_a_users_file_keeps_what_was_not_moved(grid, log, tmp_path):

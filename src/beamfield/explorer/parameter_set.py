@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -39,6 +39,8 @@ _FILES: dict[str, tuple[str, Callable[..., str]]] = {
     "field": ("likelihood_field.yaml", likelihood_field_text),
 }
 WEIGHTS = ("z_hit", "z_short", "z_max", "z_rand")
+# In the files of other programs a field looks at none of the first, and rays do not look at the second.
+OF_RAYS, OF_FIELDS = {"z_short", "z_max", "lambda_short"}, {"laser_likelihood_max_dist"}
 
 
 @dataclass(frozen=True)
@@ -238,7 +240,7 @@ def _refusal(one: ParameterSet, finder: RangeFinder) -> str | None:
 
 def _default_set(stack: str, model: str, grid: OccupancyGrid) -> ParameterSet:
     label = f"{STACKS[stack].title}'s default {model}"
-    return _stack_set(label, stack, model, model_named(stack, model).parameters(), grid, None)
+    return _stack_set(label, stack, model, STACKS[stack].start(model), grid, None)
 
 
 def _sliders(values: Mapping[str, float], names: Mapping[str, str] | None = None) -> tuple[Slider, ...]:
@@ -303,7 +305,8 @@ def _stack_set(
 ) -> ParameterSet:
     described = model_named(stack, model)
     built = build_model(stack, model, grid, parameters)
-    names = {described.own_name(name): name for name in SLIDERS if described.has(name)}
+    idle = OF_RAYS if described.weight.of_field else OF_FIELDS
+    names = {described.own_name(name): name for name in SLIDERS if described.has(name) and name not in idle}
     values = {own: float(getattr(parameters, own)) for own in names}
     reach = described.own_name("laser_likelihood_max_dist")
 
@@ -318,7 +321,7 @@ def _stack_set(
         moved = {name: value for name, value in changed.items() if value != values[name]}
         if file is not None:
             return file.section.path.name, file.section.with_values(file.by_names_in_file(moved))
-        return f"{stack}.yaml", new_file_text(stack, changed)
+        return f"{stack}.{STACKS[stack].syntax}", new_file_text(stack, asdict(replace(parameters, **changed)))
 
     family = f"{stack} {model}"
     return ParameterSet(label, "stack", family, _sliders(values, names), values, make, make, write)

@@ -219,9 +219,13 @@ def test_where_map_or_poses_are_wrong_the_users_file_stays(world, tmp_path, caps
     monkeypatch.setitem(DOUBTS, "few-blocks", "the map is wrong")  # stands for a finding of a wrong map
     mine, out = tmp_path / "mine.yaml", tmp_path / "out"
     mine.write_text(MINE)
+    out.mkdir()
+    (out / "amcl_map.yaml").write_text("of another day")
     asked = ("--stack", "nav2", "--model", "likelihood_field", "--patch", str(mine))
     assert calibrate(world, out, *asked, quiet=False) == 3
-    assert f"left {mine} as it was" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert f"left {mine} as it was" in said.out
+    assert f"{out / 'amcl_map.yaml'}: of an earlier run; these values do not go with it" in said.err
     assert mine.read_text() == MINE
     assert not (tmp_path / "mine.yaml.bak").exists()
     said = "Do not use these values yet: the map is wrong."

@@ -54,3 +54,9 @@ def test_what_is_no_fleet_is_named_and_nothing_is_written(words, code, said, tmp
     assert main(typed) == code
     assert said in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_missing_manifest_is_refused_before_workers_start(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("beamfield.fleet.engine.Engine", None)
+    assert main(["fleet", "report", str(tmp_path / "fleet.yaml"), "--out", str(tmp_path / "out")]) == 1
+    assert "fleet.yaml: No such file" in capsys.readouterr().err

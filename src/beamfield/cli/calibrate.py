@@ -82,6 +82,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Parse, read, calibrate, write."""
     # The numerical libraries load here, so that --help answers at once.
+    from beamfield.cli.calibrate_replay import MAP_NAME
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
 
@@ -118,6 +119,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
             for file_name, content in result.files.items():
                 (place / file_name).write_text(content, encoding="utf-8")
         recorded = [] if grid is None else write_recordings(arguments, partial(beam_recording, *first.learned, grid))
+    if arguments.stack is not None:
+        maps = [arguments.out / folders[name] / MAP_NAME for name, one in results.items() if MAP_NAME not in one.files]
+        notes += tuple(f"{path}: of an earlier run; these values do not go with it" for path in maps if path.exists())
     line = ", ".join([f"wrote {', '.join(first.files)} into {arguments.out}", *map(str, recorded)])
     brief = "; ".join((result.stack or result).document["verdict"] for result in results.values())
     if patched is not None and first.stack is not None:

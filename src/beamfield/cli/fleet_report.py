@@ -24,10 +24,9 @@ from beamfield.cli.parser import Parser, add_command
 from beamfield.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from beamfield.cli.progress import StageProgress
     from beamfield.fleet.catalogue import Catalogue
-    from beamfield.fleet.engine import Engine
     from beamfield.fleet.fleet_report import FleetReport
+    from beamfield.fleet.manifest import ManifestRow
 
 CATALOGUE = "catalogue"
 
@@ -48,15 +47,23 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Scan what is new, judge, draw, write."""
     # The numerical libraries load here, so that --help answers at once.
     from beamfield.fleet.beam_schema import require_pyarrow
+    from beamfield.fleet.catalogue import Catalogue
     from beamfield.fleet.engine import Engine
     from beamfield.fleet.fleet_report import judge_fleet
     from beamfield.fleet.report_files import report_as_dict, write_fleet_report
+    from beamfield.fleet.scan import scan_fleet
     from beamfield.io.files.atomic import atomic_folder, check_folder_writable
 
     check_folder_writable(arguments.out)
     require_pyarrow()
-    with options.progress(arguments) as progress, Engine(arguments.scheduler, arguments.workers) as engine:
-        report = judge_fleet(_catalogue(arguments, engine, progress), engine, progress=progress)
+    given = _catalogue_or_manifest(arguments)
+    with options.progress(arguments) as progress:
+        progress("starting workers", 0, 1)
+        with Engine(arguments.scheduler, arguments.workers) as engine:
+            if not isinstance(given, Catalogue):
+                kept = arguments.catalogue or str(arguments.out / CATALOGUE)
+                given = scan_fleet(given, kept, engine, progress=progress).catalogue
+            report = judge_fleet(given, engine, progress=progress)
         progress("drawing", 0, 1)
         with atomic_folder(arguments.out) as folder:
             names = write_fleet_report(folder, report)
@@ -69,20 +76,19 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
 
 
-def _catalogue(arguments: argparse.Namespace, engine: Engine, progress: StageProgress) -> Catalogue:
-    """Open a catalogue, or scan a manifest into one."""
+def _catalogue_or_manifest(arguments: argparse.Namespace) -> Catalogue | tuple[ManifestRow, ...]:
+    """Read what is given, before workers are started for it."""
     from beamfield.fleet.catalogue import CATALOGUE_FILE, open_catalogue
     from beamfield.fleet.folder import is_address, without_secrets
-    from beamfield.fleet.scan import scan_fleet
+    from beamfield.fleet.manifest import read_manifest
 
     given = arguments.fleet
     is_manifest = without_secrets(given).lower().endswith((".yaml", ".yml", ".csv"))
-    if not is_manifest and (is_address(given) or (Path(given) / CATALOGUE_FILE).is_file()):
-        if arguments.catalogue is not None:
-            raise InvalidInputError("--catalogue: is for a manifest, and a catalogue is given")
-        return open_catalogue(given)
-    kept = arguments.catalogue or str(arguments.out / CATALOGUE)
-    return scan_fleet(given, kept, engine, progress=progress).catalogue
+    if is_manifest or not (is_address(given) or (Path(given) / CATALOGUE_FILE).is_file()):
+        return read_manifest(given)
+    if arguments.catalogue is not None:
+        raise InvalidInputError("--catalogue: is for a manifest, and a catalogue is given")
+    return open_catalogue(given)
 
 
 def _summary(report: FleetReport) -> str:

@@ -142,7 +142,7 @@ def seconds_per_candidate(search: GlobalSearch, scan: Scan) -> float:
     """Return the time of one candidate's sum, from 40,000 of them beside each other."""
     points = hit_points(scan.ranges, scan.finder)
     cells = np.floor(search.grid.to_cells(points)).astype(np.int32).T[::-1]
-    field = np.ascontiguousarray(search._field)[None]
+    field = np.ascontiguousarray(search._field)[None, None]
     bounds = np.empty((1, 200, 200), np.int64)
     return median(lambda: kernels.fill_coarse_bounds(np.ascontiguousarray(cells)[None], field, bounds)) / bounds.size
 

@@ -11,12 +11,15 @@ from beamfield.calibration import pose_windows
 from beamfield.simulation import floor_plan
 from beamfield.stacks.fit import fit_space, motion_candidates, replay_choice
 
+# Out of the fixture: a process runs files of other packages in between, and comes back.
+draw_once = cache(floor_plan.draw_floor_plan)
+
 
 @pytest.fixture(scope="package", autouse=True)
 def plans_drawn_once() -> Iterator[None]:
     """Draw each floor plan once for all commands that simulate in it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(floor_plan, "draw_floor_plan", cache(floor_plan.draw_floor_plan))
+        patch.setattr(floor_plan, "draw_floor_plan", draw_once)
         yield
 
 

@@ -8,7 +8,7 @@ import pytest
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose, wrap_angle
 from beamfield.kernels import global_search as kernels
-from beamfield.localization import global_search
+from beamfield.localization import search_window
 from beamfield.localization.global_search import GlobalSearch, SearchWindow
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.mapping import scan_map
@@ -35,13 +35,18 @@ def scan_at(grid: OccupancyGrid, pose, rng=None) -> Scan:
     return Scan(ranges if rng is None else ranges + rng.normal(0.0, 0.03, ranges.shape), FINDER)
 
 
-@pytest.mark.parametrize("trial", range(6))
+@pytest.mark.parametrize("trial", range(10))
 def test_equals_trying_every_pose(trial):
-    """Windows in the middle and half off the map; random scans too, which fit nowhere and make the search hard."""
+    """Windows in the middle and half off the map; random scans too, which fit nowhere and make the search hard.
+
+    Of the last four, only three readings are hits: many poses score alike.
+    """
     rng = np.random.default_rng(trial)
     grid = draw_room()
     truth = np.array([rng.uniform(0.5, 7.0), rng.uniform(2.5, 4.0), rng.uniform(-3, 3)])
     scan = scan_at(grid, truth, rng) if trial < 3 else Scan(rng.uniform(0.5, 8.5, 61), FINDER)
+    if trial >= 6:
+        scan = Scan(np.where(np.arange(61) % 20 == 10, scan.ranges, np.nan), FINDER)
     center = truth + rng.uniform(-1, 1, 3) - [0.0, 3.0 * (trial % 2), 0.0]
     search = GlobalSearch(grid, sigma=0.15, angle_step=np.radians(6.0))
     found = search.search(scan, SearchWindow(center, 5.0, 3.6), apart=(0.5, 0.6))
@@ -52,7 +57,7 @@ def test_equals_trying_every_pose(trial):
     points = hit_points(scan.ranges, FINDER)
     sums = every_pose(search._field.astype(int), grid, points, xs, ys, headings)
     assert found.n_candidates == sums.size
-    assert found.n_scored < 0.5 * sums.size
+    assert found.n_scored < 0.5 * sums.size or trial >= 6
 
     k, j, i = np.unravel_index(sums.argmax(), sums.shape)  # the first of the greatest
     assert found.best.score == pytest.approx(sums.max() / (255 * len(points)), abs=1e-12)
@@ -73,7 +78,7 @@ def test_the_levels_of_the_pyramid_change_no_result(monkeypatch, rng):
     scan = scan_at(grid, [2.0, 3.3, 0.7], rng)
     results = []
     for levels in (1, 2, 4, 6, 8):
-        monkeypatch.setattr(global_search, "LEVELS", levels)
+        monkeypatch.setattr(search_window, "LEVELS", levels)
         found = GlobalSearch(grid, angle_step=0.1).search(scan, SearchWindow([3.0, 4.0, 0.0], 3.0, 3.0))
         results.append((found.best.pose.tolist(), found.best.score, found.runner_up.pose.tolist()))
     assert all(result == results[0] for result in results)
@@ -181,19 +186,19 @@ def test_flat_fields_do_not_make_the_search_long():
     found = GlobalSearch(grid).search(scan, SearchWindow([10.0, 10.0, 0.0], 10.0, 10.0))
     assert found.best.score == 1.0
     np.testing.assert_allclose(found.best.pose, [5.0, 5.0, 0.0], atol=1e-9)
-    assert found.n_scored < 10_000
+    assert found.n_scored < 0.02 * found.n_candidates
 
 
 def test_pyramid_holds_the_greatest_value_of_each_block(rng):
     field = rng.integers(0, 256, (9, 13)).astype(np.uint8)
-    pyramid = np.full((4, 9 + 9, 13 + 9), 77, np.uint8)
+    pyramid = np.full((4, 9 + 16, 13 + 16), 77, np.uint8)
     kernels.fill_pyramid(field, pyramid)
-    padded = np.zeros((40, 40), np.uint8)
+    padded = np.zeros((48, 48), np.uint8)
     padded[8:17, 8:21] = field
     for level in range(4):
         side = 2**level
-        for row in range(18):
-            for col in range(22):
+        for row in range(25):
+            for col in range(29):
                 assert pyramid[level, row, col] == padded[row : row + side, col : col + side].max()
 
 

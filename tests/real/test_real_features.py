@@ -17,8 +17,8 @@ pytestmark = pytest.mark.real
 @pytest.mark.parametrize(
     ("name", "n_pairs", "lines", "long_lines", "corners", "minima", "too_small"),
     [
-        ("Intel", 50, 0.85, 0.92, 0.50, 0.70, 2.0),
-        ("TurtleBot 4, straight on", 40, 0.64, 0.88, 0.54, 0.60, 2.2),
+        ("Intel", 30, 0.85, 0.92, 0.50, 0.70, 2.0),
+        ("TurtleBot 4, straight on", 20, 0.64, 0.88, 0.54, 0.60, 2.2),
     ],
     ids=["Intel", "TurtleBot 4"],
 )

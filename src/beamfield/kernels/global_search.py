@@ -33,8 +33,8 @@ def fill_pyramid(field: Bytes, pyramid: Bytes) -> None:
     field
         (rows, cols) values.
     pyramid
-        (levels, rows + 2^(levels - 1) + 1, cols + 2^(levels - 1) + 1) overwritten: cell (0, 0) of the field is at
-        [2^(levels - 1), 2^(levels - 1)]; off the field values are 0.
+        (levels, at least rows + 2 side, at least cols + 2 side) overwritten, with side 2^(levels - 1): cell (0, 0) of
+        the field is at [side, side]; off the field values are 0.
     """
     rows, cols = field.shape
     levels, tall, wide = pyramid.shape
@@ -55,25 +55,33 @@ def fill_pyramid(field: Bytes, pyramid: Bytes) -> None:
 
 
 @kernel
-def fill_coarse_bounds(points: Points, pyramid: Bytes, bounds: Integers) -> None:
+def fill_coarse_bounds(points: Points, top: Bytes, bounds: Integers) -> None:
     """Bound the score of every block of the coarsest level.
 
     Parameters
     ----------
     points
         (n, 2, p) rows and columns, in the pyramid's cells, of the points at each heading's first candidate.
-    pyramid
-        See `fill_pyramid`.
+    top
+        (side, side, tall, wide): [p, q, a, b] is the coarsest level's value at row a side + p, column b side + q. What
+        neighbouring blocks take for one point lies side by side in it, and is added for many of them at once.
     bounds
         (n, block rows, block columns) overwritten.
     """
-    levels = pyramid.shape[0]
-    side = 1 << (levels - 1)
-    top = pyramid[levels - 1]
+    side, _, tall, wide = top.shape
+    n_rows, n_cols = bounds.shape[1:]
     for k in range(points.shape[0]):
-        for j in range(bounds.shape[1]):
-            for i in range(bounds.shape[2]):
-                bounds[k, j, i] = _sum_at(points[k], top, j * side, i * side)
+        into = bounds[k]
+        into[:] = 0
+        for b in range(points.shape[2]):
+            r, c = points[k, 0, b] // side, points[k, 1, b] // side
+            values = top[points[k, 0, b] % side, points[k, 1, b] % side]
+            first, last = max(0, -c), min(n_cols, wide - c)
+            if first < last:
+                for j in range(max(0, -r), min(n_rows, tall - r)):
+                    sums, more = into[j, first:last], values[r + j, c + first : c + last]
+                    for i in range(len(sums)):
+                        sums[i] += more[i]
 
 
 @kernel
@@ -84,11 +92,14 @@ def search_blocks(blocks: Integers, bounds: Integers, points: Points, pyramid: B
     Parameters
     ----------
     blocks
-        (m, 3) heading, row and column of blocks of the coarsest level, in blocks.
+        (m,) indices of blocks of the coarsest level, each once.
     bounds
-        (m,) their bounds.
-    points, pyramid
+        (n, block rows, block columns) of all blocks; those of the blocks searched fall to what they were found to hold
+        at most outside the disc.
+    points
         See `fill_coarse_bounds`.
+    pyramid
+        See `fill_pyramid`.
     n_rows, n_cols
         Candidates of a heading.
     excluded
@@ -100,28 +111,30 @@ def search_blocks(blocks: Integers, bounds: Integers, points: Points, pyramid: B
         (m, 3) overwritten: score and key of the best candidate, -1 if it does not beat the best known; number of sums
         that were taken.
     """
-    levels = pyramid.shape[0]
+    levels, tall, wide = pyramid.shape
+    side = 1 << (levels - 1)
+    block_rows, block_cols = bounds.shape[1:]
     stack = np.empty((STACK, 4), np.int64)
     child = np.empty((4, 3), np.int64)
     sums = np.empty(4, np.int64)
+    places = np.empty(points.shape[2], np.int64)
     for m in range(blocks.shape[0]):
-        k = blocks[m, 0]
-        at_heading = points[k]
+        rest, block_col = blocks[m] // block_cols, blocks[m] % block_cols
+        k, block_row = rest // block_rows, rest % block_rows
+        first_row, first_col, bound = block_row * side, block_col * side, bounds[k, block_row, block_col]
         has_hole = excluded[4 + k] == 1
         out[m, 0], out[m, 1] = -1, -1
         taken = 0
-        top = 1
-        side = 1 << (levels - 1)
-        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = (
-            levels - 1,
-            blocks[m, 1] * side,
-            blocks[m, 2] * side,
-            bounds[m],
-        )
+        top, most = 0, bound
+        if _beats(bound, (k * n_rows + first_row) * n_cols + first_col, best, best_key):
+            top, most = 1, 0
+            stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = levels - 1, first_row, first_col, bound
+            _fill_places(points[k], first_row, first_col, tall - side, wide - side, wide, places)
         while top > 0:
             top -= 1
             level, row, col, bound = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
             if not _beats(bound, (k * n_rows + row) * n_cols + col, best, best_key):
+                most = max(most, bound)
                 continue
             size = 1 << level
             if has_hole and _inside(row, col, min(row + size, n_rows) - 1, min(col + size, n_cols) - 1, excluded):
@@ -129,15 +142,19 @@ def search_blocks(blocks: Integers, bounds: Integers, points: Points, pyramid: B
             if level == 0:
                 best, best_key = bound, (k * n_rows + row) * n_cols + col
                 out[m, 0], out[m, 1] = best, best_key
+                most = max(most, bound)
                 continue
             level -= 1
             half = 1 << level
-            _four_sums(at_heading, pyramid[level], row, col, half, sums)
+            _four_sums(places, pyramid[level], row - first_row, col - first_col, half, sums)
             taken += 4
             n = 0
             for quarter in range(4):
                 r, c, value = row + half * (quarter >> 1), col + half * (quarter & 1), sums[quarter]
-                if r >= n_rows or c >= n_cols or not _beats(value, (k * n_rows + r) * n_cols + c, best, best_key):
+                if r >= n_rows or c >= n_cols:
+                    continue
+                if not _beats(value, (k * n_rows + r) * n_cols + c, best, best_key):
+                    most = max(most, value)
                     continue
                 # The best child goes on top, to be searched first: insert by (bound, falling key).
                 place = n
@@ -156,6 +173,7 @@ def search_blocks(blocks: Integers, bounds: Integers, points: Points, pyramid: B
                 )
                 top += 1
         out[m, 2] = taken
+        bounds[k, block_row, block_col] = most
 
 
 @kernel
@@ -173,28 +191,24 @@ def _inside(row: int, col: int, last_row: int, last_col: int, excluded: Integers
 
 
 @kernel
-def _sum_at(points: Points, level: Bytes, row: int, col: int) -> int:
-    """Return the sum over the points, moved by (row, col), of one level of the pyramid."""
-    last_row, last_col = level.shape[0] - 1, level.shape[1] - 1
-    total = 0
+def _fill_places(points: Points, row: int, col: int, last_row: int, last_col: int, wide: int, places: Integers) -> None:
+    """Fill in the places in a flat level of the points moved by (row, col); those off the field move to its zeros."""
     for b in range(points.shape[1]):
-        r = min(max(points[0, b] + row, 0), last_row)
-        c = min(max(points[1, b] + col, 0), last_col)
-        total += level[r, c]
-    return total
+        r, c = points[0, b] + row, points[1, b] + col
+        places[b] = min(max(r, 0), last_row) * wide + min(max(c, 0), last_col)
 
 
 @kernel
-def _four_sums(points: Points, level: Bytes, row: int, col: int, half: int, sums: Integers) -> None:
-    """Fill sums (4,) with `_sum_at` of the quarters (row, col), (row, col + half), (row + half, col) and both."""
-    last_row, last_col = level.shape[0] - 1, level.shape[1] - 1
+def _four_sums(places: Integers, level: Bytes, row: int, col: int, half: int, sums: Integers) -> None:
+    """Fill sums (4,) of a level at places moved by (row, col), (row, col + half), (row + half, col) and both halves."""
+    wide = level.shape[1]
+    flat = level.reshape(-1)
     s0, s1, s2, s3 = 0, 0, 0, 0
-    for b in range(points.shape[1]):
-        r, c = points[0, b] + row, points[1, b] + col
-        r0, r1 = min(max(r, 0), last_row), min(max(r + half, 0), last_row)
-        c0, c1 = min(max(c, 0), last_col), min(max(c + half, 0), last_col)
-        s0 += level[r0, c0]
-        s1 += level[r0, c1]
-        s2 += level[r1, c0]
-        s3 += level[r1, c1]
+    first = row * wide + col
+    for b in range(places.shape[0]):
+        at = np.uint64(places[b] + first)  # unsigned, which spares asking whether it counts from the end
+        s0 += flat[at]
+        s1 += flat[at + np.uint64(half)]
+        s2 += flat[at + np.uint64(half * wide)]
+        s3 += flat[at + np.uint64(half * wide + half)]
     sums[0], sums[1], sums[2], sums[3] = s0, s1, s2, s3

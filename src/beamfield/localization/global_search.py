@@ -13,7 +13,7 @@ from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, as_poses, transform_points
 from beamfield.kernels import global_search as kernels
 from beamfield.kernels.threads import run_in_blocks
-from beamfield.localization.search_window import LEVELS, SNAP, SearchLattice, SearchWindow
+from beamfield.localization.search_window import SNAP, SearchLattice, SearchWindow
 from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.end_points import hit_points
 from beamfield.maps.occupancy import OccupancyGrid
@@ -172,12 +172,13 @@ class GlobalSearch:
         if len(points) == 0:
             return SearchResult(Candidate(window.center, 0.0), None, False, 0, lattice.n_candidates, 0)
         problem = self._prepare(points, lattice)
-        key, score, n_scored = problem.solve(None)
+        score, key, n_scored = problem.solve(None)
+        n_scored += problem.bounds.size
         if score <= 0:
             return SearchResult(Candidate(window.center, 0.0), None, False, len(points), lattice.n_candidates, n_scored)
         best = Candidate(lattice.pose(key), score / (STEPS * len(points)))
         hole = lattice.neighbourhood(key, *apart)
-        key, score, more = problem.solve(hole)
+        score, key, more = problem.solve(hole)
         runner_up = Candidate(lattice.pose(key), score / (STEPS * len(points))) if score > 0 else None
         return SearchResult(best, runner_up, True, len(points), lattice.n_candidates, n_scored + more)
 
@@ -218,63 +219,79 @@ class GlobalSearch:
         high = cells.max(axis=(0, 2)) + np.array([lattice.n_rows - 1, lattice.n_cols - 1])
         low, high = np.clip(low, 0, self.grid.shape), np.clip(high + 1, 0, self.grid.shape)
         part = np.ascontiguousarray(self._field[low[0] : high[0], low[1] : high[1]])
-        pad = 1 << (LEVELS - 1)
-        pyramid = np.empty((LEVELS, part.shape[0] + pad + 1, part.shape[1] + pad + 1), np.uint8)
+        side = 1 << (lattice.levels - 1)
+        # Whole blocks, and one more on each side: what lies off the field is 0.
+        tall, wide = (side * (-(-n // side) + 2) for n in part.shape)
+        pyramid = np.empty((lattice.levels, tall, wide), np.uint8)
         kernels.fill_pyramid(part, pyramid)
         # Far points are off the field wherever they are.
-        relative = np.clip(cells - low[:, None] + pad, -(2**30), 2**30).astype(np.int32)
+        relative = np.clip(cells - low[:, None] + side, -(2**30), 2**30).astype(np.int32)
         return _Problem.of(relative, pyramid, lattice)
 
 
 class _Problem(NamedTuple):
-    """One search: points, pyramid, and the coarsest blocks in the order in which they are searched."""
+    """One search: points, pyramid, and bounds of the coarsest blocks."""
 
     points: NDArray[np.int32]
     pyramid: NDArray[np.uint8]
     lattice: SearchLattice
-    blocks: NDArray[np.int64]
     bounds: NDArray[np.int64]
 
     @classmethod
     def of(cls, points: NDArray[np.int32], pyramid: NDArray[np.uint8], lattice: SearchLattice) -> _Problem:
-        side = 1 << (LEVELS - 1)
+        levels, tall, wide = pyramid.shape
+        side = 1 << (levels - 1)
+        top = pyramid[-1].reshape(tall // side, side, wide // side, side)
+        top = np.ascontiguousarray(top.transpose(1, 3, 0, 2))
         shape = len(points), -(-lattice.n_rows // side), -(-lattice.n_cols // side)
         bounds = np.empty(shape, np.int64)
         run_in_blocks(
-            lambda a, b: kernels.fill_coarse_bounds(points[a:b], pyramid, bounds[a:b]),
+            lambda a, b: kernels.fill_coarse_bounds(points[a:b], top, bounds[a:b]),
             len(points),
-            work_per_row=shape[1] * shape[2] * points.shape[2],
+            work_per_row=0.02 * shape[1] * shape[2] * points.shape[2],
         )
-        order = np.argsort(-bounds, axis=None, kind="stable")
-        blocks = np.column_stack(np.unravel_index(order, shape)).astype(np.int64)
-        return cls(points, pyramid, lattice, blocks, bounds.reshape(-1)[order])
+        return cls(points, pyramid, lattice, bounds)
 
     def solve(self, hole: NDArray[np.int64] | None) -> tuple[int, int, int]:
-        """Return key and score of the best candidate outside the hole, -1 if there is none, and the sums taken."""
-        lattice = self.lattice
-        excluded = np.zeros(4 + len(lattice.headings), np.int64) if hole is None else hole
-        best, best_key, taken = -1, lattice.n_candidates, len(self.blocks) if hole is None else 0
+        """Return score and key of the best candidate outside the hole, 0 and -1 if there is none, and the sums taken.
+
+        What it learns about the bounds is kept: call it without a hole first, then with one.
+        """
+        excluded = np.zeros(4 + len(self.points), np.int64) if hole is None else hole
+        flat = self.bounds.reshape(-1)
+        # The likeliest block of each heading first: what these hold rules most of the others out.
+        per_heading = self.bounds.reshape(len(self.points), -1)
+        likely = per_heading.argmax(axis=1) + per_heading.shape[1] * np.arange(len(per_heading))
+        found = self._search(likely, excluded, (0, -1, 0))
+        return self._search(np.flatnonzero(flat >= max(found[0], 1)), excluded, found)
+
+    def _search(self, blocks: NDArray[np.int64], excluded: NDArray[np.int64], found: tuple[int, int, int]
+                ) -> tuple[int, int, int]:  # fmt: skip
+        """Return score and key of the best of what was found before and of these blocks, and the sums taken."""
+        best, best_key, taken = found
+        bounds, n_points = self.bounds.reshape(-1), self.points.shape[2]
+        # Bytes, as they are sorted in no time; within one of them, blocks come in any order.
+        rank = (STEPS - bounds[blocks] // n_points).astype(np.uint8)
+        blocks = blocks[np.argsort(rank, kind="stable")]
         done, size = 0, FIRST_ROUND
-        while done < len(self.blocks) and self.bounds[done] >= best:
-            stop = min(done + size, len(self.blocks))
-            stop = done + int(np.count_nonzero(self.bounds[done:stop] >= best))
-            blocks, bounds = self.blocks[done:stop], self.bounds[done:stop]
-            out = np.empty((len(blocks), 3), np.int64)
+        while done < len(blocks) and bounds[blocks[done]] + n_points > best:
+            now = blocks[done : done + size]
+            out = np.empty((len(now), 3), np.int64)
             run_in_blocks(
-                lambda a, b, blocks=blocks, bounds=bounds, out=out, best=best, key=best_key: kernels.search_blocks(  # type: ignore[misc]
-                    blocks[a:b], bounds[a:b], self.points, self.pyramid, lattice.n_rows, lattice.n_cols, excluded,
-                    best, key, out[a:b],
+                lambda a, b, now=now, out=out, best=best, key=best_key: kernels.search_blocks(  # type: ignore[misc]
+                    now[a:b], self.bounds, self.points, self.pyramid, self.lattice.n_rows, self.lattice.n_cols,
+                    excluded, best, key, out[a:b],
                 ),
-                len(blocks),
-                work_per_row=100 * self.points.shape[2],
+                len(now),
+                work_per_row=n_points,
             )  # fmt: skip
             taken += int(out[:, 2].sum())
-            score = int(out[:, 0].max(initial=-1))
-            if score >= max(best, 0):
+            score = int(out[:, 0].max())
+            if score > 0 and score >= best:
                 key = int(out[out[:, 0] == score, 1].min())
                 best, best_key = score, key if score > best else min(key, best_key)
-            done, size = stop, 2 * size
-        return (best_key, best, taken) if best >= 0 else (-1, -1, taken)
+            done, size = done + size, 2 * size
+        return best, best_key, taken
 
 
 def _field(grid: OccupancyGrid, sigma: float) -> NDArray[np.uint8]:

@@ -15,9 +15,10 @@ from beamfield.maps.occupancy import OccupancyGrid
 
 # Points this far below a cell border, in cells, are on it.
 SNAP = 1e-9
-# The coarsest blocks have 2^5 = 32 candidates a side. Measured on windows of 20 m at 5 cm, 16, 32 and 64 are alike;
-# over whole buildings 64 is a quarter faster.
-LEVELS = 6
+# The coarsest blocks have 2^3 = 8 candidates a side, or up to 2^5 = 32 where there would be more of them than this, as
+# each is bounded. Measured with trajectories: in a storey of 26 m x 42 m, 32 a side take half as long again; in one of
+# 80 m x 80 m, 8 a side take twice as long as 16.
+LEVELS, MOST_LEVELS, MOST_BLOCKS = 4, 6, 500_000
 # Entries of the largest table, 8 bytes each.
 MAX_ENTRIES = 50_000_000
 
@@ -109,14 +110,26 @@ class SearchLattice(NamedTuple):
         return cls(grid, n_rows, n_cols, first, window.center[2] + offsets, step)
 
     @property
+    def levels(self) -> int:
+        """Levels of blocks."""
+        levels = LEVELS
+        while levels < MOST_LEVELS and self._n_blocks(levels) > MOST_BLOCKS:
+            levels += 1
+        return levels
+
+    def _n_blocks(self, levels: int) -> float:
+        """Return about how many blocks there are, rather too many."""
+        side = float(1 << (levels - 1))
+        return len(self.headings) * (self.n_rows / side + 1) * (self.n_cols / side + 1)
+
+    @property
     def n_candidates(self) -> int:
         """Number of poses."""
         return len(self.headings) * self.n_rows * self.n_cols
 
     def check_size(self, n_points: int) -> None:
         """Refuse a search whose tables would fill the memory."""
-        blocks = (self.n_rows / 2 ** (LEVELS - 1) + 1) * (self.n_cols / 2 ** (LEVELS - 1) + 1)
-        if len(self.headings) * (n_points + blocks) > MAX_ENTRIES:
+        if len(self.headings) * n_points + self._n_blocks(MOST_LEVELS) > MAX_ENTRIES:
             raise InvalidInputError(
                 f"window: {len(self.headings)} headings of {self.n_rows} x {self.n_cols} poses are too many for "
                 f"{n_points} points; search a smaller window, or with a larger angle_step"

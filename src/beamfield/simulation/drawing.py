@@ -21,15 +21,14 @@ class Box:
     x1: float
     y1: float
 
-    def contains(self, points: FloatArray) -> BoolArray:
-        """Return which points (..., 2), metres in the box's frame, lie in it, its lower edges included; shape (...)."""
-        x, y = points[..., 0], points[..., 1]
+    def contains(self, x: FloatArray, y: FloatArray) -> BoolArray:
+        """Return which points, metres in the box's frame, lie in it, its lower edges included; of their shape."""
         return np.asarray((x >= self.x0) & (x < self.x1) & (y >= self.y0) & (y < self.y1))
 
     @property
-    def reach(self) -> float:
-        """Radius of a circle around the frame's origin that holds the shape."""
-        return float(np.hypot(max(abs(self.x0), abs(self.x1)), max(abs(self.y0), abs(self.y1))))
+    def circle(self) -> tuple[float, float, float]:
+        """Centre and radius of a circle that holds the shape, metres in its frame."""
+        return (self.x0 + self.x1) / 2.0, (self.y0 + self.y1) / 2.0, float(np.hypot(self.width, self.height)) / 2.0
 
     @property
     def width(self) -> float:
@@ -53,17 +52,17 @@ class Arc:
     start: float = -np.pi
     stop: float = np.pi
 
-    def contains(self, points: FloatArray) -> BoolArray:
-        """Return which points (..., 2), metres, lie in the part of the ring, its edges included; shape (...)."""
-        dx, dy = points[..., 0] - self.x, points[..., 1] - self.y
+    def contains(self, x: FloatArray, y: FloatArray) -> BoolArray:
+        """Return which points, metres, lie in the part of the ring, its edges included; of their shape."""
+        dx, dy = x - self.x, y - self.y
         distance, angle = np.hypot(dx, dy), np.arctan2(dy, dx)
         in_ring = (distance >= self.inner) & (distance <= self.outer)
         return np.asarray(in_ring & (angle >= self.start) & (angle <= self.stop))
 
     @property
-    def reach(self) -> float:
-        """Radius of a circle around the frame's origin that holds the shape."""
-        return float(np.hypot(self.x, self.y) + self.outer)
+    def circle(self) -> tuple[float, float, float]:
+        """Centre and radius of a circle that holds the shape, metres in its frame."""
+        return self.x, self.y, self.outer
 
 
 Shape = Box | Arc
@@ -97,7 +96,6 @@ class Canvas:
         self.solid = np.ones(shape, dtype=bool)
         self.reserved = np.zeros(shape, dtype=bool)
         """Free cells where nothing may be put."""
-        self._row, self._col = np.indices(shape, dtype=np.int32)
 
     def carve(self, room: Box) -> None:
         """Make a room of solid material."""
@@ -118,8 +116,8 @@ class Canvas:
             (3,) of the shape's frame on the canvas, metres and radians; None: the canvas's own frame.
         """
         pose = np.zeros(3) if pose is None else pose
-        window, points = self._window(shape, pose)
-        self.solid[window] |= shape.contains(points)
+        window, x, y = self._window(shape, pose)
+        self.solid[window] |= shape.contains(x, y)
 
     def put(self, thing: Thing, pose: FloatArray) -> bool:
         """Put a piece of furniture where there is room for it: neither solid material nor a region kept free.
@@ -136,8 +134,8 @@ class Canvas:
         bool
             Whether there was room; if not, nothing has changed.
         """
-        window, points = self._window(thing.footprint, pose)
-        floor = thing.footprint.contains(points)
+        window, x, y = self._window(thing.footprint, pose)
+        floor = thing.footprint.contains(x, y)
         if ((self.solid[window] | self.reserved[window]) & floor).any():
             return False
         for shape in thing.shapes:
@@ -150,11 +148,16 @@ class Canvas:
         x0, y0, x1, y1 = (max(0, round(v / self.resolution)) for v in (room.x0, room.y0, room.x1, room.y1))
         return slice(y0, y1), slice(x0, x1)
 
-    def _window(self, shape: Shape, pose: FloatArray) -> tuple[tuple[slice, slice], FloatArray]:
-        """Cells that the shape may touch, and their centres in the shape's frame."""
-        low = np.floor((pose[:2] - shape.reach) / self.resolution).astype(int) - 1
-        high = np.ceil((pose[:2] + shape.reach) / self.resolution).astype(int) + 1
-        low, high = np.maximum(low, 0), np.maximum(high, 0)
+    def _window(self, shape: Shape, pose: FloatArray) -> tuple[tuple[slice, slice], FloatArray, FloatArray]:
+        """Cells that the shape may touch, and x and y of their centres in the shape's frame."""
+        *centre, radius = shape.circle
+        middle = transform_points(pose, centre)
+        low = np.maximum(np.floor((middle - radius) / self.resolution).astype(int) - 1, 0)
+        high = np.maximum(np.ceil((middle + radius) / self.resolution).astype(int) + 1, 0)
+        rows, cols = self.solid.shape
+        col, row = np.arange(low[0], min(high[0], cols)), np.arange(low[1], min(high[1], rows))
+        x, y = (col + 0.5) * self.resolution, (row[:, None] + 0.5) * self.resolution
+        left, down, turn = invert(pose)
+        cos, sin = np.cos(turn), np.sin(turn)
         window = (slice(low[1], high[1]), slice(low[0], high[0]))
-        centres = np.stack([self._col[window] + 0.5, self._row[window] + 0.5], axis=-1) * self.resolution
-        return window, transform_points(invert(pose), centres)
+        return window, left + cos * x - sin * y, down + sin * x + cos * y

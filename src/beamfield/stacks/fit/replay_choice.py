@@ -99,7 +99,7 @@ class ReplayChoice:
     finalist
         The best over all stretches; the same if that was the user's.
     is_better
-        Whether the finalist won: its cost is surely lower, its error lower or its coverage higher for sure; neither
+        Whether the finalist won: its cost is surely lower, and its error lower or its coverage higher for sure; neither
         the error nor the share of lost runs is surely higher.
     trials_before, trials_finalist
         Runs on each stretch, paired: of the user's setting, and of the one that the other stretches choose, mostly the
@@ -200,10 +200,7 @@ def choose_by_replay(
         best = _of_equals(last, by_stretch[:, asked].mean(axis=1), safe)
         for part in ("motion", "sensor"):
             plain = settings[best.key._replace(**{part: getattr(OWN, part)})]
-            if plain is best:
-                continue
-            trials = replays.of((plain, best), replays.n_seeds)
-            if not _gains(*([trials[one.key][i] for i in asked] for one in (plain, best))):
+            if plain is not best and not _is_surely_cheaper(best, plain, replays, asked):
                 best = plain
         return best
 
@@ -222,15 +219,18 @@ def choose_by_replay(
         return [trials[one.key][i] for i, one in enumerate(chosen)]
 
     before_, after = trials[own.key], on_each(crossed)
-    error = _compared(before_, after, clipped)
+    error, cost = _compared(before_, after, clipped), _compared(before_, after, costs)
+    coverage, lost = (compare_trials(before_, after, measure) for measure in ("inside_noisy", "lost"))
+    # A few per cent less where errors are small lower the cost, though the error elsewhere may well have grown by more.
+    gains = cost.is_lower and (error.is_lower or coverage.is_higher)
     choice = ReplayChoice(
         before=own,
         finalist=finalist,
-        is_better=_gains(before_, after) and not (error.is_higher or compare_trials(before_, after, "lost").is_higher),
+        is_better=gains and not (error.is_higher or lost.is_higher),
         trials_before=tuple(before_),
         trials_finalist=tuple(after),
         error=error,
-        cost=_compared(before_, after, costs),
+        cost=cost,
         parts={name: _compared(on_each(rivals), after, clipped) for name, rivals in without.items()},
         n_settings=len(raced) + (best.shift > 0.0),
     )
@@ -309,14 +309,11 @@ def _noise(motion: Any) -> float:
     return max(LEAST_NOISE, sum(numbers))
 
 
-def _gains(before: Sequence[ReplayTrials], after: Sequence[ReplayTrials]) -> bool:
-    """Return whether the cost after is surely lower, and the error itself lower or the coverage higher for sure.
-
-    A few per cent less where errors are small lower the cost, though the error elsewhere may well have grown by more.
-    """
-    if not _compared(before, after, costs).is_lower:
-        return False
-    return _compared(before, after, clipped).is_lower or compare_trials(before, after, "inside_noisy").is_higher
+def _is_surely_cheaper(one: ReplaySetting, other: ReplaySetting, replays: Replays, asked: Sequence[int]) -> bool:
+    """Return whether a setting's cost on some stretches is lower than another's for sure."""
+    trials = replays.of((one, other), replays.n_seeds)
+    after, before = ([trials[which.key][i] for i in asked] for which in (one, other))
+    return _compared(before, after, costs).is_lower
 
 
 def _with_origin_or_without(shifted: ReplaySetting, plain: ReplaySetting, replays: Replays) -> ReplaySetting:

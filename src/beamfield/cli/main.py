@@ -95,8 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(end.code or 0)
     threads = getattr(parsed, "threads", None)
     try:
-        few = nullcontext() if threads is None else set_threads(threads)
-        with _unpacking_limit(parsed), few, parallel_runs() if is_ours else nullcontext():
+        limited = nullcontext() if threads is None else set_threads(threads)
+        with _unpacking_limit(parsed), limited, parallel_runs() if is_ours else nullcontext():
             outcome = parsed.run(parsed)
         show(outcome, parsed)
         sys.stdout.flush()

@@ -82,7 +82,7 @@ def test_every_warning_says_why_it_matters_and_what_to_do():
     sources = [path for part in ("calibration", "landmark_noise", "scan_fit") for path in (root / part).rglob("*.py")]
     calls = [
         node
-        for path in [*sources, root / "report" / "stack_section.py"]
+        for path in [*sources, root / "report" / "stack_findings.py"]
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Finding"
     ]

@@ -8,7 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from beamfield.report.stack_section import StackResult, stack_findings, stack_verdict
+from beamfield.report.stack_findings import stack_findings
+from beamfield.report.stack_result import StackResult
+from beamfield.report.stack_section import stack_verdict
 from beamfield.stacks.coordinates import FitSpace, log_of
 from beamfield.stacks.fit.fit import _at_edge
 

@@ -20,7 +20,7 @@ from beamfield.localization.replay_trials import run_trials
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
-from beamfield.report.stack_section import small_z_hit
+from beamfield.report.stack_findings import small_z_hit
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from beamfield.calibration.pose_windows import WindowOptions
     from beamfield.cli.calibrate_sensor import CalibrationJob
     from beamfield.maps.occupancy import OccupancyGrid
-    from beamfield.report.stack_section import StackResult
+    from beamfield.report.stack_result import StackResult
     from beamfield.sensors import SensorLog
     from beamfield.stacks.files.parameter_file import StackFile
     from beamfield.stacks.fit.fit import StackFit
@@ -94,7 +94,8 @@ def fit_for_stack(
     """Fit models of the stack, choose one, and return what comes of it; `motion` goes into its file, too."""
     from beamfield.report.escape import escaped
     from beamfield.report.page_section import PageSection
-    from beamfield.report.stack_section import StackResult, stack_as_dict, stack_section, stack_tables
+    from beamfield.report.stack_result import StackResult
+    from beamfield.report.stack_section import stack_as_dict, stack_section, stack_tables
     from beamfield.report.verdict import doubts
     from beamfield.stacks.registry import STACKS
 
@@ -218,7 +219,8 @@ def _record(found: StackResult) -> str:
 def _file_text(
     arguments: argparse.Namespace, found: StackResult, values: dict[str, Any], record: str, said: list[str]
 ) -> str:
-    from beamfield.report.stack_section import small_z_hit, stack_verdict
+    from beamfield.report.stack_findings import small_z_hit
+    from beamfield.report.stack_section import stack_verdict
     from beamfield.stacks.files.new_file import new_file_text
 
     model = found.chosen.model

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from beamfield.finding import Finding
 from beamfield.report.as_json import plain
 from beamfield.report.colours import DATA, FIT, HELD_OUT, QUIET
 from beamfield.report.drawing import NARROW, legend_above, new_axes
@@ -17,11 +15,11 @@ from beamfield.report.page import figure, finding_list, table
 from beamfield.report.page_section import Level, PageSection
 from beamfield.report.panel import Panel, ReportFigure, svg_panel
 from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
+from beamfield.report.stack_findings import stack_findings
+from beamfield.report.stack_result import StackResult
 from beamfield.report.text_table import aligned
-from beamfield.stacks.fit.fit import LEAST_COVERAGE, StackFit, Trial, net_score
-from beamfield.stacks.fit.motion_candidates import BEFORE
+from beamfield.stacks.fit.fit import StackFit, Trial, net_score
 from beamfield.stacks.fit.particle_update import ParticleUpdate
-from beamfield.stacks.fit.replay_choice import ReplayChoice
 from beamfield.stacks.registry import model_named
 
 HOW = {
@@ -29,72 +27,6 @@ HOW = {
     "translated; the number of beams is chosen on windows of the log.",
     "posterior": "Values were chosen for the best pose posterior on short windows of the log.",
 }
-# Fewer stretches of a log than these are too few places to be judged by.
-FEW_STRETCHES = 4
-# A z_hit below this share of z_rand looks like a mistake to people.
-SMALL_Z_HIT = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class StackResult:
-    """What calibrating for another program's model found.
-
-    Parameters
-    ----------
-    fits
-        One per model of the stack that was fitted.
-    chosen
-        The one that the file holds.
-    replay
-        What its filter decided; None if it was not replayed.
-    why_not
-        Why not.
-    doubt
-        Why no value may be used yet, whatever replay says: map or poses cannot be trusted; empty if they can.
-    """
-
-    fits: Sequence[StackFit]
-    chosen: StackFit
-    replay: ReplayChoice | None = None
-    why_not: str = ""
-    doubt: str = ""
-
-    @property
-    def start(self) -> Any:
-        """The sensor's values before."""
-        if self.replay is None:
-            return self.chosen.start
-        model = self.replay.before.filter.model
-        return next(fit.start for fit in self.fits if fit.model.model == model)
-
-    @property
-    def trial(self) -> Trial:
-        """The sensor's values to use: those before or those fitted."""
-        keeps = self.replay is not None and self.replay.chosen.sensor == BEFORE
-        return self.chosen.before if keeps else self.chosen.chosen
-
-    @property
-    def parameters(self) -> Any:
-        """The sensor's values to use."""
-        return self.trial.parameters
-
-    @property
-    def covers(self) -> bool:
-        """Whether enough held-out windows have the reference in their 95% region with these values."""
-        return self.trial.held_out.coverage >= LEAST_COVERAGE
-
-    @property
-    def is_from_few_places(self) -> bool:
-        """Whether replay changed values by what it saw in a few places."""
-        return self.replay is not None and self.replay.is_better and len(self.replay.trials_before) < FEW_STRETCHES
-
-    @property
-    def motion(self) -> dict[str, Any]:
-        """The motion model's values that replay changed."""
-        if self.replay is None:
-            return {}
-        before, after = (asdict(one.filter.motion) for one in (self.replay.before, self.replay.chosen))
-        return {name: value for name, value in after.items() if value != before[name]}
 
 
 def stack_tables(result: StackResult) -> str:
@@ -181,117 +113,6 @@ def stack_verdict(result: StackResult) -> str:
     if errors[0] > errors[1] and held_out.coverage > before.coverage:
         text += ": the values before were surer than they had a right to be"
     return f"{text}." if fit.covers else f"{text}. The coverage is too low: the weights are still too sure."
-
-
-def stack_findings(result: StackResult) -> list[Finding]:
-    """Return what to know before using the values: coverage, odd numbers, choices at the end of what was tried."""
-    fit = result.chosen
-    about_trial = () if result.trial is fit.before else _about_search(fit)
-    z_hit = small_z_hit(fit.model.stack, fit.model.model, result.parameters)
-    return [
-        *_about_places(result),
-        *_about_model(result),
-        *_about_map(result),
-        *z_hit,
-        *_about_coverage(result),
-        *about_trial,
-    ]
-
-
-def _about_places(result: StackResult) -> Iterator[Finding]:
-    if result.replay is not None and result.is_from_few_places:
-        n = len(result.replay.trials_before)
-        yield Finding(
-            "stack-few-stretches",
-            "warning",
-            f"The log is short: the values were judged on {n} stretches.",
-            {"stretches": n},
-            why="The interval of the difference covers chance in the filter, not other places.",
-            do="Compare old and new values on another drive (beamfield evaluate) before you rely on them.",
-        )
-
-
-def _about_model(result: StackResult) -> Iterator[Finding]:
-    if result.replay is None:
-        return
-    model, before = result.chosen.model.model, result.replay.before.filter.model
-    if before != model:
-        sensor = result.replay.parts["sensor"]
-        yield Finding(
-            "stack-other-model",
-            "info",
-            f"The filter does better with {model} than with {before}, which it ran before: its position error was "
-            f"{sensor.after:.3f} m, not {sensor.before:.3f} m.",
-            why=f"{before} computes {model_named(result.chosen.model.stack, before).weight.text}, {model} "
-            f"{model_named(result.chosen.model.stack, model).weight.text}: one scan then says more.",
-            do=f"If your robot has to find itself from anywhere, try that, too: {before} forgives more there, and "
-            f"--model {before} keeps it.",
-        )
-
-
-def _about_map(result: StackResult) -> Iterator[Finding]:
-    if result.replay is not None and (shift := result.replay.chosen.shift):
-        origin = result.replay.parts["origin"]
-        yield Finding(
-            "stack-map",
-            "info",
-            f"The values go with amcl_map.yaml, your map with its origin moved by {shift:g} m.",
-            {"shift_m": shift},
-            why=f"{result.chosen.model.stack} reads maps half a cell off. In the replay the position error was "
-            f"{origin.before:.3f} m with your map as it is, {origin.after:.3f} m with this one.",
-            do="Let a second map_server publish it on a topic that amcl alone takes; all else needs your map as it is.",
-        )
-
-
-def small_z_hit(stack: str, model: str, parameters: Any) -> Iterator[Finding]:
-    """Yield the explanation of a z_hit that looks wrong, if it is that small."""
-    described = model_named(stack, model)
-    z_hit, z_rand = (described.value(parameters, name) for name in ("z_hit", "z_rand"))
-    hit, rand = map(described.own_name, ("z_hit", "z_rand"))
-    if described.multiplies(parameters) and z_hit and z_rand and z_hit <= SMALL_Z_HIT * z_rand:
-        yield Finding(
-            "stack-small-z-hit",
-            "info",
-            f"{hit} = {z_hit:.2g} is intended: it does not say that so few readings hit the map.",
-            {"z_hit": z_hit},
-            why=f"{model} multiplies over beams as if they erred independently. A beam that fits raises a weight by "
-            f"{hit} range_max / {rand}, so that a small {hit} is the only way to count each beam for less.",
-            do=f"Leave it, and change {hit} and {rand} together only.",
-        )
-
-
-def _about_coverage(result: StackResult) -> Iterator[Finding]:
-    coverage = result.trial.held_out.coverage
-    if not result.covers:
-        yield Finding(
-            "stack-coverage",
-            "warning",
-            f"Only {coverage:.0%} of the held-out windows have the truth in their 95% region.",
-            {"coverage": coverage},
-            why="The weights are still too sure here: a filter may drop the right pose.",
-            do="Look at the warnings about map and reference poses first; else calibrate with a longer log.",
-        )
-
-
-def _about_search(fit: StackFit) -> Iterator[Finding]:
-    if len(fit.trials) > 1 and fit.chosen.setting == fit.trials[-1].setting:
-        setting = ", ".join(f"{name} = {value}" for name, value in fit.chosen.setting.items())
-        yield Finding(
-            "stack-most-beams",
-            "info",
-            f"{setting} is the setting with the most beams that was tried.",
-            why="More beams may do better still, but cost time in every update.",
-            do="Check that your computer keeps up with this many beams; fewer lose what the report's figure shows.",
-        )
-    if fit.at_edge:
-        yield Finding(
-            "stack-at-edge",
-            "info",
-            f"At the end of what is searched: {', '.join(fit.at_edge)}.",
-            why="The best value on this log may lie beyond. The search is bounded because no log shows all that a "
-            "robot will meet.",
-            do="Use the values; they hold for places and crowds like those of this log.",
-        )
 
 
 def _not_replayed(result: StackResult) -> str:

@@ -106,12 +106,15 @@ class HalfMapSettings(FilterSettings):
         """Return settings of a filter for these maps."""
         return cls(*(getattr(settings, item.name) for item in fields(FilterSettings)), maps)
 
-    def filter(self, grid: OccupancyGrid) -> Any:
-        """Return the filter with both maps moved as `grid` is, the second of them."""
-        shift = grid.origin - self.maps.grids[1].origin
-        grids = [replace(one, origin=one.origin + shift) for one in self.maps.grids]
-        made = super().filter(grids[1])
-        weights = _EachByItsMap(self.maps, [ScanWeights(self.emulator(one)) for one in grids])
+    def emulator(self, grid: OccupancyGrid) -> Any:
+        """Return the measurement models on both maps, moved as `grid` is, the second of them."""
+        of, shift = super().emulator, grid.origin - self.maps.grids[1].origin
+        return [of(replace(one, origin=one.origin + shift)) for one in self.maps.grids]
+
+    def filter_with(self, emulator: Any) -> Any:
+        """Return the filter with the models of both maps."""
+        made = super().filter_with(emulator[1])
+        weights = _EachByItsMap(self.maps, [ScanWeights(one) for one in emulator])
         object.__setattr__(made, "_weights_of", weights)
         return made
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import beamfield as bf
 from beamfield.errors import InvalidInputError, MissingDependencyError
-from beamfield.report.text_table import parameter_table, score_table
+from beamfield.report.text_table import form_line, parameter_table, score_table
 from beamfield.scan_fit.scan_fit import ScanFits
 from beamfield.scan_fit.statistics import FitStatistics
 from beamfield.sensors import Track
@@ -30,7 +30,7 @@ class TestCalibration:
     def test_its_summary_is_what_the_command_prints(self, case):
         text = case.calibration.summary()
         assert parameter_table(case.calibration) in text
-        assert score_table(case.calibration) in text
+        assert f"{score_table(case.calibration)}\n{form_line(case.calibration)}\n" in text
         assert text.endswith("warning (poor-map): The map is poor. It matters. Draw a better one.")
 
     def test_its_picture_has_the_readings_and_the_fit(self, case):

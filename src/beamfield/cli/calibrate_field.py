@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from beamfield.cli.report_part import ReportPart
+from beamfield.cli.terminal import line_width
 from beamfield.errors import TooLittleDataError
 
 if TYPE_CHECKING:
@@ -39,6 +40,6 @@ def learn_field(job: CalibrationJob, sensor: SensorLog, grid: OccupancyGrid, res
         return ReportPart(NAME, f"no likelihood field: {why}", {"missing": why}, field_missing(why), {})
     text = field_text(learned, provenance=job.origin)
     return ReportPart(
-        NAME, field_tables(learned), plain(learned), field_section(learned, text), {f"{NAME}.yaml": text},
-        learned.findings,
+        NAME, field_tables(learned, width=line_width()), plain(learned), field_section(learned, text),
+        {f"{NAME}.yaml": text}, learned.findings,
     )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from beamfield.cli.report_part import ReportPart
+from beamfield.cli.terminal import line_width
 from beamfield.errors import TooLittleDataError
 
 if TYPE_CHECKING:
@@ -34,9 +35,8 @@ def learn_odometry(job: CalibrationJob, sensor: SensorLog) -> tuple[ReportPart, 
         return part, {}
     programs, stack = _by_program(result), job.arguments.stack
     shown = {stack: programs[stack]} if stack in programs else programs
-    part = ReportPart(
-        NAME, odometry_tables(result, shown), odometry_as_dict(result, programs), odometry_section(result, shown), {}
-    )
+    tables = odometry_tables(result, shown, width=line_width())
+    part = ReportPart(NAME, tables, odometry_as_dict(result, programs), odometry_section(result, shown), {})
     return part, _for_stack(job.arguments.stack, job.patched, result)
 
 

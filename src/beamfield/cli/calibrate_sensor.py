@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
-import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +18,7 @@ from beamfield.cli.calibrate_odometry import learn_odometry
 from beamfield.cli.calibrate_stack import fit_for_stack, warn_if_too_short
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.report_part import ReportPart, StackPart
+from beamfield.cli.terminal import line_width
 from beamfield.cli.wording import in_options
 from beamfield.errors import about_file
 from beamfield.maps.occupancy import OccupancyGrid
@@ -171,7 +170,7 @@ class CalibrationJob:
 
 def _table(result: Calibration, parts: Sequence[ReportPart]) -> str:
     """Return what is printed. Lines are broken for a terminal only: elsewhere, a line is a parameter or a warning."""
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    width = line_width()
     summary = calibration_summary(result, width=width, wording=in_options)
     paragraphs = [paragraph for part in parts for paragraph in part.table.split("\n\n")]
     if width is not None:  # a table has several lines, a sentence has one

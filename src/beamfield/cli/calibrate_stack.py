@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from beamfield import __version__
 from beamfield.cli.calibrate_replay import MAP_NAME, replay_fit, shifted_map_file
 from beamfield.cli.report_part import ReportPart, StackPart
-from beamfield.cli.terminal import complain
+from beamfield.cli.terminal import complain, line_width
 from beamfield.errors import InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
@@ -123,8 +123,8 @@ def fit_for_stack(
     if choice is not None:
         files |= shifted_map_file(job, choice)
     return StackPart(
-        "stack", "\n\n".join([stack_tables(found), *said]), stack_as_dict(found), stack_section(found, text), files,
-        values=changed, record=record, doubt=found.doubt,
+        "stack", "\n\n".join([stack_tables(found, width=line_width()), *said]), stack_as_dict(found),
+        stack_section(found, text), files, values=changed, record=record, doubt=found.doubt,
     )  # fmt: skip
 
 

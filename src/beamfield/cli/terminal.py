@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from typing import Any
 
@@ -18,6 +19,11 @@ def say_json(document: Any) -> None:
     """Print a document as JSON."""
     # Its writer escapes all control characters but this one.
     print(json.dumps(document, indent=1, allow_nan=False).replace("\x7f", "\\u007f"))
+
+
+def line_width() -> int | None:
+    """Return the characters in a line of the terminal; None where output is no terminal's: there no line is broken."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def complain(text: str) -> None:

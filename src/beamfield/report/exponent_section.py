@@ -13,7 +13,9 @@ from beamfield.report.page_section import PageSection
 from beamfield.report.text_table import aligned
 
 TITLE = "Independent beams"
-HEADER = ("how beams count", "exponent", "95% interval", "independent beams", "covered", "nats ± s.e.", "exponent 1")
+HEADER = (
+    "how beams count", "exponent", "95% interval", "independent beams", "covered", "nats ± s.e.", "with exponent 1"
+)  # fmt: skip
 # Beyond this the stated error of the reference poses, and not the beams' dependence, sets the exponent.
 LIMITED = 1.5
 
@@ -26,7 +28,9 @@ def exponent_table(learned: ExponentLearning) -> str:
     learned
         The result of `learn_exponent`.
     """
-    return "\n\n".join([exponent_sentence(learned), aligned(HEADER, _rows(learned), right=(1, 3, 4, 5, 6))])
+    # Seven columns are too wide for a terminal.
+    header, *lines = zip(HEADER, *_rows(learned), strict=True)
+    return f"{exponent_sentence(learned)}\n\n{aligned(header, lines, right=(1, 2))}"
 
 
 def exponent_sentence(learned: ExponentLearning) -> str:

@@ -23,17 +23,19 @@ PARAMETER_HEADER = ("likelihood field", "value", "95% interval", "unit", "meanin
 SCORE_HEADER = ("held-out blocks", "nats per reading ± s.e.", "nats per posterior ± s.e.", "covered")
 
 
-def field_tables(learned: FieldLearning) -> str:
+def field_tables(learned: FieldLearning, *, width: int | None = None) -> str:
     """Return the tables for the terminal: the parameters, and how they do on held-out blocks.
 
     Parameters
     ----------
     learned
         The result of `learn_field_parameters`.
+    width
+        Characters in a line, for a terminal; None: as many as it takes.
     """
     parts = [
-        aligned(PARAMETER_HEADER, _parameter_rows(learned), right=(1,)),
-        aligned(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3)),
+        aligned(PARAMETER_HEADER, _parameter_rows(learned), right=(1,), width=width),
+        aligned(SCORE_HEADER, [_score_row(score) for score in learned.scores], right=(1, 2, 3), width=width),
         f"The exponents are for {learned.n_beams} beams of each scan.",
     ]
     return "\n\n".join(parts)

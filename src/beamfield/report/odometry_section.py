@@ -28,7 +28,7 @@ WIDEST = 1000.0
 Programs = Mapping[str, Mapping[str, Mapping[str, float]]]
 
 
-def odometry_tables(result: OdometryCalibration, programs: Programs | None = None) -> str:
+def odometry_tables(result: OdometryCalibration, programs: Programs | None = None, *, width: int | None = None) -> str:
     """Return the tables for the terminal: noise, systematic errors, the advised values, and warnings.
 
     Parameters
@@ -37,15 +37,17 @@ def odometry_tables(result: OdometryCalibration, programs: Programs | None = Non
         The result of `calibrate_odometry`.
     programs
         Values by parameter, by motion model and program; None for none.
+    width
+        Characters in a line, for a terminal; None: as many as it takes.
     """
     parts = [
-        aligned(NOISE_HEADER, _noise_rows(result), right=(2, 3)),
-        aligned(SYSTEMATIC_HEADER, _systematic_rows(result), right=(1,)),
+        aligned(NOISE_HEADER, _noise_rows(result), right=(2, 3), width=width),
+        aligned(SYSTEMATIC_HEADER, _systematic_rows(result), right=(1,), width=width),
         _length_line(result),
         _advice_line(result),
     ]
     if programs:
-        parts.append(aligned(("program", "motion model", "values"), _program_rows(programs), right=()))
+        parts.append(aligned(("program", "motion model", "values"), _program_rows(programs), right=(), width=width))
     return "\n\n".join([*parts, *warning_lines(result.findings)])
 
 

@@ -25,9 +25,9 @@ _PARTS = {
 }
 
 
-def replay_tables(choice: ReplayChoice) -> str:
+def replay_tables(choice: ReplayChoice, *, width: int | None = None) -> str:
     """Return what was replayed, the table of errors, and what the best setting is."""
-    parts = [_what(choice), aligned(_HEADER, _rows(choice), right=(1, 2, 3, 4))]
+    parts = [_what(choice), aligned(_HEADER, _rows(choice), right=(1, 2, 3, 4), width=width)]
     return "\n\n".join(parts if choice.finalist is choice.before else [*parts, _finalist(choice)])
 
 

@@ -32,7 +32,7 @@ from beamfield.report.parameter_rows import HEADER, parameter_rows
 from beamfield.report.range_bins import telling_bin, typical_bins
 from beamfield.report.scan_fit_figures import draw_fit
 from beamfield.report.scan_fit_page import fit_csv, fit_table
-from beamfield.report.text_table import parameter_table, readings_line, score_table, warning_lines
+from beamfield.report.text_table import form_line, parameter_table, readings_line, score_table, warning_lines
 from beamfield.report.verdict import verdict
 from beamfield.scan_fit.scan_fit import ScanFits
 
@@ -52,10 +52,13 @@ def calibration_summary(result: Calibration, *, width: int | None = None, wordin
     wording
         What turns the names of arguments in a warning into those of the reader.
     """
-    said = verdict(result) if width is None else textwrap.fill(verdict(result), width)
-    data = f"{result.selection.describe()}\n{readings_line(result)}"
+    said, used, readings, form = (
+        line if width is None else textwrap.fill(line, width)
+        for line in (verdict(result), result.selection.describe(), readings_line(result), form_line(result))
+    )
+    data, scores = f"{used}\n{readings}", f"{score_table(result)}\n{form}"
     warnings = warning_lines(result.findings, width=width, wording=wording)
-    return "\n\n".join([said, data, parameter_table(result, width=width), score_table(result), *warnings])
+    return "\n\n".join([said, data, parameter_table(result, width=width), scores, *warnings])
 
 
 def plot_calibration(result: Calibration) -> Figure:

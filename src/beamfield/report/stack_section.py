@@ -29,17 +29,28 @@ HOW = {
 }
 
 
-def stack_tables(result: StackResult) -> str:
-    """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay."""
+def stack_tables(result: StackResult, *, width: int | None = None) -> str:
+    """Return the tables for the terminal: parameters, start against calibrated for every model fitted, and replay.
+
+    Parameters
+    ----------
+    result
+        What was found.
+    width
+        Characters in a line, for a terminal; None: as many as it takes.
+    """
     fits, chosen = result.fits, result.chosen
-    rows = _parameter_rows(result)
+    rows, scores = _parameter_rows(result), [row for fit in fits for row in _score_rows(fit, result.trial)]
     parts = [
         f"{chosen.model.stack}, {chosen.model.model}: {HOW[chosen.how]}",
         aligned(("parameter", "before", "to use"), rows, right=(1, 2)) if rows else "All values stay as they are.",
-        aligned(_SCORE_HEADER, [row for fit in fits for row in _score_rows(fit, result.trial)], right=(2, 3, 4, 5)),
+        aligned(_SCORE_HEADER, scores, right=(2, 3, 4, 5), width=width),
         f"Judged on {len(chosen.chosen.held_out.log_score)} held-out windows of {chosen.options.scans} scans.",
     ]
-    parts += [_not_replayed(result)] if result.replay is None else [replay_tables(result.replay), stack_verdict(result)]
+    if result.replay is None:
+        parts.append(_not_replayed(result))
+    else:
+        parts += [replay_tables(result.replay, width=width), stack_verdict(result)]
     parts += [
         f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.text} {item.why} {item.do}"
         for item in stack_findings(result)

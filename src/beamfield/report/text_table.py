@@ -49,7 +49,7 @@ def readings_line(calibration: Calibration) -> str:
 
 
 def score_table(calibration: Calibration) -> str:
-    """Return a table of the held-out log-likelihoods per beam in nats, and a line on the form of the model.
+    """Return a table of the held-out log-likelihoods per beam in nats.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def score_table(calibration: Calibration) -> str:
         The result of `calibrate`.
     """
     header = ("held-out beams", "nats per beam ± s.e.", "gain of the fit")
-    return f"{aligned(header, score_rows(calibration), right=(1, 2))}\n{form_line(calibration)}"
+    return aligned(header, score_rows(calibration), right=(1, 2))
 
 
 def score_rows(calibration: Calibration) -> list[tuple[str, ...]]:
@@ -127,14 +127,15 @@ def aligned(
     right
         Indices of the columns that are aligned to the right.
     width
-        Characters in a line: the last column is broken to fit, if it has room for words at all.
+        Characters in a line: headers are broken to fit, and the last column, if it has room for words at all.
     """
-    lines = [header, *rows]
+    above, below = [header], list(rows)
     if width is not None:
-        room = width - sum(max(len(line[i]) for line in lines) + len(GAP) for i in range(len(header) - 1))
-        lines = [part for line in lines for part in _broken(line, room)] if room >= LEAST_ROOM else lines
-    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-    lines.insert(1, tuple("-" * width for width in widths))
+        above = _folded(header, rows, width)
+        room = width - sum(one + len(GAP) for one in _widths([*above, *rows])[:-1])
+        below = [part for line in rows for part in _broken(line, room)] if room >= LEAST_ROOM else below
+    widths = _widths([*above, *below])
+    lines = [*above, tuple("-" * width for width in widths), *below]
     return "\n".join(
         GAP.join(
             cell.rjust(width) if i in right else cell.ljust(width)
@@ -142,6 +143,21 @@ def aligned(
         ).rstrip()
         for line in lines
     )
+
+
+def _widths(lines: Sequence[tuple[str, ...]]) -> list[int]:
+    return [max(map(len, column)) for column in zip(*lines, strict=True)]
+
+
+def _folded(header: tuple[str, ...], rows: Sequence[tuple[str, ...]], width: int) -> list[tuple[str, ...]]:
+    """Return the header in as many lines as it takes for the table to be no wider; in one if no number is enough."""
+    for longest in range(max(map(len, header)), 0, -1):
+        parts = [textwrap.wrap(title, longest, break_long_words=False) for title in header]
+        most = max(map(len, parts))
+        lines = list(zip(*([""] * (most - len(part)) + part for part in parts), strict=True))
+        if sum(_widths([*lines, *rows])) + len(GAP) * (len(header) - 1) <= width:
+            return lines
+    return [header]
 
 
 def _broken(line: tuple[str, ...], room: int) -> list[tuple[str, ...]]:

@@ -110,6 +110,15 @@ def test_a_reference_that_follows_the_odometry_gives_no_finding_unless_the_scans
     assert (finding.name, finding.values["median_agreement"]) == ("map-disagrees", 0.0)
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.2, []), (0.3, ["map-disagrees-in-part"])])
+def test_scans_of_elsewhere_are_found_where_they_are_many(share, found):
+    ranges = drive().ranges.copy()
+    ranges[: round(300 * share)] = 1.0
+    findings = list(pose_findings(replace(drive(), ranges=ranges), room()))
+    assert names(findings) == found
+    assert all(finding.values["share"] == pytest.approx(share, abs=0.01) for finding in findings)
+
+
 def test_a_reference_that_stands_still_while_the_odometry_moves_is_found():
     poses = drive().poses.copy()
     poses[100:200] = poses[100]

@@ -82,6 +82,8 @@ def test_the_verdict_compares_with_the_values_before():
 def test_no_verdict_says_to_use_values_where_map_or_poses_are_wrong():
     doubtful = replace(result(fitted()), doubt="Do not use these values yet: the scale of the map is wrong.")
     assert stack_verdict(doubtful) == doubtful.doubt
+    in_part = replace(result(fitted()), disagrees_in_part=True)
+    assert stack_verdict(in_part).startswith(f"{stack_verdict(result(fitted()))} Many scans disagree with the map")
 
 
 @pytest.mark.parametrize(("sigma", "names"), [(0.1, ()), (0.0205, ("sigma",)), (0.94, ()), (0.98, ("sigma",))])

@@ -111,7 +111,8 @@ def fit_for_stack(
     own, others = (best, []) if job.patched is None else (fits[0], fits[1:])
     choice, why_not = replay_fit(job, sensor, grid, own, others, motion)
     chosen = own if choice is None else _fit_of(fits, choice.chosen.filter.model)
-    found = StackResult(fits, chosen, choice, why_not, doubts(result))
+    in_part = any(finding.name == "map-disagrees-in-part" for finding in result.findings)
+    found = StackResult(fits, chosen, choice, why_not, doubts(result), in_part)
     record = _record(found) if found.covers and not found.doubt else ""
     start_values = asdict(found.start)
     changed = {name: value for name, value in asdict(found.parameters).items() if value != start_values[name]}

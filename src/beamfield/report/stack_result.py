@@ -30,6 +30,8 @@ class StackResult:
         Why not.
     doubt
         Why no value may be used yet, whatever replay says: map or poses cannot be trusted; empty if they can.
+    disagrees_in_part
+        Whether many scans disagree with the map.
     """
 
     fits: Sequence[StackFit]
@@ -37,6 +39,7 @@ class StackResult:
     replay: ReplayChoice | None = None
     why_not: str = ""
     doubt: str = ""
+    disagrees_in_part: bool = False
 
     @property
     def start(self) -> Any:

@@ -99,7 +99,8 @@ def stack_section(result: StackResult, file_text: str) -> PageSection:
         f"{escaped(model_named(stack, model).formula)}.</p>\n{figure(choice)}"
     )
     changed = chosen.chosen is not chosen.before if replay is None else replay.is_better
-    level: Level = "good" if result.covers and changed and not result.is_from_few_places else "care"
+    doubtful = result.disagrees_in_part or result.is_from_few_places
+    level: Level = "good" if result.covers and changed and not doubtful else "care"
     return PageSection("stack", f"{stack}: {model}", markup, stack_verdict(result), level)
 
 
@@ -107,9 +108,12 @@ def stack_verdict(result: StackResult) -> str:
     """Return what the values to use do, before and after: in the replayed filter, or else on windows of the log."""
     if result.doubt:
         return result.doubt
-    if result.replay is not None:
-        return replay_verdict(result.replay)
-    fit = result.chosen
+    said = _on_windows(result.chosen) if result.replay is None else replay_verdict(result.replay)
+    caution = " Many scans disagree with the map: read the warning about it first." if result.disagrees_in_part else ""
+    return said + caution
+
+
+def _on_windows(fit: StackFit) -> str:
     name, held_out, before = f"{fit.model.stack}'s {fit.model.model}", fit.chosen.held_out, fit.before.held_out
     n = len(held_out.log_score)
     covered = f"95% regions hold the reference in {held_out.coverage:.0%} of {n} held-out windows"

@@ -68,6 +68,13 @@ def walls():
         return np.minimum(3.95 / np.abs(np.cos(bearings)), 2.95 / np.abs(np.sin(bearings)))
 
 
+def wrong_in(n):
+    """Return (10, k) readings there, of which those of some scans are of another place."""
+    readings = np.tile(walls(), (10, 1))
+    readings[:n] = 1.0
+    return readings
+
+
 def scans(fill=3.0, *, max_range=10.0, n_beams=N_BEAMS, poses=None):
     """Return ten scans of a full circle with one value for all beams, or values given."""
     finder = RangeFinder.from_bearings(np.linspace(-np.pi, np.pi, n_beams, endpoint=False), max_range, min_range=0.1)
@@ -158,6 +165,8 @@ FINDINGS = {
                        {"sigma_hit": 0.4, "laser_likelihood_max_dist": 1.0}, {}),
     "map-disagrees": ({}, {"grid": room(), "log": scans(1.0, poses=MIDDLE)},
                       {}, {"grid": room(), "log": scans(walls(), poses=MIDDLE)}),
+    "map-disagrees-in-part": ({}, {"grid": room(), "log": scans(wrong_in(3), poses=MIDDLE)},
+                              {}, {"grid": room(), "log": scans(wrong_in(2), poses=MIDDLE)}),
     "nearly-flat": ({}, {}, {"laser_model_type": "likelihood_field_prob"}, {}),
     "absurdly-sharp": ({"laser_model_type": "likelihood_field_prob", "sigma_hit": 0.05, "z_hit": 0.99, "z_rand": 0.01},
                        {}, {"laser_model_type": "likelihood_field_prob", "max_beams": 10, "z_rand": 5.0}, {}),

@@ -20,11 +20,15 @@ OPEN_EDGE_SHARE = 0.002
 
 
 def disagreement(subject: Subject) -> Iterator[Finding]:
-    """Find that the map is not one of where the log was recorded, or is mirrored."""
+    """Find that the map is not one of where the log was recorded, or is mirrored, or is wrong in part."""
     if subject.grid is None or subject.log is None:
         return
     for found in map_findings(subject.log, subject.grid):
-        yield subject.finding("map-disagrees", "warning", found.text, found.why, found.do, values=found.values)
+        told = found.text, found.why, found.do
+        if found.name == "map-disagrees":
+            yield subject.finding("map-disagrees", "warning", *told, values=found.values)
+        else:
+            yield subject.finding("map-disagrees-in-part", "warning", *told, values=found.values)
 
 
 def ignored_yaw(subject: Subject) -> Iterator[Finding]:

@@ -59,7 +59,7 @@ def main() -> None:
 @contextmanager
 def past_the_message() -> Iterator[None]:
     """Take resolutions as they are: the compiled programs got their maps past the message's single precision."""
-    modules = ("stack_map", "f1tenth_table")
+    modules = ("emulation.stack_map", "f1tenth.table")
     patches = [patch(f"beamfield.stacks.{module}.message_resolution", float) for module in modules]
     with patches[0], patches[1]:
         yield

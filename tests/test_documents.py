@@ -383,3 +383,23 @@ def test_a_command_of_a_document_is_one(command: str, capsys):
 def test_links_of_a_document_lead_to_files(path: Path):
     links = [link for link in LINK.findall(path.read_text(encoding="utf-8")) if "://" not in link]
     assert [link for link in links if not (path.parent / link).exists()] == []
+
+
+def findings() -> dict[str, str]:
+    """Return where each finding is made, by its name in backquotes, as pages have it."""
+    source = ROOT / "src" / "beamfield"
+    return {
+        f"`{name.value}`": f"{path.relative_to(source)}:{node.lineno}"
+        for path in sorted(source.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Finding" and node.args
+        for name in ast.walk(node.args[0])
+        if isinstance(name, ast.Constant) and re.fullmatch(r"[a-z]+(-[a-z]+)*", str(name.value))
+    }
+
+
+def test_every_finding_is_on_a_page():
+    pages = "".join(path.read_text(encoding="utf-8") for path in DOCS.glob("*.md"))
+    found = findings()
+    assert len(found) > 60
+    assert {name: where for name, where in found.items() if name not in pages} == {}

@@ -204,7 +204,13 @@ class ParticleFilter(Generic[Z]):
 
     @property
     def belief(self) -> Particles:
-        """The cloud, as the next measurement will find it before the motion."""
+        """The cloud, as the next measurement will find it before the motion.
+
+        Raises
+        ------
+        InvalidInputError
+            Before `start`.
+        """
         if self._belief is None:
             raise InvalidInputError("the filter has no belief yet: start(poses) gives it one")
         return self._belief

@@ -154,7 +154,7 @@ class FreePoses:
         require_free(self.grid)
 
     def draw(self, z: object, n: int, rng: np.random.Generator) -> FloatArray:  # noqa: ARG002
-        """Draw n poses; the measurement does not matter."""
+        """Draw n poses (n, 3), metres and radians; the measurement does not matter."""
         return free_poses(self.grid, n, rng)
 
 
@@ -197,7 +197,7 @@ class PosesFromScan:
         as_count(self.n_candidates, "n_candidates", least=LEAST_EFFECTIVE, most=100_000_000)
 
     def draw(self, z: Scan, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw n poses that fit the scan; where it is impossible at all candidates, any free poses."""
+        """Draw n poses (n, 3) that fit the scan; where it is impossible at all candidates, any free poses."""
         candidates = free_poses(self.grid, self.n_candidates, rng)
         log_likelihood = self.model.log_likelihood(z, candidates)
         weights: FloatArray = np.full(len(candidates), 1.0 / len(candidates))
@@ -230,7 +230,7 @@ class PosesFromLandmarks:
         check_fields(self)
 
     def draw(self, z: Detections, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw n poses; none if the detections say nothing of the pose."""
+        """Draw n poses (n, 3); (0, 3) if the detections say nothing of the pose."""
         if not len(z):
             return np.zeros((0, 3))
         try:

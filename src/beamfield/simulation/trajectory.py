@@ -193,7 +193,8 @@ def _block_minimum(values: FloatArray, factor: int) -> FloatArray:
 
 def _planning_graph(region: NDArray[np.bool_], clearance: FloatArray, cell: float, comfort: float) -> sparse.csr_array:
     """Return the graph of eight neighbours; an edge costs its length, and more where obstacles are too close."""
-    node = np.full(region.shape, -1)
+    # SciPy before 1.13 finds no paths in graphs with longer indices.
+    node = np.full(region.shape, -1, dtype=np.int32)
     node[region] = np.arange(np.count_nonzero(region))
     lack = np.clip(1.0 - clearance / comfort, 0.0, 1.0) if comfort > 0.0 else np.zeros(region.shape)
     price = 1.0 + 8.0 * lack**2

@@ -136,6 +136,27 @@ def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_errors_of_the_search_do_not_count(folder, capsys):
+    assert run(folder, "--particles", "1000", "--global", "--json") == 0
+    found = document(capsys)
+    assert found["sure_after_s"] > 0.0
+    assert 0 < found["errors"]["updates"] < found["n_updates"]
+    assert found["errors"]["p95"] < 0.5
+    assert not found["errors"]["lost"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_what_cannot_be_said_of_a_sonars_path_is_not_advised(folder, capsys):
+    assert (
+        run(folder, "--particles", "500", "--opening-angle", "5", "--start", "2", "2", "0", "--json", poses=False) == 0
+    )
+    (finding,) = document(capsys)["findings"]
+    assert finding["name"] == "lost-not-judged"
+    assert run(folder, "--particles", "500", "--opening-angle", "5", poses=False) == 0
+    assert "beamfield trajectory" not in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_a_start_given_is_where_it_starts(folder, capsys, drive):
     x, y, theta = drive.poses[0]
     words = ("--start", f"{x:.2f}", f"{y:.2f}", f"{np.degrees(theta):.0f}", "--json", "-q", "--seed", "4")

@@ -105,6 +105,8 @@ def test_a_map_is_described_by_its_size_place_and_cells(capsys, map_path):
     assert rows["occupied"][1:] == ["120", "cells", "4.00%", "1.2", "m2"]
     assert rows["unknown"][1:] == ["780", "cells", "26.00%", "7.8", "m2"]
     assert "--out room.png" in text
+    map_path.with_name("a room 0.10.yaml").write_text(map_path.read_text())
+    assert "--out 'a room 0.10.png'" in shown(capsys, map_path.with_name("a room 0.10.yaml"))
 
 
 def test_the_json_of_a_map_holds_the_same_in_si_units(capsys, map_path):

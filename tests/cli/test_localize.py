@@ -245,7 +245,7 @@ def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsy
     assert run(folder, "--global", map_name="solid.yaml") == 1
     assert "no free cell" in capsys.readouterr().err
     assert main(["localize", str(folder / "bare.log"), "--map", str(folder / "map.yaml")]) == 1
-    assert "no scan has odometry" in capsys.readouterr().err
+    assert "no scan has odometry, which moves the particles; if its poses are the odometry" in capsys.readouterr().err
     assert run(folder, "--mask=-180:179.9") == 1
     assert "no reading of any scan hits anything" in capsys.readouterr().err
 

@@ -62,6 +62,8 @@ def test_noise_that_grows_is_spelt_out_at_some_ranges(case):
     assert "noise of a hit, 0.051, 0.058, 0.112 m at 1, 3, 10 m" in row(growing, "sigma_hit").meaning
     assert "The noise of a hit grows with range: 0.051, 0.058, 0.112 m at 1, 3, 10 m." in verdict(growing)
     assert "sigma_hit" not in verdict(growing)
+    short = replace(growing, table=replace(growing.table, max_range=4.0))
+    assert "0.051, 0.058 m at 1, 3 m:" in row(short, "sigma_hit").meaning
 
 
 @pytest.mark.parametrize("name", DOUBTS)

@@ -147,8 +147,7 @@ def _start(
     from beamfield.localization.replay import PoseBelief, reference_start
     from beamfield.maps.range_scale import require_metres
 
-    if not sensor.has_odometry:
-        raise FormatError(arguments.log, options.NO_ODOMETRY)
+    options.require_odometry(sensor, arguments.log)
     if not ((sensor.ranges > 0.0) & (sensor.ranges < sensor.finder.max_range)).any():
         raise FormatError(
             arguments.log, "no reading of any scan hits anything; see what was read with beamfield inspect"

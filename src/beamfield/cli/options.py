@@ -23,10 +23,6 @@ LOG_FORMATS = (
 )
 MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
 PICTURES = (".png", ".svg", ".pdf")
-NO_ODOMETRY = (
-    "no scan has odometry, which moves the particles; if this is a text log with one pose per scan, and that is the "
-    "odometry, pass --lone-poses odometry"
-)
 
 
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
@@ -247,12 +243,25 @@ def require_poses(sensor: SensorLog, arguments: argparse.Namespace) -> SensorLog
             raise FormatError(arguments.log, "--odometry: the log has none")
         return sensor.with_poses(sensor.odometry)
     if not sensor.has_poses:
-        wheels = ", or --odometry to trust the wheels" if sensor.has_odometry else ""
-        fitted = "a map with --map, to which they are then fitted, or " if sensor.has_odometry else ""
+        drift = ", or --odometry to take the odometry for them" if sensor.has_odometry else ""
+        is_fitted = sensor.has_odometry and sensor.finder.opening_angle == 0.0
+        fitted = "a map with --map, to which they are then fitted, or " if is_fitted else ""
         raise FormatError(
-            arguments.log, f"no scan has a reference pose; give {fitted}a TUM or CSV file with --poses{wheels}"
+            arguments.log, f"no scan has a reference pose; give {fitted}a TUM or CSV file with --poses{drift}"
         )
     return sensor
+
+
+def require_odometry(sensor: SensorLog, path: Path) -> None:
+    """Refuse a log of which no scan has odometry, for a filter."""
+    if sensor.has_odometry:
+        return
+    what = (
+        "if its poses are the odometry (a text log with one pose per scan), pass --lone-poses odometry"
+        if sensor.has_poses
+        else "record it as nav_msgs/Odometry, or on /tf from odom to base_link"
+    )
+    raise FormatError(path, f"no scan has odometry, which moves the particles; {what}")
 
 
 def looks_like_a_map(path: Path) -> bool:

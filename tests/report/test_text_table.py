@@ -160,6 +160,9 @@ def test_the_meaning_is_broken_to_the_width_of_a_terminal(case):
     assert sorted(words[0]) == sorted(words[1])
     # Where there is no room for words, lines stay as they are.
     assert parameter_table(case.calibration, width=50) == whole
+    # Intervals of many digits leave less room; three lines of 21 characters still read better than one of 120.
+    narrow = aligned(("a", "b"), [("x" * 57, "how fast unexpected objects get rarer with range")], right=(), width=80)
+    assert max(map(len, narrow.splitlines())) <= 80
 
 
 def test_headers_are_broken_where_a_table_is_wider_than_the_terminal():

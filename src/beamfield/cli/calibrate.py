@@ -150,6 +150,10 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError("--odometry: only without --map and --poses: odometry is not in the map's frame")
     if arguments.odometry and arguments.odometry_noise:
         raise InvalidInputError("--odometry-noise: needs reference poses that are not the odometry: drop --odometry")
+    if arguments.map_topic is not None and arguments.map is None:
+        raise InvalidInputError(
+            f"--map-topic: is in the bag that --map names; for LOG's own map, --map {arguments.log}"
+        )
     if arguments.map is not None and arguments.resolution is not None:
         raise InvalidInputError("--resolution: is for maps drawn from the log, but --map gives one")
 

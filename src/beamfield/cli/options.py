@@ -23,6 +23,8 @@ LOG_FORMATS = (
 )
 MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
 PICTURES = (".png", ".svg", ".pdf")
+# No range sensor of a robot reaches so many metres: millimetres do.
+MOST_REACH = 1000.0
 
 
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
@@ -108,9 +110,7 @@ def add_log(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     add_mount(group, ", for a bag without /tf_static")
     group.add_argument("--no-return", type=_no_return, default="detect", metavar="detect|none|V[,V...]",
                        help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
-    group.add_argument(
-        "--max-range", type=positive, metavar="M", help="the sensor's limit, if the log is wrong about it"
-    )
+    group.add_argument("--max-range", type=_reach, metavar="M", help="the sensor's limit, if the log is wrong about it")
     group.add_argument("--min-range", type=not_negative, metavar="M",
                        help="shortest range that counts (default: as the log says)")  # fmt: skip
     group.add_argument("--mask", type=_sector, action="append", default=[], metavar="DEG:DEG",
@@ -317,6 +317,13 @@ def _sector(text: str) -> str:
 def _radians_of(sector: str) -> tuple[float, float]:
     first, last = (math.radians(float(word)) for word in sector.split(":"))
     return first, last
+
+
+def _reach(text: str) -> float:
+    metres = positive(text)
+    if metres > MOST_REACH:
+        raise argparse.ArgumentTypeError(f"expected metres, at most {MOST_REACH:g}, got {text!r}")
+    return metres
 
 
 def _opening_angle(text: str) -> float:

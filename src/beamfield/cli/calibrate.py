@@ -25,7 +25,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, wants_recording, write_recordings
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import InvalidInputError
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
@@ -194,9 +194,8 @@ def _held(word: str) -> tuple[str, float]:
 def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str, SensorLog]:
     """Return the sensors to calibrate, those asked for or the only one; without a map, with the poses asked for."""
     names: list[Any] = arguments.sensor or list(log.sensors)
-    if not arguments.sensor and len(names) != 1:
-        known = ", ".join(map(repr, names))
-        raise FormatError(arguments.log, f"has several sensors, choose with --sensor: {known}")
+    if not arguments.sensor:
+        options.require_one_sensor(log, arguments.log)
     logs = {name: log.only_sensor(name) for name in names}
     if arguments.map is not None:  # poses that are missing will be fitted to it
         return logs

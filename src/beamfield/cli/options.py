@@ -223,7 +223,16 @@ def read_sensor(
     if arguments.sensor and len(arguments.sensor) > 1:
         raise InvalidInputError(f"--sensor: expected one, got {', '.join(arguments.sensor)}")
     log = read_scans(arguments, path, poses)
+    if not arguments.sensor:
+        require_one_sensor(log, path or arguments.log)
     return log.only_sensor(arguments.sensor[0] if arguments.sensor else None), log.notes
+
+
+def require_one_sensor(log: ScanLog, path: Path) -> None:
+    """Refuse a log of several sensors, of which none was chosen."""
+    if len(log.sensors) != 1:
+        known = ", ".join(map(repr, log.sensors)) or "none"
+        raise FormatError(path, f"expected one sensor, the log has {known}: choose with --sensor")
 
 
 def read_map_and_sensor(

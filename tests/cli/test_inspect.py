@@ -15,6 +15,7 @@ from beamfield.cli import options
 from beamfield.cli.inspect_picture import log_picture
 from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
 from beamfield.cli.main import main
+from beamfield.io.bags.writer import write_bag
 from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.trajectory import write_tum
@@ -191,6 +192,13 @@ def test_the_json_of_a_log_holds_the_same_in_si_units(capsys, log_path):
     assert sensor["reference_poses"] == {"known": 20, "path_length_m": pytest.approx(1.9)}
     assert sensor["readings"]["no_return_share"] == pytest.approx(11 / 19)
     assert isinstance(facts["notes"], list)
+
+
+def test_nan_may_be_a_bags_word_for_no_return(capsys, tmp_path):
+    """Warnings advise --no-return nan; JSON has no number for it."""
+    write_bag(tmp_path / "run", ScanLog({"/scan": make_sensor()}))
+    facts = json.loads(shown(capsys, tmp_path / "run", "--no-return", "nan,0", "--json"))
+    assert facts["sensors"]["/scan"]["no_return"]["values_m"] == ["nan", 0.0]
 
 
 def test_options_for_reading_the_log_are_obeyed(capsys, log_path):

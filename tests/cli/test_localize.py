@@ -12,6 +12,7 @@ from PIL import Image
 
 from beamfield.cli.film import Film
 from beamfield.cli.main import main
+from beamfield.io.bags.writer import write_bag
 from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
@@ -133,6 +134,15 @@ def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
     assert "sure of the place from" in text
     assert main(["localize", str(folder / "short.log"), "--map", str(folder / "map.yaml"), "--global"]) == 3
     assert "The robot has not been found" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_nan_as_the_word_for_no_return_is_written_down(folder, drive, tmp_path):
+    write_bag(tmp_path / "run", ScanLog({"/scan": drive[:60]}))
+    words = ("--map", str(folder / "map.yaml"), "--no-return", "nan", "--particles", "500", "-q")
+    assert main(["localize", str(tmp_path / "run"), *words]) == 0
+    written = json.loads(Path("beamfield_localization", "localization.json").read_text())
+    assert written["provenance"]["options"]["no_return"] == ["nan"]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -336,6 +336,14 @@ class TestBadInput:
     def test_a_resolution_beside_a_map(self, copy, tmp_path, capsys):
         assert "--resolution" in fails(capsys, calibrate(copy, tmp_path / "out", "--resolution", "0.1"), 2)
 
+    def test_a_topic_of_a_map_that_is_not_given(self, world, tmp_path, capsys):
+        words = ("calibrate", str(world / "log.carmen"), "--map-topic", "/map", "--out", str(tmp_path / "out"))
+        assert "--map-topic: is in the bag that --map names" in fails(capsys, main(words), 2)
+
+    def test_a_reach_in_millimetres(self, copy, tmp_path, capsys):
+        line = fails(capsys, calibrate(copy, tmp_path / "out", "--max-range", "5600"), 2)
+        assert "--max-range: expected metres, at most 1000, got '5600'" in line
+
     def test_holding_a_parameter_that_does_not_exist(self, copy, tmp_path, capsys):
         assert "z_foo" in fails(capsys, calibrate(copy, tmp_path / "out", "--hold", "z_foo=0.1"), 2)
 

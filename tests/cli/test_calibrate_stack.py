@@ -224,7 +224,7 @@ def test_where_map_or_poses_are_wrong_the_users_file_stays(world, tmp_path, caps
     asked = ("--stack", "nav2", "--model", "likelihood_field", "--patch", str(mine))
     assert calibrate(world, out, *asked, quiet=False) == 3
     said = capsys.readouterr()
-    assert f"left {mine} as it was" in said.out
+    assert f"left {mine} as it was; what would have changed is in nav2.yaml\n" in said.out
     assert f"{out / 'amcl_map.yaml'}: of an earlier run; these values do not go with it" in said.err
     assert mine.read_text() == MINE
     assert not (tmp_path / "mine.yaml.bak").exists()

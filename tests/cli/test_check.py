@@ -125,6 +125,22 @@ def test_what_was_learned_can_be_used_again(world, result, tmp_path):
     assert np.nanmean(np.abs(again - first)) < 1e-4
 
 
+def test_the_page_says_what_the_terminal_says_of_poses_that_cannot_be_trusted(world, result, tmp_path, capsys):
+    rows = [line.split() for line in (world / "fresh" / "truth.tum").read_text().splitlines() if line[0] != "#"]
+    turned = tmp_path / "turned.tum"
+    turned.write_text("".join(" ".join([*row[:4], "0 0 1 0"]) + "\n" for row in rows))
+    learned = ("--params", str(result / "beam_model.yaml"), "--good-scans", str(result / "scan_fit_reference.json"))
+    assert check(world, tmp_path / "out", *learned, "--poses", str(turned)) == 3
+    problem = "ost readings disagree with the map at the reference poses"
+    assert problem in capsys.readouterr().err
+    first, second, *_ = re.findall(
+        r'class="verdict (\w+)"><b class="label">[^<]*</b> (.*)</p>', (tmp_path / "out" / "scan_fit.html").read_text()
+    )
+    assert first[0] == "bad"
+    assert problem in first[1]
+    assert "fit the map at 5%" in second[1]
+
+
 def test_a_sensor_of_another_reach_is_refused(world, result, tmp_path, capsys):
     assert check(world, tmp_path / "out", "--params", str(result / "beam_model.yaml"), "--max-range", "8") == 1
     assert "the sensor's max_range is 8 m" in capsys.readouterr().err

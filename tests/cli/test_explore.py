@@ -3,6 +3,9 @@
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.io.logs.carmen import write_carmen
+from beamfield.io.read_log import read_log
+from beamfield.sensors import ScanLog
 
 uvicorn = pytest.importorskip("uvicorn")
 
@@ -38,6 +41,18 @@ def test_it_prints_an_address_with_a_token_and_serves_it(world, served, capsys):
     assert address.startswith(f"http://127.0.0.1:{port}/?token=")
     assert "beamfield explorer" in testclient.TestClient(app, base_url=f"http://127.0.0.1:{port}").get(address).text
     assert out == "the explorer has ended\n"
+
+
+def test_without_poses_it_is_said_what_is_left_to_do(world, served, capsys, tmp_path):
+    log, bare = read_log(world / "log.carmen").only_sensor(), tmp_path / "bare.log"
+    write_carmen(bare, ScanLog({"FLASER": log.with_poses(log.odometry)}))
+    words = ("--no-browser", "--lone-poses", "odometry", "--opening-angle", "5")
+    assert main(["explore", str(bare), "--map", str(world / "map.yaml"), *words]) == 0
+    notes = [line for line in capsys.readouterr().err.splitlines() if line.startswith("note: ")]
+    assert notes[-1].endswith(
+        "give poses with --poses; without poses nothing is learned from the log: drag the robot to where it was"
+    )
+    assert len(served) == 1
 
 
 def test_bad_input_is_refused_before_anything_is_served(world, served, capsys, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from beamfield.cli import options
 from beamfield.cli.inspect_picture import log_picture
 from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
 from beamfield.cli.main import main
+from beamfield.io.bags.writer import write_bag
 from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.trajectory import write_tum
@@ -105,6 +106,8 @@ def test_a_map_is_described_by_its_size_place_and_cells(capsys, map_path):
     assert rows["occupied"][1:] == ["120", "cells", "4.00%", "1.2", "m2"]
     assert rows["unknown"][1:] == ["780", "cells", "26.00%", "7.8", "m2"]
     assert "--out room.png" in text
+    map_path.with_name("a room 0.10.yaml").write_text(map_path.read_text())
+    assert "--out 'a room 0.10.png'" in shown(capsys, map_path.with_name("a room 0.10.yaml"))
 
 
 def test_the_json_of_a_map_holds_the_same_in_si_units(capsys, map_path):
@@ -189,6 +192,13 @@ def test_the_json_of_a_log_holds_the_same_in_si_units(capsys, log_path):
     assert sensor["reference_poses"] == {"known": 20, "path_length_m": pytest.approx(1.9)}
     assert sensor["readings"]["no_return_share"] == pytest.approx(11 / 19)
     assert isinstance(facts["notes"], list)
+
+
+def test_nan_may_be_a_bags_word_for_no_return(capsys, tmp_path):
+    """Warnings advise --no-return nan; JSON has no number for it."""
+    write_bag(tmp_path / "run", ScanLog({"/scan": make_sensor()}))
+    facts = json.loads(shown(capsys, tmp_path / "run", "--no-return", "nan,0", "--json"))
+    assert facts["sensors"]["/scan"]["no_return"]["values_m"] == ["nan", 0.0]
 
 
 def test_options_for_reading_the_log_are_obeyed(capsys, log_path):

@@ -12,6 +12,7 @@ from PIL import Image
 
 from beamfield.cli.film import Film
 from beamfield.cli.main import main
+from beamfield.io.bags.writer import write_bag
 from beamfield.io.filter_run import read_run
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
@@ -136,6 +137,36 @@ def test_without_reference_or_start_the_robot_can_be_anywhere(folder, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_nan_as_the_word_for_no_return_is_written_down(folder, drive, tmp_path):
+    write_bag(tmp_path / "run", ScanLog({"/scan": drive[:60]}))
+    words = ("--map", str(folder / "map.yaml"), "--no-return", "nan", "--particles", "500", "-q")
+    assert main(["localize", str(tmp_path / "run"), *words]) == 0
+    written = json.loads(Path("beamfield_localization", "localization.json").read_text())
+    assert written["provenance"]["options"]["no_return"] == ["nan"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_errors_of_the_search_do_not_count(folder, capsys):
+    assert run(folder, "--particles", "1000", "--global", "--json") == 0
+    found = document(capsys)
+    assert found["sure_after_s"] > 0.0
+    assert 0 < found["errors"]["updates"] < found["n_updates"]
+    assert found["errors"]["p95"] < 0.5
+    assert not found["errors"]["lost"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_what_cannot_be_said_of_a_sonars_path_is_not_advised(folder, capsys):
+    assert (
+        run(folder, "--particles", "500", "--opening-angle", "5", "--start", "2", "2", "0", "--json", poses=False) == 0
+    )
+    (finding,) = document(capsys)["findings"]
+    assert finding["name"] == "lost-not-judged"
+    assert run(folder, "--particles", "500", "--opening-angle", "5", poses=False) == 0
+    assert "beamfield trajectory" not in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_a_start_given_is_where_it_starts(folder, capsys, drive):
     x, y, theta = drive.poses[0]
     words = ("--start", f"{x:.2f}", f"{y:.2f}", f"{np.degrees(theta):.0f}", "--json", "-q", "--seed", "4")
@@ -224,7 +255,7 @@ def test_a_map_without_room_and_a_log_without_odometry_are_refused(folder, capsy
     assert run(folder, "--global", map_name="solid.yaml") == 1
     assert "no free cell" in capsys.readouterr().err
     assert main(["localize", str(folder / "bare.log"), "--map", str(folder / "map.yaml")]) == 1
-    assert "no scan has odometry" in capsys.readouterr().err
+    assert "no scan has odometry, which moves the particles; if its poses are the odometry" in capsys.readouterr().err
     assert run(folder, "--mask=-180:179.9") == 1
     assert "no reading of any scan hits anything" in capsys.readouterr().err
 

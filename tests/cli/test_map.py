@@ -134,3 +134,12 @@ def test_a_log_without_hits_makes_no_map(tmp_path, capsys):
     assert run(tmp_path / "blind.log", tmp_path / "map.yaml", "--max-range", "12") == 3
     assert "2 scans mark no cell as occupied; no map written" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["blind.log"]
+
+
+@pytest.mark.parametrize("command", ["calibrate", "map"])
+def test_of_several_sensors_one_is_to_be_chosen(tmp_path, capsys, command):
+    log = tmp_path / "two.log"
+    log.write_text("".join(f"{name} 3 1 2 3 0 0 0 0 0 0 1 host 1\n" for name in ("FLASER", "RLASER")))
+    assert main([command, str(log), "--quiet", "--out", str(tmp_path / "out.yaml")]) == 1
+    expected = "two.log: expected one sensor, the log has 'FLASER', 'RLASER': choose with --sensor\n"
+    assert capsys.readouterr().err.endswith(expected)

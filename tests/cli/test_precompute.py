@@ -44,7 +44,9 @@ def test_size_time_and_error_are_said_and_a_table_that_is_there_is_kept(folder, 
     table = read_range_table(out, read_map(folder / "map.yaml"))
     megabytes = (out.stat().st_size - 4096) / 1e6
     assert f"casting rays for a table of {megabytes:.1f} MB" in said.err
-    assert f"table: {len(table.codes):,} places x 90 headings, {megabytes:.1f} MB\ntime: " in said.out
+    assert (
+        f"table: {len(table.codes):,} places x 90 headings, {megabytes:.1f} MB\nranges: up to 12 m\ntime: " in said.out
+    )
     assert f"95%     {table.error.percentile_95:.3f} m" in said.out
     assert f"more than a cell of the map: {table.error.share_off_by_a_cell:.1%} of the rays" in said.out
     assert f"wrote {out}" in said.out

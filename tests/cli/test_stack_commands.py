@@ -321,7 +321,7 @@ def test_beamfields_own_model_is_named_in_one_line_by_the_others(own, tmp_path, 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--to", "f1tenth"], "resolution: F1TENTH measures sigma_hit in cells of the map"),
+        (["--to", "f1tenth"], "--resolution: F1TENTH measures sigma_hit in cells of the map"),
         (["--to", "nav2", "--stack", "nav2"], "--stack: is for files of a stack"),
         (["--to", "nav2", "--max-range", "9"], "--max-range: is for files of a stack"),
         (["--to", "chapter", "--out", "x.yaml"], "--out: is for files of a stack, chapter has none"),

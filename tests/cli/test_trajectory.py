@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.errors import TrajectoryNotFoundError
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.trajectory import read_trajectory
@@ -58,5 +60,15 @@ def test_a_log_of_another_building_is_refused_and_nothing_written(folder: Path, 
     write_map(OccupancyGrid.from_ros(cells, 0.1), folder / "other.yaml")
     out = folder / "wrong.tum"
     assert main(["trajectory", str(folder / "run.log"), "--map", str(folder / "other.yaml"), "-o", str(out)]) == 3
-    assert "another building, or wrong odometry?); best starts: (" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "another building, or wrong odometry?); best starts: (" in error
+    assert "sonar" not in error
     assert not out.exists()
+
+
+def test_of_a_sonar_it_is_said_that_its_cones_are_taken_as_beams(folder: Path, capsys: pytest.CaptureFixture[str]):
+    refused = TrajectoryNotFoundError("no trajectory through this map fits the log")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("beamfield.localization.trajectory.choose_course", Mock(side_effect=refused))
+        assert run(folder, "--opening-angle", "20", "--out", str(folder / "none.tum")) == 3
+    assert capsys.readouterr().err.endswith("are fitted as beams, which rarely works without --start X Y DEG\n")

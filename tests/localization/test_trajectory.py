@@ -165,6 +165,9 @@ def test_impossible_input_is_refused(drive: SensorLog, office: OccupancyGrid):
         fit_trajectory(replace(some, ranges=some.ranges / 1000.0), office)
     with pytest.raises(TooLittleDataError, match=r"moves 0\.00 m and turns 0 degrees"):
         fit_trajectory(replace(some, odometry=np.zeros((20, 3))), office)
+    standing = replace(some, odometry=np.full((20, 3), np.nan), ranges=np.tile(some.ranges[0], (20, 1)))
+    with pytest.raises(TooLittleDataError, match=r"by its scans \(the log has no odometry\), the robot moves 0"):
+        fit_trajectory(standing, office)
     with pytest.raises(TooLittleDataError, match="2 scans"):
         fit_trajectory(some.select([0, 1]), office)
     with pytest.raises(TooLittleDataError, match="readings"):

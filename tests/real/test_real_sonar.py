@@ -85,7 +85,7 @@ def test_a_ring_without_poses_is_calibrated_on_its_odometry(data: Path, tmp_path
     bag = str(data / "crazyflie_multiranger" / "rice.bag")
     common = ["--quiet", "--out", str(tmp_path / "out"), "--no-refine"]
     assert main(["calibrate", bag, *common]) == 1
-    assert "with --poses, or --odometry to trust the wheels" in capsys.readouterr().err
+    assert "with --poses, or --odometry to take the odometry for them" in capsys.readouterr().err
     assert main(["calibrate", bag, "--odometry", "--map", "map.yaml", *common]) == 2
     assert "--odometry: only without --map" in capsys.readouterr().err
     # The map is drawn at the drone's odometry: its scale is doubted, and the values are not to be used.

@@ -63,7 +63,11 @@ class TestCalibration:
 class TestScanFits:
     def test_they_say_draw_and_write_themselves(self, fits, tmp_path):
         assert fits.summary().startswith("100.0% of 6 scans fit at 5%")
-        assert [axes.get_ylabel() for axes in fits.plot().axes] == ["p-value [1]", "lost probability [1]"]
+        figure = fits.plot()
+        assert [axes.get_ylabel() for axes in figure.axes] == ["p-value [1]", "lost probability [1]"]
+        # The worst scans of a log whose robot begins lost are at the lower left, where a legend would hide them.
+        figure.draw_without_rendering()
+        assert figure.axes[0].get_legend().get_window_extent().y0 >= figure.axes[0].get_window_extent().y1
         fits.save(tmp_path / "fit.csv")
         assert len((tmp_path / "fit.csv").read_text().splitlines()) == 7
 

@@ -62,6 +62,8 @@ def test_noise_that_grows_is_spelt_out_at_some_ranges(case):
     assert "noise of a hit, 0.051, 0.058, 0.112 m at 1, 3, 10 m" in row(growing, "sigma_hit").meaning
     assert "The noise of a hit grows with range: 0.051, 0.058, 0.112 m at 1, 3, 10 m." in verdict(growing)
     assert "sigma_hit" not in verdict(growing)
+    short = replace(growing, table=replace(growing.table, max_range=4.0))
+    assert "0.051, 0.058 m at 1, 3 m:" in row(short, "sigma_hit").meaning
 
 
 @pytest.mark.parametrize("name", DOUBTS)
@@ -158,6 +160,9 @@ def test_the_meaning_is_broken_to_the_width_of_a_terminal(case):
     assert sorted(words[0]) == sorted(words[1])
     # Where there is no room for words, lines stay as they are.
     assert parameter_table(case.calibration, width=50) == whole
+    # Intervals of many digits leave less room; three lines of 21 characters still read better than one of 120.
+    narrow = aligned(("a", "b"), [("x" * 57, "how fast unexpected objects get rarer with range")], right=(), width=80)
+    assert max(map(len, narrow.splitlines())) <= 80
 
 
 def test_headers_are_broken_where_a_table_is_wider_than_the_terminal():

@@ -209,6 +209,7 @@ def calibrate(
     """
     options = options or CalibrationOptions()
     report = progress or (lambda _stage, _done, _total: None)
+    is_drawn = isinstance(grid, CrossFitMaps)
     whole = grid.whole if isinstance(grid, CrossFitMaps) else grid
     if not whole.occupied.any():
         raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
@@ -222,7 +223,7 @@ def calibrate(
     # 3. Whole blocks of time are held out.
     blocks = time_blocks(table.stamps, options.block_s)
     held_out = held_out_mask(table.stamps, options.block_s)
-    _require_beams(table, held_out, selection, drawn=isinstance(grid, CrossFitMaps))
+    _require_beams(table, held_out, selection, drawn=is_drawn)
 
     # 4. Learn each form of the hit component, keep the one that held-out likelihood asks for.
     candidates = fit_candidates(table, blocks, held_out, options, report)
@@ -253,9 +254,9 @@ def calibrate(
     opposite = opposite_beams(log, table, blocks)
     refinement = _refine(log, grid, selection.used, fit, options, report) if options.refine else None
     findings = [
-        *map_findings(opposite, whole.resolution),
+        *map_findings(opposite, whole.resolution, drawn=is_drawn),
         *pose_findings(log, whole),
-        *refinement_findings(refinement),
+        *refinement_findings(refinement, drawn=is_drawn),
         *selection_findings(selection),
         *score_findings(scores),
         *noise_findings(fit, table),
@@ -284,7 +285,7 @@ def calibrate(
         findings=worst_first(findings),
         options=options,
         finder=log.finder,
-        map_from_log=isinstance(grid, CrossFitMaps),
+        map_from_log=is_drawn,
     )
 
 

@@ -152,7 +152,7 @@ def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return slope, intercept
 
 
-def map_findings(pairs: OppositeBeams | None, resolution: float) -> Iterator[Finding]:
+def map_findings(pairs: OppositeBeams | None, resolution: float, *, drawn: bool = False) -> Iterator[Finding]:
     """Report walls that are drawn too thick, or a wrong scale of the map.
 
     Parameters
@@ -161,6 +161,8 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> Iterator[Fin
         Result of `opposite_beams`.
     resolution
         Side of a cell, metres.
+    drawn
+        Whether the map was drawn from the log itself: its cells are then as large as they are said to be.
 
     Returns
     -------
@@ -185,7 +187,10 @@ def map_findings(pairs: OppositeBeams | None, resolution: float) -> Iterator[Fin
             f"times the mapped ones (standard error {pairs.scale_se:.3f}).",
             values,
             why="Every expected range is wrong by this factor, far ones most.",
-            do=f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would fit.",
+            do="The map is drawn from this log, so the poses drift: give better ones, or a map."
+            if drawn
+            else f"Check the map's resolution: {resolution * pairs.scale:.5g} m instead of {resolution:.5g} m would "
+            "fit.",
         )
     elif abs(pairs.median_difference) > max(1.5 * resolution, 0.06):
         narrow = pairs.median_difference > 0

@@ -152,8 +152,17 @@ def _delay(log: SensorLog, scans: NDArray[np.int64], shifts: FloatArray) -> tupl
     return delay, float(1.0 - left / max(float((shifts[good, 0] ** 2).sum()), 1e-12))
 
 
-def refinement_findings(refinement: PoseRefinement | None) -> Iterator[Finding]:
-    """Report how much of sigma_hit is error of the reference poses, and whether these are late; nothing for None."""
+def refinement_findings(refinement: PoseRefinement | None, *, drawn: bool = False) -> Iterator[Finding]:
+    """Report how much of sigma_hit is error of the reference poses, and whether these are late; nothing for None.
+
+    Parameters
+    ----------
+    refinement
+        Result of `refine_poses`.
+    drawn
+        Whether the map was drawn from the log itself: the fit then leaves out beams that meet what is not drawn
+        exactly, and its sigma_hit is smaller than both here.
+    """
     if refinement is None:
         return
     shift = np.median(np.hypot(refinement.shifts[:, 0], refinement.shifts[:, 1]))
@@ -181,7 +190,10 @@ def refinement_findings(refinement: PoseRefinement | None) -> Iterator[Finding]:
         text,
         values,
         why="Part of sigma_hit is error of the reference poses, not of the sensor.",
-        do="Use the smaller sigma_hit for a sensor with exact poses; else localize better and calibrate again.",
+        do="Compare these two with each other, not with the fit, which leaves out what is not drawn exactly; give "
+        "better poses and calibrate again."
+        if drawn
+        else "Use the smaller sigma_hit for a sensor with exact poses; else localize better and calibrate again.",
     )
     if abs(refinement.delay) > LEAST_DELAY and refinement.delay_share > 0.5:
         late = "older" if refinement.delay > 0 else "newer"

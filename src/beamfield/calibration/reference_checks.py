@@ -139,7 +139,7 @@ def _against_odometry(log: SensorLog) -> Iterator[Finding]:
             f"of {WINDOW_S:.0f} s, first at {begin[stands][0]:.1f} s.",
             {"n_windows": float(stands.sum()), "first_s": float(begin[stands][0])},
             why="The robot was not at these poses; the likelihood alone does not show it.",
-            do="Localize again, or cut this part out of the log.",
+            do="Take the poses that beamfield trajectory fits to a map, or cut this part out of the log.",
         )
     # Wheels that measure 25% too far are seen; sideways a robot hardly moves without its odometry noticing.
     direction = driven[:, :2] / np.maximum(moved, 1e-9)[:, None]
@@ -162,7 +162,8 @@ def _against_odometry(log: SensorLog) -> Iterator[Finding]:
                 "first_s": float(begin[slides][0]),
             },
             why="The reference slides, like a lost localizer's, or the odometry slips or has a wrong sign.",
-            do="Look at the log there. If the odometry is wrong, go on; else localize again or cut this part out.",
+            do="Look at the log there. If the odometry is wrong, go on; else take the poses that beamfield trajectory "
+            "fits to a map, or cut this part out of the log.",
         )
     turns = turn_error > 0.2
     if turns.mean() > 0.1:

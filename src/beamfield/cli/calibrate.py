@@ -25,7 +25,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, not_negative, positive
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, wants_recording, write_recordings
-from beamfield.errors import FormatError, InvalidInputError
+from beamfield.errors import InvalidInputError
 from beamfield.printable import printable
 
 if TYPE_CHECKING:
@@ -150,6 +150,10 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InvalidInputError("--odometry: only without --map and --poses: odometry is not in the map's frame")
     if arguments.odometry and arguments.odometry_noise:
         raise InvalidInputError("--odometry-noise: needs reference poses that are not the odometry: drop --odometry")
+    if arguments.map_topic is not None and arguments.map is None:
+        raise InvalidInputError(
+            f"--map-topic: is in the bag that --map names; for LOG's own map, --map {arguments.log}"
+        )
     if arguments.map is not None and arguments.resolution is not None:
         raise InvalidInputError("--resolution: is for maps drawn from the log, but --map gives one")
 
@@ -190,9 +194,8 @@ def _held(word: str) -> tuple[str, float]:
 def _chosen_sensors(log: ScanLog, arguments: argparse.Namespace) -> Mapping[str, SensorLog]:
     """Return the sensors to calibrate, those asked for or the only one; without a map, with the poses asked for."""
     names: list[Any] = arguments.sensor or list(log.sensors)
-    if not arguments.sensor and len(names) != 1:
-        known = ", ".join(map(repr, names))
-        raise FormatError(arguments.log, f"has several sensors, choose with --sensor: {known}")
+    if not arguments.sensor:
+        options.require_one_sensor(log, arguments.log)
     logs = {name: log.only_sensor(name) for name in names}
     if arguments.map is not None:  # poses that are missing will be fitted to it
         return logs

@@ -202,8 +202,11 @@ def write_patch(file: StackFile, fitted: StackPart) -> str:
     from beamfield.stacks.files.parameter_file import write_values
 
     values = file.by_names_in_file(fitted.values or {})
-    if fitted.doubt or (not values and fitted.record in file.section.text):
-        return f"left {file.section.path} as it was"
+    left = f"left {file.section.path} as it was"
+    if fitted.doubt:
+        return f"{left}; what would have changed is in {next(iter(fitted.files))}"
+    if not values and fitted.record in file.section.text:
+        return left
     backup = write_values(file.section, values, record=fitted.record)
     changed = f"changed {', '.join(values)} in" if values else "noted that its values were checked in"
     return f"{changed} {file.section.path}; the old file is {backup.name}"

@@ -29,6 +29,7 @@ from beamfield.cli.parser import Parser, add_command, index, positive
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, beam_recording, check_recordings, write_recordings
+from beamfield.cli.wording import in_options
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, about_file
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
             **fit_as_dict(fits, reference, worst, own=given.is_own),
             "changed_places": None if places is None else places_as_dict(places),
         }
-        files = _files(fits, worst, places, model, reference, given, document)
+        files = _files(fits, worst, places, model, reference, given, document, in_options(problem))
     with atomic_folder(arguments.out) as folder:
         for name, content in files.items():
             (folder / name).write_text(content, encoding="utf-8")
@@ -271,6 +272,7 @@ def _files(
     reference: ScanFitReference,
     given: _Inputs,
     document: Mapping[str, Any],
+    problem: str,
 ) -> dict[str, str]:
     from beamfield.io.parameters.beam_model_file import beam_model_text
     from beamfield.report.places_figure import places_figure
@@ -287,7 +289,7 @@ def _files(
     return {
         "scan_fit.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
         "scan_fit.csv": fit_csv(fits),
-        "scan_fit.html": render_fit_page(title, fits, reference, [f for f in drawn if f is not None], origin),
+        "scan_fit.html": render_fit_page(title, fits, reference, [f for f in drawn if f is not None], origin, problem),
         "beam_model.yaml": beam_model_text(model.parameters, given.log.finder, provenance=origin),
         "scan_fit_reference.json": reference.to_json(),
     }

@@ -182,8 +182,7 @@ def _read_logs(
     poses = arguments.poses or [None] * len(arguments.logs)
     for (name, path), reference in zip(_short_names(arguments.logs).items(), poses, strict=True):
         sensor, noticed = options.read_sensor(arguments, path, reference)
-        if not sensor.has_odometry:
-            raise FormatError(path, options.NO_ODOMETRY)
+        options.require_odometry(sensor, path)
         start = options.start_of(arguments)
         logs[name], _, more = posed_log(sensor, grid, arguments, progress, path=path, start=start)
         notes += [f"{name}: {note}" for note in (*noticed, *more)]

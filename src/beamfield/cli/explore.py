@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from beamfield.maps.occupancy import OccupancyGrid
     from beamfield.sensors import SensorLog
 
-BY_HAND = "the log has no poses: drag the robot to where it was"
+BY_HAND = "without poses nothing is learned from the log: drag the robot to where it was"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
@@ -74,7 +74,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         sets = [read_set(file, grid, sensor.finder) for file in arguments.params]
         shown = None if arguments.shown_run is None else read_shown_run(arguments.shown_run, sensor, grid)
         log, more = _posed(sensor, grid, arguments, progress)
-        session, why = open_session(log, grid, sets, run=shown, fit=not arguments.no_fit, progress=progress)
+        session, why = open_session(
+            log, grid, sets, run=shown, fit=not arguments.no_fit and log.has_poses, progress=progress
+        )
     notes = (*notes, *more, *([f"nothing was learned from the log: {why}"] if why else []))
     for note in notes:
         complain(f"note: {in_options(note)}")
@@ -105,5 +107,5 @@ def _posed(
     except (FormatError, TooLittleDataError) as error:
         if sensor.has_poses:
             raise
-        return sensor, (f"{error}. {BY_HAND}",)
+        return sensor, (f"{error}; {BY_HAND}",)
     return log, notes

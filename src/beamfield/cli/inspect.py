@@ -13,6 +13,7 @@ for example:
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +62,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     text = f"{facts['source']}: {_text(facts)}"
     if arguments.out is not None:
         return Outcome(f"wrote {arguments.out}", text, facts, wrote=[arguments.out])
-    hint = f"to see it, add --out {facts['source'].split('.')[0] or 'log'}.png"
+    picture = f"{Path(facts['source'].removesuffix('.gz')).stem}.png"
+    hint = f"to see it, add --out {shlex.quote(picture)}"
     return Outcome(hint, text, facts, brief=text.splitlines()[0])
 
 

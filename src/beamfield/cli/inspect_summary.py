@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.cli.provenance import recorded
 from beamfield.geometry import FloatArray, wrap_angle
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.printable import printable
@@ -96,7 +97,7 @@ def _sensor_facts(sensor: SensorLog) -> Facts:
         "max_range_m": sensor.finder.max_range,
         "readings": _reading_facts(sensor.ranges, sensor.finder),
         "no_return": {
-            "values_m": list(sensor.no_return.values),
+            "values_m": [recorded(value) for value in sensor.no_return.values],
             "origin": sensor.no_return.origin,
             "explanation": sensor.no_return.explanation,
         },

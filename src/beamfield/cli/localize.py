@@ -36,6 +36,7 @@ from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError,
 
 if TYPE_CHECKING:
     from beamfield.cli.film import Film
+    from beamfield.finding import Finding
     from beamfield.io.recordings.recording import Recording
     from beamfield.localization.particle_filter import Update
     from beamfield.localization.replay import PoseBelief, ReplayErrors
@@ -122,9 +123,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
         is_found = not any(finding.name == "not-found" for finding in found.findings)
         since = (_sure_from(found) or 0) if start is None and is_found else 0
         lost = find_lost_robot(log[since:], grid, found.poses[since:])
-        seen = (*found.findings, *time_gaps(log.stamps), *([] if lost is None else [lost]))
-        found = replace(found, findings=worst_first(seen))
-        errors = _judged(found, log)
+        is_sonar = log.finder.opening_angle > 0.0
+        more = [_not_judged()] if lost is None and is_sonar else [] if lost is None else [lost]
+        found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *more)))
+        errors = _judged(found, log, since if lost is None else 0)
         progress("drawing", 0, 1)
         document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
         names, recorded = _write(found, log, grid, film, document, arguments)
@@ -133,7 +135,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     problem = next((text for name, text in PROBLEMS.items() if name in seen_names), "")
     line = ", ".join([f"wrote {', '.join(names)} into {arguments.out}", *map(str, recorded)])
     return Outcome(
-        line, _summary(document, errors, arguments), document, notes, [arguments.out, *recorded],
+        line, _summary(document, errors, arguments, is_sonar=is_sonar), document, notes, [arguments.out, *recorded],
         code=3 if problem else 0, problem=problem, brief=_ended(document),
     )  # fmt: skip
 
@@ -145,8 +147,7 @@ def _start(
     from beamfield.localization.replay import PoseBelief, reference_start
     from beamfield.maps.range_scale import require_metres
 
-    if not sensor.has_odometry:
-        raise FormatError(arguments.log, options.NO_ODOMETRY)
+    options.require_odometry(sensor, arguments.log)
     if not ((sensor.ranges > 0.0) & (sensor.ranges < sensor.finder.max_range)).any():
         raise FormatError(
             arguments.log, "no reading of any scan hits anything; see what was read with beamfield inspect"
@@ -255,13 +256,31 @@ def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict
     return {"n_beams": n_used, "exponent": arguments.exponent or min(1.0, worth / n_used)}
 
 
-def _judged(found: Localization, log: SensorLog) -> ReplayErrors | None:
-    from beamfield.localization.replay import judge_replay
+def _not_judged() -> Finding:
+    from beamfield.finding import Finding
+
+    return Finding(
+        "lost-not-judged",
+        "info",
+        "Whether the robot is lost is not judged from the cones of a sonar.",
+        why="The filter can be sure of a wrong place.",
+        do="See in localization.png whether the path keeps to free space.",
+    )
+
+
+def _judged(found: Localization, log: SensorLog, since: int) -> ReplayErrors | None:
+    """Return the errors of the scans from number `since` on; None without reference poses there."""
+    from beamfield.localization.replay import Replay, judge_replay
 
     if not log.has_poses:
         return None
+    later = found.updates >= since
+    replayed = Replay(
+        found.poses[since:], found.updates[later] - since, found.means[later], found.covariances[later],
+        found.particles[later], found.seconds[later] if len(found.seconds) else found.seconds,
+    )  # fmt: skip
     try:
-        return judge_replay(found, log.poses)
+        return judge_replay(replayed, log.poses[since:])
     except TooLittleDataError:  # reference poses only where there is no odometry
         return None
 
@@ -369,7 +388,9 @@ def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: F
     return Recording(grid, log, paths, covariances, film.particles, numbers)
 
 
-def _summary(document: Mapping[str, Any], errors: ReplayErrors | None, arguments: argparse.Namespace) -> str:
+def _summary(
+    document: Mapping[str, Any], errors: ReplayErrors | None, arguments: argparse.Namespace, *, is_sonar: bool
+) -> str:
     rate = document["updates_per_second"]
     speed = "" if rate is None else f", {rate:.0f} updates/s"
     if document["start"] is None:
@@ -383,9 +404,11 @@ def _summary(document: Mapping[str, Any], errors: ReplayErrors | None, arguments
         _ended(document),
     ]
     if document["start"] is None and document["sure_after_s"] is not None:
-        lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are a best guess")
+        guess = "a best guess" if errors is None else "a best guess, and their errors do not count"
+        lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are {guess}")
     if errors is None:
-        lines.append("no reference poses to judge by: beamfield trajectory fits some, which --poses takes")
+        fitted = "" if is_sonar else ": beamfield trajectory fits some, which --poses takes"
+        lines.append(f"no reference poses to judge by{fitted}")
         return "\n".join(lines)
     found = document["found_after_s"]
     within = f"{FOUND_WITHIN:g} m of the reference"

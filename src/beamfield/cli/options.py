@@ -23,10 +23,8 @@ LOG_FORMATS = (
 )
 MAP_FORMATS = "map_server .yaml, Wean .dat, or a bag"
 PICTURES = (".png", ".svg", ".pdf")
-NO_ODOMETRY = (
-    "no scan has odometry, which moves the particles; if this is a text log with one pose per scan, and that is the "
-    "odometry, pass --lone-poses odometry"
-)
+# No range sensor of a robot reaches so many metres: millimetres do.
+MOST_REACH = 1000.0
 
 
 def add_out(parser: argparse.ArgumentParser, default: str | None, *, metavar: str, what: str) -> None:
@@ -112,9 +110,7 @@ def add_log(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     add_mount(group, ", for a bag without /tf_static")
     group.add_argument("--no-return", type=_no_return, default="detect", metavar="detect|none|V[,V...]",
                        help="values (metres) that mean 'no return' besides +inf (default: detect)")  # fmt: skip
-    group.add_argument(
-        "--max-range", type=positive, metavar="M", help="the sensor's limit, if the log is wrong about it"
-    )
+    group.add_argument("--max-range", type=_reach, metavar="M", help="the sensor's limit, if the log is wrong about it")
     group.add_argument("--min-range", type=not_negative, metavar="M",
                        help="shortest range that counts (default: as the log says)")  # fmt: skip
     group.add_argument("--mask", type=_sector, action="append", default=[], metavar="DEG:DEG",
@@ -227,7 +223,16 @@ def read_sensor(
     if arguments.sensor and len(arguments.sensor) > 1:
         raise InvalidInputError(f"--sensor: expected one, got {', '.join(arguments.sensor)}")
     log = read_scans(arguments, path, poses)
+    if not arguments.sensor:
+        require_one_sensor(log, path or arguments.log)
     return log.only_sensor(arguments.sensor[0] if arguments.sensor else None), log.notes
+
+
+def require_one_sensor(log: ScanLog, path: Path) -> None:
+    """Refuse a log of several sensors, of which none was chosen."""
+    if len(log.sensors) != 1:
+        known = ", ".join(map(repr, log.sensors)) or "none"
+        raise FormatError(path, f"expected one sensor, the log has {known}: choose with --sensor")
 
 
 def read_map_and_sensor(
@@ -247,12 +252,25 @@ def require_poses(sensor: SensorLog, arguments: argparse.Namespace) -> SensorLog
             raise FormatError(arguments.log, "--odometry: the log has none")
         return sensor.with_poses(sensor.odometry)
     if not sensor.has_poses:
-        wheels = ", or --odometry to trust the wheels" if sensor.has_odometry else ""
-        fitted = "a map with --map, to which they are then fitted, or " if sensor.has_odometry else ""
+        drift = ", or --odometry to take the odometry for them" if sensor.has_odometry else ""
+        is_fitted = sensor.has_odometry and sensor.finder.opening_angle == 0.0
+        fitted = "a map with --map, to which they are then fitted, or " if is_fitted else ""
         raise FormatError(
-            arguments.log, f"no scan has a reference pose; give {fitted}a TUM or CSV file with --poses{wheels}"
+            arguments.log, f"no scan has a reference pose; give {fitted}a TUM or CSV file with --poses{drift}"
         )
     return sensor
+
+
+def require_odometry(sensor: SensorLog, path: Path) -> None:
+    """Refuse a log of which no scan has odometry, for a filter."""
+    if sensor.has_odometry:
+        return
+    what = (
+        "if its poses are the odometry (a text log with one pose per scan), pass --lone-poses odometry"
+        if sensor.has_poses
+        else "record it as nav_msgs/Odometry, or on /tf from odom to base_link"
+    )
+    raise FormatError(path, f"no scan has odometry, which moves the particles; {what}")
 
 
 def looks_like_a_map(path: Path) -> bool:
@@ -308,6 +326,13 @@ def _sector(text: str) -> str:
 def _radians_of(sector: str) -> tuple[float, float]:
     first, last = (math.radians(float(word)) for word in sector.split(":"))
     return first, last
+
+
+def _reach(text: str) -> float:
+    metres = positive(text)
+    if metres > MOST_REACH:
+        raise argparse.ArgumentTypeError(f"expected metres, at most {MOST_REACH:g}, got {text!r}")
+    return metres
 
 
 def _opening_angle(text: str) -> float:

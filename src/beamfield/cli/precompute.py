@@ -72,9 +72,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 def _text(table: RangeTable, seconds: float | None) -> str:
     plan, error = table.plan, table.error
+    whole = "across the whole map; --max-range M leaves out what the sensor cannot see"
+    ranges = whole if plan.max_range is None else f"up to {plan.max_range:g} m"
     return "\n".join(
         [
             f"table: {plan.n_places:,} places x {plan.headings} headings, {plan.n_bytes / 1e6:,.1f} MB",
+            f"ranges: {ranges}",
             "time: it was there already" if seconds is None else f"time: {seconds:.1f} s",
             f"error of {error.n_rays:,} random rays, beside exact casting:",
             f"  median  {error.median:.3f} m",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,11 @@ def file_name(path: str | Path) -> str:
     r"""Return a file's name as one line that any output can hold: bytes that are no UTF-8 become ``\xe4``."""
     name = Path(path).name or Path(path).resolve().name
     return printable(os.fsencode(name).decode("utf-8", "backslashreplace"))
+
+
+def recorded(value: Any) -> Any:
+    """Return a value as JSON holds it: `--no-return nan` is a number that it has no word for."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def provenance(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -42,7 +48,7 @@ def provenance(arguments: argparse.Namespace) -> dict[str, Any]:
             inputs.update({f"{name.replace('_', ' ')} {i}": one for i, one in enumerate(value, 1)})
             continue
         if not isinstance(value, Path):
-            options[name] = list(value) if isinstance(value, tuple) else value
+            options[name] = [recorded(one) for one in value] if isinstance(value, tuple) else value
             continue
         inputs[name.replace("_", " ")] = value
         if name == "map" and value.suffix in (".yaml", ".yml"):

@@ -64,7 +64,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
         except TooLittleDataError as error:
             raise TooLittleDataError(f"{arguments.log}: {error}") from error
         except TrajectoryNotFoundError as error:
-            raise TrajectoryNotFoundError(f"{arguments.log}: {error}") from error
+            cones = "; the cones of a sonar are fitted as beams, which rarely works without --start X Y DEG"
+            about = cones if sensor.finder.opening_angle > 0.0 and arguments.start is None else ""
+            raise TrajectoryNotFoundError(f"{arguments.log}: {error}{about}") from error
         progress("writing", 0, 1)
         written = fit.trusted if arguments.trusted_only else slice(None)
         figure = draw_fit(fit, sensor, grid, f"{arguments.log.name} in {arguments.map.name}")

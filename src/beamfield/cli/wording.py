@@ -23,7 +23,13 @@ _OPTIONS = {
 _NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([^']*)')?")
 # These are words of models and files as well: they are options where they stand for a value to give.
 # As the beginning of an error these are what was given.
-_LEADING = {"figure": "--only", "model": "--model", "section": "--section", "stack": "--stack"}
+_LEADING = {
+    "figure": "--only",
+    "model": "--model",
+    "resolution": "--resolution",
+    "section": "--section",
+    "stack": "--stack",
+}
 _GIVEN = re.compile(r"(?<=give )(?P<name>max_range|min_range|mount|section)\b|(?<![\w/.'\"-])stamps='(?P<rule>[^']*)'")
 
 

@@ -148,8 +148,8 @@ def _untested() -> Finding:
     return Finding(
         "untested",
         "info",
-        "Nothing could be tested.",
-        why=f"A change takes {2 * FEWEST_DAYS} days of runs, and a comparison {FEWEST_ROBOTS} robots.",
+        f"Nothing could be tested: a change takes {2 * FEWEST_DAYS} days of runs, and a comparison {FEWEST_ROBOTS} "
+        "robots.",
         do="Scan more days, or more robots, into the catalogue.",
     )
 

@@ -188,7 +188,7 @@ def find_course(
         odometry = odometry_from_scans(log, lambda done, total: report("aligning scans", done, total))
     drive = prepare(log, odometry)
     _check_points(drive)
-    _check_moves(drive)
+    _check_moves(drive, "odometry" if log.has_odometry else "scans (the log has no odometry)")
     found = choose_course(log, grid, drive, walls_of(grid), initial, report)
     return found if log.has_odometry else found._replace(findings=(_no_odometry(), *found.findings))
 
@@ -237,10 +237,10 @@ def _check_points(drive: Drive) -> None:
         )
 
 
-def _check_moves(drive: Drive) -> None:
+def _check_moves(drive: Drive, source: str) -> None:
     if drive.way[-1] < LEAST_WAY:
         raise TooLittleDataError(
-            f"by its odometry, the robot moves {np.hypot(*drive.steps[:, :2].T).sum():.2f} m and turns "
+            f"by its {source}, the robot moves {np.hypot(*drive.steps[:, :2].T).sum():.2f} m and turns "
             f"{np.degrees(np.abs(drive.steps[:, 2]).sum()):.0f} degrees in all; a trajectory needs a drive"
         )
 

@@ -143,8 +143,10 @@ def at_floor(calibration: Calibration) -> bool:
 def noise_at_ranges(calibration: Calibration) -> str:
     """Return what the noise of a hit comes to at some expected ranges, where it grows with range."""
     sigma, slope = calibration.parameters.sigma_hit, calibration.parameters.sigma_slope
-    noise = ", ".join(f"{math.hypot(sigma, slope * z):.3f}" for z in NOISE_AT)
-    return f"{noise} m at {', '.join(f'{z:g}' for z in NOISE_AT)} m"
+    reach = calibration.table.max_range
+    ranges = [z for z in NOISE_AT if z <= reach] or [reach]
+    noise = ", ".join(f"{math.hypot(sigma, slope * z):.3f}" for z in ranges)
+    return f"{noise} m at {', '.join(f'{z:g}' for z in ranges)} m"
 
 
 def _meaning(calibration: Calibration, name: str) -> str:

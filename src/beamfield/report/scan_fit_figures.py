@@ -16,7 +16,7 @@ from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.models.range_mixture import RangeMixtureModel
 from beamfield.report.as_json import LEVEL
 from beamfield.report.colours import CAUSE_COLOURS, FIT, HELD_OUT, MODEL, THROUGH
-from beamfield.report.drawing import NARROW, WIDE, legend, legend_above, new_axes, new_panel, style
+from beamfield.report.drawing import NARROW, WIDE, legend_above, new_axes, new_panel, style
 from beamfield.report.map_figures import MARGIN, draw_map, frame
 from beamfield.report.panel import Panel, ReportFigure, one_picture, png_panel
 from beamfield.scan_fit.calibration_fit import CalibrationFit
@@ -48,11 +48,12 @@ def fit_over_time(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> 
     judged = ~np.isnan(fits.p_value)
     if not judged.any():
         return None
-    figure = new_panel(WIDE, 4.6)
+    figure = new_panel(WIDE, 4.8, above=1.0)
     draw_fit(figure, fits, reference.smallest_p_value)
     share = fits.share_that_fits(LEVEL)
     compared = "the other scans of this log, none closer in time than a block" if own else "the scans of the good log"
-    silent = int((~judged).sum())
+    n_silent = int((~judged).sum())
+    silent = f" {n_silent} scan{'s' if n_silent > 1 else ''} could not be judged." if n_silent else ""
     return one_picture(
         FIT_NAME,
         FIT_TITLE,
@@ -64,7 +65,7 @@ def fit_over_time(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> 
         f"{reference.n_effective:.0f} independent ones, so that a p-value of {LEVEL:g} is uncertain by "
         f"{np.sqrt(LEVEL * (1 - LEVEL) / max(reference.n_effective, 1.0)):.2g}. Below: running probability that the "
         "robot is elsewhere than its pose says, from successive scans; a crowd or a moved cupboard lowers p-values, "
-        "but should leave this line low." + (f" {silent} scans could not be judged." if silent else ""),
+        f"but should leave this line low.{silent}",
         "Section 6.1, (6.2); Table 6.1",
         cloud=len(fits) >= 1500,
     )
@@ -98,7 +99,7 @@ def draw_fit(figure: Figure | SubFigure, fits: ScanFits, smallest: float) -> Non
     above.minorticks_off()
     above.set_ylim(0.7 * min(LEVEL / 2, float(np.nanmin(fits.p_value))), 1.4)
     style(above, y="p-value [1]")
-    legend(above, loc="lower left", ncols=2)
+    legend_above(above, ncols=2)
     below.fill_between(seconds, fits.lost, step="post", color=HELD_OUT, alpha=0.25, linewidth=0)
     below.plot(seconds, fits.lost, color=HELD_OUT, linewidth=1.2, drawstyle="steps-post")
     below.axhline(0.5, color=MODEL, linewidth=0.8, linestyle="--")

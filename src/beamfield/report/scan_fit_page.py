@@ -42,7 +42,7 @@ def fit_table(fits: ScanFits, worst: NDArray[np.int64]) -> str:
     for number, name in enumerate(PROBLEMS):
         count = int((fits.problem == number).sum())
         if number and count:
-            lines.append(f"{count} scans: {name}")
+            lines.append(f"{count} scan{'s' if count > 1 else ''}: {name}")
     lines.append(lost_line(fits))
     if len(worst):
         lines += [
@@ -108,7 +108,12 @@ def fit_as_dict(fits: ScanFits, reference: ScanFitReference, worst: NDArray[np.i
 
 
 def render_fit_page(
-    title: str, fits: ScanFits, reference: ScanFitReference, figures: Sequence[ReportFigure], origin: Mapping[str, Any]
+    title: str,
+    fits: ScanFits,
+    reference: ScanFitReference,
+    figures: Sequence[ReportFigure],
+    origin: Mapping[str, Any],
+    problem: str = "",
 ) -> str:
     """Return the result as one HTML document that needs nothing else.
 
@@ -122,6 +127,8 @@ def render_fit_page(
         Drawn figures, in order.
     origin
         Inputs, options and program; see `cli.provenance`.
+    problem
+        Why map or poses cannot be trusted, and what to do; empty if they can.
     """
     judged = int((~np.isnan(fits.p_value)).sum())
     share = f"{fits.share_that_fits(LEVEL):.1%} of {judged} scans fit the map at {LEVEL:.0%}; of good scans 95% do."
@@ -130,8 +137,13 @@ def render_fit_page(
         None: ("care", "Not judged"), True: ("bad", "Lost"), False: ("good", "Not lost")
     }  # fmt: skip
     level, word = answers[fits.longest_lost() is not None if judged else None]
+    # Good scans were learned from the same poses in the same map: where these are wrong, no scan looks lost.
+    level, word = ("care", "") if problem and level == "good" else (level, word)
     contents = [*((drawn.name, drawn.title) for drawn in figures), ("origin", "Origin")]
-    parts = [f"<h1>{escaped(title)}</h1>", verdict_box(level, sentence, word)]
+    parts = [f"<h1>{escaped(title)}</h1>"]
+    if problem:
+        parts.append(verdict_box("bad", problem[0].upper() + problem[1:]))
+    parts.append(verdict_box(level, sentence, word))
     parts += map(figure, figures)
     if reference.reliability:
         rows = [(f"{r.predicted:.3f}", f"{r.observed:.3f}", f"{r.n:,}") for r in reference.reliability]

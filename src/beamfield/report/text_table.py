@@ -13,7 +13,7 @@ from beamfield.report.parameter_rows import HEADER, parameter_rows
 
 GAP = "  "
 # Narrower than this a column of sentences reads worse than lines that the terminal breaks.
-LEAST_ROOM = 24
+LEAST_ROOM = 18
 
 
 def parameter_table(calibration: Calibration, *, width: int | None = None) -> str:

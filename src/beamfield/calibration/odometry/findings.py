@@ -118,6 +118,9 @@ def _not_white(result: OdometryCalibration) -> Iterator[Finding]:
     allowed = (long / short) ** WHITE_POWER
     if 1.0 / allowed <= high / low <= allowed:
         return
+    # What is advised is the floor then, whatever the noise below it is like.
+    if max(low, high) < result.options.floor:
+        return
     yield Finding(
         "odometry-not-white",
         "warning",

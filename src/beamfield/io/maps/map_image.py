@@ -240,6 +240,10 @@ def _band(picture: Image.Image) -> tuple[GreyArray, NDArray[np.bool_] | None]:
         key = picture.info.get("transparency")
         return _grey_of_level(65_535)[np.clip(levels, 0, 65_535)], None if key is None else levels != key
     has_alpha = picture.has_transparency_data
+    if picture.mode == "1" and has_alpha:
+        # The key of white is 255 since Pillow 12.1 and was 1 before, which its conversions did not find.
+        grey = np.asarray(picture.convert("L"))
+        return grey, grey != (255 if picture.info["transparency"] else 0)
     if picture.mode in ("1", "L", "LA"):
         channels = np.asarray(picture.convert("LA" if has_alpha else "L"))
         grey = channels[..., 0] if has_alpha else channels

@@ -150,6 +150,30 @@ def test_a_reference_that_slides_sideways_is_found():
     assert finding.values["median_difference"] == pytest.approx(4.0 * 25 / 299, rel=0.1)
 
 
+def test_scans_tell_whether_the_reference_or_the_odometry_slides():
+    log, slid = drive(), drive().poses.copy()
+    slid[:, 1] += np.linspace(0.0, 6.0, 300) - 3.0
+    assert names(pose_findings(replace(log, odometry=slid), room())) == ["odometry-disagrees"]
+    (finding,) = pose_findings(replace(log, odometry=slid), room())
+    assert finding.values["median_difference"] == pytest.approx(6.0 * 25 / 299, rel=0.1)
+    # Without readings none of the two is known to be wrong.
+    blind = replace(log, odometry=slid, ranges=np.full(log.ranges.shape, np.nan))
+    assert names(pose_findings(blind, room())) == ["reference-slides"]
+
+
+def test_wheels_that_spin_are_not_taken_for_a_reference_that_stands_still():
+    poses, spun = drive().poses.copy(), drive().poses.copy()
+    poses[100:] = poses[100]
+    cells = np.zeros((100, 400))
+    cells[0] = cells[-1] = 1.0
+    furnished = cells.copy()
+    furnished[40:45, ::17] = furnished[57:60, ::23] = 1.0
+    for walls, found in ((furnished, "odometry-disagrees"), (cells, "reference-stands-still")):  # a corridor is alike
+        grid = OccupancyGrid(walls, 0.1)
+        log = replace(drive(poses), ranges=RayCaster(grid).expected_ranges(poses, FINDER), odometry=spun)
+        assert names(pose_findings(log, grid)) == [found]
+
+
 def test_a_heading_that_turns_otherwise_is_found():
     poses = drive().poses.copy()
     poses[:, 2] = 0.05 * np.arange(300)

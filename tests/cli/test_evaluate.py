@@ -175,7 +175,7 @@ def test_it_says_why_a_filter_cannot_follow(world, tmp_path, capsys):
     assert main(["evaluate", str(log), *given, "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().err
     assert "none.yaml: one scan gives all 2000 particles" in said
-    assert "turned.carmen: Reference poses and odometry disagree in" in said
+    assert "turned.carmen: The odometry is wrong in" in said
 
 
 def test_only_one_sensor_can_be_replayed(world, tmp_path, capsys):

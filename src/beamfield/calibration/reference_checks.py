@@ -188,7 +188,7 @@ def _against_odometry(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
                 "first_s": float(begin[wheels][0]),
             },
             why="Wheels slip, or a scale or sign is wrong: the robot's filter has to bridge that.",
-            do="Calibrate with --odometry-noise, which measures scales and noise.",
+            do="Run beamfield calibrate --odometry-noise: it measures scales and noise, and finds a wrong sign.",
         )
     turns = turn_error > 0.2
     if turns.mean() > 0.1:

@@ -135,8 +135,11 @@ class Interrupt(Exception):
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
 @pytest.mark.usefixtures("fresh_pool")
 def test_signals_at_any_moment_leave_the_threads_at_work():
+    armed = False
+
     def raise_interrupt(*_):
-        raise Interrupt
+        if armed:
+            raise Interrupt
 
     before = signal.signal(signal.SIGALRM, raise_interrupt)
     rng = np.random.default_rng(6)
@@ -145,8 +148,10 @@ def test_signals_at_any_moment_leave_the_threads_at_work():
         with forced_threads(3):
             for _ in range(1500):
                 try:
+                    armed = True
                     signal.setitimer(signal.ITIMER_REAL, rng.uniform(1e-6, 3e-4))
                     run_in_blocks(lambda _a, _b: sum(range(200)), 12)
+                    armed = False  # a signal that is under way now must not end the test
                     signal.setitimer(signal.ITIMER_REAL, 0.0)
                 except Interrupt:
                     n_interrupted += 1

@@ -156,6 +156,8 @@ def test_scans_tell_whether_the_reference_or_the_odometry_slides():
     assert names(pose_findings(replace(log, odometry=slid), room())) == ["odometry-disagrees"]
     (finding,) = pose_findings(replace(log, odometry=slid), room())
     assert finding.values["median_difference"] == pytest.approx(6.0 * 25 / 299, rel=0.1)
+    # A map that these poses drew agrees with them, be they right or wrong.
+    assert names(pose_findings(replace(log, odometry=slid), room(), drawn=True)) == ["reference-slides"]
     # Without readings none of the two is known to be wrong.
     blind = replace(log, odometry=slid, ranges=np.full(log.ranges.shape, np.nan))
     assert names(pose_findings(blind, room())) == ["reference-slides"]

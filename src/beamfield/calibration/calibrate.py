@@ -255,7 +255,7 @@ def calibrate(
     refinement = _refine(log, grid, selection.used, fit, options, report) if options.refine else None
     findings = [
         *map_findings(opposite, whole.resolution, drawn=is_drawn),
-        *pose_findings(log, whole),
+        *pose_findings(log, whole, drawn=is_drawn),
         *refinement_findings(refinement, drawn=is_drawn),
         *selection_findings(selection),
         *score_findings(scores),

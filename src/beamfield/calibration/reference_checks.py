@@ -26,7 +26,7 @@ MANY_SCANS = 0.25
 CLEARLY = 0.2
 
 
-def pose_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
+def pose_findings(log: SensorLog, grid: OccupancyGrid, *, drawn: bool = False) -> Iterator[Finding]:
     """Check the reference path of a whole log against the map and the odometry.
 
     Parameters
@@ -35,12 +35,15 @@ def pose_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
         All scans, with reference poses (NaN where there are none) and odometry.
     grid
         The map.
+    drawn
+        Whether the map was drawn from the log itself: its scans then agree with any poses that drew it.
 
     Returns
     -------
     Findings; none if the path is plausible.
     """
-    yield from (*map_findings(log, grid), *_inside_walls(log, grid), *jump_findings(log), *_against_odometry(log, grid))
+    yield from (*map_findings(log, grid), *_inside_walls(log, grid), *jump_findings(log))
+    yield from _against_odometry(log, None if drawn else grid)
 
 
 def map_findings(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
@@ -115,7 +118,7 @@ def _inside_walls(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
     )
 
 
-def _against_odometry(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
+def _against_odometry(log: SensorLog, grid: OccupancyGrid | None) -> Iterator[Finding]:
     both = np.isfinite(log.poses).all(axis=1) & np.isfinite(log.odometry).all(axis=1)
     if both.sum() < 3:
         return
@@ -142,11 +145,11 @@ def _against_odometry(log: SensorLog, grid: OccupancyGrid) -> Iterator[Finding]:
     slides = (slip > np.maximum(0.3, 0.25 * reach)) | (
         (moved > LEAST_MOTION) & (sideways > np.maximum(0.25, 0.12 * reach))
     )
-    asked = np.flatnonzero(stands | slides)
-    driven_to = compose(poses[starts[asked]], driven[asked])
     wheels = np.zeros(len(starts), dtype=bool)
-    posed = log.select(both)
-    wheels[asked] = _agree(posed, grid, starts[asked]) & _agree(posed, grid, ends[asked], rather_than=driven_to)
+    asked = np.flatnonzero(stands | slides)
+    if grid is not None and len(asked) and log.finder.opening_angle == 0.0:
+        driven_to = compose(poses[starts[asked]], driven[asked])
+        wheels[asked] = _prefer_reference(log.select(both), grid, starts[asked], ends[asked], driven_to)
     stands, slides = stands & ~wheels, slides & ~stands & ~wheels
     if stands.any():
         yield Finding(
@@ -207,18 +210,18 @@ def _are_many(windows: NDArray[np.bool_]) -> bool:
     return bool(windows.mean() > 0.02 or windows.sum() >= 3)
 
 
-def _agree(
-    log: SensorLog, grid: OccupancyGrid, scans: NDArray[np.int64], *, rather_than: FloatArray | None = None
+def _prefer_reference(
+    log: SensorLog, grid: OccupancyGrid, starts: NDArray[np.int64], ends: NDArray[np.int64], driven_to: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return whether some scans agree with the map at their reference poses, and clearly less at other ones (n, 3)."""
-    if log.finder.opening_angle > 0.0 or len(scans) == 0:
-        return np.zeros(len(scans), dtype=bool)
-    asked, caster = log.select(scans), RayCaster(grid)
-    here = scan_agreement(asked, grid, asked.poses, most=len(scans), caster=caster)
-    agree = here >= LEAST_AGREEMENT
-    if rather_than is not None:
-        agree &= here - scan_agreement(asked, grid, rather_than, most=len(scans), caster=caster) > CLEARLY
-    return agree
+    """Return whether scans agree with the map at both ends of windows, and clearly less where odometry (n, 3) leads."""
+    caster = RayCaster(grid)
+
+    def agreement(scans: NDArray[np.int64], poses: FloatArray) -> FloatArray:
+        return scan_agreement(log.select(scans), grid, poses, most=len(scans), caster=caster)
+
+    there = agreement(ends, log.poses[ends])
+    is_right = np.minimum(there, agreement(starts, log.poses[starts])) >= LEAST_AGREEMENT
+    return np.asarray(is_right & (there - agreement(ends, driven_to) > CLEARLY))
 
 
 def _jumps(odometry: FloatArray, stamps: FloatArray) -> NDArray[np.bool_]:

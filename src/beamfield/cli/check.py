@@ -224,10 +224,10 @@ def _parameters(given: _Inputs, arguments: argparse.Namespace, progress: StagePr
 
 
 def _disagreement(given: _Inputs) -> str:
-    from beamfield.calibration.reference_checks import pose_findings
+    from beamfield.calibration.reference_checks import map_findings
     from beamfield.report.verdict import DOUBTS
 
-    names = {finding.name for finding in pose_findings(given.log, given.grid)}
+    names = {finding.name for finding in map_findings(given.log, given.grid)}
     return DOUBTS["map-disagrees"] if "map-disagrees" in names else ""
 
 

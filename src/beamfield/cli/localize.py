@@ -36,7 +36,6 @@ from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError,
 
 if TYPE_CHECKING:
     from beamfield.cli.film import Film
-    from beamfield.finding import Finding
     from beamfield.io.recordings.recording import Recording
     from beamfield.localization.particle_filter import Update
     from beamfield.localization.replay import PoseBelief, ReplayErrors
@@ -99,7 +98,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.cli.film import Film
     from beamfield.finding import worst_first
     from beamfield.io.files.atomic import check_folder_writable, check_writable
-    from beamfield.localization.lost_robot import find_lost_robot
+    from beamfield.localization.lost_robot import find_lost_robot, lost_not_judged
     from beamfield.localization.trajectory_trust import time_gaps
 
     check_folder_writable(arguments.out)
@@ -124,7 +123,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         since = (_sure_from(found) or 0) if start is None and is_found else 0
         lost = find_lost_robot(log[since:], grid, found.poses[since:])
         is_sonar = log.finder.opening_angle > 0.0
-        more = [_not_judged()] if lost is None and is_sonar else [] if lost is None else [lost]
+        more = [lost] if lost is not None else [lost_not_judged()] if is_sonar else []
         found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *more)))
         errors = _judged(found, log, since if lost is None else 0)
         progress("drawing", 0, 1)
@@ -256,31 +255,16 @@ def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict
     return {"n_beams": n_used, "exponent": arguments.exponent or min(1.0, worth / n_used)}
 
 
-def _not_judged() -> Finding:
-    from beamfield.finding import Finding
-
-    return Finding(
-        "lost-not-judged",
-        "info",
-        "Whether the robot is lost is not judged from the cones of a sonar.",
-        why="The filter can be sure of a wrong place.",
-        do="See in localization.png whether the path keeps to free space.",
-    )
-
-
 def _judged(found: Localization, log: SensorLog, since: int) -> ReplayErrors | None:
     """Return the errors of the scans from number `since` on; None without reference poses there."""
-    from beamfield.localization.replay import Replay, judge_replay
+    from beamfield.localization.replay import judge_replay
 
     if not log.has_poses:
         return None
-    later = found.updates >= since
-    replayed = Replay(
-        found.poses[since:], found.updates[later] - since, found.means[later], found.covariances[later],
-        found.particles[later], found.seconds[later] if len(found.seconds) else found.seconds,
-    )  # fmt: skip
+    reference = log.poses.copy()
+    reference[:since] = math.nan
     try:
-        return judge_replay(replayed, log.poses[since:])
+        return judge_replay(found, reference)
     except TooLittleDataError:  # reference poses only where there is no odometry
         return None
 

@@ -55,6 +55,17 @@ def find_lost_robot(log: SensorLog, grid: OccupancyGrid, poses: FloatArray) -> F
     )
 
 
+def lost_not_judged() -> Finding:
+    """Return what to say of a sonar's log instead, whose cones agree with no single ray."""
+    return Finding(
+        "lost-not-judged",
+        "info",
+        "Whether the robot is lost is not judged from the cones of a sonar.",
+        why="The filter can be sure of a wrong place.",
+        do="See in localization.png whether the path keeps to free space.",
+    )
+
+
 def _jumping(n_jumps: int, n_steps: int) -> Finding:
     return Finding(
         "robot-lost",

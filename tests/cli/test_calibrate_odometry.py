@@ -41,6 +41,7 @@ def test_noise_and_errors_are_printed_reported_and_patched_into_the_users_file(w
     assert calibrate(world, out, "--stack", "nav2", "--patch", str(mine)) == 0
     printed = capsys.readouterr().out
     assert "one alpha" in printed
+    assert "Chosen levels with 95% intervals: " in printed
     assert "distance_scale" in printed
     # The motion noise of the program that was asked for, not that of the others.
     assert "nav2_amcl::DifferentialMotionModel" in printed

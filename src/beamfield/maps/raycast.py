@@ -204,7 +204,7 @@ class RayCaster:
         Raises
         ------
         InvalidInputError
-            If the origins are not finite (..., 3), max_range is not positive and finite,.
+            If the origins are not finite (..., 3), or max_range is not positive and finite.
         """
         rays = as_poses(origins, "origins")
         ranges: FloatArray = np.empty(rays.shape[:-1])

@@ -40,8 +40,11 @@ def odometry_tables(result: OdometryCalibration, programs: Programs | None = Non
     width
         Characters in a line, for a terminal; None: as many as it takes.
     """
+    # Up to four levels with their intervals are too wide for a terminal; the page shows those of each.
+    noise = [(name, score, gain) for name, _, score, gain in _noise_rows(result)]
     parts = [
-        aligned(NOISE_HEADER, _noise_rows(result), right=(2, 3), width=width),
+        aligned((NOISE_HEADER[0], *NOISE_HEADER[2:]), noise, right=(1, 2), width=width),
+        *_levels_lines(result),
         aligned(SYSTEMATIC_HEADER, _systematic_rows(result), right=(1,), width=width),
         _length_line(result),
         _advice_line(result),
@@ -93,6 +96,11 @@ def odometry_as_dict(result: OdometryCalibration, programs: Programs) -> dict[st
         "programs": {name: {model: dict(values) for model, values in of.items()} for name, of in programs.items()},
         "findings": plain(result.findings),
     }
+
+
+def _levels_lines(result: OdometryCalibration) -> list[str]:
+    levels = ", ".join(map(_level_text, result.chosen.levels))
+    return [f"Chosen {NOISE_HEADER[1]}: {levels}."] if levels else []
 
 
 def _noise_rows(result: OdometryCalibration) -> list[tuple[str, ...]]:

@@ -5,11 +5,7 @@ from __future__ import annotations
 import math
 
 from beamfield.geometry import FloatArray, Pose, after_step, step_between
-
-# What a robot can have done between two scans, metres and radians a second; more is a fault of the odometry.
-SPEED, TURN_RATE = 5.0, 6.0
-# What any step may have beyond that, metres and radians: stamps are rounded, or only number the scans.
-SLACK, SLACK_TURN = 1.0, 1.0
+from beamfield.models.motion import JUMP, JUMP_RATE, JUMP_SPEED, JUMP_TURN
 
 
 class ContinuousOdometry:
@@ -61,5 +57,6 @@ class ContinuousOdometry:
         seconds = 0.0 if self._last_stamp is None else abs(stamp - self._last_stamp)
         seconds = seconds if math.isfinite(seconds) else 0.0
         return (
-            math.hypot(step[0], step[1]) <= SLACK + SPEED * seconds and abs(step[2]) <= SLACK_TURN + TURN_RATE * seconds
+            math.hypot(step[0], step[1]) <= JUMP + JUMP_SPEED * seconds
+            and abs(step[2]) <= JUMP_TURN + JUMP_RATE * seconds
         )

@@ -11,6 +11,7 @@ from beamfield.cli.localize import DEFAULT_BEAMS, DEFAULTS, INDEPENDENT_BEAMS
 from beamfield.localization.replay import ReplayErrors, judge_replay, reference_start
 from beamfield.localization.scan_localizer import ScanLocalizer
 from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.solids import hollowed
 from beamfield.models.beam import BeamModel
 from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.field_parameters import LikelihoodFieldParameters
@@ -52,7 +53,7 @@ def model_of(kind: str, grid: OccupancyGrid, exponent: float) -> Any:
     if kind == "beam model":
         return BeamModel(grid, PARAMETERS, n_beams=DEFAULT_BEAMS, exponent=exponent)
     field = LikelihoodFieldParameters.from_beam_parameters(PARAMETERS)
-    return LikelihoodFieldModel(grid, field, n_beams=DEFAULT_BEAMS, exponent=exponent)
+    return LikelihoodFieldModel(hollowed(grid), field, n_beams=DEFAULT_BEAMS, exponent=exponent)
 
 
 def localizer_of(kind: str, grid: OccupancyGrid, exponent: float = INDEPENDENT_BEAMS / DEFAULT_BEAMS) -> ScanLocalizer:

@@ -67,6 +67,14 @@ def office() -> OccupancyGrid:
 
 
 @pytest.fixture(scope="session")
+def black_office(office: OccupancyGrid) -> OccupancyGrid:
+    """The office on a larger sheet, painted black where it is not free."""
+    margin = 100
+    cells = np.pad(np.where(office.free, 0.0, 1.0), margin, constant_values=1.0)
+    return OccupancyGrid(cells, office.resolution, [*(office.origin[:2] - margin * office.resolution), 0.0])
+
+
+@pytest.fixture(scope="session")
 def drive(office: OccupancyGrid) -> SensorLog:
     finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 61), 10.0, name="laser")
     return simulate_log(office, finder, TRUTH, duration=120.0, scan_rate=4.0, seed=5).only_sensor()

@@ -26,10 +26,11 @@ from beamfield.simulation.floor_plan import draw_floor_plan
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, office, drive, truth) -> Path:
+def folder(tmp_path_factory, office, black_office, drive, truth) -> Path:
     place = tmp_path_factory.mktemp("localize")
     log = drive[:120]
     write_map(office, place / "map.yaml")
+    write_map(black_office, place / "black.yaml")
     write_map(OccupancyGrid(np.ones((10, 10)), 0.1), place / "solid.yaml")
     write_carmen(place / "short.log", ScanLog({"FLASER": log[:2]}, Track(log.stamps[:2], log.odometry[:2])))
     # One pose per scan: either a reference or odometry.
@@ -152,6 +153,12 @@ def test_errors_of_the_search_do_not_count(folder, capsys):
     assert found["sure_after_s"] > 0.0
     assert found["errors"]["p95"] < 0.5
     assert not found["errors"]["lost"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_inside_of_what_is_painted_black_is_no_wall_that_readings_fit(folder, capsys):
+    assert run(folder, "--particles", "1000", "--global", "--json", map_name="black.yaml") == 0
+    assert document(capsys)["errors"]["p95"] < 0.5
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -9,11 +9,13 @@ import pytest
 
 from beamfield.errors import InvalidInputError, TooLittleDataError, TrajectoryNotFoundError
 from beamfield.geometry import between, chained, compose, wrap_angle
-from beamfield.localization.trajectory import TrajectoryFit, fit_trajectory
+from beamfield.localization.course_choice import MOST_COST
+from beamfield.localization.trajectory import TrajectoryFit, find_course, fit_course, fit_trajectory
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.sensors import SensorLog
-from beamfield.simulation.log import drawn_readings
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.log import drawn_readings, simulate_log
 from beamfield.simulation.odometry import OdometryNoise, noisy_odometry
 from tests.conftest import TRUTH
 
@@ -40,6 +42,19 @@ def test_a_drive_with_drifting_odometry_is_found_without_a_start(fit: Trajectory
     assert fit.trusted.all()
     assert fit.converged
     assert np.isfinite(fit.covariances).all()
+
+
+def test_a_robot_is_found_where_all_that_is_not_free_is_painted_black(drive: SensorLog, black_office: OccupancyGrid):
+    assert distances(fit_trajectory(drive, black_office), drive).max() < 0.1
+
+
+def test_a_course_that_stands_out_is_taken_though_most_readings_are_of_people(office: OccupancyGrid):
+    finder = RangeFinder.from_bearings(np.radians(np.linspace(-90.0, 90.0, 60)), max_range=8.0)
+    crowd = BeamParameters(0.60, 0.25, 0.05, 0.10, sigma_hit=0.05, lambda_short=0.5)
+    log = simulate_log(office, finder, crowd, duration=40.0, scan_rate=4.0, seed=3).only_sensor()
+    found = find_course(log, office)
+    assert found.hypotheses[0].cost > MOST_COST
+    assert distances(fit_course(log, office, found), log).mean() < 0.05
 
 
 def test_a_robot_that_was_carried_is_found_again_and_the_time_named(drive: SensorLog, office: OccupancyGrid):

@@ -224,6 +224,7 @@ def _localizer(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespac
 def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -> Any:
     from beamfield.io.parameters.beam_model_file import read_beam_model
     from beamfield.io.parameters.likelihood_field_file import is_likelihood_field, read_likelihood_field
+    from beamfield.maps.solids import hollowed
     from beamfield.models.beam import BeamModel
     from beamfield.models.beam_parameters import BeamParameters
     from beamfield.models.field_parameters import NOT_OF_A_FIELD, LikelihoodFieldParameters, SavedLikelihoodField
@@ -241,7 +242,7 @@ def _model(log: SensorLog, grid: OccupancyGrid, arguments: argparse.Namespace) -
         return BeamModel(grid, parameters, caster=table, **how)
     if not isinstance(saved, SavedLikelihoodField):
         parameters = LikelihoodFieldParameters.from_beam_parameters(parameters, drop=NOT_OF_A_FIELD)
-    return LikelihoodFieldModel(grid, parameters, **how)
+    return LikelihoodFieldModel(hollowed(grid), parameters, **how)
 
 
 def _counting(saved: Any, n_in_scan: int, arguments: argparse.Namespace) -> dict[str, Any]:

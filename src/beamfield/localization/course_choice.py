@@ -26,6 +26,10 @@ THROUGH_COST = 6.0
 # Nats per scan beyond which a course is none: between those in the right map (at most 3.9) and in the maps of other
 # buildings (at least 5.2) of the logs that docs/evidence/trajectory.md lists.
 MOST_COST = 4.6
+# One that costs more is right all the same if it has no jumps, fits more of the beams than any, and this share of them,
+# and costs so much less than any other without jumps: at most 1.2 in maps of other buildings, 2.8 and more in the
+# right map where many readings are short, random, or of what the map does not show.
+LEAST_AGREEMENT, STANDS_OUT = 0.45, 2.5
 # A start that is given is believed against a worse fit.
 MOST_COST_FROM_START = 9.0
 # Two courses whose costs differ by less, in nats, are equally likely.
@@ -53,6 +57,9 @@ class StartHypothesis(NamedTuple):
     def __str__(self) -> str:
         x, y, theta = self.pose
         return f"({x:.2f} m, {y:.2f} m, {np.degrees(theta):.0f} deg): {self.agrees:.0%} of the beams agree"
+
+
+Judged = tuple[StartHypothesis, Course]
 
 
 class FoundCourse(NamedTuple):
@@ -109,10 +116,12 @@ def choose_course(
     # Scans that turn against the odometry may be what is mirrored; only the map tells.
     for (put_right, steps), unturned in ((plain, None), (turned, plain), (reversed_, None), (both, reversed_)):
         judged = search(log, steps, put_right)
-        hypotheses = tuple(one for one, _ in judged[:2])
-        first = first or hypotheses
-        if hypotheses[0].cost > limit:
+        first = first or tuple(one for one, _ in judged[:2])
+        if judged[0][0].cost > limit:
+            judged = _standing_out(judged)
+        if not judged:
             continue
+        hypotheses = tuple(one for one, _ in judged[:2])
         equal, more = SURELY_BETTER / len(drive.scans), "" if start is None else " more exactly"
         if unturned is not None:
             _refuse_mirrored(log, unturned[1], search, hypotheses[0].cost + equal)
@@ -129,9 +138,20 @@ def choose_course(
     )
 
 
-def _refuse_mirrored(
-    log: SensorLog, drive: Drive, search: Callable[..., list[tuple[StartHypothesis, Course]]], limit: float
-) -> None:
+def _standing_out(judged: list[Judged]) -> list[Judged]:
+    """Return the courses without jumps if the first is beyond doubt though its readings fit the map poorly, or none."""
+    best, *others = sorted(judged, key=lambda pair: len(pair[1].jumps) > 0)
+    costs = [one.cost for one, course in others if not len(course.jumps)]
+    most = max((one.agrees for one, _ in others), default=0.0)
+    undoubted = (
+        not len(best[1].jumps)
+        and best[0].agrees >= max(LEAST_AGREEMENT, most)
+        and best[0].cost + STANDS_OUT <= min(costs, default=-np.inf)
+    )
+    return [pair for pair in (best, *others) if not len(pair[1].jumps)] if undoubted else []
+
+
+def _refuse_mirrored(log: SensorLog, drive: Drive, search: Callable[..., list[Judged]], limit: float) -> None:
     """Refuse a log that fits the map, at a cost up to the limit, if its scans are mirrored."""
     finder = replace(log.finder, mounts=log.finder.mounts * [1.0, -1.0, -1.0])
     image = replace(log, finder=finder)
@@ -147,7 +167,7 @@ def _refuse_mirrored(
 def _hypotheses(
     log: SensorLog, drive: Drive, name: str, *, grid: OccupancyGrid, walls: Walls, start: FloatArray | None,
     report: Progress,
-) -> list[tuple[StartHypothesis, Course]]:  # fmt: skip
+) -> list[Judged]:  # fmt: skip
     """Return courses through the log, the cheapest first."""
     stage = "searching the map" + (f", {name}" if name else "")
     followed = follow_hypotheses(drive, grid, walls, start, partial(report, stage))

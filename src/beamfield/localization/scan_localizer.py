@@ -22,6 +22,7 @@ from beamfield.localization.short_readings import ShortReadings
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.ray_agreement import scan_agreement
 from beamfield.maps.raycast import RayCaster
+from beamfield.maps.solids import hollowed
 from beamfield.models.base import MeasurementModel
 from beamfield.models.field_parameters import LikelihoodFieldParameters
 from beamfield.models.likelihood_field import LikelihoodFieldModel
@@ -198,7 +199,7 @@ class ScanLocalizer:
         if self.coarse is not None:
             return self.coarse
         n = min(COARSE_BEAMS, finder.n_beams)
-        return LikelihoodFieldModel(self.grid, COARSE, n_beams=n, exponent=min(1.0, COARSE_WORTH / n))
+        return LikelihoodFieldModel(hollowed(self.grid), COARSE, n_beams=n, exponent=min(1.0, COARSE_WORTH / n))
 
     def _cloud(self, start: PoseBelief | None, rng: np.random.Generator) -> FloatArray:
         if start is None:

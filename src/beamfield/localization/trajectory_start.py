@@ -16,14 +16,16 @@ from beamfield.localization.global_search import GlobalSearch
 from beamfield.localization.search_window import SearchWindow
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.range_scale import longest_in
+from beamfield.maps.solids import DEEPEST_HIT, hollowed
 
-# Places along the way from which the map is searched, and how far around each its scans make one local map, metres.
-PLACES, LOCAL_WAY = 8, 1.5
+# Places along the way from which the map is searched, and how far around each its scans make one local map, metres: a
+# short way bears poor odometry, a long one shows enough where the sensor sees little.
+PLACES, LOCAL_WAYS = 8, (1.5, 6.0)
 LOCAL_POINTS = 150
 # Cells and headings of the search, and the width of its field: maps and odometry need not be better.
 SEARCH_CELL, SEARCH_SIGMA, SEARCH_STEP = 0.1, 0.2, np.radians(2.0)
 # While tracking, hits lie so far from the walls, and odometry errs by so much.
-TRACK_HITS = (0.2, 0.02)
+TRACK_HITS = HitNoise(0.2, 0.02, -DEEPEST_HIT, 0.0)
 TRACK_STEPS = StepNoise(0.05**2, 0.03**2, 0.03**2, 0.1**2, 0.02**2, 1e-6)
 # A scan is worth so many independent readings when hypotheses are compared.
 INDEPENDENT = 6.0
@@ -92,19 +94,20 @@ def follow_hypotheses(drive: Drive, grid: OccupancyGrid, walls: Walls, start: Fl
     -------
     Hypotheses; those that are alike are not told apart.
     """
-    search, followed = GlobalSearch(_coarse(grid), sigma=SEARCH_SIGMA, angle_step=SEARCH_STEP), []
+    search, followed = GlobalSearch(_coarse(hollowed(grid)), sigma=SEARCH_SIGMA, angle_step=SEARCH_STEP), []
     places = _places(drive)
     for done, place in enumerate(places):
-        points = _local_points(drive, place)
-        # Longer readings are of no wall of this map, and a search among them takes memory without limit.
-        points = points[np.hypot(*points.T) <= longest_in(grid)]
         window, poses = SearchWindow.whole_map(search.grid), []
         if start is not None and done == 0:
             window = SearchWindow(start, 2.0 * NEAR_START, 2.0 * NEAR_START, 2.0 * NEAR_START_TURN)
             poses.append(start)
-        if len(points):
-            found = search.search(_as_grid(points), window, apart=(APART, APART_TURN))
-            poses += [one.pose for one in (found.best, found.runner_up) if found.found and one is not None]
+        for way in LOCAL_WAYS:
+            points = _local_points(drive, place, way)
+            # Longer readings are of no wall of this map, and a search among them takes memory without limit.
+            points = points[np.hypot(*points.T) <= longest_in(grid)]
+            if len(points):
+                found = search.search(_as_grid(points), window, apart=(APART, APART_TURN))
+                poses += [one.pose for one in (found.best, found.runner_up) if found.found and one is not None]
         followed += [_follow(drive, walls, place, pose) for pose in poses]
         progress(done + 1, len(places))
     return followed
@@ -160,11 +163,11 @@ def _near(a: FloatArray, b: FloatArray, distance: float, turn: float) -> bool:
 def _follow(drive: Drive, walls: Walls, place: int, pose: FloatArray) -> Followed:
     n = len(drive.scans)
     poses, costs = np.empty((n, 3)), np.empty(n)
-    noise, steps = HitNoise(*TRACK_HITS, -np.inf, 0.0), drive.steps_between_scans
+    steps = drive.steps_between_scans
     for direction in (-1, 1):
         poses[place] = pose
         covariance = np.diag([SEARCH_DEVIATION[0] ** 2] * 2 + [SEARCH_DEVIATION[1] ** 2])
-        kernels.track(drive.points, drive.first, steps, walls, noise, TRACK_STEPS, INDEPENDENT, place, direction,
+        kernels.track(drive.points, drive.first, steps, walls, TRACK_HITS, TRACK_STEPS, INDEPENDENT, place, direction,
                       poses, covariance, costs)  # fmt: skip
     return Followed(place, poses, costs)
 
@@ -177,10 +180,10 @@ def _places(drive: Drive) -> list[int]:
     return [int(i) for i in np.unique(np.searchsorted(way, wanted).clip(max=len(way) - 1))]
 
 
-def _local_points(drive: Drive, place: int) -> FloatArray:
-    """Return end points seen around a place, in the robot's frame there."""
+def _local_points(drive: Drive, place: int, reach: float) -> FloatArray:
+    """Return end points seen so many metres before and after a place, in the robot's frame there."""
     way = drive.way[drive.scans]
-    near = np.flatnonzero(np.abs(way - way[place]) <= LOCAL_WAY)
+    near = np.flatnonzero(np.abs(way - way[place]) <= reach)
     path = chained(np.zeros(3), drive.steps)[drive.scans]
     path = compose(invert(path[place]), path[near])
     kept = [transform_points(pose, drive.points[drive.first[i] : drive.first[i + 1]])

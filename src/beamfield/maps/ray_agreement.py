@@ -16,6 +16,8 @@ from beamfield.sensors import SensorLog, usable_ranges
 SCANS, BEAMS = 200, 60
 # A reading agrees within so many metres, or cells if they are larger, and this share of its length.
 TOLERANCE, TOLERANCE_CELLS, TOLERANCE_SHARE = 0.25, 3.0, 0.02
+# Of the readings of a scan, this share has to be expected where its place is right.
+EXPECTED = 0.75
 # Below this in the median scan, poses or map are wrong. Midway between runs with wrong odometry or an unlike building's
 # map, at most 0.39, and those that follow the robot, at least 0.52: real and simulated logs with two filters, see
 # docs/evidence/localization.md. At reference poses: at most 0.43 on wrong maps, at least 0.62 on the right ones.
@@ -81,15 +83,18 @@ def scan_agreement(
 
     Returns
     -------
-    (t,) shares of the beams that hit something or should; NaN for scans without such beams and those that are left out.
+    (t,) shares of the beams that should hit something, or of three quarters of those that do where that is more: where
+    most beams should see nothing, readings of people would outvote the walls. NaN for scans without such beams, and
+    for those that are left out.
     """
     scans = _spread(np.flatnonzero(np.isfinite(poses).all(axis=1)), most)
     z, expected = _readings(log, caster or RayCaster(grid), poses[scans], scans)
-    counted = np.isfinite(z) & (np.minimum(z, expected) < log.finder.max_range)
-    agrees = counted & (np.abs(z - expected) <= _tolerance(grid, expected))
-    some = counted.any(axis=1)
+    read, most_range = np.isfinite(z), log.finder.max_range
+    should, does = read & (expected < most_range), read & (z < most_range)
+    agrees = should & (np.abs(z - expected) <= _tolerance(grid, expected))
+    counted = np.maximum(should.sum(axis=1), EXPECTED * does.sum(axis=1))
     shares: FloatArray = np.full(len(log), np.nan)
-    shares[scans[some]] = agrees[some].sum(axis=1) / counted[some].sum(axis=1)
+    shares[scans] = np.where(counted > 0.0, agrees.sum(axis=1) / np.maximum(counted, 0.5), np.nan)
     return shares
 
 

@@ -1,0 +1,120 @@
+"""Find robots from anywhere in maps that nothing was tuned on: a fitted trajectory, and the filter of `localize`.
+
+Simulated drives of two minutes through maps that come with other programs, with three sensors and odometry that drifts;
+the map of "changed" cases lacks half of the small things and has boxes that the drive has not met. A fit that is
+refused and a filter that says that the robot is lost are "refused"; what is taken for right though it is more than
+half a metre off in the median is "wrong".
+
+Run: python benchmarks/other_maps.py [FOLDER [SEEDS]]     (../shared/data, 3)
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from beamfield.errors import BeamfieldError
+from beamfield.geometry import FloatArray
+from beamfield.io.read_map import read_map
+from beamfield.localization.lost_robot import find_lost_robot
+from beamfield.localization.trajectory import fit_trajectory
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.models.beam_parameters import BeamParameters
+from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.simulation.dependence import Dependence
+from beamfield.simulation.log import simulate_log
+from beamfield.simulation.trajectory import DriveOptions
+from followed_logs import localizer_of
+from tables import print_table
+
+MAPS = ("aws_small_house", "berlin", "levine_lobby", "nav2_depot", "nav2_warehouse", "willow_garage_010")
+# First and last bearing in degrees, beams, longest range in metres; true parameters of the beam model.
+SENSORS = {
+    "270 deg, 12 m": ((-135.0, 135.0, 180), 12.0, BeamParameters(0.82, 0.09, 0.03, 0.06, 0.04, 0.5)),
+    "360 deg, 3.5 m": ((-179.0, 179.0, 180), 3.5, BeamParameters(0.82, 0.09, 0.03, 0.06, 0.02, 0.5)),
+    "180 deg, 8 m, many people": ((-90.0, 90.0, 90), 8.0, BeamParameters(0.62, 0.25, 0.05, 0.08, 0.06, 0.5)),
+}
+RIGHT = 0.5
+# Square metres of what is small, of floor for each new box, and half the sides of these, metres.
+SMALL, FLOOR, BOX = 1.0, 40.0, (0.2, 0.5)
+
+
+def main(folder: Path, seeds: int) -> None:
+    """Print how many of the drives are found, by map and by sensor."""
+    runs: list[dict[str, Any]] = []
+    for name in MAPS:
+        grid = read_map(next((folder / "ros_maps" / name).glob("*.yaml")))
+        for sensor in SENSORS:
+            for seed in range(1, seeds + 1):
+                log = drive(grid, sensor, seed)
+                for changed in (False, True):
+                    runs.append({"map": name, "sensor": sensor, "changed": "changed" if changed else "as it is"})
+                    runs[-1] |= outcomes(log, changed_map(grid, seed) if changed else grid)
+                    print(runs[-1], file=sys.stderr, flush=True)
+    for by in (("map", "changed"), ("sensor", "changed")):
+        groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+        for run in runs:
+            groups.setdefault(tuple(run[key] for key in by), []).append(run)
+        print_table([dict(zip(by, group, strict=True)) | counts(rows) for group, rows in groups.items()])
+        print()
+
+
+def drive(grid: OccupancyGrid, sensor: str, seed: int) -> SensorLog:
+    """Return a log with exact poses, and odometry."""
+    (first, last, n), max_range, truth = SENSORS[sensor]
+    finder = RangeFinder.from_bearings(np.radians(np.linspace(first, last, n)), max_range, mount=(0.1, 0.0, 0.0))
+    return simulate_log(
+        grid, finder, truth, duration=120.0, scan_rate=5.0, seed=seed, drive=DriveOptions(speed=0.7),
+        dependence=Dependence(np.radians(4.0), 1.0),
+    ).only_sensor()  # fmt: skip
+
+
+def changed_map(grid: OccupancyGrid, seed: int) -> OccupancyGrid:
+    """Return the map without half of its small things, and with boxes on the floor."""
+    rng, cells = np.random.default_rng(seed), grid.probability.copy()
+    things, n = ndimage.label(grid.occupied, np.ones((3, 3)))
+    areas = ndimage.sum(grid.occupied, things, range(1, n + 1)) * grid.resolution**2
+    small = np.flatnonzero(areas < SMALL) + 1
+    cells[np.isin(things, rng.permutation(small)[: len(small) // 2])] = 0.0
+    free = np.argwhere(grid.free)
+    for row, col in free[rng.integers(len(free), size=int(len(free) * grid.resolution**2 / FLOOR))]:
+        half = int(rng.uniform(*BOX) / grid.resolution)
+        box = np.s_[max(row - half, 0) : row + half, max(col - half, 0) : col + half]
+        cells[box] = np.where(grid.free[box], 1.0, cells[box])
+    return OccupancyGrid(cells, grid.resolution, grid.origin, grid.occupied_thresh, grid.free_thresh)
+
+
+def outcomes(log: SensorLog, grid: OccupancyGrid) -> dict[str, str]:
+    """Return what becomes of a log in a map: of a fit, and of the filter."""
+    try:
+        fit = outcome(fit_trajectory(log, grid).poses, log)
+    except BeamfieldError:
+        fit = "refused"
+    found = localizer_of("likelihood field", grid).run(log, None, np.random.default_rng(0))
+    names = {one.name for one in found.findings}
+    since = len(log) // 2
+    lost = "not-found" in names or find_lost_robot(log[since:], grid, found.poses[since:]) is not None
+    return {"fit": fit, "filter": "refused" if lost else outcome(found.poses[since:], log[since:])}
+
+
+def outcome(poses: FloatArray, log: SensorLog) -> str:
+    """Return "found" or "wrong"."""
+    return "found" if float(np.median(np.hypot(*(poses - log.poses)[:, :2].T))) < RIGHT else "wrong"
+
+
+def counts(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return how many runs ended in which way."""
+    return {"drives": len(rows)} | {
+        f"{how}, {ended}": sum(row[how] == ended for row in rows)
+        for how in ("fit", "filter")
+        for ended in ("found", "refused", "wrong")
+    }
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[2] / "shared" / "data",
+         int(sys.argv[2]) if len(sys.argv) > 2 else 3)  # fmt: skip

@@ -194,13 +194,6 @@ def pit_deviation(pit: FloatArray) -> float:
 def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.int8]:
     """Return the most likely cause of each beam, as its position in `beamfield.models.beam_density.CAUSES`.
 
-    Parameters
-    ----------
-    table
-        Beams.
-    parameters
-        The model.
-
     Returns
     -------
     (n,) 0 hit, 1 short, 2 max, 3 rand; 0 too where the model makes the reading impossible.

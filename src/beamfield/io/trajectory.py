@@ -87,11 +87,6 @@ def read_trajectory(path: str | Path) -> Track:
 def is_pose_table(path: str | Path) -> bool:
     """Return whether a file is a table of poses by its first row, TUM or CSV, and no log.
 
-    Parameters
-    ----------
-    path
-        A text file, plain or gzip.
-
     Raises
     ------
     FormatError

@@ -197,10 +197,6 @@ def climb_noise(
         Nats per sighting that all further iterations together may promise, judged from how fast gains shrink.
     max_iterations
         Most iterations.
-
-    Returns
-    -------
-    The end of the climb, converged or not.
     """
     counts = np.ones(len(likelihood)) if weights is None else weights
     theta = best = start
@@ -224,11 +220,6 @@ def climb_noise(
 
 def noise_starts(likelihood: NoiseLikelihood) -> list[NoiseTheta]:
     """Return where to begin: one start trusts the middle half of the residuals, one all of them.
-
-    Parameters
-    ----------
-    likelihood
-        The sightings.
 
     Returns
     -------

@@ -16,13 +16,6 @@ NEEDED = {"number": "sigma_signature", "vector": "signature_covariance", "type":
 def check_signature_noise(landmarks: LandmarkMap, parameters: LandmarkParameters) -> None:
     """Refuse parameters that do not fit the map's signatures.
 
-    Parameters
-    ----------
-    landmarks
-        The map, with signatures or without.
-    parameters
-        The sensor's noise.
-
     Raises
     ------
     InvalidInputError

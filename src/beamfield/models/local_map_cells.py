@@ -115,11 +115,6 @@ def local_cells(z: LocalMap, resolution: float, inverse_model: InverseSensorMode
 def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
     """Return a map's probabilities less 0.5, in a frame of undefined cells, as kernels take them.
 
-    Parameters
-    ----------
-    grid
-        The global map.
-
     Returns
     -------
     ((rows + 2) * (cols + 2),) `kernels.correlation.UNDEFINED` where the map has no probability.

@@ -60,13 +60,6 @@ def log_axis_density(table: AxisTable, mixture: Mixture) -> FloatArray:
 
     ``p(z) = w exp(-d(z)^2 / 2 sigma^2) / integral of the same over the axis + (1 - w) / span``: (6.33) normalised along
     the axis, and (6.34) without "no return".
-
-    Parameters
-    ----------
-    table
-        Readings.
-    mixture
-        w and sigma.
     """
     hit = np.exp(_Hits.at(table, mixture.sigma).log_density)
     return np.asarray(np.log(mixture.hit_share * hit + (1.0 - mixture.hit_share) / table.span))
@@ -74,11 +67,6 @@ def log_axis_density(table: AxisTable, mixture: Mixture) -> FloatArray:
 
 def fit_axis_density(table: AxisTable) -> DensityFit:
     """Return the mixture under which the readings are most likely.
-
-    Parameters
-    ----------
-    table
-        Readings, at least one.
 
     Notes
     -----

@@ -103,11 +103,6 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now what `atomic_file` would raise after the work is done.
 
-    Parameters
-    ----------
-    path
-        The file that is to be written.
-
     Raises
     ------
     InvalidInputError

@@ -94,13 +94,6 @@ def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: 
 def read_range_table(path: str | os.PathLike[str], grid: OccupancyGrid) -> RangeTable:
     """Read a file of pre-cached ranges.
 
-    Parameters
-    ----------
-    path
-        The file, as `precompute_ranges` and ``beamfield precompute`` write it.
-    grid
-        The map that it is of.
-
     Returns
     -------
     The table; its codes are mapped into memory.

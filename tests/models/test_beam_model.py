@@ -253,20 +253,17 @@ def test_a_pickle_holds_the_map_but_not_the_tables():
     assert len(pickle.dumps(BeamModel(large, PARAMETERS))) < 500 * 500 * 4 + 5000
 
 
-@pytest.mark.parametrize("exponent", [0.0, -1.0, np.inf, np.nan])
-def test_rejects_an_exponent_that_is_none(grid, exponent):
-    with pytest.raises(InvalidInputError, match="exponent: expected a positive, finite number"):
-        BeamModel(grid, PARAMETERS, exponent=exponent)
-
-
-def test_rejects_less_than_one_beam(grid):
-    with pytest.raises(InvalidInputError, match="n_beams: expected at least 1 or None, got 0"):
-        BeamModel(grid, PARAMETERS, n_beams=0)
-
-
-def test_rejects_another_rule_for_unknown_cells(grid):
-    with pytest.raises(InvalidInputError, match="unknown: expected 'free' or 'occupied', got 'maybe'"):
-        BeamModel(grid, PARAMETERS, unknown="maybe")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(({"exponent": x}, "exponent: expected a positive, finite number") for x in (0.0, -1.0, np.inf, np.nan)),
+        ({"n_beams": 0}, "n_beams: expected at least 1 or None, got 0"),
+        ({"unknown": "maybe"}, "unknown: expected 'free' or 'occupied', got 'maybe'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(grid, options, message):
+    with pytest.raises(InvalidInputError, match=message):
+        BeamModel(grid, PARAMETERS, **options)
 
 
 def test_expected_ranges_come_from_the_caster_that_is_given(rng):

@@ -373,9 +373,6 @@ def test_twenty_thousand_poses_and_twenty_detections_in_one_call(rng):
         assert values[i] == pytest.approx(np.log(q).sum(), rel=1e-9)
 
 
-# Bad input, one test each.
-
-
 def test_a_negative_range_is_scored_as_the_noise_has_it():
     z = Detections([-0.1], [np.nan], ids=[7])
     at_landmark = model().log_likelihood(z, [2.0, 1.0, 0.0])
@@ -387,44 +384,33 @@ def test_a_bearing_beyond_pi_is_the_same_direction():
     np.testing.assert_allclose(model().log_likelihood(one, POSES), model().log_likelihood(other, POSES), rtol=1e-12)
 
 
-def test_an_infinite_range_is_refused():
-    with pytest.raises(InvalidInputError, match="ranges: expected finite numbers or NaN, got inf"):
-        Detections([np.inf], [0.0])
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (([np.inf], [0.0]), "ranges: expected finite numbers or NaN, got inf"),
+        (([1.0], [-np.inf]), "bearings: expected finite numbers or NaN, got -inf"),
+        (([1.0, 2.0], [0.0]), r"bearings: expected shape \(2,\), got \(1,\)"),
+        (([1.0], [0.0], [[1.0, np.nan]]), r"all numbers or all NaN, got \[1.0, nan\] at index 0"),
+        (([1.0], [0.0], None, [-3]), "ids: expected at least -2, got -3"),
+        (([1.0], [0.0], None, [1.5]), "ids: expected whole numbers, got float64"),
+    ],
+)
+def test_columns_that_are_no_detections_are_refused(columns, message):
+    with pytest.raises(InvalidInputError, match=message):
+        Detections(*columns)
 
 
-def test_an_infinite_bearing_is_refused():
-    with pytest.raises(InvalidInputError, match="bearings: expected finite numbers or NaN, got -inf"):
-        Detections([1.0], [-np.inf])
-
-
-def test_bearings_of_another_number_are_refused():
-    with pytest.raises(InvalidInputError, match=r"bearings: expected shape \(2,\), got \(1,\)"):
-        Detections([1.0, 2.0], [0.0])
-
-
-def test_a_vector_that_is_partly_nan_is_refused():
-    with pytest.raises(InvalidInputError, match=r"all numbers or all NaN, got \[1.0, nan\] at index 0"):
-        Detections([1.0], [0.0], [[1.0, np.nan]])
-
-
-def test_an_id_below_unknown_is_refused():
-    with pytest.raises(InvalidInputError, match="ids: expected at least -2, got -3"):
-        Detections([1.0], [0.0], ids=[-3])
-
-
-def test_ids_that_are_no_whole_numbers_are_refused():
-    with pytest.raises(InvalidInputError, match="ids: expected whole numbers, got float64"):
-        Detections([1.0], [0.0], ids=[1.5])
-
-
-def test_an_id_that_the_map_has_not_is_refused():
-    with pytest.raises(InvalidInputError, match="ids: expected ids of the map, got 99"):
-        model().log_likelihood(Detections([1.0], [0.0], ids=[99]), POSES)
-
-
-def test_an_unknown_correspondence_is_refused_where_it_must_be_known():
-    with pytest.raises(InvalidInputError, match="'known' needs an id of every feature, got none for feature 1"):
-        model().log_likelihood(Detections([1.0, 2.0], [0.0, 0.0], ids=[7, UNKNOWN]), POSES)
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (([1.0], [0.0], None, [99]), "ids: expected ids of the map, got 99"),
+        (([1.0, 2.0], [0.0, 0.0], None, [7, UNKNOWN]), "'known' needs an id of every feature, got none for feature 1"),
+        (([1.0], [0.0], [3.0], [7]), "signatures: the map's landmarks have none"),
+    ],
+)
+def test_detections_that_do_not_fit_the_map_are_refused(columns, message):
+    with pytest.raises(InvalidInputError, match=message):
+        model().log_likelihood(Detections(*columns), POSES)
 
 
 def test_the_correspondence_must_be_chosen():
@@ -437,11 +423,6 @@ def test_the_correspondence_must_be_chosen():
 def test_a_spurious_range_without_a_limit_is_refused():
     with pytest.raises(InvalidInputError, match="max_range: a spurious feature needs max_range"):
         model(parameters=LandmarkParameters(0.3, 0.2)).log_likelihood(Detections([1.0], [0.0], ids=[SPURIOUS]), POSES)
-
-
-def test_signatures_that_the_map_has_not_are_refused():
-    with pytest.raises(InvalidInputError, match="signatures: the map's landmarks have none"):
-        model().log_likelihood(Detections([1.0], [0.0], [3.0], [7]), POSES)
 
 
 def test_signatures_of_another_shape_are_refused():

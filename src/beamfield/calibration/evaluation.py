@@ -169,11 +169,6 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
 def pit_deviation(pit: FloatArray) -> float:
     """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic).
 
-    Parameters
-    ----------
-    pit
-        (n,) numbers in [0, 1].
-
     Returns
     -------
     In [0, 1]; NaN without numbers.

@@ -29,17 +29,7 @@ FRAMES_PER_SECOND, ANIMATED_BEAMS, COLOURS = 10, 180, 64
 
 
 def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> Figure:
-    """Draw where the filter was in the map, and over time how far off and how sure.
-
-    Parameters
-    ----------
-    found
-        What the filter said.
-    log
-        The same scans, with reference poses if there are any.
-    grid
-        The map.
-    """
+    """Draw where the filter was in the map, and over time how far off and how sure."""
     figure = new_figure(12.0, 6.0)
     axes = figure.subplot_mosaic([["path", "position"], ["path", "heading"]], width_ratios=(1.15, 1.0))
     _draw_path(found, log, grid, axes["path"])

@@ -50,15 +50,7 @@ MOST_ROBOTS = 40
 
 
 def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> ReportFigure:
-    """Draw what each alarm is about over the days, among the same numbers of the other robots.
-
-    Parameters
-    ----------
-    series
-        Daily numbers of all robots.
-    drifts
-        Those to draw, the most urgent first.
-    """
+    """Draw what each alarm is about over the days, among the same numbers of the other robots."""
     panels = []
     for number, drift in enumerate(drifts[:MOST_CURVES]):
         mine = _series_of(drift, series)

@@ -107,14 +107,7 @@ def _table_of(first: Line) -> str:
 
 
 def write_tum(path: str | Path, track: Track) -> None:
-    """Write a trajectory as TUM lines ``t x y z qx qy qz qw``, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file to write.
-    track
-        Finite poses; stamps are written with nine decimals, positions with nine.
+    """Write a trajectory as TUM lines ``t x y z qx qy qz qw`` with nine decimals, whole or not at all.
 
     Raises
     ------

@@ -162,15 +162,7 @@ class NoiseLikelihood:
 
 
 def fit_noise(likelihood: NoiseLikelihood, *, max_iterations: int = 1000) -> NoiseClimb:
-    """Climb from every start and return the highest end.
-
-    Parameters
-    ----------
-    likelihood
-        What is climbed.
-    max_iterations
-        Of each climb, at most.
-    """
+    """Climb from every start and return the highest end."""
     climbs = [climb_noise(likelihood, start, max_iterations=max_iterations) for start in noise_starts(likelihood)]
     return max(climbs, key=lambda climb: climb.trace[-1])
 

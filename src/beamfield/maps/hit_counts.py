@@ -133,11 +133,6 @@ def grid_of_counts(
 ) -> OccupancyGrid:
     """Return the occupancy map by log-odds of counts.
 
-    Parameters
-    ----------
-    hits, passes, first, resolution
-        As for `HitCounts`.
-
     Returns
     -------
     As `build_map`, but for bounds, which are applied to the sums, and for cells that were passed once, which are free.

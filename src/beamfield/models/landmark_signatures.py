@@ -99,14 +99,7 @@ def _signature_noise(parameters: LandmarkParameters, landmarks: LandmarkMap) -> 
 def sample_signatures(
     which: FloatArray, landmarks: LandmarkMap, parameters: LandmarkParameters, rng: np.random.Generator
 ) -> FloatArray | None:
-    """Draw what landmarks of the map look like; None if they have no signatures.
-
-    Parameters
-    ----------
-    which
-        (...) indices of landmarks.
-    landmarks, parameters, rng
-        The map, the noise of signatures, and what draws it.
+    """Draw what landmarks of the map, by index, look like; None if they have no signatures.
 
     Returns
     -------

@@ -97,13 +97,7 @@ def climb(table: AxisTable, start: Mixture) -> DensityFit:
 
 
 def density_gradient(table: AxisTable, mixture: Mixture) -> FloatArray:
-    """Return the derivative of each reading's log density by the logit of the share of hits and by log sigma, (n, 2).
-
-    Parameters
-    ----------
-    table, mixture
-        As for `log_axis_density`.
-    """
+    """Return the derivative of each reading's log density by the logit of the share of hits and log sigma, (n, 2)."""
     hits = _Hits.at(table, mixture.sigma)
     _, share = _expectation(table, hits, mixture.hit_share)
     squares = np.where(share > 0.0, table.squares, 0.0)

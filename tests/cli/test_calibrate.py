@@ -26,6 +26,7 @@ from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
 from beamfield.report.scan_fit_figures import fit_of_own_log
+from tests.cli.simulated import on_map, simulated
 
 FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html")
 
@@ -33,13 +34,7 @@ FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short simulated log with its map, as files."""
-    folder = tmp_path_factory.mktemp("world")
-    code = main([
-        "simulate", "--out", str(folder), "--seed", "4", "--duration", "60", "--scan-rate", "4", "--beams", "61",
-        "--format", "both", "--quiet",
-    ])  # fmt: skip
-    assert code == 0
-    return folder
+    return simulated(tmp_path_factory.mktemp("world"), "--duration 60 --scan-rate 4 --beams 61 --format both")
 
 
 @pytest.fixture
@@ -51,10 +46,7 @@ def copy(world: Path, tmp_path: Path) -> Path:
 
 
 def calibrate(folder: Path, out: Path, *more: str, quiet: bool = True) -> int:
-    return main([
-        "calibrate", str(folder / "log.carmen"), "--map", str(folder / "map.yaml"), "--out", str(out),
-        *(["--quiet"] if quiet else []), *more,
-    ])  # fmt: skip
+    return on_map("calibrate", folder, "log.carmen", out, *(["--quiet"] if quiet else []), *more)
 
 
 def fails(capsys: pytest.CaptureFixture[str], code: int, expected: int = 1) -> str:
@@ -198,11 +190,7 @@ def test_masked_beams_poses_from_a_file_a_held_parameter_and_a_fixed_form_are_re
 
 @pytest.mark.usefixtures("without_figures")
 def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, out: Path, tmp_path: Path):
-    code = main([
-        "calibrate", str(world / "bag"), "--map", str(world / "map.yaml"), "--out", str(tmp_path / "bag"), "--quiet",
-        "--no-refine",
-    ])  # fmt: skip
-    assert code == 0
+    assert on_map("calibrate", world, "bag", tmp_path / "bag", "--quiet", "--no-refine") == 0
     text, bag = (read_beam_model(folder / "beam_model.yaml") for folder in (out, tmp_path / "bag"))
     for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
         # The bag's ranges are float32, the text's have a few digits.
@@ -343,9 +331,8 @@ def test_wrong_usage_has_exit_code_two(capsys):
 def test_a_file_name_that_is_no_text_comes_through(copy, tmp_path):
     log = copy / os.fsdecode(b"l\xe4uf$x_{.log")
     (copy / "log.carmen").rename(log)
-    words = [str(log), "--map", str(copy / "map.yaml")]
     out = tmp_path / "out"
-    assert main(["calibrate", *words, "--out", str(out), "--quiet", "--no-refine"]) == 0
+    assert on_map("calibrate", copy, log.name, out, "--quiet", "--no-refine") == 0
     for name in FILES:
         assert r"l\xe4uf$x_{.log" in (out / name).read_text().replace("\\\\", "\\")
     # Nor is a name with dollar signs a formula in a picture's title.

@@ -43,6 +43,7 @@ def test_the_map_keeps_its_own_copy():
     ("make", "message"),
     [
         (lambda: LandmarkMap([[0.0, 1.0], [np.nan, 3.0]]), r"positions: .* finite numbers, got nan at index \(1, 0\)"),
+        (lambda: LandmarkMap([[np.inf, 1.0]]), r"positions: expected finite numbers, got inf at index \(0, 0\)"),
         (lambda: LandmarkMap(np.empty((0, 2))), r"positions: expected shape \(n, 2\) with n >= 1, got \(0, 2\)"),
         (lambda: LandmarkMap(TWO, ids=[4, 4]), "ids: expected each id once, got 4 2 times"),
         (lambda: LandmarkMap(TWO, ids=[4, -1]), "ids: expected at least 0, got -1"),

@@ -38,15 +38,7 @@ def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> F
 
 
 def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: SensorLog, grid: OccupancyGrid) -> bytes:
-    """Return the particles over time as a GIF.
-
-    Parameters
-    ----------
-    frames
-        For each picture the index of a scan and particles (n, 3); at least one.
-    found, log, grid
-        As for `localization_figure`.
-    """
+    """Return the particles over time as a GIF; frames, at least one, are the index of a scan and particles (n, 3)."""
     figure = new_figure(6.4, 6.0)
     canvas = FigureCanvasAgg(figure)
     ax = figure.add_subplot()

@@ -16,6 +16,7 @@ from beamfield.models.beam_parameters import BeamParameters
 from beamfield.sensors import RangeFinder, SensorLog
 from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
+from tests.oracle_case import OracleCase
 
 matplotlib.use("Agg")
 
@@ -50,6 +51,12 @@ def data(shared: Path) -> Path:
 def oracle(shared: Path) -> Path:
     """What other programs return on the same input."""
     return shared / "oracle"
+
+
+@pytest.fixture(scope="session", params=["tiny", "building"])
+def oracle_case(request: pytest.FixtureRequest, oracle: Path) -> OracleCase:
+    """A small map drawn by hand, and one of a building, with all that other programs were given."""
+    return OracleCase.read(oracle / request.param)
 
 
 @pytest.fixture

@@ -86,13 +86,6 @@ def check_fields(instance: Any) -> None:
 def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return numbers as float64, or say that they are none.
 
-    Parameters
-    ----------
-    values
-        Of any shape.
-    name
-        How to call them in the error.
-
     Returns
     -------
     The numbers in their shape; no copy of an array of doubles.
@@ -121,15 +114,6 @@ def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 def as_count(value: Any, name: str, *, least: int, most: int | None = None) -> int:
     """Return a whole number, or say why it is none that will do.
-
-    Parameters
-    ----------
-    value
-        An integer, of Python's or NumPy's kinds.
-    name
-        How to call it in the error.
-    least, most
-        Bounds; None: there is none.
 
     Raises
     ------
@@ -198,13 +182,6 @@ def keep(instance: object, **values: object) -> None:
 
 def check_magnitude(name: str, sigma: float) -> None:
     """Refuse a standard deviation whose density cannot be computed.
-
-    Parameters
-    ----------
-    name
-        What it is.
-    sigma
-        Metres, radians or another unit.
 
     Raises
     ------

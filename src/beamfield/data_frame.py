@@ -12,12 +12,7 @@ from beamfield.errors import MissingDependencyError
 
 
 def data_frame(columns: Mapping[str, NDArray[Any]]) -> Any:
-    """Return a DataFrame.
-
-    Parameters
-    ----------
-    columns
-        Arrays of one length by name.
+    """Return columns of one length as a DataFrame.
 
     Raises
     ------

@@ -123,19 +123,6 @@ class Detections:
 def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
     """Return n ids as read-only integers; raise if they are not valid.
 
-    Parameters
-    ----------
-    ids
-        (n,) whole numbers.
-    n
-        How many there must be.
-    lowest
-        The lowest that is allowed.
-
-    Returns
-    -------
-    (n,) a copy.
-
     Raises
     ------
     InvalidInputError
@@ -153,17 +140,6 @@ def as_ids(ids: ArrayLike, n: int, lowest: int) -> NDArray[np.int64]:
 
 def finite_copy(values: ArrayLike, name: str) -> FloatArray:
     """Return numbers as a read-only copy that nobody else can change.
-
-    Parameters
-    ----------
-    values
-        Of any shape.
-    name
-        How to call them in the error.
-
-    Returns
-    -------
-    Doubles of the same shape.
 
     Raises
     ------

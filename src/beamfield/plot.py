@@ -89,10 +89,6 @@ def draw_cells(
         Where to draw.
     colours
         Of free, unknown and occupied cells.
-
-    Returns
-    -------
-    The image.
     """
     from matplotlib.colors import ListedColormap
 
@@ -100,15 +96,7 @@ def draw_cells(
 
 
 def categories(grid: OccupancyGrid, step: int = 1) -> NDArray[np.uint8]:
-    """Return 0 free, 1 unknown, 2 occupied for blocks of step x step cells; any occupied or else free cell decides.
-
-    Parameters
-    ----------
-    grid
-        The map.
-    step
-        Cells per block and side.
-    """
+    """Return 0 free, 1 unknown, 2 occupied for blocks of step x step cells; any occupied or else free cell decides."""
     occupied, free = (_any_in_block(mask, step) for mask in (grid.occupied, grid.free))
     return np.where(occupied, 2, np.where(free, 0, 1)).astype(np.uint8)
 

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 
 def printable(text: str, *, keep: str = "") -> str:
-    r"""Return a text with every character that does not print as a backslash escape.
+    r"""Return a text with every character that does not print, but for those to keep, as a backslash escape.
 
     Control characters move a terminal's cursor, change its title or hide what stands before them; marks of direction
     turn the rest of a line around. Line ends are among them: a name must not begin a line of its own.
-
-    Parameters
-    ----------
-    text
-        Any text.
-    keep
-        Characters that stay all the same.
 
     Examples
     --------

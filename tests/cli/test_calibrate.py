@@ -9,7 +9,8 @@ import json
 import os
 import re
 import shutil
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,8 +25,8 @@ from beamfield.finding import Finding
 from beamfield.io.parameters.beam_model_file import read_beam_model
 from beamfield.io.parameters.likelihood_field_file import read_likelihood_field
 from beamfield.io.read_log import read_log
-from beamfield.models.beam_parameters import BeamParameters
 from beamfield.report.scan_fit_figures import fit_of_own_log
+from tests.cli.simulated import on_map, simulated
 
 FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report.html")
 
@@ -33,13 +34,7 @@ FILES = ("beam_model.yaml", "calibration.json", "likelihood_field.yaml", "report
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short simulated log with its map, as files."""
-    folder = tmp_path_factory.mktemp("world")
-    code = main([
-        "simulate", "--out", str(folder), "--seed", "4", "--duration", "60", "--scan-rate", "4", "--beams", "61",
-        "--format", "both", "--quiet",
-    ])  # fmt: skip
-    assert code == 0
-    return folder
+    return simulated(tmp_path_factory.mktemp("world"), "--duration 60 --scan-rate 4 --beams 61 --format both")
 
 
 @pytest.fixture
@@ -51,10 +46,7 @@ def copy(world: Path, tmp_path: Path) -> Path:
 
 
 def calibrate(folder: Path, out: Path, *more: str, quiet: bool = True) -> int:
-    return main([
-        "calibrate", str(folder / "log.carmen"), "--map", str(folder / "map.yaml"), "--out", str(out),
-        *(["--quiet"] if quiet else []), *more,
-    ])  # fmt: skip
+    return on_map("calibrate", folder, "log.carmen", out, *(["--quiet"] if quiet else []), *more)
 
 
 def fails(capsys: pytest.CaptureFixture[str], code: int, expected: int = 1) -> str:
@@ -196,19 +188,9 @@ def test_masked_beams_poses_from_a_file_a_held_parameter_and_a_fixed_form_are_re
     assert parameters.sigma_slope == 0.0
 
 
-@pytest.mark.parametrize("bad", ["", "10", "a:b", "1:2:3", "nan:3"])
-def test_a_mask_that_is_no_sector_is_refused(world: Path, tmp_path: Path, capsys, bad: str):
-    line = fails(capsys, calibrate(world, tmp_path / "out", f"--mask={bad}"), 2)
-    assert "--mask: expected DEG:DEG, got" in line
-
-
 @pytest.mark.usefixtures("without_figures")
 def test_text_and_bag_of_one_drive_give_the_same_parameters(world: Path, out: Path, tmp_path: Path):
-    code = main([
-        "calibrate", str(world / "bag"), "--map", str(world / "map.yaml"), "--out", str(tmp_path / "bag"), "--quiet",
-        "--no-refine",
-    ])  # fmt: skip
-    assert code == 0
+    assert on_map("calibrate", world, "bag", tmp_path / "bag", "--quiet", "--no-refine") == 0
     text, bag = (read_beam_model(folder / "beam_model.yaml") for folder in (out, tmp_path / "bag"))
     for name in ("z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short"):
         # The bag's ranges are float32, the text's have a few digits.
@@ -237,122 +219,108 @@ def test_without_a_map_one_is_drawn_and_the_report_says_so(world: Path, tmp_path
 class TestBadInput:
     """Each: one line that names file, place and value; exit code 1, or 3 for too little data; nothing written."""
 
-    @pytest.fixture(autouse=True)
-    def nothing_is_written(self, tmp_path: Path):
-        yield
+    @pytest.fixture
+    def refused(self, copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[Callable[..., str]]:
+        yield lambda *more, code=1: fails(capsys, calibrate(copy, tmp_path / "out", *more), code)
         assert not (tmp_path / "out").exists()
 
-    def test_a_missing_log(self, copy, tmp_path, capsys):
-        (copy / "log.carmen").unlink()
-        assert "log.carmen" in fails(capsys, calibrate(copy, tmp_path / "out"))
+    @pytest.mark.parametrize("name", ["log.carmen", "map.yaml", "map.pgm"])
+    def test_a_missing_file(self, copy, refused, name):
+        (copy / name).unlink()
+        assert name in refused()
 
-    def test_a_missing_map(self, copy, tmp_path, capsys):
-        (copy / "map.yaml").unlink()
-        assert "map.yaml" in fails(capsys, calibrate(copy, tmp_path / "out"))
-
-    def test_a_missing_image(self, copy, tmp_path, capsys):
-        (copy / "map.pgm").unlink()
-        assert "map.pgm" in fails(capsys, calibrate(copy, tmp_path / "out"))
-
-    def test_a_truncated_log(self, copy, tmp_path, capsys):
+    def test_a_truncated_log(self, copy, refused):
         text = (copy / "log.carmen").read_text()
         (copy / "log.carmen").write_text(text[: len(text) * 2 // 3])
-        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        line = refused()
         assert f"log.carmen:{text[: len(text) * 2 // 3].count(chr(10)) + 1}" in line
 
-    def test_a_truncated_gzip(self, copy, tmp_path, capsys):
+    def test_a_truncated_gzip(self, copy, refused):
         packed = gzip.compress((copy / "log.carmen").read_bytes())
         (copy / "log.carmen").write_bytes(packed[: len(packed) // 2])
-        assert "log.carmen" in fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert "log.carmen" in refused()
 
-    def test_a_log_of_another_kind(self, copy, tmp_path, capsys):
+    def test_a_log_of_another_kind(self, copy, refused):
         (copy / "log.carmen").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
-        assert "log.carmen" in fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert "log.carmen" in refused()
 
-    def test_a_number_that_is_none(self, copy, tmp_path, capsys):
+    def test_a_number_that_is_none(self, copy, refused):
         lines = (copy / "log.carmen").read_text().splitlines()
         row = next(i for i, line in enumerate(lines) if line.startswith("FLASER") and i > 20)
         words = lines[row].split()
         words[7] = "4,5"
         lines[row] = " ".join(words)
         (copy / "log.carmen").write_text("\n".join(lines) + "\n")
-        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        line = refused()
         assert f"log.carmen:{row + 1}" in line
         assert "'4,5'" in line
 
-    def test_a_resolution_of_zero(self, copy, tmp_path, capsys):
-        self._change_map(copy, "resolution", "0.0")
-        line = fails(capsys, calibrate(copy, tmp_path / "out"))
-        assert "map.yaml" in line
-        assert "resolution" in line
+    @pytest.mark.parametrize(
+        ("key", "value", "words"),
+        [
+            ("resolution", "0.0", ("map.yaml", "resolution")),
+            ("origin", "[500.0, 500.0, 0.0]", ("log.carmen", "lie off the map")),
+        ],
+    )
+    def test_a_map_of_no_size_or_elsewhere(self, copy, refused, key, value, words):
+        text = (copy / "map.yaml").read_text()
+        changed = re.sub(rf"^{key}:.*$", f"{key}: {value}", text, flags=re.MULTILINE)
+        assert changed != text
+        (copy / "map.yaml").write_text(changed)
+        line = refused()
+        assert all(word in line for word in words)
 
-    def test_a_bomb_of_an_image(self, copy, tmp_path, capsys):
+    def test_a_bomb_of_an_image(self, copy, refused):
         (copy / "map.pgm").write_bytes(b"P5\n900000 900000\n255\n" + bytes(100))
-        line = fails(capsys, calibrate(copy, tmp_path / "out"))
+        line = refused()
         assert "map.pgm" in line
         assert "900000" in line
 
-    def test_a_map_without_obstacles(self, copy, tmp_path, capsys):
+    def test_a_map_without_obstacles(self, copy, refused):
         header, pixels = (copy / "map.pgm").read_bytes().split(b"255\n", 1)
         (copy / "map.pgm").write_bytes(header + b"255\n" + pixels.replace(b"\0", b"\xfe"))
-        assert "no occupied cell" in fails(capsys, calibrate(copy, tmp_path / "out"))
+        assert "no occupied cell" in refused()
 
-    def test_a_log_that_lies_off_the_map(self, copy, tmp_path, capsys):
-        self._change_map(copy, "origin", "[500.0, 500.0, 0.0]")
-        line = fails(capsys, calibrate(copy, tmp_path / "out"))
-        assert "log.carmen" in line
-        assert "lie off the map" in line
-
-    def test_poses_that_are_nan(self, copy, tmp_path, capsys):
+    def test_poses_that_are_nan(self, copy, refused):
         lines = (copy / "truth.tum").read_text().splitlines()
         lines[5] = "102.0 nan 1 0 0 0 0 1"
         (copy / "truth.tum").write_text("\n".join(lines) + "\n")
-        line = fails(capsys, calibrate(copy, tmp_path / "out", "--poses", str(copy / "truth.tum")))
+        line = refused("--poses", str(copy / "truth.tum"))
         assert "truth.tum:6" in line
 
-    def test_poses_of_another_day_leave_too_little_data(self, copy, tmp_path, capsys):
+    def test_poses_of_another_day_leave_too_little_data(self, copy, refused):
         lines = (copy / "truth.tum").read_text().splitlines()
         moved = [lines[0]] + [f"{float(x.split()[0]) + 1e6} {x.split(maxsplit=1)[1]}" for x in lines[1:]]
         (copy / "truth.tum").write_text("\n".join(moved) + "\n")
-        line = fails(capsys, calibrate(copy, tmp_path / "out", "--poses", str(copy / "truth.tum")))
+        line = refused("--poses", str(copy / "truth.tum"))
         assert "pose" in line
 
-    def test_too_little_data_has_its_own_exit_code(self, copy, tmp_path, capsys):
+    def test_too_little_data_has_its_own_exit_code(self, copy, refused):
         lines = (copy / "log.carmen").read_text().splitlines()
         scans = [line for line in lines if line.startswith("FLASER")]
         rest = [line for line in lines if not line.startswith(("FLASER", "ODOM"))]
         (copy / "log.carmen").write_text("\n".join(rest + scans[:6]) + "\n")
-        line = fails(capsys, calibrate(copy, tmp_path / "out"), 3)
+        line = refused(code=3)
         assert "of 6 scans used" in line
 
-    def test_an_option_that_is_no_number(self, copy, tmp_path, capsys):
-        line = fails(capsys, calibrate(copy, tmp_path / "out", "--no-return", "many"), 2)
-        assert "'many'" in line
-
-    def test_an_unknown_sensor_lists_the_known(self, copy, tmp_path, capsys):
-        line = fails(capsys, calibrate(copy, tmp_path / "out", "--sensor", "REAR"), 2)
-        assert "no sensor 'REAR'; the log has 'FLASER'" in line
-
-    def test_a_resolution_beside_a_map(self, copy, tmp_path, capsys):
-        assert "--resolution" in fails(capsys, calibrate(copy, tmp_path / "out", "--resolution", "0.1"), 2)
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (("--no-return", "many"), "'many'"),
+            (("--sensor", "REAR"), "no sensor 'REAR'; the log has 'FLASER'"),
+            (("--resolution", "0.1"), "--resolution"),
+            (("--max-range", "5600"), "--max-range: expected metres, at most 1000, got '5600'"),
+            (("--hold", "z_foo=0.1"), "z_foo"),
+            *(((f"--mask={bad}",), "--mask: expected DEG:DEG, got") for bad in ("", "10", "a:b", "1:2:3", "nan:3")),
+        ],
+    )
+    def test_an_option_that_does_not_fit(self, refused, words, message):
+        assert message in refused(*words, code=2)
 
     def test_a_topic_of_a_map_that_is_not_given(self, world, tmp_path, capsys):
         words = ("calibrate", str(world / "log.carmen"), "--map-topic", "/map", "--out", str(tmp_path / "out"))
         assert "--map-topic: is in the bag that --map names" in fails(capsys, main(words), 2)
-
-    def test_a_reach_in_millimetres(self, copy, tmp_path, capsys):
-        line = fails(capsys, calibrate(copy, tmp_path / "out", "--max-range", "5600"), 2)
-        assert "--max-range: expected metres, at most 1000, got '5600'" in line
-
-    def test_holding_a_parameter_that_does_not_exist(self, copy, tmp_path, capsys):
-        assert "z_foo" in fails(capsys, calibrate(copy, tmp_path / "out", "--hold", "z_foo=0.1"), 2)
-
-    @staticmethod
-    def _change_map(folder: Path, key: str, value: str) -> None:
-        lines = (folder / "map.yaml").read_text().splitlines()
-        changed = [f"{key}: {value}" if line.startswith(f"{key}:") else line for line in lines]
-        assert changed != lines
-        (folder / "map.yaml").write_text("\n".join(changed) + "\n")
+        assert not (tmp_path / "out").exists()
 
 
 def test_wrong_usage_has_exit_code_two(capsys):
@@ -363,9 +331,8 @@ def test_wrong_usage_has_exit_code_two(capsys):
 def test_a_file_name_that_is_no_text_comes_through(copy, tmp_path):
     log = copy / os.fsdecode(b"l\xe4uf$x_{.log")
     (copy / "log.carmen").rename(log)
-    words = [str(log), "--map", str(copy / "map.yaml")]
     out = tmp_path / "out"
-    assert main(["calibrate", *words, "--out", str(out), "--quiet", "--no-refine"]) == 0
+    assert on_map("calibrate", copy, log.name, out, "--quiet", "--no-refine") == 0
     for name in FILES:
         assert r"l\xe4uf$x_{.log" in (out / name).read_text().replace("\\\\", "\\")
     # Nor is a name with dollar signs a formula in a picture's title.
@@ -389,96 +356,6 @@ def test_an_output_that_cannot_be_written_is_one_line(world, tmp_path, capsys):
     line = fails(capsys, calibrate(world / "none", tmp_path / "file"))
     assert line.endswith("file: Not a directory")
     assert (tmp_path / "file").read_text() == "in the way"
-
-
-@pytest.mark.parametrize("min_range", [0.0, 0.1 / 3])
-def test_a_beam_model_file_has_six_digits_and_weights_that_sum_to_one(tmp_path, min_range):
-    from beamfield.io.parameters.beam_model_file import beam_model_text
-    from beamfield.sensors import RangeFinder
-
-    values = np.random.default_rng(1).dirichlet(np.ones(4))
-    parameters = BeamParameters(*values, 0.1 / 3, 2.0 / 3, -0.01 / 7, 1e-3 / 3)
-    finder = RangeFinder.from_bearings([0.0], 29.999999, min_range=min_range, name="/sc: an")
-    path = tmp_path / "beam_model.yaml"
-    text = beam_model_text(parameters, finder, intervals={"z_hit": (0.1 / 3, 0.2), "lambda_short": (0.0, np.inf)})
-    path.write_text(text)
-    read = read_beam_model(path)
-    for name, value in asdict(parameters).items():
-        assert getattr(read, name) == pytest.approx(value, abs=1e-6), name
-    assert sum(read.weights) == pytest.approx(1.0, abs=1e-11)
-    assert (read.max_range, read.min_range) == (29.999999, pytest.approx(min_range, abs=1e-6))
-    numbers = re.findall(r"^  z_\w+: (\S+)$", text, flags=re.MULTILINE)
-    assert len(numbers) == 4
-    assert sum(len(number) > len("0.123456") + 2 for number in numbers) <= 1  # the largest weight takes the rest
-    assert "- 0.0333333\n" in text
-    assert "lambda_short: null" in text
-
-
-def test_exponents_come_back_from_a_beam_model_file(tmp_path):
-    from beamfield.io.parameters.beam_model_file import beam_model_text
-    from beamfield.sensors import RangeFinder
-
-    finder, path = RangeFinder.from_bearings([0.0], 10.0), tmp_path / "beam_model.yaml"
-    parameters = BeamParameters(0.25, 0.25, 0.25, 0.25, 0.5, 1.0)
-    path.write_text(beam_model_text(parameters, finder, exponent=0.05, single_scan_exponent=0.2, n_beams=30))
-    read = read_beam_model(path)
-    assert (read.exponent, read.single_scan_exponent, read.n_beams) == (0.05, 0.2, 30)
-    assert read.parameters == parameters
-    # Written before there were exponents, or without a map: the beams count whole.
-    path.write_text(beam_model_text(parameters, finder))
-    read = read_beam_model(path)
-    assert (read.exponent, read.single_scan_exponent, read.n_beams) == (1.0, 1.0, None)
-
-
-@pytest.mark.parametrize(
-    ("limits", "written"),
-    [
-        # A laser's limits as float32 messages have them.
-        ((np.float32(0.15), np.float32(3.5)), ("0.15", "3.5")),
-        # Rounded up, a reading of the same float32 would be nearer than the limit.
-        ((np.float32(0.06), np.float32(5.6)), ("0.06", "5.599999904632568")),
-    ],
-)
-def test_limits_of_float32_are_written_short_unless_no_returns_would_become_readings(limits, written):
-    from beamfield.io.parameters.beam_model_file import beam_model_text
-    from beamfield.sensors import RangeFinder
-
-    low, high = (float(limit) for limit in limits)
-    finder = RangeFinder.from_bearings([0.0], high, min_range=low, name="s")
-    text = beam_model_text(BeamParameters(0.25, 0.25, 0.25, 0.25, 0.5, 1.0), finder)
-    assert f"min_range: {written[0]}\n" in text
-    assert f"max_range: {written[1]}\n" in text
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("z_hit: ", "z_hitt: ", "z_hit"),
-        ("sigma_hit: 0.5", "sigma_hit: -0.5", "sigma_hit"),
-        ("sigma_hit: 0.5", "sigma_hit: wide", "sigma_hit"),
-        ("z_rand: 0.25", "z_rand: 0.5", "expected 1"),
-        ("beam_model:", "model:", "beam_model"),
-        ("min_range: 0.0", "min_range: 10.0", "sensor.min_range"),
-        ("  exponent: 0.1", "  exponent: 0.0", r"beam_model\.exponent"),
-        ("  exponent: 0.1", "  exponent: 1.5", r"beam_model\.exponent"),
-        ("single_scan_exponent: 0.2", "single_scan_exponent: -1", r"single_scan_exponent"),
-        ("n_beams: 30", "n_beams: 2.5", "n_beams"),
-    ],
-)
-def test_a_damaged_beam_model_file_names_file_and_field(tmp_path, old, new, words):
-    from beamfield.errors import FormatError
-    from beamfield.io.parameters.beam_model_file import beam_model_text
-    from beamfield.sensors import RangeFinder
-
-    text = beam_model_text(
-        BeamParameters(0.25, 0.25, 0.25, 0.25, 0.5, 1.0), RangeFinder.from_bearings([0.0], 10.0, name="s"),
-        exponent=0.1, single_scan_exponent=0.2, n_beams=30,
-    )  # fmt: skip
-    assert old in text
-    path = tmp_path / "beam_model.yaml"
-    path.write_text(text.replace(old, new, 1))
-    with pytest.raises(FormatError, match=rf"beam_model\.yaml.*{words}"):
-        read_beam_model(path)
 
 
 def test_each_of_several_sensors_has_a_folder_of_its_own():

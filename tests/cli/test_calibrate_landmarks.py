@@ -44,17 +44,8 @@ def own_folder(tmp_path, monkeypatch):
 
 def run(folder: Path, *words: str) -> int:
     mount = ("--mount", "0.2", "0", str(math.degrees(1.0)))
-    return main(
-        [
-            "calibrate-landmarks",
-            str(folder / "seen.csv"),
-            "--landmarks",
-            str(folder / "tags.csv"),
-            *mount,
-            *QUICK,
-            *words,
-        ]
-    )
+    files = (str(folder / "seen.csv"), "--landmarks", str(folder / "tags.csv"))
+    return main(["calibrate-landmarks", *files, *mount, *QUICK, *words])
 
 
 def test_it_prints_parameters_with_intervals_and_the_bias(folder, capsys):

@@ -8,26 +8,19 @@ from pathlib import Path
 import pytest
 
 from beamfield.cli.main import main
+from tests.cli.simulated import on_map, simulated
 
 pytestmark = pytest.mark.usefixtures("short_stack_fit", "without_figures")
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("world")
-    code = main([
-        "simulate", "--out", str(folder), "--seed", "4", "--duration", "60", "--scan-rate", "3", "--beams", "15",
-        "--quiet",
-    ])  # fmt: skip
-    assert code == 0
-    return folder
+    return simulated(tmp_path_factory.mktemp("world"), "--duration 60 --scan-rate 3 --beams 15")
 
 
 def calibrate(world: Path, out: Path, *more: str) -> int:
-    return main([
-        "calibrate", str(next(world.glob("log.*"))), "--map", str(world / "map.yaml"), "--out", str(out),
-        "--no-refine", "--odometry-noise", "--reference-error", "0.005", *more,
-    ])  # fmt: skip
+    noise = ("--odometry-noise", "--reference-error", "0.005")
+    return on_map("calibrate", world, "log.carmen", out, "--no-refine", *noise, *more)
 
 
 def test_noise_and_errors_are_printed_reported_and_patched_into_the_users_file(world, tmp_path, capsys):
@@ -59,10 +52,7 @@ def test_noise_and_errors_are_printed_reported_and_patched_into_the_users_file(w
 
 
 def test_a_log_that_shows_too_little_keeps_the_rest_and_says_so(tmp_path, capsys):
-    main([
-        "simulate", "--out", str(tmp_path), "--seed", "4", "--duration", "8", "--scan-rate", "4", "--beams", "61",
-        "--quiet",
-    ])  # fmt: skip
+    simulated(tmp_path, "--duration 8 --scan-rate 4 --beams 61")
     assert calibrate(tmp_path, tmp_path / "out") == 3
     captured = capsys.readouterr()
     assert "odometry not calibrated: expected at least 12 windows" in captured.out + captured.err

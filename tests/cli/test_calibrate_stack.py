@@ -22,6 +22,7 @@ from beamfield.stacks.files.filter_file import read_filter_settings
 from beamfield.stacks.files.parameter_file import read_stack_file
 from beamfield.stacks.files.typed_values import checked_values
 from beamfield.stacks.nav2.motion import Nav2Motion
+from tests.cli.simulated import on_map, simulated
 
 MINE = """\
 amcl:
@@ -43,20 +44,11 @@ pytestmark = pytest.mark.usefixtures("short_stack_fit", "without_figures")
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("world")
-    code = main([
-        "simulate", "--out", str(folder), "--seed", "4", "--duration", "90", "--scan-rate", "3", "--beams", "31",
-        "--quiet",
-    ])  # fmt: skip
-    assert code == 0
-    return folder
+    return simulated(tmp_path_factory.mktemp("world"), "--duration 90 --scan-rate 3 --beams 31")
 
 
 def calibrate(world: Path, out: Path, *more: str, quiet: bool = True) -> int:
-    return main([
-        "calibrate", str(next(world.glob("log.*"))), "--map", str(world / "map.yaml"), "--out", str(out),
-        *(["--quiet"] if quiet else []), "--no-refine", *more,
-    ])  # fmt: skip
+    return on_map("calibrate", world, "log.carmen", out, *(["--quiet"] if quiet else []), "--no-refine", *more)
 
 
 def test_the_users_file_gets_calibrated_values_and_the_report_says_what_they_do(world, tmp_path, capsys):
@@ -180,23 +172,7 @@ def test_a_file_of_another_stack_is_refused_and_left_alone(world, tmp_path, caps
 
 
 def test_a_log_too_short_for_the_stack_is_named_early_and_the_rest_is_written(tmp_path, capsys):
-    short = tmp_path / "short"
-    words = [
-        "simulate",
-        "--out",
-        str(short),
-        "--seed",
-        "4",
-        "--duration",
-        "30",
-        "--speed",
-        "0.25",
-        "--scan-rate",
-        "5",
-        "--beams",
-        "31",
-    ]
-    assert main([*words, "--quiet"]) == 0
+    short = simulated(tmp_path / "short", "--duration 30 --speed 0.25 --scan-rate 5 --beams 31")
     mine = tmp_path / "mine.yaml"
     mine.write_text(MINE)
     assert calibrate(short, tmp_path / "out", "--stack", "nav2", "--patch", str(mine), quiet=False) == 3

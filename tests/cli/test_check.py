@@ -14,6 +14,7 @@ import pytest
 from beamfield.cli.check import _parameters
 from beamfield.cli.main import main
 from beamfield.finding import Finding
+from tests.cli.simulated import simulated
 
 FILES = ["beam_model.yaml", "scan_fit.csv", "scan_fit.html", "scan_fit.json", "scan_fit_reference.json"]
 
@@ -22,10 +23,9 @@ FILES = ["beam_model.yaml", "scan_fit.csv", "scan_fit.html", "scan_fit.json", "s
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two drives through one building, one of them also with poses that jump away in the middle."""
     folder = tmp_path_factory.mktemp("check")
-    drive = ("--duration", "60", "--scan-rate", "4", "--beams", "61", "--quiet")
-    assert main(["simulate", "--out", str(folder / "good"), "--seed", "4", *drive]) == 0
-    in_its_map = ("--map", str(folder / "good" / "map.yaml"))
-    assert main(["simulate", "--out", str(folder / "fresh"), "--seed", "5", *in_its_map, *drive]) == 0
+    drive = "--duration 60 --scan-rate 4 --beams 61"
+    good = simulated(folder / "good", drive)
+    simulated(folder / "fresh", f"{drive} --seed 5 --map {good / 'map.yaml'}")
     lines = (folder / "fresh" / "truth.tum").read_text().splitlines()
     rows = [line.split() for line in lines if not line.startswith("#")]
     for row in rows[120:180]:

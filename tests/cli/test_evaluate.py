@@ -10,6 +10,7 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.io.maps.ros_map_writer import moved_map_text
+from tests.cli.simulated import on_map, simulated
 
 SEEDS = 10
 # Weights that say nothing, and odometry that is trusted too little: the particles drift apart.
@@ -25,18 +26,16 @@ SIGHTED = (
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drive through a building, and a parameter file of nav2 and one of Beluga."""
     folder = tmp_path_factory.mktemp("evaluate")
-    drive = ("--duration", "30", "--scan-rate", "4", "--beams", "61", "--quiet", "--seed", "4")
-    assert main(["simulate", "--out", str(folder / "drive"), *drive]) == 0
+    simulated(folder / "drive", "--duration 30 --scan-rate 4 --beams 61")
     (folder / "blind.yaml").write_text(BLIND)
     (folder / "sighted.yaml").write_text(SIGHTED)
     return folder
 
 
 def evaluate(world: Path, out: Path, *words: str, params: tuple[str, ...] = ("blind.yaml", "sighted.yaml")) -> int:
-    return main([
-        "evaluate", str(world / "drive" / "log.carmen"), "--map", str(world / "drive" / "map.yaml"), "--out", str(out),
-        "--params", *(str(world / name) for name in params), *words,
-    ])  # fmt: skip
+    return on_map(
+        "evaluate", world / "drive", "log.carmen", out, "--params", *(str(world / name) for name in params), *words
+    )
 
 
 @pytest.fixture(scope="module")

@@ -6,15 +6,14 @@ from beamfield.cli.main import main
 from beamfield.io.logs.carmen import write_carmen
 from beamfield.io.read_log import read_log
 from beamfield.sensors import ScanLog
+from tests.cli.simulated import simulated
 
 uvicorn = pytest.importorskip("uvicorn")
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("world") / "world"
-    assert main(["simulate", "--out", str(folder), "--duration", "10", "--beams", "11", "--quiet"]) == 0
-    return folder
+    return simulated(tmp_path_factory.mktemp("world"), "--duration 10 --beams 11 --seed 1")
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import pytest
 
 from beamfield.cli.main import main
 from beamfield.figures.gallery import FIGURES
+from tests.cli.simulated import simulated
 
 
 def test_the_list_names_every_figure(capsys):
@@ -26,8 +27,7 @@ def test_chosen_figures_and_their_page_are_written(tmp_path, capsys):
 
 
 def test_a_log_of_ones_own_is_drawn(tmp_path, capsys):
-    world, out = tmp_path / "world", tmp_path / "pictures"
-    assert main(["simulate", "--out", str(world), "--duration", "10", "--beams", "60", "--quiet"]) == 0
+    world, out = simulated(tmp_path / "world", "--duration 10 --beams 60 --seed 1"), tmp_path / "pictures"
     words = ["figures", str(world / "log.carmen"), "--map", str(world / "map.yaml"), "--scan", "50"]
     assert main([*words, "--only", "6.10", "6.11", "6.12", "--format", "png", "--out", str(out), "--quiet"]) == 0
     assert {file.name for file in out.glob("*.png")} == {f"figure_6_{i}.png" for i in (10, 11, 12)}
@@ -39,10 +39,8 @@ def test_a_log_of_ones_own_is_drawn(tmp_path, capsys):
 
 
 def test_a_short_log_gives_what_it_can_and_says_what_not(tmp_path, capsys):
-    world, out = tmp_path / "world", tmp_path / "pictures"
-    assert (
-        main(["simulate", "--out", str(world), "--duration", "1", "--scan-rate", "5", "--beams", "60", "--quiet"]) == 0
-    )
+    options = "--duration 1 --scan-rate 5 --beams 60 --seed 1"
+    world, out = simulated(tmp_path / "world", options), tmp_path / "pictures"
     words = ["figures", str(world / "log.carmen"), "--map", str(world / "map.yaml"), "--quiet", "--out", str(out)]
     assert main([*words, "--only", "6.3", "6.7", "6.10"]) == 3
     said = capsys.readouterr()

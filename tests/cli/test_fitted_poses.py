@@ -26,6 +26,7 @@ from beamfield.maps.distance import distance_to_obstacles
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.report import html
 from beamfield.sensors import RangeFinder, SensorLog
+from tests.cli.simulated import on_map, simulated
 
 LONE = ("--lone-poses", "odometry")
 LASER = RangeFinder.from_bearings(np.linspace(-1.5, 1.5, 8), max_range=8.0)
@@ -35,12 +36,8 @@ RING = replace(LASER, opening_angle=0.3)
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated log with its map; lone.carmen is the same log with odometry only."""
-    folder = tmp_path_factory.mktemp("world")
-    code = main([
-        "simulate", "--out", str(folder), "--seed", "4", "--duration", "40", "--scan-rate", "4", "--beams", "61",
-        "--width", "26", "--height", "20", "--mount", "0", "0", "0", "--quiet",
-    ])  # fmt: skip
-    assert code == 0
+    options = "--duration 40 --scan-rate 4 --beams 61 --width 26 --height 20 --mount 0 0 0"
+    folder = simulated(tmp_path_factory.mktemp("world"), options)
     (folder / "lone.carmen").write_text(without_poses((folder / "log.carmen").read_text()))
     return folder
 
@@ -55,10 +52,6 @@ def without_poses(carmen: str) -> str:
             words[k : k + 3] = words[k + 3 : k + 6]
         kept.append(" ".join(words))
     return "\n".join(kept) + "\n"
-
-
-def on_map(command: str, world: Path, log: str, out: Path, *more: str) -> int:
-    return main([command, str(world / log), "--map", str(world / "map.yaml"), "--out", str(out), *more])
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from beamfield.cli.main import main
+from tests.cli.simulated import simulated
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("fsspec")
@@ -16,9 +17,7 @@ pytest.importorskip("fsspec")
 
 @pytest.fixture(scope="module")
 def manifest(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("logs")
-    words = ["simulate", "--out", str(folder), "--duration", "20", "--scan-rate", "2", "--beams", "31", "--quiet"]
-    assert main(words) == 0
+    folder = simulated(tmp_path_factory.mktemp("logs"), "--duration 20 --scan-rate 2 --beams 31 --seed 1")
     (folder / "fleet.yaml").write_text(
         "runs:\n"
         "  - {log: log.carmen, map: map.yaml, robot: ann, site: hall}\n"

@@ -12,37 +12,15 @@ import pytest
 from PIL import Image
 
 from beamfield.cli import options
-from beamfield.cli.inspect_picture import log_picture
-from beamfield.cli.inspect_summary import log_facts, log_text, map_facts, map_text, path_length
 from beamfield.cli.main import main
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.logs.carmen_writer import write_carmen
 from beamfield.io.maps.ros_map_writer import write_map
 from beamfield.io.trajectory import write_tum
 from beamfield.maps.occupancy import OccupancyGrid
-from beamfield.sensors import NoReturnPolicy, RangeFinder, ScanLog, SensorLog, Track
+from beamfield.sensors import ScanLog, Track
+from tests.cli.wall_drive import make_sensor
 from tests.io.mini_bag import MiniBag
-
-
-def make_sensor(n_scans: int = 20, **changes) -> SensorLog:
-    """Return a scanner 0.25 m ahead that drives 0.1 m per scan along a wall at its left."""
-    finder = RangeFinder.from_bearings(
-        np.radians(np.arange(-90.0, 91.0, 10.0)), 8.0, mount=(0.25, 0.0, 0.0), min_range=0.1
-    )
-    way = 0.1 * np.arange(n_scans)
-    poses = np.column_stack([1.0 + way, np.full(n_scans, 2.0), np.zeros(n_scans)])
-    with np.errstate(divide="ignore"):
-        to_wall = np.where(finder.bearings > 0.05, 1.5 / np.sin(finder.bearings), np.inf)
-    to_wall[to_wall >= 8.0] = np.inf
-    columns = {
-        "finder": finder,
-        "stamps": 10.0 + 0.2 * np.arange(n_scans),
-        "ranges": np.tile(to_wall, (n_scans, 1)),
-        "poses": poses,
-        "odometry": (poses - [1.0, 2.0, 0.0]) * [0.9, 1.0, 1.0],  # its wheels slip
-        "no_return": NoReturnPolicy((8.0,), 0.5, "detected", "half of it came to nothing"),
-    }
-    return SensorLog(**{**columns, **changes})
 
 
 def make_grid() -> OccupancyGrid:
@@ -94,9 +72,6 @@ def refused(capsys, *words: str | Path, code: int = 1) -> str:
     return err
 
 
-# ----------------------------------------------------------------------------------------------------------------- maps
-
-
 def test_a_map_is_described_by_its_size_place_and_cells(capsys, map_path):
     text = shown(capsys, map_path)
     assert "room.yaml: map of 60 x 50 cells of 0.1 m: 6.00 m x 5.00 m" in text
@@ -117,16 +92,6 @@ def test_the_json_of_a_map_holds_the_same_in_si_units(capsys, map_path):
     assert facts["cells"]["occupied"] == {"count": 120, "share": 0.04, "area_m2": pytest.approx(1.2)}
     assert facts["origin"] == {"x_m": -1.0, "y_m": 0.0, "yaw_rad": 0.0}
     assert facts["notes"] == []
-
-
-def test_a_map_without_obstacles_or_without_free_cells_is_noted():
-    assert "no cell is occupied" in map_text(map_facts(OccupancyGrid(np.zeros((2, 2)), 0.1)))
-    assert "no cell is free" in map_text(map_facts(OccupancyGrid(np.ones((2, 2)), 0.1)))
-    inverted = np.ones((5, 5))
-    inverted[0, :2] = 0.0
-    text = map_text(map_facts(OccupancyGrid(inverted, 0.1, [0.0, 0.0, 90.0])))
-    assert "occupied cells outnumber free ones 12 to 1" in text
-    assert "yaw is 90 radians: are these degrees?" in text
 
 
 def test_unknown_cells_that_count_as_free_are_noted(capsys, map_path):
@@ -166,9 +131,6 @@ def test_what_is_wrong_with_the_map_of_a_bag_without_scans_is_said(tmp_path, cap
     text = refused(capsys, path)
     assert "/map, message 1: expected width 60 x height 50 cells, got 2999" in text
     assert "no scans" not in text
-
-
-# ----------------------------------------------------------------------------------------------------------------- logs
 
 
 def test_a_log_is_described_by_its_sensors_ranges_and_poses(capsys, log_path):
@@ -216,65 +178,6 @@ def test_reference_poses_come_from_a_file(capsys, tmp_path, raw_log_path):
     assert facts["sensors"]["L"]["reference_poses"] == {"known": 20, "path_length_m": pytest.approx(3.8)}
 
 
-def test_every_share_is_counted_apart_and_they_add_up():
-    ranges = make_sensor().ranges.copy()
-    ranges[0], ranges[1], ranges[2, 0], ranges[3, 0] = np.nan, 0.05, -np.inf, 8.5
-    readings = log_facts(ScanLog({"a": make_sensor(ranges=ranges)}))["sensors"]["a"]["readings"]
-    assert readings["no_measurement_share"] == pytest.approx(19 / 380)
-    assert readings["too_close_share"] == pytest.approx(20 / 380)
-    assert readings["no_return_share"] == pytest.approx((18 * 11 - 1) / 380)
-    shares = ("measured_share", "no_return_share", "no_measurement_share", "too_close_share")
-    assert sum(readings[name] for name in shares) == pytest.approx(1.0)
-    assert readings["scans_without_measurement"] == 1
-    assert (readings["shortest_m"], readings["longest_m"]) == (1.5, pytest.approx(1.5 / math.sin(math.radians(20))))
-
-
-def finder_deg(bearings_deg, **limits) -> RangeFinder:
-    return RangeFinder.from_bearings(np.radians(bearings_deg), 5.0, **limits)
-
-
-@pytest.mark.parametrize(
-    ("finder", "text"),
-    [
-        (finder_deg([90.0, 0.0, -90.0]), "90.0 to -90.0 degrees, spanning 180.0, every 90, clockwise"),
-        # All the way around, not "-89.0 to -90.0".
-        (finder_deg(np.arange(-89.0, 270.5, 1.0)), "from -89.0 to 270.0 degrees, spanning 359.0"),
-        (finder_deg([0.0, 10.0, 40.0]), "spanning 40.0, unevenly spaced"),
-        (finder_deg(np.arange(0.0, 360.0, 1.0)), "spanning 359.0, every 1, counter-clockwise"),
-        (finder_deg([-45.0, 45.0], opening_angle=math.radians(30)), "cones of 30.0 degrees"),
-        (finder_deg([0.0]), "beams             1\n"),
-        (RangeFinder(np.array([[0.1, 0.2, 0.0], [0.3, 0.0, 1.0]]), 5.0), "2 places on the robot"),
-    ],
-)
-def test_beams_of_every_kind_are_described(finder, text):
-    k = finder.n_beams
-    nowhere = np.full((2, 3), np.nan)
-    log = ScanLog({"a": SensorLog(finder, np.array([0.0, 1.0]), np.ones((2, k)), nowhere, nowhere)})
-    assert text in log_text(log_facts(log)) + "\n"
-
-
-def test_an_empty_log_and_one_without_poses_are_described_and_drawn():
-    for n, ranges in ((0, np.zeros((0, 19))), (1, np.full((1, 19), np.nan)), (2, np.full((2, 19), np.inf))):
-        nowhere = np.full((n, 3), np.nan)
-        sensor = make_sensor(n, ranges=ranges, poses=nowhere, odometry=nowhere)
-        log = ScanLog({"a": sensor}, notes=("a note",))
-        facts = log_facts(log)
-        json.dumps(facts, allow_nan=False)
-        text = log_text(facts)
-        assert "reference poses   none" in text
-        assert "  - a note" in text
-        log_picture(log, "empty").canvas.draw()
-
-
-def test_the_path_length_skips_unknown_poses():
-    poses = np.array([[0.0, 0, 0], [np.nan] * 3, [3.0, 4.0, 1.0], [3.0, 5.0, 1.0]])
-    assert path_length(poses) == 6.0
-    assert path_length(np.full((3, 3), np.nan)) == 0.0
-
-
-# ------------------------------------------------------------------------------------------------------------- pictures
-
-
 def test_a_map_is_drawn_into_the_file(capsys, map_path, tmp_path):
     assert f"wrote {tmp_path / 'picture.png'}" in shown(capsys, map_path, "--out", tmp_path / "picture.png")
     with Image.open(tmp_path / "picture.png") as picture:
@@ -292,38 +195,6 @@ def test_a_log_is_drawn_over_a_map(capsys, log_path, map_path, tmp_path):
     assert walls[1] == 0
 
 
-def test_end_points_are_drawn_on_the_wall_they_hit():
-    figure = log_picture(ScanLog({"a": make_sensor()}), "a")
-    path_panel = next(ax for ax in figure.axes if "reference poses" in ax.get_title())
-    points = np.ma.filled(path_panel.collections[0].get_offsets(), np.nan)
-    # The wall is 1.5 m to the left of a path at y = 2; the robot's own places are drawn too.
-    np.testing.assert_allclose(np.unique(points[:, 1].round(9)), [2.0, 3.5])
-
-
-def test_several_sensors_have_a_row_each_and_more_than_four_are_counted():
-    figure = log_picture(ScanLog({str(i): make_sensor() for i in range(6)}), "many")
-    assert "the first 4 of 6 sensors" in figure.get_suptitle()
-    assert len([ax for ax in figure.axes if "readings" in ax.get_title()]) == 4
-
-
-def test_the_layout_follows_the_shape_of_the_path():
-    turned = make_sensor()
-    turned = turned.with_poses(np.column_stack([turned.poses[:, 1], 4 * turned.poses[:, 0], np.full(20, np.pi / 2)]))
-    wide = make_sensor()
-    wide = wide.with_poses(wide.poses * [6.0, 1.0, 1.0])
-    sizes = [log_picture(ScanLog({"a": sensor}), "a") for sensor in (wide, turned)]
-    places = []
-    for figure in sizes:
-        figure.canvas.draw()
-        panel = {
-            ("path" if "frame, from" in ax.get_title() else ax.get_title()): ax.get_position() for ax in figure.axes
-        }
-        places.append((panel["path"], panel["380 readings"]))
-    (wide_path, wide_ranges), (tall_path, tall_ranges) = places
-    assert wide_path.y0 > wide_ranges.y1  # above the histogram
-    assert tall_path.x1 < tall_ranges.x0  # left of it
-
-
 def test_a_picture_in_an_unknown_format_is_refused_before_anything_is_read(capsys, tmp_path):
     error = refused(capsys, tmp_path / "none.yaml", "--out", tmp_path / "a.exe", code=2)
     assert "--out: expected a name ending in .png, .svg, .pdf, got 'a.exe'" in error
@@ -334,9 +205,6 @@ def test_every_offered_format_is_written(capsys, map_path, tmp_path, suffix):
     shown(capsys, map_path, "--out", tmp_path / f"a{suffix}")
     start = (tmp_path / f"a{suffix}").read_bytes()[:5]
     assert start in (b"\x89PNG\r", b"<?xml", b"%PDF-")
-
-
-# ---------------------------------------------------------------------------------------------------------------- poses
 
 
 @pytest.fixture
@@ -368,9 +236,6 @@ def test_a_bad_line_among_poses_is_named(capsys, poses_path):
         file.write("14 1 2\n")
     assert "truth.tum:22: expected 8 numbers" in refused(capsys, poses_path)
     assert "--poses: goes with a log" in refused(capsys, poses_path, "--poses", poses_path, code=2)
-
-
-# ------------------------------------------------------------------------------------------------------------ bad input
 
 
 def test_bad_input_is_one_line_that_names_the_file(capsys, tmp_path, map_path, log_path):

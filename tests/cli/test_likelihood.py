@@ -164,23 +164,9 @@ def test_parameters_come_from_a_calibration(folder, tmp_path, capsys):
         (("--threads", "0"), "--threads: expected a whole number >= 1, got '0'", 2),
         (("--poses", "missing.tum"), "missing.tum: No such file", 1),
     ],
-    ids=[
-        "beyond",
-        "negative",
-        "silent",
-        "empty",
-        "solid",
-        "sensor",
-        "out",
-        "npz",
-        "folder",
-        "beams",
-        "local",
-        "headings",
-        "threads",
-        "poses",
-    ],
-)
+    ids=["beyond", "negative", "silent", "empty", "solid", "sensor", "out", "npz", "folder", "beams", "local",
+         "headings", "threads", "poses"],
+)  # fmt: skip
 def test_bad_input_is_one_line(folder, capsys, words, message, code):
     options = words if isinstance(words, dict) else {}
     assert run(folder, "--quiet", *(() if options else words), **options) == code

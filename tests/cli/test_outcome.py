@@ -10,6 +10,7 @@ import pytest
 from beamfield.cli.main import main
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.read_log import read_log
+from tests.cli.simulated import simulated
 
 NAV2 = (
     "amcl:\n  ros__parameters:\n    laser_model_type: likelihood_field_prob\n    z_hit: 0.5\n    laser_max_range: 9.0\n"
@@ -35,9 +36,7 @@ COMMANDS = {
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("world")
-    words = ["simulate", "--out", str(folder), "--seed", "4", "--duration", "40", "--scan-rate", "4", "--beams", "31"]
-    assert main([*words, "--quiet"]) == 0
+    folder = simulated(tmp_path_factory.mktemp("world"), "--duration 40 --scan-rate 4 --beams 31")
     (folder / "nav2.yaml").write_text(NAV2)
     write_bag(folder / "bag", read_log(folder / "log.carmen"))
     return folder

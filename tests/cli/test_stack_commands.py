@@ -136,17 +136,8 @@ def test_the_doctor_takes_reference_poses_from_a_file(good, tmp_path, capsys):
     lines = [f"FLASER 90 {' '.join(['2.0'] * 90)} 0 0 0 0 0 0 {t} host {t}" for t in range(30)]
     (tmp_path / "run.log").write_text("\n".join(lines) + "\n")
     (tmp_path / "poses.tum").write_text("".join(f"{t} 4 3 0 0 0 0 1\n" for t in range(30)))
-    words = [
-        "doctor",
-        str(good),
-        "--model",
-        "likelihood_field",
-        "--json",
-        "--map",
-        str(tmp_path / "map.yaml"),
-        "--log",
-        str(tmp_path / "run.log"),
-    ]
+    inputs = ["--map", str(tmp_path / "map.yaml"), "--log", str(tmp_path / "run.log")]
+    words = ["doctor", str(good), "--model", "likelihood_field", "--json", *inputs]
     assert main([*words, "--poses", str(tmp_path / "poses.tum"), "--max-range", "10"]) == 1
     found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}
     assert "in the log" in found["nearly-flat"]["seen"]
@@ -229,15 +220,8 @@ def test_the_doctor_tries_the_model_on_a_real_log(data, good, capsys):
     """nav2's default field hardly looks at the scans of a TurtleBot 4; a longest range of 5 m hides many of them."""
     folder = data / "olin_mac_tb4"
     good.write_text(GOOD.replace("10.0", "5.0").replace("likelihood_field_prob", "likelihood_field"))
-    words = [
-        "doctor",
-        str(good),
-        "--stack",
-        "nav2",
-        "--map",
-        str(folder / "map" / "mac_1st_floor_final.yaml"),
-        "--json",
-    ]
+    words = ["doctor", str(good), "--stack", "nav2", "--json"]
+    words += ["--map", str(folder / "map" / "mac_1st_floor_final.yaml")]
     words += ["--log", str(folder / "macfirst_floor_take_2"), "--poses", str(folder / "derived_ref_take_2.csv.gz")]
     assert main(words) == 1
     found = {item["name"]: item for item in json.loads(capsys.readouterr().out)["findings"]}

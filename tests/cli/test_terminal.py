@@ -12,6 +12,7 @@ from beamfield.cli.terminal import complain, say, say_json
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.read_log import read_log
 from beamfield.printable import printable
+from tests.cli.simulated import simulated
 
 # Clears the screen and sets its title; forges a line; C1, a mark that turns text around, DEL; a formula and a tag.
 EVIL = "/s\x1b[2J\x1b]0;t\x07\nFORGED\x85\u2028\x9b31m\u202eback\x7f$\\frac$<b>\r&"
@@ -50,11 +51,7 @@ def test_wrong_usage_is_quoted_so_that_it_prints(capsys):
 def evil(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a map and a bag whose topics, frames and file name are hostile."""
     folder = tmp_path_factory.mktemp("evil")
-    world = folder / "world"
-    code = main([
-        "simulate", "--out", str(world), "--seed", "4", "--duration", "40", "--scan-rate", "4", "--beams", "13",
-    ])  # fmt: skip
-    assert code == 0
+    world = simulated(folder / "world", "--duration 40 --scan-rate 4 --beams 13")
     log = read_log(world / "log.carmen")
     name = EVIL.replace("/", "")
     write_bag(folder / name, log, topic=EVIL, odometry_topic=f"{EVIL}/odom", odom_frame=f"{EVIL}/odom")

@@ -13,6 +13,7 @@ from scipy import stats
 from beamfield.detections import UNKNOWN
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import compose
+from tests.contract.conftest import POSES
 from tests.threads import forced_threads
 
 
@@ -20,17 +21,17 @@ def test_batch_equals_one_by_one(case):
     for options in case.options:
         model = case.build(**options)
         for z in case.measurements:
-            batch = model.log_likelihood(z, case.poses)
-            assert batch.shape == (len(case.poses),)
-            assert batch.tolist() == [float(model.log_likelihood(z, pose)) for pose in case.poses]
+            batch = model.log_likelihood(z, POSES)
+            assert batch.shape == (len(POSES),)
+            assert batch.tolist() == [float(model.log_likelihood(z, pose)) for pose in POSES]
 
 
 def test_any_shape_of_poses(case):
     model, z = case.build(), case.measurements[0]
-    poses = np.stack([case.poses[:3], case.poses[3:6]])
+    poses = np.stack([POSES[:3], POSES[3:6]])
     assert model.log_likelihood(z, poses).shape == (2, 3)
-    assert model.log_likelihood(z, poses)[1, 2] == model.log_likelihood(z, case.poses[5])
-    assert model.log_likelihood(z, case.poses[0]).shape == ()
+    assert model.log_likelihood(z, poses)[1, 2] == model.log_likelihood(z, POSES[5])
+    assert model.log_likelihood(z, POSES[0]).shape == ()
     assert model.log_likelihood(z, np.empty((0, 3))).shape == (0,)
     assert model.log_likelihood(z, np.empty((4, 0, 3))).shape == (4, 0)
 
@@ -40,15 +41,15 @@ def test_moving_map_and_poses_together_changes_nothing(case, move):
     for options in case.options:
         model, moved = case.build(**options), case.build(np.array(move), **options)
         for z in case.measurements:
-            expected = model.log_likelihood(z, case.poses)
-            np.testing.assert_allclose(moved.log_likelihood(z, compose(move, case.poses)), expected, rtol=1e-7)
+            expected = model.log_likelihood(z, POSES)
+            np.testing.assert_allclose(moved.log_likelihood(z, compose(move, POSES)), expected, rtol=1e-7)
 
 
 def test_never_nan_and_never_plus_infinity(case):
     for options in case.options:
         model = case.build(**options)
         for z in case.measurements:
-            values = model.log_likelihood(z, case.poses)
+            values = model.log_likelihood(z, POSES)
             assert not np.isnan(values).any()
             assert (values < np.inf).all()
 
@@ -64,9 +65,9 @@ def test_poses_that_are_no_numbers_are_an_error(case):
 def test_inputs_are_left_alone(case):
     model = case.build()
     for z in case.measurements:
-        poses, before = case.poses.copy(), copy.deepcopy(z)
+        poses, before = POSES.copy(), copy.deepcopy(z)
         model.log_likelihood(z, poses)
-        assert (poses == case.poses).all()
+        assert (poses == POSES).all()
         assert pickle.dumps(before) == pickle.dumps(copy.deepcopy(z))
 
 
@@ -75,7 +76,7 @@ def test_survives_pickling(case):
         model = case.build(**options)
         twin = pickle.loads(pickle.dumps(model))
         for z in case.measurements:
-            assert twin.log_likelihood(z, case.poses).tolist() == model.log_likelihood(z, case.poses).tolist()
+            assert twin.log_likelihood(z, POSES).tolist() == model.log_likelihood(z, POSES).tolist()
 
 
 def test_is_frozen(case):
@@ -85,7 +86,7 @@ def test_is_frozen(case):
 
 
 def test_any_number_of_threads_gives_the_same_bits(case, rng):
-    poses = case.poses[0] + rng.normal(0.0, [0.5, 0.5, 1.0], (9001, 3))
+    poses = POSES[0] + rng.normal(0.0, [0.5, 0.5, 1.0], (9001, 3))
     z = case.measurements[0]
     with forced_threads(1):
         one = case.build().log_likelihood(z, poses)
@@ -95,7 +96,7 @@ def test_any_number_of_threads_gives_the_same_bits(case, rng):
 
 
 def test_one_model_serves_several_threads_at_once(case, rng):
-    poses = case.poses[0] + rng.normal(0.0, [0.5, 0.5, 1.0], (500, 3))
+    poses = POSES[0] + rng.normal(0.0, [0.5, 0.5, 1.0], (500, 3))
     model, z = case.build(), case.measurements[0]
     alone = model.log_likelihood(z, poses)
     with ThreadPoolExecutor(4) as pool:
@@ -104,7 +105,7 @@ def test_one_model_serves_several_threads_at_once(case, rng):
 
 
 def test_a_best_correspondence_is_the_largest_term_of_the_sum(of_unknown_id, rng):
-    poses = np.vstack([of_unknown_id.poses, of_unknown_id.poses[0] + rng.normal(0.0, 0.5, (200, 3))])
+    poses = np.vstack([POSES, POSES[0] + rng.normal(0.0, 0.5, (200, 3))])
     by_rest: dict[str, dict[str, object]] = {}
     for options in of_unknown_id.options:
         rest = {name: value for name, value in options.items() if name != "correspondence"}
@@ -129,14 +130,14 @@ def test_normalised_models_integrate_to_one(normalized):
         model = normalized.build(**options)
         is_power = options.get("exponent", 1.0) != 1.0
         assert model.is_normalized == (not is_power and options.get("n_beams") is None)
-        for pose in normalized.poses:
+        for pose in POSES:
             assert (normalized.integral(model, pose) == pytest.approx(1.0, abs=2e-4)) != is_power
 
 
 def test_samples_follow_the_distribution_function(generative, rng):
     for options in generative.options:
         model = generative.build(**options)
-        for pose in generative.poses:
+        for pose in POSES:
             samples = model.sample(np.tile(pose, (400, 1)), rng=rng)
             assert len(samples) == 400
             uniform = generative.transform(model, samples, pose, rng)
@@ -146,7 +147,7 @@ def test_samples_follow_the_distribution_function(generative, rng):
 def test_samples_follow_the_density(generative, rng):
     """For z drawn from p and another density q, the mean of q(z) / p(z) is 1."""
     model, other = generative.build(), generative.build(**generative.options_close_by)
-    pose = generative.poses[0]
+    pose = POSES[0]
     samples = model.sample(np.tile(pose, (3000, 1)), rng=rng)
     log_ratio = [float(other.log_likelihood(z, pose) - model.log_likelihood(z, pose)) for z in samples]
     ratio = np.exp(log_ratio)
@@ -162,21 +163,21 @@ def test_what_a_model_can_do_is_seen_from_its_methods(case):
         assert not hasattr(model, "sample")
         assert not hasattr(model, "expected")
     if hasattr(model, "beam_log_likelihood"):
-        z, poses = case.measurements[0], case.poses
+        z, poses = case.measurements[0], POSES
         assert model.beam_log_likelihood(z, poses).shape[:-1] == (len(poses),)
     if hasattr(model, "expected"):
-        assert len(model.expected(case.poses)) == len(case.poses)
+        assert len(model.expected(POSES)) == len(POSES)
 
 
 def test_samples_repeat_with_the_seed(generative):
     model = generative.build()
-    first, second = (model.sample(generative.poses, rng=np.random.default_rng(11)) for _ in range(2))
+    first, second = (model.sample(POSES, rng=np.random.default_rng(11)) for _ in range(2))
     for a, b in zip(first, second, strict=True):
         assert pickle.dumps(a) == pickle.dumps(b)
 
 
 def test_the_true_pose_is_more_likely_than_others_on_average(generative, rng):
-    model, truth = generative.build(), generative.poses[0]
+    model, truth = generative.build(), POSES[0]
     others = truth + np.diag([0.3, -0.3, 0.3])
     samples = model.sample(np.tile(truth, (200, 1)), rng=rng)
     scores = np.array([model.log_likelihood(z, [truth, *others]) for z in samples]).mean(axis=0)

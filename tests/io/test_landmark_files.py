@@ -59,6 +59,7 @@ BAD_CSV = {
     "short row": ("id,x,y\n1,2\n", ":2: expected 3 values, got 2"),
     "no number": ("id,x,y\n1,2,abc\n", ":2: landmark: expected a number, got 'abc'"),
     "nan position": ("id,x,y\n1,nan,3\n", ":2: landmark: expected a finite number, got 'nan'"),
+    "infinite position": ("id,x,y\n1,2,-inf\n", ":2: landmark: expected a finite number, got '-inf'"),
     "negative id": ("id,x,y\n-1,2,3\n", ":2: id: expected a whole number >= 0, got '-1'"),
     "huge id": ("id,x,y\n99999999999999999999,2,3\n", ":2: id: expected a whole number >= 0, got '9999"),
     "duplicate id": ("id,x,y\n4,2,3\n4,2,3\n", ":3: expected each id once, got 4 again after line 2"),

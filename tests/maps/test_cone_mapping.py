@@ -11,16 +11,11 @@ from beamfield.maps.cone import ConeCaster
 from beamfield.maps.mapping import InverseSensorModel, build_map
 from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.maps.raycast import RayCaster
-from beamfield.sensors import RangeFinder, SensorLog
+from beamfield.sensors import RangeFinder
+from tests.maps.test_mapping import as_log
 
 ODDS = InverseSensorModel(hit=0.8, passed=0.4)
 CONE = RangeFinder.from_bearings([0.0], max_range=6.0, opening_angle=np.radians(40.0))
-
-
-def as_log(ranges, poses, finder=CONE) -> SensorLog:
-    ranges = np.asarray(ranges, dtype=float)
-    t = len(ranges)
-    return SensorLog(finder, np.arange(t), ranges, np.asarray(poses, dtype=float), np.full((t, 3), np.nan))
 
 
 # A reading of 3 m on cells of 0.1 m.
@@ -45,7 +40,7 @@ def in_polar(grid):
 
 
 def test_cells_of_the_cone_before_the_reading_are_passed_and_those_of_the_arc_hit():
-    grid = build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]]), resolution=0.1, inverse_model=ODDS)
+    grid = build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]], CONE), resolution=0.1, inverse_model=ODDS)
     distance, bearing = in_polar(grid)
     value = grid.probability
     inside = bearing < np.radians(20.0) - 0.08 / np.maximum(distance, 0.1)
@@ -60,7 +55,7 @@ def test_cells_of_the_cone_before_the_reading_are_passed_and_those_of_the_arc_hi
 def test_the_part_of_an_arc_that_other_cones_pass_is_no_obstacle():
     # From the side, a cone passes the upper half of the arc and sees something far behind it.
     first, second = [0.0, 0.0, 0.0], [3.0, 2.5, -np.pi / 2]
-    grid = build_map(as_log([[3.0], [2.0]], [first, second]), resolution=0.1, inverse_model=ODDS)
+    grid = build_map(as_log([[3.0], [2.0]], [first, second], CONE), resolution=0.1, inverse_model=ODDS)
     low, high = on_arc(grid, np.linspace(-18, -3, 50)), on_arc(grid, np.linspace(13, 18, 50))
     assert np.median(low) == pytest.approx(0.8)
     # One pass more than the least on the arc: a hit of weight 0.4 / 0.6, and that pass.
@@ -77,9 +72,9 @@ def test_cones_of_one_scan_do_not_clear_each_others_arcs():
 
 @pytest.mark.parametrize("z", [np.nan, -np.inf, np.inf, 6.0])
 def test_readings_without_an_end_mark_nothing_unless_asked(z):
-    assert np.isnan(build_map(as_log([[z]], [[0.0, 0.0, 0.0]]), resolution=0.1).probability).all()
+    assert np.isnan(build_map(as_log([[z]], [[0.0, 0.0, 0.0]], CONE), resolution=0.1).probability).all()
     clear = InverseSensorModel(hit=0.8, passed=0.4, clear_without_return=1.0)
-    grid = build_map(as_log([[z]], [[0.0, 0.0, 0.0]]), resolution=0.1, inverse_model=clear)
+    grid = build_map(as_log([[z]], [[0.0, 0.0, 0.0]], CONE), resolution=0.1, inverse_model=clear)
     if z == np.inf or z == 6.0:
         distance, bearing = in_polar(grid)
         np.testing.assert_allclose(grid.probability[(bearing < 0.25) & (distance < 0.9)], 0.4, rtol=1e-6)
@@ -90,7 +85,7 @@ def test_readings_without_an_end_mark_nothing_unless_asked(z):
 
 def test_far_readings_may_clear_without_a_hit():
     model = InverseSensorModel(hit=0.8, passed=0.4, longest_hit=1.0)
-    grid = build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]]), resolution=0.1, inverse_model=model)
+    grid = build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]], CONE), resolution=0.1, inverse_model=model)
     assert not (grid.probability > 0.5).any()
     assert in_polar(grid)[0][~np.isnan(grid.probability)].max() < 1.1
 
@@ -155,6 +150,6 @@ def test_progress_is_reported_to_the_end(room):
 
 def test_maps_that_are_too_large_and_bad_resolutions_are_errors():
     with pytest.raises(InvalidInputError, match="cells, and the limit is 1000"):
-        build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]]), resolution=0.05, max_cells=1000)
+        build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]], CONE), resolution=0.05, max_cells=1000)
     with pytest.raises(InvalidInputError, match=r"resolution: expected a positive number .*, got 0"):
-        build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]]), resolution=0.0)
+        build_map(as_log([[3.0]], [[0.0, 0.0, 0.0]], CONE), resolution=0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -279,18 +278,7 @@ def test_a_margin_that_is_no_length_is_refused():
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("name", ["tiny", "building"])
-def test_other_programs_agree(oracle, name):
-    if name == "tiny":
-        chart = json.loads((oracle / "tiny" / "inputs.json").read_text())["map"]
-        data, resolution = np.asarray(chart["data"]), chart["resolution"]
-        book = np.asarray(json.loads((oracle / "tiny" / "book.json").read_text())["edt_row_major"])
-    else:
-        inputs, book = (
-            np.load(oracle / "building" / "inputs.npz"),
-            np.load(oracle / "building" / "book.npz")["edt_row_major"],
-        )
-        data, resolution = inputs["map.data"], float(inputs["map.resolution"])
-    longest = float(book.max())
-    distance = distance_to_obstacles(OccupancyGrid.from_ros(data, resolution), max_distance=longest)
+def test_other_programs_agree(oracle_case):
+    book = oracle_case.answers("book")["edt_row_major"]
+    distance = distance_to_obstacles(oracle_case.grid, max_distance=float(book.max()))
     np.testing.assert_allclose(distance.ravel(), book, rtol=1e-6, atol=0)

@@ -39,48 +39,22 @@ def test_the_map_keeps_its_own_copy():
         landmarks.positions[0, 0] = 1.0
 
 
-def test_nan_positions_are_refused():
-    with pytest.raises(InvalidInputError, match=r"positions: expected finite numbers, got nan at index \(1, 0\)"):
-        LandmarkMap([[0.0, 1.0], [np.nan, 3.0]])
-
-
-def test_an_empty_map_is_refused():
-    with pytest.raises(InvalidInputError, match=r"positions: expected shape \(n, 2\) with n >= 1, got \(0, 2\)"):
-        LandmarkMap(np.empty((0, 2)))
-
-
-def test_duplicate_ids_are_refused():
-    with pytest.raises(InvalidInputError, match="ids: expected each id once, got 4 2 times"):
-        LandmarkMap(TWO, ids=[4, 4])
-
-
-def test_negative_ids_are_refused():
-    with pytest.raises(InvalidInputError, match="ids: expected at least 0, got -1"):
-        LandmarkMap(TWO, ids=[4, -1])
-
-
-def test_unknown_ids_are_refused():
-    with pytest.raises(InvalidInputError, match="ids: expected ids of the map, got 3"):
-        LandmarkMap(TWO).indices_of([1, 3])
-
-
-def test_nan_signatures_are_refused():
-    with pytest.raises(InvalidInputError, match="signatures: expected finite numbers, got nan"):
-        LandmarkMap(TWO, signatures=[1.0, np.nan])
-
-
-def test_signatures_of_another_number_are_refused():
-    with pytest.raises(InvalidInputError, match=r"signatures: expected shape \(2,\) or \(2, d\), got \(3,\)"):
-        LandmarkMap(TWO, signatures=[1.0, 2.0, 3.0])
-
-
-def test_types_that_are_no_whole_numbers_are_refused():
-    with pytest.raises(InvalidInputError, match=r"signatures: expected types 0, 1, 2, \.\.\., got 0\.5"):
-        LandmarkMap(TWO, signatures=[0.0, 0.5], kind="type")
-
-
-def test_a_kind_that_does_not_fit_the_signatures_is_refused():
-    with pytest.raises(InvalidInputError, match=r"kind: expected one of .* got 'vector'"):
-        LandmarkMap(TWO, signatures=[0.0, 0.5], kind="vector")
-    with pytest.raises(InvalidInputError, match="kind: expected 'none' without signatures, got 'type'"):
-        LandmarkMap(TWO, kind="type")
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: LandmarkMap([[0.0, 1.0], [np.nan, 3.0]]), r"positions: .* finite numbers, got nan at index \(1, 0\)"),
+        (lambda: LandmarkMap([[np.inf, 1.0]]), r"positions: expected finite numbers, got inf at index \(0, 0\)"),
+        (lambda: LandmarkMap(np.empty((0, 2))), r"positions: expected shape \(n, 2\) with n >= 1, got \(0, 2\)"),
+        (lambda: LandmarkMap(TWO, ids=[4, 4]), "ids: expected each id once, got 4 2 times"),
+        (lambda: LandmarkMap(TWO, ids=[4, -1]), "ids: expected at least 0, got -1"),
+        (lambda: LandmarkMap(TWO).indices_of([1, 3]), "ids: expected ids of the map, got 3"),
+        (lambda: LandmarkMap(TWO, signatures=[1.0, np.nan]), "signatures: expected finite numbers, got nan"),
+        (lambda: LandmarkMap(TWO, signatures=[1.0] * 3), r"signatures: expected shape \(2,\) or \(2, d\), got \(3,\)"),
+        (lambda: LandmarkMap(TWO, None, [0.0, 0.5], "type"), r"signatures: expected types 0, 1, 2, \.\.\., got 0\.5"),
+        (lambda: LandmarkMap(TWO, None, [0.0, 0.5], "vector"), r"kind: expected one of .* got 'vector'"),
+        (lambda: LandmarkMap(TWO, kind="type"), "kind: expected 'none' without signatures, got 'type'"),
+    ],
+)
+def test_what_is_no_map_is_refused(make, message):
+    with pytest.raises(InvalidInputError, match=message):
+        make()

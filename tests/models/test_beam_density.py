@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -34,21 +32,10 @@ def test_product_over_a_scan_is_table_6_1(rng):
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("name", ["tiny", "building"])
-def test_given_the_oracles_ranges_densities_agree(oracle, name):
-    if name == "tiny":
-        inputs = json.loads((oracle / "tiny" / "inputs.json").read_text())
-        book = json.loads((oracle / "tiny" / "book.json").read_text())
-        parameters = inputs["params"]
-    else:
-        inputs = dict(np.load(oracle / "building" / "inputs.npz"))
-        book = dict(np.load(oracle / "building" / "book.npz"))
-        parameters = {key.removeprefix("params."): float(value) for key, value in inputs.items() if "params." in key}
-    max_range = parameters.pop("max_range")
-    parameters.pop("max_occ_dist")
-    ranges = np.asarray(inputs["ranges"])
+def test_given_the_oracles_ranges_densities_agree(oracle_case):
+    ranges, book = oracle_case.ranges, oracle_case.answers("book")
     expected = np.reshape(book["ranges_PxK"], (-1, len(ranges)))
-    log_beam = beam_log_density(ranges, expected, max_range, BeamParameters(**parameters))
+    log_beam = beam_log_density(ranges, expected, oracle_case.max_range, oracle_case.beam_parameters)
     np.testing.assert_allclose(log_beam.ravel(), np.ravel(book["log_beam_PxK"]), atol=1e-9, rtol=0)
     np.testing.assert_allclose(log_beam.sum(axis=-1), book["log_beam"], atol=1e-9, rtol=0)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import pickle
 import tracemalloc
@@ -71,31 +70,14 @@ def test_agrees_with_table_6_1_written_out(rng):
     assert float(value) == pytest.approx(math.log(q), abs=3e-3)
 
 
-def oracle_case(oracle, name):
-    """Return (grid, sensor, poses, ranges, parameters, book) of one folder of other programs' results."""
-    if name == "tiny":
-        inputs = json.loads((oracle / "tiny" / "inputs.json").read_text())
-        book = json.loads((oracle / "tiny" / "book.json").read_text())
-        chart, parameters = inputs["map"], dict(inputs["params"])
-    else:
-        inputs = dict(np.load(oracle / "building" / "inputs.npz"))
-        book = dict(np.load(oracle / "building" / "book.npz"))
-        chart, parameters = (
-            {key.removeprefix(prefix): value for key, value in inputs.items() if key.startswith(prefix)}
-            for prefix in ("map.", "params.")
-        )
-    del parameters["max_occ_dist"]
-    sensor = RangeFinder.from_bearings(inputs["bearings"], float(parameters.pop("max_range")))
-    grid = OccupancyGrid.from_ros(np.asarray(chart["data"]), float(chart["resolution"]), (*chart["origin"], 0.0))
-    return grid, sensor, np.asarray(inputs["poses"]), np.asarray(inputs["ranges"]), BeamParameters(**parameters), book
-
-
 @pytest.mark.oracle
-@pytest.mark.parametrize("name", ["tiny", "building"])
-def test_end_to_end_other_programs_agree(oracle, name):
+def test_end_to_end_other_programs_agree(oracle_case):
     """The caster promises ranges to 1e-9 cells; a range's error times the slope of the log density bounds a beam's."""
-    grid, sensor, poses, ranges, parameters, book = oracle_case(oracle, name)
-    model = BeamModel(grid, parameters, unknown="occupied")
+    sensor, poses, ranges = oracle_case.finder, oracle_case.poses, oracle_case.ranges
+    book, model = (
+        oracle_case.answers("book"),
+        BeamModel(oracle_case.grid, oracle_case.beam_parameters, unknown="occupied"),
+    )
     expected = model.expected(poses, sensor)
     np.testing.assert_allclose(expected.ravel(), book["ranges_PxK"], atol=1e-8, rtol=0)
     per_beam = model.beam_log_likelihood(Scan(ranges, sensor), poses)
@@ -253,20 +235,17 @@ def test_a_pickle_holds_the_map_but_not_the_tables():
     assert len(pickle.dumps(BeamModel(large, PARAMETERS))) < 500 * 500 * 4 + 5000
 
 
-@pytest.mark.parametrize("exponent", [0.0, -1.0, np.inf, np.nan])
-def test_rejects_an_exponent_that_is_none(grid, exponent):
-    with pytest.raises(InvalidInputError, match="exponent: expected a positive, finite number"):
-        BeamModel(grid, PARAMETERS, exponent=exponent)
-
-
-def test_rejects_less_than_one_beam(grid):
-    with pytest.raises(InvalidInputError, match="n_beams: expected at least 1 or None, got 0"):
-        BeamModel(grid, PARAMETERS, n_beams=0)
-
-
-def test_rejects_another_rule_for_unknown_cells(grid):
-    with pytest.raises(InvalidInputError, match="unknown: expected 'free' or 'occupied', got 'maybe'"):
-        BeamModel(grid, PARAMETERS, unknown="maybe")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(({"exponent": x}, "exponent: expected a positive, finite number") for x in (0.0, -1.0, np.inf, np.nan)),
+        ({"n_beams": 0}, "n_beams: expected at least 1 or None, got 0"),
+        ({"unknown": "maybe"}, "unknown: expected 'free' or 'occupied', got 'maybe'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(grid, options, message):
+    with pytest.raises(InvalidInputError, match=message):
+        BeamModel(grid, PARAMETERS, **options)
 
 
 def test_expected_ranges_come_from_the_caster_that_is_given(rng):

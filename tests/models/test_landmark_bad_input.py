@@ -1,6 +1,6 @@
 """What users feed to the landmark model by mistake is refused by name and value, or handled as documented.
 
-One test for each kind of bad input. Logs hold negative ranges and bearings beyond pi.
+Logs hold negative ranges and bearings beyond pi.
 """
 
 from __future__ import annotations
@@ -8,9 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beamfield.detections import Detections
-from beamfield.errors import FormatError, InvalidInputError
-from beamfield.io.landmarks.landmark_files import read_landmarks
+from beamfield.detections import SPURIOUS, UNKNOWN, Detections
+from beamfield.errors import InvalidInputError
 from beamfield.maps.landmarks import LandmarkMap
 from beamfield.models.landmark import LandmarkModel
 from beamfield.models.landmark_parameters import LandmarkParameters
@@ -60,15 +59,6 @@ def test_an_unknown_id_is_refused_with_the_ids_there_are():
         sample_poses(model(), Detections([1.0], [0.0], ids=[5]), 3, np.random.default_rng(0))
 
 
-def test_a_duplicate_id_in_a_map_is_refused(tmp_path):
-    with pytest.raises(InvalidInputError, match=r"ids: .*\b7\b"):
-        LandmarkMap(np.zeros((3, 2)), ids=[7, 8, 7])
-    path = tmp_path / "map.csv"
-    path.write_text("id,x,y\n7,0,0\n8,1,1\n7,2,2\n")
-    with pytest.raises(FormatError, match=r"map\.csv:4: expected each id once, got 7 again after line 2"):
-        read_landmarks(path)
-
-
 def test_a_duplicate_id_in_an_observation_is_two_features_of_one_landmark():
     """Detectors see a tag in two images; each feature counts."""
     one = model().log_likelihood(Detections([1.0], [0.1], ids=[4]), POSE)
@@ -76,16 +66,63 @@ def test_a_duplicate_id_in_an_observation_is_two_features_of_one_landmark():
     assert float(two) == pytest.approx(2.0 * float(one), rel=1e-9)
 
 
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_a_position_that_is_no_number_is_refused(wrong, tmp_path):
-    with pytest.raises(InvalidInputError, match=rf"positions: expected finite numbers, got {wrong} at index \(1, 0\)"):
-        LandmarkMap([[0.0, 1.0], [wrong, 2.0]])
-    with pytest.raises(InvalidInputError, match=f"poses: expected finite numbers, got {wrong}"):
-        model().log_likelihood(Detections([1.0], [0.0], ids=[4]), [wrong, 0.0, 0.0])
-    path = tmp_path / "map.csv"
-    path.write_text(f"id,x,y\n7,{wrong},0\n")
-    with pytest.raises(FormatError, match=f"map.csv:2: .*{wrong}"):
-        read_landmarks(path)
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (([np.inf], [0.0]), "ranges: expected finite numbers or NaN, got inf"),
+        (([1.0], [-np.inf]), "bearings: expected finite numbers or NaN, got -inf"),
+        (([1.0, 2.0], [0.0]), r"bearings: expected shape \(2,\), got \(1,\)"),
+        (([1.0], [0.0], [[1.0, np.nan]]), r"all numbers or all NaN, got \[1.0, nan\] at index 0"),
+        (([1.0], [0.0], None, [-3]), "ids: expected at least -2, got -3"),
+        (([1.0], [0.0], None, [1.5]), "ids: expected whole numbers, got float64"),
+    ],
+)
+def test_columns_that_are_no_detections_are_refused(columns, message):
+    with pytest.raises(InvalidInputError, match=message):
+        Detections(*columns)
+
+
+COLOURED = LandmarkMap(LANDMARKS.positions, signatures=[1.0, 2.0])
+TYPED = LandmarkMap(LANDMARKS.positions, signatures=[0, 1], kind="type")
+
+
+@pytest.mark.parametrize(
+    ("landmarks", "noise", "columns", "message"),
+    [
+        (LANDMARKS, {}, ([1.0, 2.0], [0.0, 0.0], None, [4, UNKNOWN]), "'known' .* id of every .* none for feature 1"),
+        (LANDMARKS, {}, ([1.0], [0.0], [3.0], [4]), "signatures: the map's landmarks have none"),
+        (LANDMARKS, {}, ([1.0], [0.0], None, [SPURIOUS]), "max_range: a spurious feature needs max_range"),
+        (COLOURED, {"sigma_signature": 0.5}, ([1.0], [0.0], [[3.0, 1.0]], [1]), r"expected shape \(1,\), got \(1, 2\)"),
+        (TYPED, {"confusion": np.eye(2)}, ([1.0], [0.0], [2], [1]), r"signatures: expected types 0 to 1, got 2\.0"),
+    ],
+    ids=["no id", "no signatures", "spurious", "shape", "type"],
+)
+def test_detections_that_the_model_cannot_weigh_are_refused(landmarks, noise, columns, message):
+    known = LandmarkModel(landmarks, LandmarkParameters(0.3, 0.2, **noise), correspondence="known")
+    with pytest.raises(InvalidInputError, match=message):
+        known.log_likelihood(Detections(*columns), POSE)
+
+
+def test_the_correspondence_must_be_chosen():
+    with pytest.raises(TypeError, match="correspondence"):
+        LandmarkModel(LANDMARKS, NOISE)
+    with pytest.raises(InvalidInputError, match=r"correspondence: expected 'known', .* got 'best'"):
+        model("best")
+
+
+@pytest.mark.parametrize(
+    ("signatures", "kind", "noise", "message"),
+    [
+        ([1.0, 2.0, 4.0], None, {}, "sigma_signature: expected a value, as .* 'number', got None"),
+        (np.eye(3), None, {"signature_covariance": np.eye(2)}, r"signature_covariance: .* \(3, 3\), got \(2, 2\)"),
+        ([0, 1, 2], "type", {"confusion": np.eye(2)}, "confusion: expected a row for type 2, got 2 rows"),
+    ],
+    ids=["number", "vector", "type"],
+)
+def test_noise_that_does_not_fit_the_map_is_refused(signatures, kind, noise, message):
+    landmarks = LandmarkMap(np.zeros((3, 2)), None, signatures, kind)
+    with pytest.raises(InvalidInputError, match=message):
+        LandmarkModel(landmarks, LandmarkParameters(0.3, 0.2, **noise), correspondence="known")
 
 
 @pytest.mark.parametrize("wrong", [0.0, -0.1, np.nan, np.inf])
@@ -95,40 +132,29 @@ def test_a_deviation_that_is_not_positive_is_refused(name, wrong):
         LandmarkParameters(**{"sigma_range": 0.1, "sigma_bearing": 0.1, name: wrong})
 
 
-@pytest.mark.parametrize("variances", [(0.1, 0.0), (-0.1, 0.2)], ids=["zero", "negative"])
-def test_a_covariance_without_positive_variances_is_refused(variances):
-    with pytest.raises(
-        InvalidInputError, match=f"signature_covariance: expected positive variances, got .*{variances[0]}"
-    ):
-        LandmarkParameters(0.1, 0.1, signature_covariance=np.diag(variances))
-
-
 @pytest.mark.parametrize(
-    ("rows", "message"),
+    ("name", "value", "message"),
     [
-        ([[0.9, 0.1], [0.3, 0.6]], "confusion: expected rows that sum to 1, got 0.9 in row 1"),
-        ([[1.1, -0.1], [0.5, 0.5]], r"confusion: expected probabilities in \[0, 1\], got 1.1"),
-        ([[np.nan, 1.0], [0.5, 0.5]], "confusion: expected finite numbers, got nan"),
-        ([[0.5, 0.5]], r"confusion: expected a square matrix, got shape \(1, 2\)"),
+        ("max_range", np.inf, "max_range: .* got inf"),
+        ("range_scale", 0.0, r"range_scale: expected a positive number .*, got 0.0"),
+        ("range_bias", np.nan, r"range_bias: expected at most 1e\+09, got nan"),
+        ("spurious_rate", 1.0, r"spurious_rate: expected a probability in \[0, 1\), got 1.0"),
+        ("spurious_rate", 0.1, "max_range: expected a limit where spurious_rate > 0, got None"),
+        ("signature_covariance", [1.0], "signature_covariance: expected a square matrix"),
+        ("signature_covariance", np.diag([0.1, 0.0]), "signature_covariance: expected positive variances, got .*0.1"),
+        ("signature_covariance", np.diag([-0.1, 0.2]), "signature_covariance: expected positive variances, got .*-0.1"),
+        ("signature_covariance", [[1.0] * 2] * 2, "expected a positive definite matrix, got .*1.0, 1.0.*eigenvalue"),
+        # Singular in other units.
+        ("signature_covariance", [[1e-6, 1e-3], [1e-3, 1.0]], "expected a positive definite matrix"),
+        ("signature_covariance", [[1.0, 2.0], [2.0, 1.0]], "a positive definite matrix, got .*eigenvalue -1"),
+        ("signature_covariance", [[1.0, 0.5], [0.2, 1.0]], "signature_covariance: expected a symmetric matrix, .*0.5"),
+        ("signature_covariance", [[1.0, np.inf], [np.inf, 1.0]], "signature_covariance: .* finite numbers, got inf"),
+        ("confusion", [[0.9, 0.1], [0.3, 0.6]], "confusion: expected rows that sum to 1, got 0.9 in row 1"),
+        ("confusion", [[1.1, -0.1], [0.5, 0.5]], r"confusion: expected probabilities in \[0, 1\], got 1.1"),
+        ("confusion", [[np.nan, 1.0], [0.5, 0.5]], "confusion: expected finite numbers, got nan"),
+        ("confusion", [[0.5, 0.5]], r"confusion: expected a square matrix, got shape \(1, 2\)"),
     ],
-    ids=["sum", "range", "nan", "shape"],
 )
-def test_a_confusion_matrix_that_is_none_is_refused(rows, message):
+def test_parameters_that_are_no_noise_are_refused(name, value, message):
     with pytest.raises(InvalidInputError, match=message):
-        LandmarkParameters(0.1, 0.1, confusion=rows)
-
-
-@pytest.mark.parametrize(
-    ("covariance", "message"),
-    [
-        ([[1.0, 1.0], [1.0, 1.0]], "expected a positive definite matrix, got .*1.0, 1.0.*eigenvalue"),
-        ([[1e-6, 1e-3], [1e-3, 1.0]], "expected a positive definite matrix"),
-        ([[1.0, 2.0], [2.0, 1.0]], "expected a positive definite matrix, got .*eigenvalue -1"),
-        ([[1.0, 0.5], [0.2, 1.0]], "expected a symmetric matrix, got .*0.5"),
-        ([[1.0, np.inf], [np.inf, 1.0]], "expected finite numbers, got inf"),
-    ],
-    ids=["singular", "singular in other units", "indefinite", "asymmetric", "infinite"],
-)
-def test_a_singular_covariance_is_refused(covariance, message):
-    with pytest.raises(InvalidInputError, match=f"signature_covariance: {message}"):
-        LandmarkParameters(0.1, 0.1, signature_covariance=covariance)
+        LandmarkParameters(**{"sigma_range": 0.3, "sigma_bearing": 0.2, name: value})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -411,21 +410,12 @@ def test_options_that_make_no_sense_are_refused(options, message):
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("unknown", ["free", "uniform"])
-@pytest.mark.parametrize("name", ["tiny", "building"])
-def test_other_programs_agree(oracle, name, unknown):
-    if name == "tiny":
-        inputs = json.loads((oracle / "tiny" / "inputs.json").read_text())
-        book = json.loads((oracle / "tiny" / "book.json").read_text())
-        chart, theta = inputs["map"], inputs["params"]
-    else:
-        inputs, book = np.load(oracle / "building" / "inputs.npz"), np.load(oracle / "building" / "book.npz")
-        chart = {key: inputs[f"map.{key}"] for key in ("data", "resolution", "origin")}
-        theta = {
-            key: float(inputs[f"params.{key}"]) for key in ("z_hit", "z_rand", "sigma_hit", "max_range", "max_occ_dist")
-        }
-    grid = OccupancyGrid.from_ros(np.asarray(chart["data"]), float(chart["resolution"]), (*chart["origin"], 0.0))
+def test_other_programs_agree(oracle_case, unknown):
+    theta = oracle_case.values
     parameters = LikelihoodFieldParameters(theta["z_hit"], theta["z_rand"], theta["sigma_hit"])
-    model = model_of(grid, parameters, max_distance=theta["max_occ_dist"], off_map="far", unknown=unknown)
-    scan = Scan(inputs["ranges"], RangeFinder.from_bearings(inputs["bearings"], theta["max_range"]))
-    key = "log_likelihood_field" + ("_unknown_1_over_zmax" if unknown == "uniform" else "")
-    np.testing.assert_allclose(model.log_likelihood(scan, inputs["poses"]), book[key], atol=1e-6, rtol=0)
+    model = model_of(oracle_case.grid, parameters, max_distance=theta["max_occ_dist"], off_map="far", unknown=unknown)
+    scan = Scan(oracle_case.ranges, oracle_case.finder)
+    book = oracle_case.answers("book")[
+        "log_likelihood_field" + ("_unknown_1_over_zmax" if unknown == "uniform" else "")
+    ]
+    np.testing.assert_allclose(model.log_likelihood(scan, oracle_case.poses), book, atol=1e-6, rtol=0)

@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
 
-from beamfield.maps.occupancy import OccupancyGrid
 from beamfield.sensors import RangeFinder, Scan
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.nav2.parameters import Nav2Parameters
+from tests.oracle_case import OracleCase
 
 # Where the oracle's "offset sensor" sits; not part of its inputs, but its answers agree with no other place.
 OFFSET_MOUNT = (0.1, -0.05, 0.3)
 
 
-@dataclass(frozen=True)
-class OracleCase:
-    grid: OccupancyGrid
-    poses: np.ndarray
-    bearings: np.ndarray
-    ranges: np.ndarray
-    ranges_special: np.ndarray
-    values: dict
-    nav2: dict
-    beluga: dict
-    mrpt: dict
-    rangelibc: dict
+class StackCase(OracleCase):
+    """What the stacks' programs returned, and their parameters."""
+
+    @cached_property
+    def nav2(self) -> dict:
+        return self.answers("nav2")
+
+    @cached_property
+    def beluga(self) -> dict:
+        return self.answers("beluga")
+
+    @cached_property
+    def mrpt(self) -> dict:
+        return self.answers("mrpt")
+
+    @cached_property
+    def rangelibc(self) -> dict:
+        return self.answers("rangelibc")
 
     @property
     def nav2_parameters(self) -> Nav2Parameters:
@@ -64,30 +69,6 @@ def past_the_message(monkeypatch):
         monkeypatch.setattr(f"beamfield.stacks.{module}.message_resolution", float)
 
 
-@pytest.fixture(scope="session", params=["tiny", "building"])
-def case(request, oracle) -> OracleCase:
-    read = _read_json if request.param == "tiny" else _read_arrays
-    inputs, *answers = (
-        read(oracle / request.param, name) for name in ("inputs", "nav2", "beluga", "mrpt", "rangelibc")
-    )
-    cells = np.reshape(inputs["map.data"], (int(inputs["map.height"]), int(inputs["map.width"])))
-    origin = [*inputs["map.origin"], 0.0]
-    return OracleCase(
-        OccupancyGrid.from_ros(cells, float(inputs["map.resolution"]), origin),
-        *(np.array(inputs[name], dtype=np.float64) for name in ("poses", "bearings", "ranges", "ranges_special")),
-        {name.removeprefix("params."): float(v) for name, v in inputs.items() if name.startswith("params.")},
-        *answers,
-    )
-
-
-def _read_json(folder, name):
-    flat = {}
-    for key, value in json.loads((folder / f"{name}.json").read_text()).items():
-        parts = {f"{key}.{k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}
-        flat |= {k: v if isinstance(v, str) else np.array(v, dtype=np.float64) for k, v in parts.items()}
-    return flat
-
-
-def _read_arrays(folder, name):
-    with np.load(folder / f"{name}.npz") as file:
-        return dict(file)
+@pytest.fixture(scope="session")
+def case(oracle_case) -> StackCase:
+    return StackCase(**vars(oracle_case))

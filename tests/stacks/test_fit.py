@@ -13,10 +13,7 @@ from beamfield.calibration.context.posterior_judge import PosteriorScores, judge
 from beamfield.calibration.pose_windows import HELD_OUT, WindowOptions, cut_windows, draw_rivals
 from beamfield.errors import InvalidInputError, TooLittleDataError
 from beamfield.geometry import as_poses, between, compose
-from beamfield.models.beam_parameters import BeamParameters
-from beamfield.sensors import RangeFinder, SensorLog
-from beamfield.simulation.floor_plan import draw_floor_plan
-from beamfield.simulation.log import simulate_log
+from beamfield.sensors import RangeFinder
 from beamfield.stacks.beluga.parameters import BelugaParameters
 from beamfield.stacks.coordinates import FitInputs
 from beamfield.stacks.emulation.emulator import Evidence, StackModel
@@ -27,21 +24,10 @@ from beamfield.stacks.fit.posterior_score import score_windows
 from beamfield.stacks.fit.window_evidence import gather_evidence
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import STACKS, build_model, model_named, parameter_class
+from tests.conftest import TRUTH
 
 # The simulated reference is exact.
 EXACT = WindowOptions(windows=45, near=150, far=40, reference_error=0.01, reference_turn_error=0.003)
-TRUTH = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
-
-
-@pytest.fixture(scope="module")
-def office():
-    return draw_floor_plan(seed=3)
-
-
-@pytest.fixture(scope="module")
-def drive(office) -> SensorLog:
-    finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 61), 10.0, name="laser")
-    return simulate_log(office, finder, TRUTH, duration=120.0, scan_rate=4.0, seed=5).only_sensor()
 
 
 @dataclass(frozen=True, eq=False)

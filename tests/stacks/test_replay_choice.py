@@ -17,12 +17,10 @@ from beamfield.errors import TooLittleDataError
 from beamfield.localization.replay import MEASURES, ReplayErrors
 from beamfield.localization.replay_comparison import ReplayTrials
 from beamfield.localization.replay_trials import run_trials
-from beamfield.models.beam_parameters import BeamParameters
 from beamfield.models.differential_motion import DifferentialMotion
 from beamfield.report.replay_choice import replay_as_dict, replay_markup, replay_tables, replay_verdict
 from beamfield.report.stack_findings import small_z_hit
 from beamfield.sensors import RangeFinder, SensorLog
-from beamfield.simulation.floor_plan import draw_floor_plan
 from beamfield.simulation.log import simulate_log
 from beamfield.stacks.beluga.motion import BelugaMotion
 from beamfield.stacks.f1tenth.filter import F1tenthFilterParameters
@@ -49,6 +47,7 @@ from beamfield.stacks.nav2.motion import Nav2Motion
 from beamfield.stacks.nav2.parameters import Nav2Parameters
 from beamfield.stacks.registry import STACKS
 from beamfield.stacks.ros1.motion import Ros1Motion
+from tests.conftest import TRUTH
 
 FEW = ReplayOptions(runs=10, most_stretches=2, longest=12)
 GOOD = {f"alpha{i}": 0.02 for i in range(1, 5)}
@@ -61,15 +60,9 @@ RUN = ReplayErrors(mean=0.1, median=0.1, p95=0.2, end=0.1, lost=False, yaw_mean_
 
 
 @pytest.fixture(scope="module")
-def office():
-    return draw_floor_plan(seed=3)
-
-
-@pytest.fixture(scope="module")
 def drive(office) -> SensorLog:
     finder = RangeFinder.from_bearings(np.linspace(-np.pi / 2, np.pi / 2, 31), 10.0, name="laser")
-    truth = BeamParameters(0.80, 0.10, 0.03, 0.07, 0.05, 0.6)
-    return simulate_log(office, finder, truth, duration=60.0, scan_rate=3.0, seed=5).only_sensor()
+    return simulate_log(office, finder, TRUTH, duration=60.0, scan_rate=3.0, seed=5).only_sensor()
 
 
 def nav2_filter(**motion: float) -> FilterSettings:

@@ -181,7 +181,7 @@ class BeamCaster:
 
     def __init__(self, grid: OccupancyGrid, finder: RangeFinder, unknown: UnknownRule = "skip") -> None:
         if not grid.occupied.any():
-            raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
+            raise InvalidInputError("the map has no occupied cell: no ray has an expected range")
         self.caster = make_caster(grid, finder, unknown="occupied" if unknown == "occupied" else "free")
         self._stopping = RayCaster(grid, unknown="occupied") if unknown == "skip" and grid.unknown.any() else None
 

@@ -212,7 +212,7 @@ def calibrate(
     is_drawn = isinstance(grid, CrossFitMaps)
     whole = grid.whole if isinstance(grid, CrossFitMaps) else grid
     if not whole.occupied.any():
-        raise InvalidInputError("the map has no occupied cell: no expected range can be computed")
+        raise InvalidInputError("the map has no occupied cell: no ray has an expected range")
 
     # 1. Scans that moved, lie on the map and have a plausible reference pose.
     selection = select_scans(log, whole, options.selection)

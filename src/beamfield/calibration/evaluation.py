@@ -169,11 +169,6 @@ def randomized_pit(table: BeamTable, parameters: BeamParameters, rng: np.random.
 def pit_deviation(pit: FloatArray) -> float:
     """Return the largest distance between the PIT's distribution and the uniform one (Kolmogorov's statistic).
 
-    Parameters
-    ----------
-    pit
-        (n,) numbers in [0, 1].
-
     Returns
     -------
     In [0, 1]; NaN without numbers.
@@ -193,13 +188,6 @@ def pit_deviation(pit: FloatArray) -> float:
 
 def likely_causes(table: BeamTable, parameters: BeamParameters) -> NDArray[np.int8]:
     """Return the most likely cause of each beam, as its position in `beamfield.models.beam_density.CAUSES`.
-
-    Parameters
-    ----------
-    table
-        Beams.
-    parameters
-        The model.
 
     Returns
     -------

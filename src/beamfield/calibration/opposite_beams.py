@@ -99,13 +99,6 @@ def opposite_beams(log: SensorLog, table: BeamTable, blocks: NDArray[np.int64]) 
 def opposite_pairs(log: SensorLog, table: BeamTable) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the rows of the table that are opposite beams of one scan and both see a mapped wall.
 
-    Parameters
-    ----------
-    log
-        The log that the table was built from.
-    table
-        Beams.
-
     Returns
     -------
     (p,) rows of the first and (p,) rows of the second beam of each pair.
@@ -163,10 +156,6 @@ def map_findings(pairs: OppositeBeams | None, resolution: float, *, drawn: bool 
         Side of a cell, metres.
     drawn
         Whether the map was drawn from the log itself: its cells are then as large as they are said to be.
-
-    Returns
-    -------
-    One warning or none.
     """
     if pairs is None:
         return

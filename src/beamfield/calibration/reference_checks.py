@@ -37,10 +37,6 @@ def pose_findings(log: SensorLog, grid: OccupancyGrid, *, drawn: bool = False) -
         The map.
     drawn
         Whether the map was drawn from the log itself: its scans then agree with any poses that drew it.
-
-    Returns
-    -------
-    Findings; none if the path is plausible.
     """
     yield from (*map_findings(log, grid), *_inside_walls(log, grid), *jump_findings(log))
     yield from _against_odometry(log, None if drawn else grid)

@@ -62,11 +62,6 @@ def time_blocks(stamps: ArrayLike, block_s: float | None = None) -> NDArray[np.i
 def block_length(stamps: ArrayLike, block_s: float | None) -> float:
     """Return how long the blocks of `time_blocks` are.
 
-    Parameters
-    ----------
-    stamps, block_s
-        As `time_blocks`.
-
     Returns
     -------
     Seconds; 0 if no time passes and no length is given.

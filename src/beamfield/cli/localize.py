@@ -31,7 +31,6 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, index, positive
 from beamfield.cli.provenance import provenance
 from beamfield.cli.recordings import add_recordings, check_recordings, write_recordings
-from beamfield.cli.wording import pose_text
 from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError, about_file
 
 if TYPE_CHECKING:
@@ -96,6 +95,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Read, filter, judge, write."""
     # What imports numerical libraries is imported where it is used, so that --help answers at once.
     from beamfield.cli.film import Film
+    from beamfield.cli.localize_summary import ended_at, run_facts, run_summary, sure_from
     from beamfield.finding import worst_first
     from beamfield.io.files.atomic import check_folder_writable, check_writable
     from beamfield.localization.lost_robot import find_lost_robot, lost_not_judged
@@ -120,22 +120,22 @@ def run(arguments: argparse.Namespace) -> Outcome:
             raise FormatError(arguments.log, str(error)) from error
         # Before a robot is found, poses are a guess; if it never is, they are judged all the same.
         is_found = not any(finding.name == "not-found" for finding in found.findings)
-        since = (_sure_from(found) or 0) if start is None and is_found else 0
+        since = (sure_from(found) or 0) if start is None and is_found else 0
         lost = find_lost_robot(log[since:], grid, found.poses[since:])
         is_sonar = log.finder.opening_angle > 0.0
         more = [lost] if lost is not None else [lost_not_judged()] if is_sonar else []
         found = replace(found, findings=worst_first((*found.findings, *time_gaps(log.stamps), *more)))
         errors = _judged(found, log, since if lost is None else 0)
         progress("drawing", 0, 1)
-        document = {"provenance": provenance(arguments), "filter": which, **_document(found, errors, log, start)}
+        document = {"provenance": provenance(arguments), "filter": which, **run_facts(found, errors, log, start)}
         names, recorded = _write(found, log, grid, film, document, arguments)
     notes = (*notes, *(finding.full_text for finding in found.findings))
     seen_names = {finding.name for finding in found.findings}
     problem = next((text for name, text in PROBLEMS.items() if name in seen_names), "")
     line = ", ".join([f"wrote {', '.join(names)} into {arguments.out}", *map(str, recorded)])
     return Outcome(
-        line, _summary(document, errors, arguments, is_sonar=is_sonar), document, notes, [arguments.out, *recorded],
-        code=3 if problem else 0, problem=problem, brief=_ended(document),
+        line, run_summary(document, errors, arguments, is_sonar=is_sonar), document, notes, [arguments.out, *recorded],
+        code=3 if problem else 0, problem=problem, brief=ended_at(document),
     )  # fmt: skip
 
 
@@ -270,58 +270,6 @@ def _judged(found: Localization, log: SensorLog, since: int) -> ReplayErrors | N
         return None
 
 
-def _document(
-    found: Localization, errors: ReplayErrors | None, log: SensorLog, start: PoseBelief | None
-) -> dict[str, Any]:
-    import numpy as np
-
-    spread = np.sqrt(np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2))
-    is_lost = any(finding.name == "robot-lost" for finding in found.findings)
-    sure_from = None if is_lost else _sure_from(found)
-    # Not the mean: the first update makes the model's tables, and may compile.
-    seconds = float(np.median(found.seconds))
-    return {
-        "start": None if start is None else [float(value) for value in start.mean],
-        "n_scans": len(log),
-        "n_updates": len(found.updates),
-        "mean_particles": float(found.particles.mean()),
-        "updates_per_second": 1.0 / seconds if seconds > 0.0 else None,
-        "last_pose": [float(value) for value in found.poses[np.isfinite(found.poses).all(axis=1)][-1]],
-        "last_spread_m": float(spread[-1]),
-        "sure_after_s": None if sure_from is None else float(log.stamps[sure_from] - log.stamps[0]),
-        "errors": None if errors is None else asdict(errors),
-        "found_after_s": None if errors is None else _found_after(found, log),
-        "findings": [asdict(finding) for finding in found.findings],
-    }
-
-
-def _sure_from(found: Localization) -> int | None:
-    """Return the first scan, since the robot was searched for last, at which the cloud is narrow."""
-    import numpy as np
-
-    from beamfield.localization.particle_filter import FOUND_SPREAD, FOUND_TURN
-
-    variances = np.trace(found.covariances[:, :2, :2], axis1=1, axis2=2)
-    sure = found.updates[(variances <= FOUND_SPREAD**2) & (found.covariances[:, 2, 2] <= FOUND_TURN**2)]
-    sure = sure[sure >= found.searched_from]
-    return int(sure[0]) if len(sure) else None
-
-
-# Metres from the reference within which a robot counts as found.
-FOUND_WITHIN = 0.5
-
-
-def _found_after(found: Localization, log: SensorLog) -> float | None:
-    """Return the seconds after which the published pose stays near the reference; None if it never does."""
-    import numpy as np
-
-    known = np.isfinite(log.poses).all(axis=1) & np.isfinite(found.poses).all(axis=1)
-    far = np.hypot(*(found.poses - log.poses)[known, :2].T) > FOUND_WITHIN
-    stamps = log.stamps[known]
-    last = int(np.flatnonzero(far)[-1]) if far.any() else -1
-    return None if last + 1 == len(stamps) else float(stamps[last + 1] - log.stamps[0])
-
-
 def _write(
     found: Localization,
     log: SensorLog,
@@ -371,36 +319,3 @@ def _recording(found: Localization, log: SensorLog, grid: OccupancyGrid, film: F
         numbers["position error [m]"] = np.hypot(off[:, 0], off[:, 1])
         numbers["heading error [deg]"] = np.degrees(np.abs(wrap_angle(off[:, 2])))
     return Recording(grid, log, paths, covariances, film.particles, numbers)
-
-
-def _summary(
-    document: Mapping[str, Any], errors: ReplayErrors | None, arguments: argparse.Namespace, *, is_sonar: bool
-) -> str:
-    rate = document["updates_per_second"]
-    speed = "" if rate is None else f", {rate:.0f} updates/s"
-    if document["start"] is None:
-        where = "anywhere on the map" + ("" if arguments.anywhere else ": no --start, and no reference pose in the log")
-    else:
-        where = pose_text(document["start"]) + ("" if arguments.start else ", the first reference pose")
-    lines = [
-        f"filter: {document['filter']}",
-        f"started from: {where}",
-        f"used {document['n_updates']} of {document['n_scans']} scans{speed}",
-        _ended(document),
-    ]
-    if document["start"] is None and document["sure_after_s"] is not None:
-        guess = "a best guess" if errors is None else "a best guess, and their errors do not count"
-        lines.append(f"sure of the place from {document['sure_after_s']:.1f} s on; before that, poses are {guess}")
-    if errors is None:
-        fitted = "" if is_sonar else ": beamfield trajectory fits some, which --poses takes"
-        lines.append(f"no reference poses to judge by{fitted}")
-        return "\n".join(lines)
-    found = document["found_after_s"]
-    within = f"{FOUND_WITHIN:g} m of the reference"
-    lines.append(f"within {within} from {found:.1f} s on" if found is not None else f"not within {within} at the end")
-    return "\n".join([*lines, errors.summary()])
-
-
-def _ended(document: Mapping[str, Any]) -> str:
-    spread = document["last_spread_m"]
-    return f"ended at: {pose_text(document['last_pose'])}, within {spread:.2f} m (standard deviation)"

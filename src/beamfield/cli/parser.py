@@ -105,13 +105,7 @@ def add_command(
 def add_group(
     commands: argparse._SubParsersAction[Parser], name: str, text: str | None
 ) -> argparse._SubParsersAction[Parser]:
-    """Return where to add the commands of a group, which are typed after its name.
-
-    Parameters
-    ----------
-    commands, name, text
-        As for `add_command`.
-    """
+    """Return where to add the commands of a group, which are typed after its name."""
     parser = _add_parser(commands, name, text)
     return parser.add_subparsers(title="commands", required=True, metavar="COMMAND", parser_class=Parser)
 

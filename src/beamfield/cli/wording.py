@@ -36,11 +36,6 @@ _GIVEN = re.compile(r"(?<=give )(?P<name>max_range|min_range|mount|section)\b|(?
 def in_options(text: str) -> str:
     """Return a text of the library with its parameters as the options that are typed instead.
 
-    Parameters
-    ----------
-    text
-        A note, a warning or an error.
-
     Examples
     --------
     >>> in_options("read it with lone_poses='odometry', and give max_range")

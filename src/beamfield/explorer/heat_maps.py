@@ -52,15 +52,6 @@ def fewer_beams(one: ParameterSet, model: Any, scan: Scan, most: int) -> Beams:
     """Return a scan with at most so many of the beams that a model uses.
 
     Only rays are costly: models other than the beam model keep all.
-
-    Parameters
-    ----------
-    one, model
-        The set, and its model.
-    scan
-        The scan.
-    most
-        How many beams.
     """
     if one.kind != "beam":
         return Beams(scan, 1, 1)
@@ -134,15 +125,6 @@ def heat_over(
     one: ParameterSet, values: Mapping[str, float], model: Any, scan: Scan, grid: OccupancyGrid
 ) -> dict[str, Any]:
     """Return how likely a scan is at all free places of a map.
-
-    Parameters
-    ----------
-    one, values
-        The set and its values.
-    model
-        What they make.
-    scan, grid
-        The scan and the map.
 
     Notes
     -----

@@ -55,13 +55,6 @@ class ShownRun:
 def read_shown_run(path: Path, log: SensorLog, grid: OccupancyGrid) -> ShownRun:
     """Read a run, and compare it with the scans of the log that it was run on.
 
-    Parameters
-    ----------
-    path
-        As for `read_run`.
-    log, grid
-        The scans, with or without reference poses, and the map.
-
     Raises
     ------
     FormatError
@@ -81,15 +74,6 @@ def read_shown_run(path: Path, log: SensorLog, grid: OccupancyGrid) -> ShownRun:
 
 def run_from(log: SensorLog, grid: OccupancyGrid, model: Any, i: int, pose: tuple[float, float, float]) -> ShownRun:
     """Run a particle filter from a scan and a pose on.
-
-    Parameters
-    ----------
-    log, grid
-        The scans, with odometry, and the map.
-    model
-        Weighs scans.
-    i, pose
-        The first scan, and about where the robot is then.
 
     Raises
     ------

@@ -40,21 +40,7 @@ CELLS_ACROSS = 400
 def likelihood_figure(
     scan: Scan, grid: OccupancyGrid, result: LikelihoodMap, reference: FloatArray | None = None, *, model_name: str = ""
 ) -> Figure:
-    """Draw (a) a scan at its reference pose in the map and (b) its likelihood over the map.
-
-    Parameters
-    ----------
-    scan
-        The scan.
-    grid
-        The map.
-    result
-        From `likelihood_map`.
-    reference
-        (3,) the scan's reference pose; None draws only (b).
-    model_name
-        For the title.
-    """
+    """Draw (a) a scan at its reference pose in the map, if there is one, and (b) its likelihood over the map."""
     limits = known_limits(grid)
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     title = "p(z | x, m), the best heading at each place" + (f": {model_name}" if model_name else "")
@@ -74,19 +60,7 @@ def likelihood_figure(
 
 
 def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes, *, title: str) -> None:
-    """Draw a scan in the part of the map that it sees.
-
-    Parameters
-    ----------
-    scan, grid
-        The scan and the map.
-    pose
-        (3,) where it was taken.
-    ax
-        Where to draw.
-    title
-        Of the axes.
-    """
+    """Draw a scan in the part of the map that it sees."""
     framed_map(grid, ax)
     draw_scan(scan, pose, ax, label="end points", color=BEST_COLOUR, size=9.0, rays=True)
     low, high = scan_limits(scan, pose, MARGIN)
@@ -97,13 +71,7 @@ def draw_scan_in_map(scan: Scan, grid: OccupancyGrid, pose: FloatArray, ax: Axes
 
 
 def plot_likelihood_map(result: LikelihoodMap, grid: OccupancyGrid) -> Figure:
-    """Draw the likelihood over the map in a figure of its own.
-
-    Parameters
-    ----------
-    result, grid
-        As for `draw_likelihood_map`.
-    """
+    """Draw the likelihood over the map in a figure of its own."""
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     draw_likelihood_map(result, grid, figure.subplots())
     return figure

@@ -29,17 +29,7 @@ FRAMES_PER_SECOND, ANIMATED_BEAMS, COLOURS = 10, 180, 64
 
 
 def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> Figure:
-    """Draw where the filter was in the map, and over time how far off and how sure.
-
-    Parameters
-    ----------
-    found
-        What the filter said.
-    log
-        The same scans, with reference poses if there are any.
-    grid
-        The map.
-    """
+    """Draw where the filter was in the map, and over time how far off and how sure."""
     figure = new_figure(12.0, 6.0)
     axes = figure.subplot_mosaic([["path", "position"], ["path", "heading"]], width_ratios=(1.15, 1.0))
     _draw_path(found, log, grid, axes["path"])
@@ -48,15 +38,7 @@ def localization_figure(found: Replay, log: SensorLog, grid: OccupancyGrid) -> F
 
 
 def animation(frames: Sequence[tuple[int, FloatArray]], found: Replay, log: SensorLog, grid: OccupancyGrid) -> bytes:
-    """Return the particles over time as a GIF.
-
-    Parameters
-    ----------
-    frames
-        For each picture the index of a scan and particles (n, 3); at least one.
-    found, log, grid
-        As for `localization_figure`.
-    """
+    """Return the particles over time as a GIF; frames, at least one, are the index of a scan and particles (n, 3)."""
     figure = new_figure(6.4, 6.0)
     canvas = FigureCanvasAgg(figure)
     ax = figure.add_subplot()

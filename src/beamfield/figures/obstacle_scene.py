@@ -57,17 +57,7 @@ def three_obstacles() -> ObstacleScene:
 
 
 def scene_of_scan(grid: OccupancyGrid, scan: Scan, pose: FloatArray) -> ObstacleScene:
-    """Return the part of a map around a scan, and the beam with the longest measured range.
-
-    Parameters
-    ----------
-    grid
-        The map.
-    scan
-        A scan with a measured range.
-    pose
-        (3,) where it was taken.
-    """
+    """Return the part of a map around a scan, and the beam with the longest measured range."""
     z = usable_ranges(scan.ranges, scan.finder)
     measured = np.where(z < scan.finder.max_range, z, -1.0)
     beam = int(np.argmax(measured))

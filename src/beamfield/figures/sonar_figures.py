@@ -94,19 +94,7 @@ def telling_readings(world: FigureWorld, ring: RangeFinder) -> SonarReadings:
 
 
 def draw_cones(readings: SonarReadings, ring: RangeFinder, pose: FloatArray, ax: Axes) -> None:
-    """Draw each cone up to what it measured, coloured by what that is.
-
-    Parameters
-    ----------
-    readings
-        Of one scan.
-    ring
-        The sensors.
-    pose
-        (3,) the robot's.
-    ax
-        Where to draw.
-    """
+    """Draw each cone up to what it measured, coloured by what that is."""
     sensors = compose(pose, ring.mounts)
     half = np.degrees(0.5 * ring.opening_angle)
     z, kinds = readings.ranges, kinds_of(readings, ring)

@@ -178,11 +178,6 @@ def _folder(address: str | os.PathLike[str], options: Mapping[str, Any] | None) 
 def read_records(folder: Folder) -> list[RunRecord]:
     """Return all records of a catalogue.
 
-    Parameters
-    ----------
-    folder
-        The catalogue's.
-
     Raises
     ------
     FormatError

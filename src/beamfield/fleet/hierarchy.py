@@ -140,10 +140,6 @@ def partial_pooling(values: FloatArray, variances: FloatArray, sites: Sequence[s
     sites
         Each robot's.
 
-    Returns
-    -------
-    The posterior.
-
     Notes
     -----
     Estimates are normal about a robot's value, robots about their site's with the variance r^2, and sites about the

@@ -60,13 +60,7 @@ class RunCounts(NamedTuple):
 
 
 def count_places(job: CountJob) -> RunCounts:
-    """Return what the beams of a run say about each square of the map.
-
-    Parameters
-    ----------
-    job
-        The run.
-    """
+    """Return what the beams of a run say about each square of the map."""
     grid = _grid(job.catalogue, job.map_hash, job.record)
     lattice, finder = Lattice.over(grid, SIDE), job.record.finder
     columns = job.shard.read(COLUMNS, thin=1 + job.shard.rows // MOST_BEAMS)

@@ -46,10 +46,6 @@ def judge_places(visits: Visits, robot: NDArray[np.int64], day: NDArray[np.int64
     n_places
         How many places there are.
 
-    Returns
-    -------
-    For every place.
-
     Notes
     -----
     If k of the v runs from a day on differ, the chance is at most P(K >= k) with K binomial (v, 0.2), as people

@@ -50,15 +50,7 @@ MOST_ROBOTS = 40
 
 
 def drift_figure(series: Sequence[DailySeries], drifts: Sequence[Drift]) -> ReportFigure:
-    """Draw what each alarm is about over the days, among the same numbers of the other robots.
-
-    Parameters
-    ----------
-    series
-        Daily numbers of all robots.
-    drifts
-        Those to draw, the most urgent first.
-    """
+    """Draw what each alarm is about over the days, among the same numbers of the other robots."""
     panels = []
     for number, drift in enumerate(drifts[:MOST_CURVES]):
         mine = _series_of(drift, series)
@@ -129,17 +121,7 @@ def _date_axis(axes: Axes, days: Sequence[datetime.date]) -> None:
 
 
 def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], states: Sequence[RobotState]) -> ReportFigure:
-    """Draw each robot's own estimate and the pooled one, parameter by parameter.
-
-    Parameters
-    ----------
-    fit
-        By robots.
-    hierarchies
-        What pooling made of it.
-    states
-        The robots, the most urgent first.
-    """
+    """Draw each robot's own estimate and the pooled one, parameter by parameter."""
     panels = []
     own = {(one.robot, one.site, one.limits): one.parameters for one in fit.fits}
     order = [(state.robot, state.site) for state in states]
@@ -179,13 +161,7 @@ def _dots(axes: Axes, name: str, robots: Sequence[Pooled], own: Sequence[BeamPar
 
 
 def stale_figure(stale: StaleMap) -> ReportFigure:
-    """Draw where readings disagree with a site's map, and list the places to map again.
-
-    Parameters
-    ----------
-    stale
-        Result of `find_stale_places`.
-    """
+    """Draw where readings disagree with a site's map, and list the places to map again."""
     squares, listed = stale.squares, stale.lasting[:MOST_PLACES]
     name = f"map-{quote(stale.site, safe='')}-{stale.map_hash[:8]}"
     title = f"{stale.site}: where the map is out of date"

@@ -81,13 +81,7 @@ def _schema(pa: Any, table: str) -> Any:
 
 
 def report_as_dict(report: FleetReport) -> dict[str, Any]:
-    """Return what a report says as values that strict JSON can hold; numbers per day and square are in Parquet.
-
-    Parameters
-    ----------
-    report
-        Result of `judge_fleet`.
-    """
+    """Return what a report says as values that strict JSON can hold; numbers per day and square are in Parquet."""
     return {
         "schema": SCHEMA,
         "program": f"beamfield {__version__}",
@@ -113,13 +107,7 @@ def report_as_dict(report: FleetReport) -> dict[str, Any]:
 
 
 def report_tables(report: FleetReport) -> dict[str, list[dict[str, Any]]]:
-    """Return the tables by name, row by row, with the columns of `TABLES`.
-
-    Parameters
-    ----------
-    report
-        Result of `judge_fleet`.
-    """
+    """Return the tables by name, row by row, with the columns of `TABLES`."""
     groups = [
         (asdict(hierarchy.limits), group)
         for hierarchy in report.hierarchies
@@ -173,11 +161,6 @@ def _sector(bearings: tuple[float, float] | None) -> dict[str, float | None]:
 def disagreement_map(stale: StaleMap) -> OccupancyGrid:
     """Return the share of beams that disagree as a map in the place of the site's: unknown where no beam came.
 
-    Parameters
-    ----------
-    stale
-        Result of `find_stale_places`.
-
     Returns
     -------
     Whole percents, on the cells of the site's map, with its origin.
@@ -195,13 +178,7 @@ def disagreement_map(stale: StaleMap) -> OccupancyGrid:
 
 
 def places_as_geojson(stale: StaleMap) -> dict[str, Any]:
-    """Return the places to map again as a GeoJSON FeatureCollection; coordinates are metres in the map frame.
-
-    Parameters
-    ----------
-    stale
-        Result of `find_stale_places`.
-    """
+    """Return the places to map again as a GeoJSON FeatureCollection; coordinates are metres in the map frame."""
     square = stale.side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
     features = [
         {

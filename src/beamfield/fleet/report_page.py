@@ -31,13 +31,7 @@ OWN = (
 
 
 def render_fleet_page(report: FleetReport) -> str:
-    """Return the report as one HTML document that needs nothing else.
-
-    Parameters
-    ----------
-    report
-        Result of `judge_fleet`.
-    """
+    """Return the report as one HTML document that needs nothing else."""
     drift = drift_figure(report.series, report.alarms)
     parameters = parameter_figure(report.fit, report.hierarchies, report.states)
     maps = [stale_figure(stale) for stale in report.stale_maps]

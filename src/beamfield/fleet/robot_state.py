@@ -77,15 +77,7 @@ class RobotState:
 
 
 def robot_states(records: Sequence[RunRecord], drifts: Sequence[Drift]) -> tuple[RobotState, ...]:
-    """Return the state of every robot, the most urgent first.
-
-    Parameters
-    ----------
-    records
-        All runs of the fleet.
-    drifts
-        What robots show; see `find_drift`.
-    """
+    """Return the state of every robot, the most urgent first."""
     states = []
     for robot, site in sorted({(record.robot, record.site) for record in records}):
         mine = [record for record in records if (record.robot, record.site) == (robot, site)]
@@ -155,13 +147,7 @@ def _untested() -> Finding:
 
 
 def site_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
-    """Yield what to know of sites many of whose runs cannot be used, whatever the robot.
-
-    Parameters
-    ----------
-    records
-        All runs of the fleet.
-    """
+    """Yield what to know of sites many of whose runs cannot be used, whatever the robot."""
     for site in sorted({record.site for record in records}):
         mine = [record for record in records if record.site == site]
         if _share_left_out(mine) >= MANY_AT_A_SITE and len({one.robot for one in mine if not one.is_used}) > 1:

@@ -32,13 +32,7 @@ def run_findings(records: Sequence[RunRecord]) -> Iterator[Finding]:
 
 
 def leftover_finding(files: Sequence[str]) -> Iterator[Finding]:
-    """Yield what to know of files of beams that belong to no run.
-
-    Parameters
-    ----------
-    files
-        Of `Catalogue.files_of_no_run`.
-    """
+    """Yield what to know of files of beams that belong to no run; see `Catalogue.files_of_no_run`."""
     if files:
         yield Finding(
             "files-of-no-run",

@@ -36,13 +36,6 @@ def store_map(folder: Folder, grid: OccupancyGrid, info: MapInfo) -> None:
 def load_map(folder: Folder, info: MapInfo) -> OccupancyGrid:
     """Return a map.
 
-    Parameters
-    ----------
-    folder
-        The catalogue's.
-    info
-        Of the record.
-
     Raises
     ------
     FormatError

@@ -47,15 +47,6 @@ class FilterRun:
 def read_run(path: str | Path) -> FilterRun:
     """Read the folder that ``beamfield localize`` wrote, or a trajectory alone, of any program.
 
-    Parameters
-    ----------
-    path
-        The folder, or a file that `read_trajectory` reads.
-
-    Returns
-    -------
-    The run; without particles if the folder has none.
-
     Raises
     ------
     FormatError

@@ -87,11 +87,6 @@ def read_trajectory(path: str | Path) -> Track:
 def is_pose_table(path: str | Path) -> bool:
     """Return whether a file is a table of poses by its first row, TUM or CSV, and no log.
 
-    Parameters
-    ----------
-    path
-        A text file, plain or gzip.
-
     Raises
     ------
     FormatError
@@ -112,14 +107,7 @@ def _table_of(first: Line) -> str:
 
 
 def write_tum(path: str | Path, track: Track) -> None:
-    """Write a trajectory as TUM lines ``t x y z qx qy qz qw``, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file to write.
-    track
-        Finite poses; stamps are written with nine decimals, positions with nine.
+    """Write a trajectory as TUM lines ``t x y z qx qy qz qw`` with nine decimals, whole or not at all.
 
     Raises
     ------

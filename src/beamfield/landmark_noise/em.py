@@ -162,15 +162,7 @@ class NoiseLikelihood:
 
 
 def fit_noise(likelihood: NoiseLikelihood, *, max_iterations: int = 1000) -> NoiseClimb:
-    """Climb from every start and return the highest end.
-
-    Parameters
-    ----------
-    likelihood
-        What is climbed.
-    max_iterations
-        Of each climb, at most.
-    """
+    """Climb from every start and return the highest end."""
     climbs = [climb_noise(likelihood, start, max_iterations=max_iterations) for start in noise_starts(likelihood)]
     return max(climbs, key=lambda climb: climb.trace[-1])
 
@@ -197,10 +189,6 @@ def climb_noise(
         Nats per sighting that all further iterations together may promise, judged from how fast gains shrink.
     max_iterations
         Most iterations.
-
-    Returns
-    -------
-    The end of the climb, converged or not.
     """
     counts = np.ones(len(likelihood)) if weights is None else weights
     theta = best = start
@@ -224,11 +212,6 @@ def climb_noise(
 
 def noise_starts(likelihood: NoiseLikelihood) -> list[NoiseTheta]:
     """Return where to begin: one start trusts the middle half of the residuals, one all of them.
-
-    Parameters
-    ----------
-    likelihood
-        The sightings.
 
     Returns
     -------

@@ -55,10 +55,6 @@ def noise_findings(
         Of range and bearing, bias and scale taken out; each (n,).
     of_landmark
         (n,) how probably each sighting is of its landmark.
-
-    Returns
-    -------
-    Findings; none if there is nothing to say.
     """
     theta = climb.theta
     yield from (

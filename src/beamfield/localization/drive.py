@@ -70,10 +70,6 @@ def prepare(log: SensorLog, odometry: FloatArray) -> Drive:
         At least one scan.
     odometry
         (t, 3) finite somewhere.
-
-    Returns
-    -------
-    What the smoother takes.
     """
     known = np.isfinite(odometry).all(axis=1)
     when = np.arange(len(log), dtype=np.float64)

@@ -25,15 +25,6 @@ CUT_SHARE = 1.0 / 3.0
 def time_to_find(replay: Replay, log: SensorLog, first: int = 0) -> float | None:
     """Return how long a filter took to find the robot.
 
-    Parameters
-    ----------
-    replay
-        What the filter said.
-    log
-        The log that it ran on, with reference poses.
-    first
-        The scan from which on time counts.
-
     Returns
     -------
     Seconds from the scan `first` until the first one from which on 95% of the scans are within 0.5 m of the

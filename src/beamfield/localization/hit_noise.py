@@ -42,11 +42,6 @@ def stand_on_faces(signed: FloatArray, walls: Walls) -> bool:
 
     A plan, or a simulator's map, has its walls' faces where the outermost cells end. In a map drawn from scans the wall
     stands somewhere in its painted cells, which are as wide as the poses were uncertain.
-
-    Parameters
-    ----------
-    signed, walls
-        As for `fit_hits`.
     """
     near, reach = _near(signed, walls)
     face = 0.5 * walls.resolution

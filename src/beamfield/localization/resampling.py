@@ -155,11 +155,6 @@ def draw_enough(
 def bin_numbers(poses: FloatArray) -> tuple[IndexArray, int, IndexArray, NDArray[np.int32]]:
     """Number the bins of poses.
 
-    Parameters
-    ----------
-    poses
-        (n, 3) finite.
-
     Returns
     -------
     (n,) bin of each pose, how many there are, their keys, and the table in which keys are looked up.

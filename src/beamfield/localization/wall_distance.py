@@ -19,10 +19,6 @@ def walls_of(grid: OccupancyGrid) -> Walls:
     ----------
     grid
         The map; it has occupied cells and others.
-
-    Returns
-    -------
-    The table for the kernels.
     """
     distance = distance_to_obstacles(grid, only_boundaries=True)
     signed = np.where(grid.occupied, -distance, distance)

@@ -72,10 +72,6 @@ def followed_beams(
     model
         What a reading says about cells.
 
-    Returns
-    -------
-    The beams, in cells.
-
     Raises
     ------
     InvalidInputError

@@ -60,12 +60,7 @@ class HitCounts:
     __repr__ = short_repr
 
     def to_grid(self) -> OccupancyGrid:
-        """Return the occupancy map by log-odds of the counts.
-
-        Returns
-        -------
-        As `grid_of_counts`.
-        """
+        """Return the occupancy map by log-odds of the counts."""
         return grid_of_counts(self.hits, self.passes, self.first, self.resolution)
 
     @property
@@ -137,11 +132,6 @@ def grid_of_counts(
     hits: NDArray[np.float32], passes: NDArray[np.float32], first: NDArray[np.int64], resolution: float
 ) -> OccupancyGrid:
     """Return the occupancy map by log-odds of counts.
-
-    Parameters
-    ----------
-    hits, passes, first, resolution
-        As for `HitCounts`.
 
     Returns
     -------

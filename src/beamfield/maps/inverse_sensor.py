@@ -81,11 +81,6 @@ CONFIDENT = InverseSensorModel(hit=0.97, passed=0.03)
 def log_odds_steps(model: InverseSensorModel) -> NDArray[np.float32]:
     """Return what a hit and a pass add to the log-odds, and their bounds.
 
-    Parameters
-    ----------
-    model
-        Probabilities.
-
     Returns
     -------
     (4,) steps of a hit and of a pass, lowest and highest log-odds.

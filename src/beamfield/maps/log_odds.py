@@ -49,15 +49,6 @@ def lengths_and_kinds(
 def check_size(size: FloatArray, resolution: float, max_cells: int) -> None:
     """Refuse a map of too many cells, before it is allocated.
 
-    Parameters
-    ----------
-    size
-        Columns and rows.
-    resolution
-        Side of a cell, metres.
-    max_cells
-        The limit.
-
     Raises
     ------
     InvalidInputError

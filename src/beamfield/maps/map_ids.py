@@ -49,17 +49,6 @@ class MapWithIds:
 def as_map_ids(ids: ArrayLike | None, n: int) -> NDArray[np.int64]:
     """Return the ids of a map's n features as read-only integers; None numbers them from 1.
 
-    Parameters
-    ----------
-    ids
-        (n,) whole numbers, or None.
-    n
-        How many things the map has.
-
-    Returns
-    -------
-    (n,) a copy, in the order given.
-
     Raises
     ------
     InvalidInputError

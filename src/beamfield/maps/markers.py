@@ -91,15 +91,6 @@ class MarkerMap:
 def as_ids(ids: Iterable[MarkerId]) -> tuple[MarkerId, ...]:
     """Return ids as plain Python numbers and strings.
 
-    Parameters
-    ----------
-    ids
-        Integers, NumPy's too, and strings.
-
-    Returns
-    -------
-    As many ids.
-
     Raises
     ------
     InvalidInputError

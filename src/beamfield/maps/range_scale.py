@@ -20,11 +20,6 @@ def longest_in(grid: OccupancyGrid) -> float:
 def require_metres(log: SensorLog, grid: OccupancyGrid) -> None:
     """Refuse scans most of whose readings are longer than the map, or shorter than a cell: another unit or place.
 
-    Parameters
-    ----------
-    log, grid
-        The scans and the map.
-
     Raises
     ------
     InvalidInputError

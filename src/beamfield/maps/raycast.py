@@ -313,7 +313,6 @@ def frame_of(grid: OccupancyGrid) -> tuple[float, float, float]:
     return x, y, yaw
 
 
-# A finder never changes and is itself alone, so it may be the key. What stays in memory are a few fans.
 def _rectangles_of(grid: OccupancyGrid, unknown: str) -> NDArray[np.uint16]:
     """Return a map's tables, those made before if they are small."""
     through = unknown == "free" or not grid.unknown.any()
@@ -331,6 +330,7 @@ def _rectangles_of(grid: OccupancyGrid, unknown: str) -> NDArray[np.uint16]:
     return rectangles
 
 
+# A finder never changes and is itself alone, so it may be the key. What stays in memory are a few fans.
 @lru_cache(maxsize=16)
 def _fan(finder: RangeFinder, resolution: float) -> tuple[FloatArray, bool]:
     """Return the beams as the kernel wants them, x, y in cells, cos, sin, and whether all start at one point."""

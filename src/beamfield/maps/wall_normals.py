@@ -22,11 +22,6 @@ def wall_normals(grid: OccupancyGrid) -> NDArray[np.float32]:
     Cells stop rays at their own sides, which all lie along the grid: the wall's direction is that of a line through the
     surface cells around, which are those with a neighbour that is not occupied.
 
-    Parameters
-    ----------
-    grid
-        The map.
-
     Returns
     -------
     (rows, cols) radians in the map's frame, up to half a turn; NaN where no cell is on a surface, and where it has no

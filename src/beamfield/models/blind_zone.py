@@ -19,11 +19,6 @@ from beamfield.sensors import SHORTEST_SPAN
 def check_limits(max_range: float, min_range: float) -> None:
     """Raise if a sensor's limits are not valid: 0 <= min_range < max_range <= 1e9, metres.
 
-    Parameters
-    ----------
-    max_range, min_range
-        Metres.
-
     Raises
     ------
     InvalidInputError
@@ -42,13 +37,6 @@ def check_limits(max_range: float, min_range: float) -> None:
 def counted_from(min_range: float, ranges: FloatArray, max_range: float) -> FloatArray:
     """Return measured ranges counted from min_range; the array itself, if there is no blind zone.
 
-    Parameters
-    ----------
-    min_range, max_range
-        Metres.
-    ranges
-        Metres, of any shape.
-
     Returns
     -------
     Metres, of that shape; below max_range - min_range exactly where the range is below max_range, negative where
@@ -64,13 +52,6 @@ def counted_from(min_range: float, ranges: FloatArray, max_range: float) -> Floa
 
 def expected_from(min_range: float, expected_ranges: FloatArray) -> FloatArray:
     """Return expected ranges z* counted from min_range; the array itself, if there is no blind zone.
-
-    Parameters
-    ----------
-    min_range
-        Metres.
-    expected_ranges
-        Metres, of any shape.
 
     Returns
     -------

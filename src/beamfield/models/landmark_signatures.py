@@ -16,13 +16,6 @@ NEEDED = {"number": "sigma_signature", "vector": "signature_covariance", "type":
 def check_signature_noise(landmarks: LandmarkMap, parameters: LandmarkParameters) -> None:
     """Refuse parameters that do not fit the map's signatures.
 
-    Parameters
-    ----------
-    landmarks
-        The map, with signatures or without.
-    parameters
-        The sensor's noise.
-
     Raises
     ------
     InvalidInputError
@@ -106,14 +99,7 @@ def _signature_noise(parameters: LandmarkParameters, landmarks: LandmarkMap) -> 
 def sample_signatures(
     which: FloatArray, landmarks: LandmarkMap, parameters: LandmarkParameters, rng: np.random.Generator
 ) -> FloatArray | None:
-    """Draw what landmarks of the map look like; None if they have no signatures.
-
-    Parameters
-    ----------
-    which
-        (...) indices of landmarks.
-    landmarks, parameters, rng
-        The map, the noise of signatures, and what draws it.
+    """Draw what landmarks of the map, by index, look like; None if they have no signatures.
 
     Returns
     -------

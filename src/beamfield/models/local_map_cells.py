@@ -93,15 +93,6 @@ class OverlapSums(NamedTuple):
 def local_cells(z: LocalMap, resolution: float, inverse_model: InverseSensorModel) -> LocalCells:
     """Return the defined cells of a measurement; a scan is turned into a map first.
 
-    Parameters
-    ----------
-    z
-        A scan, or a local map in the robot's frame.
-    resolution
-        Metres per cell of the global map.
-    inverse_model
-        How a scan becomes a map.
-
     Returns
     -------
     L cells, perhaps none; cells without a probability (NaN) are left out.
@@ -114,11 +105,6 @@ def local_cells(z: LocalMap, resolution: float, inverse_model: InverseSensorMode
 
 def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
     """Return a map's probabilities less 0.5, in a frame of undefined cells, as kernels take them.
-
-    Parameters
-    ----------
-    grid
-        The global map.
 
     Returns
     -------
@@ -133,13 +119,6 @@ def value_table(grid: OccupancyGrid) -> NDArray[np.float32]:
 def poses_in_cells(grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
     """Return poses in the grid's frame, in cells.
 
-    Parameters
-    ----------
-    grid
-        The global map.
-    poses
-        (n, 3) robot poses, metres and radians.
-
     Returns
     -------
     (n, 4) x, y in cells, and cos and sin of the heading.
@@ -150,17 +129,6 @@ def poses_in_cells(grid: OccupancyGrid, poses: FloatArray) -> FloatArray:
 
 def overlap_sums(grid: OccupancyGrid, table: NDArray[np.float32], cells: LocalCells, poses: FloatArray) -> OverlapSums:
     """Return the sums over the cells that both maps define.
-
-    Parameters
-    ----------
-    grid
-        The global map.
-    table
-        Its `value_table`.
-    cells
-        The L cells of the local map.
-    poses
-        (n, 3) robot poses, metres and radians.
 
     Returns
     -------

@@ -172,11 +172,6 @@ class RangeMixtureModel(ABC):
     def used_beams(self, scan: Scan) -> NDArray[np.int64]:
         """Return which beams count: those with a measurement, thinned to n_beams.
 
-        Parameters
-        ----------
-        scan
-            A scan of k beams.
-
         Returns
         -------
         Indices in [0, k), rising: about equally spaced among the beams with a measurement, perhaps none.

@@ -33,13 +33,6 @@ def calibration_as_dict(calibration: Calibration, scan_fit: CalibrationFit | Non
 
     Numbers are SI and nats. What is not known (an infinite or undefined number, a missing interval) is None: JSON has
     no token for NaN. The arrays with one entry per beam are summarised.
-
-    Parameters
-    ----------
-    calibration
-        The result of `calibrate`.
-    scan_fit
-        The result of `fit_of_calibration`; None if it was not asked for.
     """
     return {
         "schema": SCHEMA,

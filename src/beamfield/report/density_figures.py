@@ -65,17 +65,7 @@ def reading_series(calibration: Calibration) -> ReportFigure:
 
 
 def draw_readings(axes: Axes, calibration: Calibration, group: RangeBin) -> None:
-    """Draw the readings of a group in the order of the log, coloured by their most likely cause: Figure 6.5.
-
-    Parameters
-    ----------
-    axes
-        Where to draw.
-    calibration
-        The result of `calibrate`.
-    group
-        Beams with nearly the same expected range.
-    """
+    """Draw the readings of a group in the order of the log, coloured by their most likely cause: Figure 6.5."""
     table = calibration.table
     rows = thinned(group.rows, MOST_IN_SERIES)
     number = np.arange(1, len(rows) + 1)
@@ -109,17 +99,7 @@ def _histogram_panel(calibration: Calibration, group: RangeBin, number: int) -> 
 
 
 def draw_histogram(figure: Figure | SubFigure, calibration: Calibration, group: RangeBin) -> None:
-    """Draw measured ranges and the fitted density: linear near z* above, logarithmic over all ranges below; Figure 6.6.
-
-    Parameters
-    ----------
-    figure
-        An empty figure.
-    calibration
-        The result of `calibrate`.
-    group
-        Beams with nearly the same expected range.
-    """
+    """Draw measured ranges and the fitted density: linear near z* above, logarithmic over all below; Figure 6.6."""
     table, parameters = calibration.table, calibration.parameters
     ranges = table.ranges[group.rows]
     expected = table.expected_ranges[thinned(group.rows, MOST_AVERAGED)]

@@ -21,13 +21,7 @@ LONGEST_LABEL = 40
 
 
 def evaluation_figure(evaluation: Evaluation) -> Figure:
-    """Return the figure: one row per log and filter; a dashed line where the share inside is right.
-
-    Parameters
-    ----------
-    evaluation
-        The runs.
-    """
+    """Return the figure: one row per log and filter; a dashed line where the share inside is right."""
     names = list(evaluation.trials)
     rows = [
         (f"{one.log}: {name}", one, CAUSE_COLOURS[names.index(name) % len(CAUSE_COLOURS)], GAP * k)

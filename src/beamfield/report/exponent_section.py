@@ -21,26 +21,14 @@ LIMITED = 1.5
 
 
 def exponent_table(learned: ExponentLearning) -> str:
-    """Return what is printed.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_exponent`.
-    """
+    """Return what is printed."""
     # Seven columns are too wide for a terminal.
     header, *lines = zip(HEADER, *_rows(learned), strict=True)
     return f"{exponent_sentence(learned)}\n\n{aligned(header, lines, right=(1, 2))}"
 
 
 def exponent_sentence(learned: ExponentLearning) -> str:
-    """Return in words how many independent beams a scan is worth.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_exponent`.
-    """
+    """Return in words how many independent beams a scan is worth."""
     said = (
         f"A scan of {learned.beams_of_scan} beams is worth about {learned.independent_beams:.2g} independent ones; in "
         f"a filter, where the errors of scan after scan go together, about {learned.independent_beams_in_drive:.2g}."
@@ -73,24 +61,12 @@ def exponent_section(learned: ExponentLearning) -> PageSection:
 
 
 def exponent_missing(reason: str) -> PageSection:
-    """Return the section of a report whose log is too short.
-
-    Parameters
-    ----------
-    reason
-        Why.
-    """
+    """Return the section of a report whose log is too short."""
     return PageSection("independent-beams", TITLE, f"<p>Not learned: {escaped(reason)}.</p>")
 
 
 def exponent_as_dict(learned: ExponentLearning) -> dict[str, Any]:
-    """Return plain values for JSON.
-
-    Parameters
-    ----------
-    learned
-        The result of `learn_exponent`.
-    """
+    """Return plain values for JSON."""
     return {
         "independent_beams": learned.independent_beams,
         "independent_beams_in_drive": learned.independent_beams_in_drive,

@@ -68,13 +68,7 @@ def field_section(learned: FieldLearning, file_text: str) -> PageSection:
 
 
 def field_missing(reason: str) -> PageSection:
-    """Return the section of a report whose log is too short to learn a field.
-
-    Parameters
-    ----------
-    reason
-        Why.
-    """
+    """Return the section of a report whose log is too short to learn a field."""
     return PageSection("field", TITLE, f"<p>Not learned: {escaped(reason)}.</p>")
 
 

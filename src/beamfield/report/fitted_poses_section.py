@@ -25,15 +25,7 @@ NUMBERS = (2, 3, 4, 5, 6)
 
 
 def fitted_poses_sentence(fitted: CrossFittedPoses, reference_error: float) -> str:
-    """Return in a sentence or two which beams made the poses, and how wrong they are taken to be.
-
-    Parameters
-    ----------
-    fitted
-        The poses.
-    reference_error
-        How wrong the poses are taken to be, metres.
-    """
+    """Return in a sentence or two which beams made the poses, and how wrong they are taken to be, metres."""
     count = f"count as {reference_error:.3g} m wrong (--reference-error)"
     if fitted.swapped is None:
         return (
@@ -82,15 +74,7 @@ def _details(fitted: CrossFittedPoses, results: Mapping[str, Calibration], *, gi
 def fitted_poses_as_dict(
     fitted: CrossFittedPoses, results: Mapping[str, Calibration], reference_error: float
 ) -> dict[str, Any]:
-    """Return plain values for JSON.
-
-    Parameters
-    ----------
-    fitted, results
-        As for `fitted_poses_section`.
-    reference_error
-        As for `fitted_poses_sentence`.
-    """
+    """Return plain values for JSON."""
     return {
         "n_scans": len(fitted.log),
         "n_trusted": fitted.n_trusted,

@@ -22,13 +22,7 @@ MEANINGS = {
 
 
 def landmark_parameter_table(result: LandmarkLearningResult) -> str:
-    """Return a table of the learned parameters, each with its interval and its unit.
-
-    Parameters
-    ----------
-    result
-        From `learn_landmark_parameters`.
-    """
+    """Return a table of the learned parameters, each with its interval and its unit."""
     rows = []
     for name, (unit, meaning) in MEANINGS.items():
         value = getattr(result.parameters, name)

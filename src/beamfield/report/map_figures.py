@@ -101,15 +101,7 @@ def fit_map(calibration: Calibration, grid: OccupancyGrid, log: SensorLog) -> Re
 
 
 def beam_ends(calibration: Calibration, log: SensorLog, rows: NDArray[np.int64]) -> FloatArray:
-    """Return (n, 2) where beams end in the map; beams without return end at their expected range.
-
-    Parameters
-    ----------
-    calibration, log
-        The result and the log it was made from.
-    rows
-        Rows of the beam table.
-    """
+    """Return (n, 2) where beams end in the map; beams without return end at their expected range."""
     table = calibration.table
     origin = compose(log.poses[table.scan[rows]], log.finder.mounts[table.beam[rows]])
     no_return = table.ranges[rows] >= table.max_range

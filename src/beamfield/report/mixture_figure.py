@@ -37,17 +37,7 @@ def mixture(calibration: Calibration) -> ReportFigure:
 def draw_components(
     figure: Figure | SubFigure, expected: float, parameters: BeamParameters, max_range: float, *, min_range: float = 0.0
 ) -> None:
-    """Draw Figure 6.3: each density alone, over the ranges where it is not 0.
-
-    Parameters
-    ----------
-    figure
-        An empty figure.
-    expected
-        Expected range z*, metres.
-    parameters, max_range, min_range
-        The model, and the sensor's limits in metres.
-    """
+    """Draw Figure 6.3 for an expected range z*: each density alone, over the ranges where it is not 0."""
     spread = 6 * float(np.hypot(parameters.sigma_hit, parameters.sigma_slope * expected))
     centre = expected + parameters.range_offset
     views = (
@@ -78,17 +68,7 @@ def draw_components(
 def draw_mixture(
     figure: Figure | SubFigure, expected: float, parameters: BeamParameters, max_range: float, *, min_range: float = 0.0
 ) -> None:
-    """Draw Figure 6.4: the densities times their weights and their sum; the point mass on an axis of its own.
-
-    Parameters
-    ----------
-    figure
-        An empty figure.
-    expected
-        Expected range z*, metres.
-    parameters, max_range, min_range
-        The model, and the sensor's limits in metres.
-    """
+    """Draw Figure 6.4: weighted densities for an expected range z*, and their sum; the point mass on its own axis."""
     left, right = figure.subplots(1, 2, width_ratios=(7, 1))
     z = _fine_ranges(expected, parameters, min_range, max_range)
     weighted = beam_components(z, expected, max_range, parameters, min_range=min_range) * np.array(parameters.weights)

@@ -62,26 +62,14 @@ def calibration_summary(result: Calibration, *, width: int | None = None, wordin
 
 
 def plot_calibration(result: Calibration) -> Figure:
-    """Draw measured ranges around one expected range and the fitted density over them: Figure 6.6.
-
-    Parameters
-    ----------
-    result
-        The result of `calibrate`.
-    """
+    """Draw measured ranges around one expected range and the fitted density over them: Figure 6.6."""
     figure = new_figure(WIDE, 5.0)
     draw_histogram(figure, result, telling_bin(typical_bins(result.table)))
     return figure
 
 
 def calibration_markup(result: Calibration) -> str:
-    """Return the table of the parameters, the warnings and the main picture as HTML for a notebook.
-
-    Parameters
-    ----------
-    result
-        The result of `calibrate`.
-    """
+    """Return the table of the parameters, the warnings and the main picture as HTML for a notebook."""
     parameters = table(HEADER, [row.cells for row in parameter_rows(result)], right=(1,))
     warnings = "".join(f"<p>{escaped(line)}</p>" for line in warning_lines(result.findings))
     picture = svg_panel(plot_calibration(result), "readings", "Measured ranges and the fitted density").markup
@@ -89,17 +77,7 @@ def calibration_markup(result: Calibration) -> str:
 
 
 def save_calibration(result: Calibration, path: str | Path, exponent: ExponentLearning | None) -> None:
-    """Write a beam_model.yaml.
-
-    Parameters
-    ----------
-    result
-        The result of `calibrate`.
-    path
-        The file; one that is there is replaced.
-    exponent
-        The result of `learn_exponent`, to be written beside the parameters.
-    """
+    """Write a beam_model.yaml, with the exponent that `learn_exponent` found if there is one."""
     write_file(path, calibration_text(result, exponent))
 
 
@@ -135,39 +113,17 @@ def exponent_intervals(learned: ExponentLearning) -> dict[str, tuple[float, floa
 
 
 def field_summary(result: FieldLearning) -> str:
-    """Return the parameters with intervals, held-out scores and warnings.
-
-    Parameters
-    ----------
-    result
-        The result of `learn_field_parameters`.
-    """
+    """Return the parameters with intervals, held-out scores and warnings."""
     return field_tables(result)
 
 
 def save_field(result: FieldLearning, path: str | Path) -> None:
-    """Write a likelihood_field.yaml.
-
-    Parameters
-    ----------
-    result
-        The result of `learn_field_parameters`.
-    path
-        The file; one that is there is replaced.
-    """
+    """Write a likelihood_field.yaml."""
     write_file(path, field_text(result))
 
 
 def field_text(result: FieldLearning, *, provenance: Mapping[str, Any] | None = None) -> str:
-    """Return the text of a likelihood_field.yaml.
-
-    Parameters
-    ----------
-    result
-        What was learned.
-    provenance
-        As for `likelihood_field_text`.
-    """
+    """Return the text of a likelihood_field.yaml."""
     return likelihood_field_text(
         result.parameters,
         result.finder,
@@ -180,47 +136,22 @@ def field_text(result: FieldLearning, *, provenance: Mapping[str, Any] | None = 
 
 
 def landmark_summary(result: LandmarkLearningResult) -> str:
-    """Return the parameters with intervals, and warnings.
-
-    Parameters
-    ----------
-    result
-        The result of `learn_landmark_parameters`.
-    """
+    """Return the parameters with intervals, and warnings."""
     return "\n\n".join([landmark_parameter_table(result), *warning_lines(result.findings)])
 
 
 def save_landmarks(result: LandmarkLearningResult, path: str | Path) -> None:
-    """Write a landmark_model.yaml.
-
-    Parameters
-    ----------
-    result
-        The result of `learn_landmark_parameters`.
-    path
-        The file; one that is there is replaced.
-    """
+    """Write a landmark_model.yaml."""
     write_file(path, landmark_model_text(result.parameters, intervals=result.intervals))
 
 
 def fits_summary(fits: ScanFits) -> str:
-    """Return how many scans fit, whether the robot was lost, and the five worst scans.
-
-    Parameters
-    ----------
-    fits
-        The result of `judge_log`.
-    """
+    """Return how many scans fit, whether the robot was lost, and the five worst scans."""
     return fit_table(fits, fits.worst())
 
 
 def plot_fits(fits: ScanFits) -> Figure:
     """Draw p-value and lost probability over time.
-
-    Parameters
-    ----------
-    fits
-        The result of `judge_log`.
 
     Raises
     ------
@@ -235,13 +166,5 @@ def plot_fits(fits: ScanFits) -> Figure:
 
 
 def save_fits(fits: ScanFits, path: str | Path) -> None:
-    """Write one line per scan as CSV.
-
-    Parameters
-    ----------
-    fits
-        The result of `judge_log`.
-    path
-        The file; one that is there is replaced.
-    """
+    """Write one line per scan as CSV."""
     write_file(path, fit_csv(fits))

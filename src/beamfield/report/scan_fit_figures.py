@@ -72,17 +72,7 @@ def fit_over_time(fits: ScanFits, reference: ScanFitReference, *, own: bool) -> 
 
 
 def draw_fit(figure: Figure | SubFigure, fits: ScanFits, smallest: float) -> None:
-    """Draw p-value and lost probability over time, of a log of which at least one scan could be judged.
-
-    Parameters
-    ----------
-    figure
-        An empty figure.
-    fits
-        Result of `judge_log`.
-    smallest
-        The smallest p-value that there can be.
-    """
+    """Draw p-value and lost probability over time, of a log of which at least one scan could be judged."""
     seconds = fits.stamps - fits.stamps[0]
     judged = ~np.isnan(fits.p_value)
     above, below = figure.subplots(2, 1, sharex=True)
@@ -108,15 +98,7 @@ def draw_fit(figure: Figure | SubFigure, fits: ScanFits, smallest: float) -> Non
 
 
 def fit_of_own_log(fit: CalibrationFit, *, map_from_log: bool) -> ReportFigure:
-    """Draw p-value and lost probability over the log of a calibration; a caption without picture says why it cannot.
-
-    Parameters
-    ----------
-    fit
-        The result of `fit_of_calibration`.
-    map_from_log
-        Whether the map is the log's own.
-    """
+    """Draw p-value and lost probability over the log of a calibration; a caption without picture says why it cannot."""
     drawn = None if fit.fits is None or fit.reference is None else fit_over_time(fit.fits, fit.reference, own=True)
     if drawn is None:
         return ReportFigure(FIT_NAME, FIT_TITLE, (), f"Not drawn: {fit.missing}.", FIT_SOURCE)
@@ -132,17 +114,7 @@ def fit_of_own_log(fit: CalibrationFit, *, map_from_log: bool) -> ReportFigure:
 def worst_scans(
     fits: ScanFits, model: RangeMixtureModel, log: SensorLog, grid: OccupancyGrid, scans: NDArray[np.int64]
 ) -> ReportFigure | None:
-    """Draw scans on the map, each beam coloured by how it disagrees; None if there are none.
-
-    Parameters
-    ----------
-    fits, model, log
-        What was judged.
-    grid
-        The map.
-    scans
-        Indices of the scans to draw.
-    """
+    """Draw scans on the map, each beam coloured by how it disagrees; None if there are none."""
     panels = [_scan_panel(fits, model, log, grid, int(i)) for i in scans]
     if not panels:
         return None

@@ -26,15 +26,7 @@ COLUMNS = ("stamp", "statistic", "p_value", "lost_probability", "surprise", "thr
 
 
 def fit_table(fits: ScanFits, worst: NDArray[np.int64]) -> str:
-    """Return the short table that the command prints.
-
-    Parameters
-    ----------
-    fits
-        Result of `judge_log`.
-    worst
-        Indices of the scans to list.
-    """
+    """Return the short table that the command prints."""
     judged = int((~np.isnan(fits.p_value)).sum())
     share = fits.share_that_fits(LEVEL)
     fit_line = f"{share:.1%} of {judged} scans fit at {LEVEL:.0%}" if judged else "no scan could be judged"

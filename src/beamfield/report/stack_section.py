@@ -52,7 +52,7 @@ def stack_tables(result: StackResult, *, width: int | None = None) -> str:
     else:
         parts += [replay_tables(result.replay, width=width), stack_verdict(result)]
     parts += [
-        f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.text} {item.why} {item.do}"
+        f"{'warning' if item.severity == 'warning' else 'note'} ({item.name}): {item.full_text}"
         for item in stack_findings(result)
     ]
     return "\n\n".join(parts)

@@ -23,15 +23,7 @@ MARGIN = 1.5
 
 
 def draw_fit(fit: TrajectoryFit, log: SensorLog, grid: OccupancyGrid, title: str) -> Figure:
-    """Draw the map, the scans' end points, the path, and what it is worth.
-
-    Parameters
-    ----------
-    fit, log, grid
-        The trajectory, and what it was fitted to.
-    title
-        What to write above.
-    """
+    """Draw the map, the scans' end points, the path, and what it is worth."""
     points = _points(fit, log)
     seen = np.concatenate([points, fit.poses[:, :2]])
     low, high = np.quantile(seen, 0.002, axis=0) - MARGIN, np.quantile(seen, 0.998, axis=0) + MARGIN

@@ -130,10 +130,6 @@ def judge_table(
         (n,) block of time of each.
     grid, parameters, reference_error, longest_error
         As for `judge_beams`.
-
-    Returns
-    -------
-    One row per beam.
     """
     parameters = replace(parameters, sigma_slope=min(parameters.sigma_slope, MOST_SLOPE))
     reach = np.sqrt(max(longest_error**2 / reference_error**2 - 1.0, 0.0)) * REFERENCE_LEVER

@@ -209,11 +209,6 @@ def _field_surprise(model: LikelihoodFieldModel, z: FloatArray, poses: FloatArra
 def stopping_rays(model: RangeMixtureModel) -> RayCaster | None:
     """Return a caster whose rays stop at unknown cells; None where that says nothing new.
 
-    Parameters
-    ----------
-    model
-        The model whose rays pass them.
-
     Returns
     -------
     A caster in the model's grid; None without a grid or unknown cells, or where the model's own rays stop there.

@@ -60,13 +60,6 @@ def log_axis_density(table: AxisTable, mixture: Mixture) -> FloatArray:
 
     ``p(z) = w exp(-d(z)^2 / 2 sigma^2) / integral of the same over the axis + (1 - w) / span``: (6.33) normalised along
     the axis, and (6.34) without "no return".
-
-    Parameters
-    ----------
-    table
-        Readings.
-    mixture
-        w and sigma.
     """
     hit = np.exp(_Hits.at(table, mixture.sigma).log_density)
     return np.asarray(np.log(mixture.hit_share * hit + (1.0 - mixture.hit_share) / table.span))
@@ -74,11 +67,6 @@ def log_axis_density(table: AxisTable, mixture: Mixture) -> FloatArray:
 
 def fit_axis_density(table: AxisTable) -> DensityFit:
     """Return the mixture under which the readings are most likely.
-
-    Parameters
-    ----------
-    table
-        Readings, at least one.
 
     Notes
     -----
@@ -109,13 +97,7 @@ def climb(table: AxisTable, start: Mixture) -> DensityFit:
 
 
 def density_gradient(table: AxisTable, mixture: Mixture) -> FloatArray:
-    """Return the derivative of each reading's log density by the logit of the share of hits and by log sigma, (n, 2).
-
-    Parameters
-    ----------
-    table, mixture
-        As for `log_axis_density`.
-    """
+    """Return the derivative of each reading's log density by the logit of the share of hits and log sigma, (n, 2)."""
     hits = _Hits.at(table, mixture.sigma)
     _, share = _expectation(table, hits, mixture.hit_share)
     squares = np.where(share > 0.0, table.squares, 0.0)

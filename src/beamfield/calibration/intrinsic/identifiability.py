@@ -80,10 +80,6 @@ def identifiability_findings(
         (8,) working vector at the maximum.
     modes
         The maxima that were found, the best first.
-
-    Returns
-    -------
-    Findings; none if the beams determine everything.
     """
     if likelihood.n_returned == 0.0:
         return (

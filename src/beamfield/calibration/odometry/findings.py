@@ -36,15 +36,7 @@ SAME = 1e-3
 
 
 def odometry_findings(result: OdometryCalibration, log: SensorLog) -> tuple[Finding, ...]:
-    """Return findings, the worst first.
-
-    Parameters
-    ----------
-    result
-        What was learned.
-    log
-        From this log.
-    """
+    """Return findings, the worst first."""
     of_result = (_faults, _not_white, _systematic, _few_blocks, _floor)
     return worst_first([*_same(result), *_lost_signs(log), *(one for find in of_result for one in find(result))])
 

@@ -103,11 +103,6 @@ def atomic_files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[list[Path]
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now what `atomic_file` would raise after the work is done.
 
-    Parameters
-    ----------
-    path
-        The file that is to be written.
-
     Raises
     ------
     InvalidInputError
@@ -174,15 +169,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write text (UTF-8) or bytes to a file, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file; replaced if it exists.
-    content
-        What the file shall hold.
-    """
+    """Write text (UTF-8) or bytes to a file, whole or not at all; one that is there is replaced."""
     with atomic_file(path) as part:
         part.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
@@ -224,15 +211,7 @@ def scratch_folder(parent: Path, name: str) -> Iterator[Path]:
 
 
 def remove_abandoned(parent: Path, start: str = ".") -> None:
-    """Remove the scratch folders that killed runs left in a folder.
-
-    Parameters
-    ----------
-    parent
-        The folder; nothing is done if there is none.
-    start
-        Of the names of those to remove.
-    """
+    """Remove the scratch folders whose names begin so and that killed runs left in a folder, if there is one."""
     with suppress(OSError):
         for entry in parent.iterdir():
             if entry.name.startswith(start) and entry.name.endswith(_scratch_suffix()):

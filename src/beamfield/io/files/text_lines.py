@@ -52,18 +52,7 @@ def read_lines(path: str | Path) -> Iterator[tuple[int, str]]:
 
 
 def most_bytes(path: Path) -> int:
-    """Return how many bytes `read_lines` takes from a file at most: its size, or the limit on what gzip unpacks to.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    OSError
-        As the file system says.
-    """
+    """Return how many bytes `read_lines` takes from a file at most: its size, or the limit on what gzip unpacks to."""
     with path.open("rb") as file:
         compressed = file.read(2) == b"\x1f\x8b"
         size = file.seek(0, io.SEEK_END)

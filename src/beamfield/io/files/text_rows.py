@@ -82,16 +82,7 @@ def is_id(word: str) -> bool:
 
 
 def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write comma-separated values; an existing file is replaced.
-
-    Parameters
-    ----------
-    path
-        The file.
-    header
-        Names of the columns.
-    rows
-        Their values; numbers as `repr` writes them lose nothing.
+    """Write comma-separated values; an existing file is replaced. Numbers as `repr` writes them lose nothing.
 
     Raises
     ------

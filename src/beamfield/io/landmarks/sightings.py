@@ -25,11 +25,6 @@ def read_sightings(path: str | Path) -> DetectionLog:
     measured; an empty id is not known; the id -1 is of no landmark. Blank lines, and lines that begin with #, are left
     out.
 
-    Parameters
-    ----------
-    path
-        The file.
-
     Raises
     ------
     FormatError

@@ -22,7 +22,7 @@ SAME_FRAME = 0.1
 
 
 def read_carmen(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
-    """Read a log of the Carnegie Mellon robot navigation toolkit.
+    """Read a log of the Carnegie Mellon robot navigation toolkit, plain or gzip; sensors are called as their messages.
 
     FLASER and RLASER have two poses: the laser's, and the robot's in the frame of the odometry.
 
@@ -43,13 +43,6 @@ def read_carmen(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
 
     A ring of sonars that `write_carmen` wrote as FLASER lines is told by its PARAM lines beamfield_ring_radius and
     beamfield_opening_angle.
-
-    Parameters
-    ----------
-    path
-        Plain or gzip.
-    options
-        What the user says about it; sensors are called as their messages.
 
     Returns
     -------

@@ -21,18 +21,11 @@ MIN_RANGE = 0.02
 
 
 def read_coreslam(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
-    """Read a log of the CoreSLAM examples.
+    """Read a log of the CoreSLAM examples, plain or gzip; its sensor is called ``laser``.
 
     Word 1 of a line is the time in microseconds, words 3 and 4 count the ticks of the wheels, words 25 to 706 are 682
     ranges in millimetres over 240 degrees, 0 for "no return"; one more word may follow. The file says neither how far a
     tick is nor where the laser is mounted, so there is no odometry and the mount is 0.
-
-    Parameters
-    ----------
-    path
-        Plain or gzip.
-    options
-        What the user says about it; the sensor's name is ``laser``.
 
     Raises
     ------

@@ -17,18 +17,11 @@ MOUNT_TOLERANCE = 2e-3
 
 
 def read_g2o(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
-    """Read a pose graph with scans.
+    """Read a pose graph with scans, plain or gzip; its sensor is called ``ROBOTLASER1``.
 
     ``VERTEX_SE2 id x y theta`` is followed by the CARMEN message ``ROBOTLASER1`` of the scan taken there. The vertex is
     the reference pose, the laser's pose seen from the robot's is the mount. Edges and other vertices are not read.
     There is no odometry: the robot's pose of the message is that of the optimised graph in the graphs known to us.
-
-    Parameters
-    ----------
-    path
-        Plain or gzip.
-    options
-        What the user says about it; the sensor's name is ``ROBOTLASER1``.
 
     Raises
     ------

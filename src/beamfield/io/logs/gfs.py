@@ -19,19 +19,12 @@ IGNORED = ("ODO_UPDATE", "FRAME", "NEFF")
 
 
 def read_gfs(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
-    """Read a log of GMapping.
+    """Read a log of GMapping, plain or gzip; its sensor is called ``LASER_READING``.
 
     ``LASER_READING n ranges x y theta ts`` has raw odometry. ``SM_UPDATE p`` and p times ``x y theta log_weight``
     are the particles after that scan, ``RESAMPLE p`` and p indices say which of them go on. The reference poses are the
     path of the particle with the greatest weight over its whole path, traced back through the resampling: the path that
     GMapping's corrected log and final map are made of.
-
-    Parameters
-    ----------
-    path
-        Plain or gzip.
-    options
-        What the user says about it; the sensor's name is ``LASER_READING``.
 
     Raises
     ------

@@ -29,14 +29,7 @@ def read_sonar_log(folder: str | Path, options: TextOptions = DEFAULTS) -> ScanL
 
     Times in milliseconds, ranges and positions in millimetres, headings in tenths of a degree. The eight sonars look
     from the robot's centre to -90, -37.5, -22.5, -7.5, 7.5, 22.5, 37.5 and 90 degrees with cones of 20 degrees; their
-    value for "no echo" is found in the data.
-
-    Parameters
-    ----------
-    folder
-        Where the two files are.
-    options
-        What the user says about it; the sensor's name is ``sonar``.
+    value for "no echo" is found in the data. The sensor is called ``sonar``.
 
     Raises
     ------

@@ -19,18 +19,11 @@ MOUNT_TOLERANCE = 1e-3
 
 
 def read_wean_log(path: str | Path, options: TextOptions = DEFAULTS) -> ScanLog:
-    """Read a log of O lines (odometry) and L lines (laser scans).
+    """Read a log of O lines (odometry) and L lines (scans of the sensor ``L``), plain or gzip.
 
     ``O x y theta ts`` and ``L x y theta xl yl thetal r1 ... r180 ts``: the robot's and the laser's pose in the frame of
     the odometry, and 180 ranges counter-clockwise from -90 to +89 degrees; centimetres, radians, seconds. The laser's
     mount is its pose seen from the robot. There is no reference pose.
-
-    Parameters
-    ----------
-    path
-        Plain or gzip.
-    options
-        What the user says about it; the sensor's name is ``L``.
 
     Raises
     ------

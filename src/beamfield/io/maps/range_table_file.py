@@ -75,15 +75,7 @@ def precompute_ranges(
 
 
 def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: Progress | None = None) -> RangeTable:
-    """Do what `precompute_ranges` does, for a plan.
-
-    Parameters
-    ----------
-    path, progress
-        As there.
-    plan
-        What the table holds.
-    """
+    """Do what `precompute_ranges` does, for a plan."""
     # Read at the end, too, as another program may have put its own there in the meantime.
     while (table := _current(Path(path), plan)) is None:
         _build(Path(path), plan, progress)
@@ -93,13 +85,6 @@ def table_in_file(path: str | os.PathLike[str], plan: RangeTablePlan, progress: 
 @checked
 def read_range_table(path: str | os.PathLike[str], grid: OccupancyGrid) -> RangeTable:
     """Read a file of pre-cached ranges.
-
-    Parameters
-    ----------
-    path
-        The file, as `precompute_ranges` and ``beamfield precompute`` write it.
-    grid
-        The map that it is of.
 
     Returns
     -------

@@ -77,11 +77,6 @@ def read_ros_map(path: str | os.PathLike[str], *, max_pixels: int = MAX_PIXELS) 
 def image_path(path: str | os.PathLike[str]) -> Path:
     """Return the picture that a map_server YAML file names.
 
-    Parameters
-    ----------
-    path
-        The YAML file.
-
     Raises
     ------
     FormatError
@@ -92,16 +87,6 @@ def image_path(path: str | os.PathLike[str]) -> Path:
 
 def ros_map_notes(path: str | os.PathLike[str]) -> list[str]:
     """Return what a user should know about a map_server file, one sentence each.
-
-    Parameters
-    ----------
-    path
-        The YAML file.
-
-    Raises
-    ------
-    FormatError, OSError
-        As for `read_ros_map`.
 
     Notes
     -----
@@ -129,19 +114,9 @@ def between_share(path: str | os.PathLike[str]) -> float:
     These are of the grey that map savers write for unknown, 205, of the one that `write_map` does, midway between the
     thresholds, or of the only level that there is between them.
 
-    Parameters
-    ----------
-    path
-        The YAML file.
-
     Returns
     -------
     0 for maps in "raw" mode, which have no thresholds. Trinary mode makes these pixels unknown.
-
-    Raises
-    ------
-    FormatError, OSError
-        As for `read_ros_map`.
     """
     yaml = read_yaml(path)
     rule = read_rule(yaml)

@@ -71,19 +71,6 @@ def named_numbers(
 ) -> dict[str, Any]:
     """Return the numbers of a section, or None where one is null, by name.
 
-    Parameters
-    ----------
-    file
-        The file.
-    section
-        Its key.
-    names
-        All parameters that there are.
-    required
-        Those that the section must have.
-    may_be_null
-        Those that may be null.
-
     Raises
     ------
     FormatError

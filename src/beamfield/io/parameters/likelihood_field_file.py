@@ -69,11 +69,6 @@ def likelihood_field_text(
 def is_likelihood_field(path: str | Path) -> bool:
     """Return whether a YAML file has the parameters of a likelihood field.
 
-    Parameters
-    ----------
-    path
-        The file.
-
     Raises
     ------
     FormatError

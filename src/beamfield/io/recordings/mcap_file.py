@@ -30,13 +30,6 @@ def write_mcap(path: str | Path, recording: Recording) -> None:
     nav_msgs/Path; `/particles` is a geometry_msgs/PoseArray, `/causes` a visualization_msgs/MarkerArray of the readings
     coloured by their cause, and each number a topic of std_msgs/Float64. Foxglove and RViz show them as they are.
 
-    Parameters
-    ----------
-    path
-        The file to write.
-    recording
-        What to show.
-
     Raises
     ------
     InvalidInputError

@@ -29,17 +29,10 @@ ELLIPSE_RADIUS = 2.4477
 
 
 def write_rerun(path: str | Path, recording: Recording) -> None:
-    """Write a recording as an .rrd file for the Rerun viewer, whole or not at all.
+    """Write a recording as an .rrd file, which ``rerun FILE`` opens, whole or not at all.
 
     The viewer opens with the map and what lies on it (`/map`, `/paths`, `/robot`, `/scan`, `/particles`) beside a curve
     for each number. Time is that of the log, in seconds from its first scan.
-
-    Parameters
-    ----------
-    path
-        The file to write; ``rerun FILE`` opens it.
-    recording
-        What to show.
 
     Raises
     ------

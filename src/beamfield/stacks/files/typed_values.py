@@ -100,11 +100,6 @@ def checked_values(file: StackFile) -> Any:
 def checked_fields(file: StackFile, kind: type[Any]) -> Any:
     """Return other parameters of the stack that a file asks for: of its motion model, or of its filter.
 
-    Parameters
-    ----------
-    file, kind
-        As for `typed_fields`.
-
     Raises
     ------
     FormatError

@@ -105,14 +105,7 @@ def scans_after_motion(log: SensorLog, has_moved: Callable[[FloatArray, FloatArr
 
 
 def scans_at_ticks(log: SensorLog, rate: float) -> list[int]:
-    """Return the newest scan with odometry at every tick of a clock that starts with the first.
-
-    Parameters
-    ----------
-    log
-        With odometry.
-    rate
-        Ticks per second.
+    """Return the newest scan with odometry at every tick of a clock that starts with the first; the rate is per second.
 
     Raises
     ------

@@ -116,11 +116,6 @@ class ParameterSection:
     def with_values(self, values: Mapping[str, Value]) -> str:
         """Return the file's text with these values; parameters that it lacks are added, all else stays as it is.
 
-        Parameters
-        ----------
-        values
-            By name, as in the file.
-
         Raises
         ------
         InvalidInputError

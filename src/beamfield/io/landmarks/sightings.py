@@ -35,8 +35,9 @@ def read_sightings(path: str | Path) -> DetectionLog:
     Raises
     ------
     FormatError
-        If the header is another, a row has another length, a value is no finite number, an id is no whole number >= 0
-        or -1, a row has neither range nor bearing, a stamp steps back, or rows with one stamp have different poses.
+        If the header is another, a row has another length, a value is no finite number, a bearing is more than a full
+        turn (degrees), an id is no whole number >= 0 or -1, a row has neither range nor bearing, a stamp steps back, or
+        rows with one stamp have different poses.
     OSError
         As the file system says.
     """

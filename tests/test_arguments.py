@@ -37,7 +37,12 @@ P = TypeVar("P", bound=Pose)
         (str, ["x"], [1, b"x"], "a text"),
         (float | None, [None, 2.0], ["x"], "a number or None"),
         (Literal["free", "occupied"], ["free"], [None, 1], "'free' or 'occupied'"),
-        (ArrayLike, [[1, 2], 3.0, np.zeros(2)], ["x", [None], {"x": 1}, [[1], [1, 2]]], "an array of numbers"),
+        (
+            ArrayLike,
+            [[1, 2], 3.0, np.zeros(2), np.ma.array([1.0, 2.0])],
+            ["x", [None], {"x": 1}, [[1], [1, 2]], np.ma.array([1.0, 2.0], mask=[True, False])],
+            "an array of numbers",
+        ),
         (NDArray[np.float64], [np.zeros(2)], [["a"]], "an array of numbers"),
         (tuple[float, float], [(1.0, 2), [1, 2]], [(1.0,), 1.0, "ab"], "(a number, a number)"),
         (Sequence[str], [["a"], ()], ["a", 1], "a sequence"),
@@ -160,6 +165,10 @@ def test_numbers_are_taken_as_they_are_or_refused():
     doubles = np.zeros(3)
     assert as_floats(doubles, "x") is doubles
     assert as_floats([1, True], "x").tolist() == [1.0, 1.0]
+    masked = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
+    with pytest.raises(InvalidInputError, match=r"x: .* got an array with 1 of 3 masked: \.filled\(np\.nan\) has NaN"):
+        as_floats(masked, "x")
+    assert type(as_floats(masked[::2], "x")) is np.ndarray
     for wrong in (["1"], [None], np.array([np.datetime64("2026-01-01")]), [[1.0], [1.0, 2.0]], 1j, {1.0}):
         with pytest.raises(InvalidInputError, match=r"^x: expected an array of numbers, got "):
             as_floats(wrong, "x")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import beamfield as bf
+from beamfield.errors import BeamfieldError
 
 both = pytest.mark.parametrize("package", [bf, bf.fleet, bf.localization], ids=lambda package: package.__name__)
 
@@ -37,6 +39,25 @@ def test_names_are_listed_and_others_are_missed_as_of_any_module(package):
     assert dir(package) == sorted(package.__all__)
     with pytest.raises(AttributeError, match=f"module {package.__name__!r} has no attribute 'BeamModle'"):
         _ = package.BeamModle
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name in bf.__all__
+        if (inspect.isfunction(getattr(bf, name)) and not name.startswith("read_")) or name == "ParticleFilter"
+    ],
+)
+def test_what_belongs_nowhere_is_named_with_what_does(name):
+    if name == "explore":
+        pytest.importorskip("anywidget")
+    function = getattr(bf, name)
+    required = [one.name for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+    if not required:
+        pytest.skip("takes nothing that it must have")
+    with pytest.raises(BeamfieldError, match=f"^({'|'.join(required)}).*: expected |no catalogue"):
+        function(**dict.fromkeys(required, object()))
 
 
 def test_no_name_is_offered_at_two_doors():

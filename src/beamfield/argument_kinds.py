@@ -92,13 +92,18 @@ def _is_scalar_array(value: Any) -> bool:
 def is_array_of_numbers(value: Any) -> bool:
     """Return whether it is one, or can be made one."""
     if isinstance(value, np.ndarray):
-        return value.dtype.kind in _NUMBERS
+        return value.dtype.kind in _NUMBERS and not _is_masked(value)
     if isinstance(value, collections.abc.Mapping | set | frozenset):
         return False
     try:
         return np.asarray(value).dtype.kind in _NUMBERS
     except (ValueError, TypeError):
         return False
+
+
+def _is_masked(value: NDArray[Any]) -> bool:
+    """Return whether numbers of an array are masked: NumPy would go on with what is below the mask."""
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
 
 
 def advice(hint: Any, value: Any) -> str:
@@ -154,6 +159,9 @@ def described(value: Any) -> str:
         return _short(repr(value) if not isinstance(value, np.generic) else str(value))
     if isinstance(value, str):
         return f"the text {_short(repr(value))}"
+    if isinstance(value, np.ndarray) and _is_masked(value):
+        n = np.count_nonzero(np.ma.getmaskarray(value))
+        return f"an array with {n} of {value.size} masked: .filled(np.nan) has NaN there"
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype} with shape {value.shape}"
     if isinstance(value, list | tuple | dict | set):

@@ -103,7 +103,7 @@ def as_floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
     Traceback (most recent call last):
     beamfield.errors.InvalidInputError: ranges: expected an array of numbers, got the list [1, None]
     """
-    if isinstance(values, np.ndarray) and values.dtype == np.float64:
+    if type(values) is np.ndarray and values.dtype == np.float64:
         return values
     if not is_array_of_numbers(values):
         raise InvalidInputError(

@@ -338,7 +338,7 @@ def test_stopping_early_is_a_finding():
         ({"ranges": [np.nan, -0.5] * 20}, r"ranges\[1\].*got -0.5"),
         ({"expected_ranges": [1.0, -np.inf] * 20}, r"expected_ranges\[1\].*-inf"),
         ({"expected_ranges": [1.0] * 39}, "expected_ranges: expected the shape"),
-        ({"ranges": [[1.0] * 40]}, "one dimension"),
+        ({"ranges": [[1.0] * 40]}, r"one dimension, got shape \(1, 40\); \.ravel\(\) makes one"),
         ({"weights": [1.0] * 39 + [-1.0]}, r"weights\[39\]"),
         ({"weights": [1.0] * 39 + [np.inf]}, "weights: expected finite"),
         ({"max_range": 0.0}, "max_range"),

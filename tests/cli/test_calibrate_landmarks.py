@@ -48,6 +48,19 @@ def run(folder: Path, *words: str) -> int:
     return main(["calibrate-landmarks", *files, *mount, *QUICK, *words])
 
 
+def test_headings_in_degrees_are_not_taken_for_a_wide_sensor(folder, tmp_path, capsys):
+    """Each row alone could be right; that no bearing fits its landmark shows only in sigma."""
+    header, *rows = (folder / "seen.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    turned = [",".join([*row[:3], repr(math.degrees(float(row[3]))), *row[4:]]) for row in cells]
+    (tmp_path / "seen.csv").write_text("\n".join([header, *turned]))
+    (tmp_path / "tags.csv").write_bytes((folder / "tags.csv").read_bytes())
+    assert run(tmp_path) == 3
+    shown = capsys.readouterr()
+    assert "error (bearing-unrelated): Measured bearings have hardly to do with" in shown.out
+    assert shown.err.endswith("beamfield: warning: the parameters are not to be used: bearing-unrelated\n")
+
+
 def test_it_prints_parameters_with_intervals_and_the_bias(folder, capsys):
     assert run(folder) == 0
     printed = capsys.readouterr().out

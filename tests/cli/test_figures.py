@@ -38,6 +38,15 @@ def test_a_log_of_ones_own_is_drawn(tmp_path, capsys):
     assert not (tmp_path / "none").exists()
 
 
+def test_a_log_without_poses_is_told_where_to_get_them(tmp_path, capsys):
+    world, out = tmp_path / "world", tmp_path / "pictures"
+    assert main(["simulate", "--out", str(world), "--duration", "1", "--odometry-only", "--quiet"]) == 0
+    words = ["figures", str(world / "log.carmen"), "--map", str(world / "map.yaml"), "--lone-poses", "odometry"]
+    assert main([*words, "--only", "6.10", "--out", str(out), "--quiet"]) == 1
+    assert "give a TUM or CSV file with --poses, as beamfield trajectory writes one" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_a_short_log_gives_what_it_can_and_says_what_not(tmp_path, capsys):
     options = "--duration 1 --scan-rate 5 --beams 60 --seed 1"
     world, out = simulated(tmp_path / "world", options), tmp_path / "pictures"

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from beamfield.cli.main import main
+from beamfield.cli.wording import in_options
 from beamfield.io.bags.writer import write_bag
 from beamfield.io.read_log import read_log
 from tests.cli.simulated import simulated
@@ -51,9 +52,12 @@ def typed(command: str, world: Path, out: Path) -> list[str]:
 def test_json_is_all_of_stdout_and_has_the_documented_keys(command, world, tmp_path, capsys):
     _, keys, code = COMMANDS[command]
     assert main([*typed(command, world, tmp_path), "--json"]) == code
-    document = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    document = json.loads(said.out)
     assert (document["command"], document["exit_code"]) == (command, code)
     assert {"notes", "wrote"} <= set(document)
+    noted = [line.removeprefix("note: ") for line in said.err.splitlines() if line.startswith("note: ")]
+    assert set(noted) <= {in_options(note) for note in document["notes"]}
     assert keys <= set(document)
     assert all(Path(path).exists() for path in document["wrote"])
 

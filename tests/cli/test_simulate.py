@@ -248,9 +248,10 @@ def test_rough_walls_give_the_ranges_that_a_cone_expects(tmp_path: Path) -> None
         (("--sonar", "--mount", "0.3", "0", "0"), "--mount: is no option of --sonar"),
         (("--sonar", "--format", "both"), "--format: a ring of sonars is written as CARMEN text"),
         (("--roughness", "0.5"), "--roughness: is an option of --sonar"),
+        (("--map", "m.yaml", "--width", "30"), "--width: is of the office, and --map drives through another map"),
     ],
 )
-def test_options_of_the_other_sensor_are_refused(
+def test_options_that_change_nothing_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], message: str
 ) -> None:
     assert message in refused(capsys, tmp_path / "out", *words)

@@ -282,6 +282,8 @@ def test_a_users_file_gets_beamfields_own_model_with_the_same_notes(own, tmp_pat
     assert f"z_hit: {peak / (peak + 0.2):.6g}  # mine" in text
     assert main([*words, "--to-model", "beam"]) == 0
     assert "note: the file chose likelihood_field_prob before, now beam" in capsys.readouterr().err
+    assert main([*words, "--to-model", "foo"]) == 2
+    assert "--to-model: nav2 has likelihood_field, likelihood_field_prob, beam, got 'foo'" in capsys.readouterr().err
 
 
 def test_beamfields_own_model_is_named_in_one_line_by_the_others(own, tmp_path, capsys):

@@ -16,6 +16,7 @@ from beamfield.cli.wording import in_options
         ("unless no_return names NaN", "unless --no-return names NaN"),
         ("block_s: expected a positive number", "--block: expected a positive number"),
         ("stack: expected one of nav2, got 'x'", "--stack: expected one of nav2, got 'x'"),
+        ("hit: expected a probability in (0.5, 1)", "--hit: expected a probability in (0.5, 1)"),
         # Not what only looks like it: values of a sensor, paths, quotations, the options themselves.
         ("the sensor's max_range is 8 m", "the sensor's max_range is 8 m"),
         ("/data/map_frame/a.log: no 'map_frame' in it", "/data/map_frame/a.log: no 'map_frame' in it"),

@@ -338,6 +338,14 @@ def test_the_widget_asks_by_messages_in_the_browser(browser, session):
     context.close()
 
 
+def test_a_timeline_without_a_curve_says_why(opened, serve, grid, log):
+    page = opened(place=serve(Session(log, grid, typical_sets(grid, log.finder))))
+    sync_api.expect(page.locator(".worst")).to_contain_text("no scan was judged. That takes reference poses")
+    assert not page.locator("canvas.line").is_visible()
+    page.get_by_label("Beside it").select_option(label="typical likelihood field")
+    sync_api.expect(page.locator("canvas.line")).to_be_visible()
+
+
 def test_an_error_stays_while_other_answers_come(browser, serve, grid, log):
     still = SensorLog(log.finder, log.stamps, log.ranges, log.poses, np.full_like(log.poses, np.nan))
     context = browser.new_context()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -155,6 +156,9 @@ def test_a_log_of_ones_own_is_shown_with_all_its_sensors(world):
     assert list(own.sensors) == ["laser", "sonar"]
     assert own.log is world.sensors["sonar"]
     assert own.name == "drive.log"
+    ring = replace(own.log, finder=replace(own.log.finder, opening_angle=0.3))
+    cones = world_of_log(ScanLog({"sonar": ring}), world.grid)
+    assert "(c) 24 sonars" in [ax.get_title(loc="left") for ax in all_axes(FIGURES["6.1"].draw(cones))]
     chosen = world_of_log(log, world.grid, sensor="laser", index=7)
     assert chosen.index == chosen.open_index == 7
     for number in ("6.8", "6.9", "6.11", "6.12"):

@@ -6,17 +6,21 @@ import datetime
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from beamfield.fleet import report_figures
 from beamfield.fleet.daily import DailySeries
 from beamfield.fleet.drift import Drift
 from beamfield.fleet.fleet_report import FleetReport
 from beamfield.fleet.hierarchy import Hierarchy, Pooled
 from beamfield.fleet.learning import FleetFit
+from beamfield.fleet.report_figures import parameter_figure
 from beamfield.fleet.report_files import TABLES, report_as_dict, report_tables, write_fleet_report
 from beamfield.fleet.robot_state import robot_states, site_findings
 from beamfield.fleet.run_record import MapInfo, RunRecord
@@ -138,6 +142,7 @@ def test_all_files_say_the_same(report, tmp_path):
     # One curve, of the worst sector that the alarm covers, beside the picture of the parameters: r2 has no series.
     assert page.count('role="img"') == 2
     assert "r4, dirty lens over the days" in page
+    assert "sigma_hit [m]" in page.partition('id="robot-parameters"')[0]
     said = json.loads((tmp_path / "fleet_report.json").read_text())
     assert said == report_as_dict(report)
     assert [one["robot"] for one in said["faults"]] == ["r4", "r<1>", "r2"]
@@ -148,6 +153,30 @@ def test_all_files_say_the_same(report, tmp_path):
             assert read.to_pylist() == [{column: row[column] for column in read.column_names} for row in rows]
     lights = pq.read_table(tmp_path / "robots.parquet").to_pylist()
     assert [(one["robot"], one["light"]) for one in lights] == [(one.robot, one.light) for one in report.states]
+
+
+def test_numbers_below_the_axes_of_parameters_do_not_touch(report, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(report_figures, "svg_panel", lambda figure, *_: drawn.append(figure))
+    (whole,) = report.hierarchies
+    intervals = dict.fromkeys(("z_short", "sigma_hit", "range_offset"), (-0.0173, 0.0142))
+    small = BeamParameters(0.9, 0.0, 0.04, 0.06, 1e-3, 0.5)
+    known = {"parameters": small, "intervals": intervals, "shrinkage": dict.fromkeys(intervals, 0.2)}
+    robots = tuple(replace(one, **known) for one in whole.robots)
+    own = tuple(SimpleNamespace(robot=r.robot, site=SITE, limits=LIMITS, parameters=small) for r in robots)
+    fleet = replace(whole.fleet, parameters=small)
+    parameter_figure(FleetFit("robot", own), [replace(whole, fleet=fleet, robots=robots)], report.states)
+    (figure,) = drawn
+    FigureCanvasAgg(figure).draw()
+    assert [axes.get_title("left") or axes.get_title() for axes in figure.axes] == [
+        "z_short", "sigma_hit [m]", "range_offset [m]"
+    ]  # fmt: skip
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        shown = [label for label in axes.get_xticklabels() if low <= label.get_position()[0] <= high]
+        boxes = [label.get_window_extent() for label in shown]
+        assert len(boxes) >= 2
+        assert all(right.x0 - left.x1 > 3.0 for left, right in pairwise(boxes))
 
 
 def test_parameters_say_of_which_sensors_they_are(report):

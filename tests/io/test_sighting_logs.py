@@ -52,11 +52,12 @@ def test_moments_without_pose_are_not_written(tmp_path):
         (HEADER + "1,0,0,0,-2,1,0\n", "a.csv:2: id: expected a whole number >= 0, -1 or nothing, got '-2'"),
         (HEADER + "1,0,0,0,7.5,1,0\n", "a.csv:2: id: .* got '7.5'"),
         (HEADER + "1,0,0,0,7,,\n", "a.csv:2: expected a range, a bearing or both, got neither"),
+        (HEADER + "1,0,0,0,7,1,90\n", "a.csv:2: bearing: expected radians, at most a full turn, got '90': degrees?"),
         (HEADER + "2,0,0,0,7,1,0\n1,0,0,0,7,1,0\n", "a.csv:3: stamp: .* not fall, got 1.0 after 2.0"),
         (HEADER + "1,0,0,0,7,1,0\n1,0,5,0,7,1,0\n", r"a.csv:3: .* one pose per stamp, got \[0.0, 5.0, 0.0\]"),
     ],
     ids=["header", "empty", "6 values", "word", "nan pose", "no y", "inf", "nan", "id -2", "half id", "nothing",
-         "stamps", "poses"],
+         "degrees", "stamps", "poses"],
 )  # fmt: skip
 def test_what_are_no_sightings_is_refused(text, message, tmp_path):
     (tmp_path / "a.csv").write_text(text)

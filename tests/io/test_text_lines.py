@@ -20,6 +20,11 @@ def test_plain_and_compressed_text_give_the_same_lines_whatever_the_name(tmp_pat
     assert list(read_lines(tmp_path / "packed.log")) == expected
 
 
+def test_a_byte_order_mark_is_no_text(tmp_path):
+    (tmp_path / "a.csv").write_text("id,x\n1,2\n", encoding="utf-8-sig")
+    assert list(read_lines(tmp_path / "a.csv")) == [(1, "id,x\n"), (2, "1,2\n")]
+
+
 def test_missing_file_is_the_file_systems_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         list(read_lines(tmp_path / "nothing.log"))

@@ -85,6 +85,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     text = landmark_model_text(result.parameters, intervals=result.intervals, provenance=provenance(arguments))
     write_file(arguments.out, text)
     problem = "" if result.converged else "the fit did not converge"
+    if wrong := [finding.name for finding in result.findings if finding.severity == "error"]:
+        problem = f"the parameters are not to be used: {', '.join(wrong)}"
     return Outcome(
         f"wrote {arguments.out}", in_options(_summary(result)), _as_dict(result), log.notes, [arguments.out],
         3 if problem else 0, problem,

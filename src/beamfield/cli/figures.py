@@ -21,7 +21,7 @@ from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, index
 from beamfield.cli.progress import StageProgress
 from beamfield.cli.provenance import file_name
-from beamfield.errors import InvalidInputError, TooLittleDataError
+from beamfield.errors import FormatError, InvalidInputError, TooLittleDataError
 
 if TYPE_CHECKING:
     from beamfield.figures.gallery import ChapterFigure
@@ -113,4 +113,11 @@ def _world(arguments: argparse.Namespace, progress: StageProgress) -> FigureWorl
     grid = options.read_grid(arguments)
     # The first sensor that is asked for is shown, the others are drawn beside it.
     shown = arguments.sensor[0] if arguments.sensor else None
-    return world_of_log(options.read_scans(arguments), grid, sensor=shown, index=arguments.scan)
+    log = options.read_scans(arguments)
+    if not log.only_sensor(shown).has_poses:
+        raise FormatError(
+            arguments.log,
+            "no scan has a reference pose, and the figures need them; give a TUM or CSV file with --poses, as "
+            "beamfield trajectory writes one from the odometry and the map",
+        )
+    return world_of_log(log, grid, sensor=shown, index=arguments.scan)

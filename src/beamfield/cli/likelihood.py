@@ -301,6 +301,9 @@ def _summary(found: Mapping[str, Any]) -> str:
     if below < 0.0:
         lines.append(f"the reference lies between the poses compared and is likelier still, by {-below:.2f} nats")
     else:
-        share = reference["share_of_likelier_places"]
-        lines.append(f"at the reference: {below:.2f} nats below the maximum; {share:.2%} of the places are likelier")
+        likelier = round(reference["share_of_likelier_places"] * found["n_places"])
+        lines.append(
+            f"at the reference: {below:.2f} nats below the maximum; {likelier:,} of {found['n_places']:,} places are "
+            "likelier"
+        )
     return "\n".join(lines)

@@ -83,7 +83,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
     share = share_of_hits_in_obstacles(grid, sensor)
     text = f"{map_text(facts)}\nsharpness: {100.0 * share:.1f}% of the hits end within one cell of an occupied one"
     picture = out.with_suffix(".pgm")
-    document = {**facts, "scans": len(sensor), "share_of_hits_in_obstacles": share, NAME: as_document(fitted)}
+    document = {
+        **facts, "notes": [*notes, *more, *facts["notes"]], "scans": len(sensor),
+        "share_of_hits_in_obstacles": share, NAME: as_document(fitted),
+    }  # fmt: skip
     return Outcome(f"wrote {out} and {picture.name}", text, document, (*notes, *more), [out, picture])
 
 

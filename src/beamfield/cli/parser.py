@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
-from itertools import takewhile
+from itertools import takewhile, zip_longest
 from typing import Any, TypeVar
 
 from beamfield.cli.outcome import Outcome
@@ -35,15 +36,29 @@ class Parser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         """Refuse an option that does not exist before one that it was meant for is called missing."""
         words = list(args or ())
-        own: Iterable[str] = takewhile(lambda word: word != "--", words)
+        own = list(takewhile(lambda word: word != "--", words))
         if self._subparsers is not None:
-            own = takewhile(lambda word: word.startswith("-"), words)
-        for word in own:
+            own = list(takewhile(lambda word: word.startswith("-"), words))
+        for word, following in zip_longest(own, own[1:], fillvalue=""):
             name = word.partition("=")[0]
+            if self._subparsers is not None and name not in self._option_string_actions and _has_option(self, name):
+                self.error(f"{name}: options go after the command")
             # As argparse has it, a word with a space is no option.
             if name.startswith("--") and " " not in word and name not in self._option_string_actions:
                 self.error(f"no option {name}{_meant(name, self._option_string_actions)}")
+            if self._looks_like_no_value_of(word, following):
+                self.error(f"{word}: a value that begins with - needs =, as in {word}={following}")
         return super().parse_known_args(words, namespace)
+
+    def _looks_like_no_value_of(self, word: str, following: str) -> bool:
+        """Return whether argparse would take what is meant as the value of an option, -5:5, for another option."""
+        action = self._option_string_actions.get(word)
+        return (
+            action is not None
+            and action.nargs is None
+            and re.match(r"-[0-9.]", following) is not None
+            and self._negative_number_matcher.match(following) is None
+        )
 
     def error(self, message: str) -> Any:
         """Print what is wrong and where help is, and exit with code 2."""
@@ -145,6 +160,16 @@ def _number(text: str, kind: Callable[[str], _T], holds: Callable[[_T], bool], e
     if not holds(value):
         raise argparse.ArgumentTypeError(f"expected {expected}, got {text!r}")
     return value
+
+
+def _has_option(parser: argparse.ArgumentParser, name: str) -> bool:
+    """Return whether a command of a parser, or of its groups, has an option."""
+    commands = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return any(
+        name in command._option_string_actions or _has_option(command, name)
+        for choices in commands
+        for command in choices.values()
+    )
 
 
 def _meant(word: str, known: Iterable[Any]) -> str:

@@ -25,7 +25,15 @@ from beamfield.cli import options
 from beamfield.cli.outcome import Outcome
 from beamfield.cli.parser import Parser, add_command, count, not_negative, positive
 from beamfield.cli.provenance import provenance
-from beamfield.cli.simulate_sonar import Value, add_sonar_options, add_values, given_options, ring_of, values_of
+from beamfield.cli.simulate_sonar import (
+    RING_OPTIONS,
+    Value,
+    add_sonar_options,
+    add_values,
+    given_options,
+    ring_of,
+    values_of,
+)
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.content_hash import file_hash
 
@@ -38,10 +46,12 @@ if TYPE_CHECKING:
 MAP, CARMEN, BAG, POSES, TRUTH = "map.yaml", "log.carmen", "bag", "truth.tum", "truth.json"
 FORMATS: Mapping[str, tuple[str, ...]] = {"carmen": (CARMEN,), "mcap": (BAG,), "both": (CARMEN, BAG)}
 LASER_MAX_RANGE = 12.0
-WORLD: tuple[Value, ...] = (
+OFFICE: tuple[Value, ...] = (
     ("width", 40.0, "M", "of the office"),
     ("height", 24.0, "M", "of the office"),
-    ("resolution", 0.05, "M", "of the map"),
+    ("resolution", 0.05, "M", "of the office's map"),
+)
+DRIVE: tuple[Value, ...] = (
     ("duration", 180.0, "S", "of the log"),
     ("scan-rate", 10.0, "HZ", "scans per second"),
     ("speed", 1.0, "M/S", "of the robot"),
@@ -77,7 +87,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
     options.add_threads(parser)
     options.add_map(parser, what="drive through this map instead of an office")
     options.add_unpacking(parser)
-    add_values(parser.add_argument_group("world and drive"), WORLD, positive)
+    add_values(parser.add_argument_group("world and drive"), OFFICE + DRIVE, positive)
     sensor = parser.add_argument_group("sensor")
     sensor.add_argument("--sonar", action="store_true", help="a ring of sonars instead of a laser scanner")
     sensor.add_argument("--beams", type=count, default=180, metavar="N", help="beams of a scan (default: 180)")
@@ -109,7 +119,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from beamfield.simulation.trajectory import DriveOptions
 
     check_folder_writable(arguments.out)
-    _require_options_of_the_sensor(arguments)
+    _require_options_that_matter(arguments)
     with options.progress(arguments) as progress:
         progress("making the map", 0, 1)
         grid = _world(arguments)
@@ -162,10 +172,12 @@ def _simulate(
     return simulate_log(grid, finder, parameters, dependence=dependence, **how), known
 
 
-def _require_options_of_the_sensor(arguments: argparse.Namespace) -> None:
+def _require_options_that_matter(arguments: argparse.Namespace) -> None:
     """Refuse options that would change nothing."""
+    if arguments.map is not None and (given := given_options(arguments, OFFICE)):
+        raise InvalidInputError(f"{given[0]}: is of the office, and --map drives through another map")
     if not arguments.sonar:
-        if given := given_options(arguments):
+        if given := given_options(arguments, RING_OPTIONS):
             raise InvalidInputError(f"{given[0]}: is an option of --sonar")
         return
     for name, value in LASER.items():

@@ -59,9 +59,9 @@ def values_of(arguments: argparse.Namespace, table: Sequence[Value]) -> dict[str
     return {_field(name): getattr(arguments, _field(name)) for name, *_ in table}
 
 
-def given_options(arguments: argparse.Namespace) -> list[str]:
-    """Return the sonar's options that differ from their defaults, as words of the command line."""
-    return [f"--{name}" for name, value, *_ in RING_OPTIONS if getattr(arguments, _field(name)) != value]
+def given_options(arguments: argparse.Namespace, table: Sequence[Value]) -> list[str]:
+    """Return the options of a table that differ from their defaults, as words of the command line."""
+    return [f"--{name}" for name, value, *_ in table if getattr(arguments, _field(name)) != value]
 
 
 def _field(option: str) -> str:

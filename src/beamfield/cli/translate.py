@@ -55,7 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction[Parser]) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read, translate, write."""
     from beamfield.stacks.registry import STACKS
-    from beamfield.stacks.translation.translation import CHAPTER
+    from beamfield.stacks.translation.translation import CHAPTER, CHAPTER_WEIGHTS
 
     if arguments.out is not None and arguments.patch is not None:
         raise InvalidInputError("--out: writes a new file, --patch changes one; give only one of them")
@@ -66,6 +66,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
             raise InvalidInputError(f"--{name}: is for files of a stack, chapter has none")
     if arguments.to not in (*STACKS, CHAPTER):
         raise InvalidInputError(f"--to: expected one of {', '.join((*STACKS, CHAPTER))}, got {arguments.to!r}")
+    models = CHAPTER_WEIGHTS if arguments.to == CHAPTER else STACKS[arguments.to].models
+    if arguments.to_model is not None and arguments.to_model not in models:
+        raise InvalidInputError(f"--to-model: {arguments.to} has {', '.join(models)}, got {arguments.to_model!r}")
     result, source, more = _translate(arguments)
     head = f"{result.stack} {result.model}, from {source} by beamfield {__version__}"
     said = [result.summary, *result.assumptions, *result.notes, *more]

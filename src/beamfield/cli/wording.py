@@ -25,9 +25,14 @@ _NAME = re.compile(rf"(?<![\w/.'\"-])({'|'.join(_OPTIONS)})(?![\w/.'\"-])(?:='([
 # As the beginning of an error these are what was given.
 _LEADING = {
     "figure": "--only",
+    "headings": "--headings",
+    "hit": "--hit",
     "model": "--model",
+    "passed": "--passed",
     "resolution": "--resolution",
+    "roughness": "--roughness",
     "section": "--section",
+    "sites": "--sites",
     "stack": "--stack",
 }
 _GIVEN = re.compile(r"(?<=give )(?P<name>max_range|min_range|mount|section)\b|(?<![\w/.'\"-])stamps='(?P<rule>[^']*)'")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from beamfield.arguments import checked
 from beamfield.calibration.calibrate import CalibrationOptions, calibrate
 from beamfield.calibration.context.exponent import ExponentLearning, learn_exponent
 from beamfield.calibration.field.learning import learn_field_parameters
@@ -29,6 +30,7 @@ N_BEAMS = 30
 Progress = Callable[[str, int, int], None]
 
 
+@checked
 def open_session(
     log: SensorLog,
     grid: OccupancyGrid,

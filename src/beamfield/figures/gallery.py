@@ -67,8 +67,8 @@ _ALL = (
         "(a) A ring of sonars simulated in the map; of 30 scans the first with the most kinds of readings. Cones end "
         "where something was heard: most at the nearest thing in them, some too far or too near, and the dashed ones "
         "heard nothing although there is a wall. (b) A smooth wall mirrors the pulse: if the angle to its normal "
-        "exceeds half the opening angle, the echo goes elsewhere. (c) What a scanner measured at the same pose, with "
-        "a few random readings.",
+        "exceeds half the opening angle, the echo goes elsewhere. (c) What the log's "
+        "own sensor measured at the same pose.",
     ),
     ChapterFigure(
         "6.3", "6.3.1", "beam_model_figures.components_figure", "Components of the range finder sensor model",

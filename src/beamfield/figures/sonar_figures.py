@@ -59,7 +59,9 @@ def sonar_figure(world: FigureWorld) -> Figure:
     draw_cones(readings, ring, pose, left)
     draw_misreading(middle)
     draw_scan(world.scan, pose, right, label="measured", color=SCAN_COLOUR, size=8.0, rays=True)
-    for ax, title in ((left, f"(a) {N_SENSORS} sonars"), (right, f"(c) a scanner, {world.scan.finder.n_beams} beams")):
+    own = world.scan.finder
+    shown = f"{own.n_beams} sonars" if own.opening_angle > 0.0 else f"a scanner, {own.n_beams} beams"
+    for ax, title in ((left, f"(a) {N_SENSORS} sonars"), (right, f"(c) {shown}")):
         mark_robot(pose, ax, size=0.28, color=ROBOT_COLOUR, label="robot")
         frame(ax, pose[:2] - REACH, pose[:2] + REACH, title)
         ax.set_anchor("N")

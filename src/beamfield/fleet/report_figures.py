@@ -31,6 +31,7 @@ from beamfield.report.map_figures import (
 )
 from beamfield.report.page import table
 from beamfield.report.panel import Panel, ReportFigure, png_panel, svg_panel
+from beamfield.report.parameter_rows import with_unit
 from beamfield.scan_fit.place_visits import FEWEST_BEAMS
 
 # What is shown of each fault: its name, the unit on the axis, and how many of it are one SI unit.
@@ -135,7 +136,8 @@ def parameter_figure(fit: FleetFit, hierarchies: Sequence[Hierarchy], states: Se
         figure = new_panel(WIDE, n_rows * (0.9 + 0.16 * len(robots)))
         for place, name in enumerate(names, start=1):
             axes = figure.add_subplot(n_rows, 3, place)
-            style(axes, title=name, grid="x")
+            style(axes, title=with_unit(name), grid="x")
+            axes.locator_params(axis="x", nbins=3)  # labels of small negative numbers are a third of the width
             _dots(axes, name, robots, [own[one.robot, one.site, hierarchy.limits] for one in robots])
             axes.axvline(getattr(hierarchy.fleet.parameters, name), color=QUIET, linewidth=1.0, zorder=1)
             axes.set_yticks(range(len(robots)), [str(one.robot) for one in robots] if place % 3 == 1 else [])

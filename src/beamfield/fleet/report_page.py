@@ -14,6 +14,7 @@ from beamfield.fleet.robot_state import Light, RobotState
 from beamfield.report.escape import escaped
 from beamfield.report.page import document, figure, finding_list, table, verdict_box
 from beamfield.report.page_section import Level
+from beamfield.report.parameter_rows import with_unit
 
 # Colours alone tell nothing to many readers: each light is named.
 LEVELS: Mapping[Light, Level | str] = {"red": "bad", "amber": "care", "green": "good", "grey": ""}
@@ -146,7 +147,7 @@ def _parameter_table(report: FleetReport) -> str:
             )
             for one in hierarchy.robots
         ]
-        header = (hierarchy.limits.text, *names)
+        header = (hierarchy.limits.text, *map(with_unit, names))
         parts.append(f"{table(header, rows, bold=(0,))}\n<details><summary>Robot by robot</summary>"
                      f"{table(header, robots)}</details>")  # fmt: skip
     return "\n".join(parts) or "<p>No robot has beams enough to learn from.</p>"

@@ -174,7 +174,7 @@ def _rows(path: Path) -> Iterator[Line]:
     """Yield the header, if there is one, and the rows; of the comments only one before them may be the header."""
     started = False
     for number, text in read_lines(path):
-        stripped = text.strip().removeprefix("\u00ef\u00bb\u00bf")  # a byte order mark, read as Latin-1
+        stripped = text.strip()
         content, is_csv, commented = stripped.lstrip("# "), "," in stripped, stripped.startswith("#")
         words = [w.strip() for w in content.split(",")] if is_csv else [w for w in re.split(r"[;\s]+", content) if w]
         # A comment counts only as the header of a CSV file; TUM files have one that names the same columns.

@@ -9,6 +9,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from beamfield.argument_kinds import expect
 from beamfield.arguments import as_count, as_floats, as_generator, check_fields, checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.geometry import FloatArray, Pose, after_step, as_poses, step_between
@@ -161,6 +162,8 @@ class ParticleFilter(Generic[Z]):
         short_readings: ShortReadings | None = None,
         rng: np.random.Generator | int | None = None,
     ) -> None:
+        for name, given, hint in (("model", model, MeasurementModel), ("motion", motion, MotionModel)):
+            expect(name, given, hint)
         self.options = options or FilterOptions()
         if self.options.recovery is not None and source is None:
             raise InvalidInputError("source: a recovery needs a source of poses, as FreePoses(grid); got None")

@@ -34,6 +34,12 @@ EXTENSIONS = ("range_offset", "sigma_slope")
 HEADER = ("parameter", "value", "95% interval", "unit", "meaning")
 
 
+def with_unit(name: str) -> str:
+    """Return the name of a parameter with its unit, if it has one."""
+    unit = MEANINGS[name][0]
+    return f"{name} [{unit}]" if unit else name
+
+
 @dataclass(frozen=True)
 class ParameterRow:
     """One parameter, ready to print.

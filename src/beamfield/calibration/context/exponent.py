@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from beamfield.arguments import checked
 from beamfield.calibration.block_errors import block_interval, jackknife_error
 from beamfield.calibration.context.posterior_judge import PosteriorScores, judge_weights
 from beamfield.calibration.evaluation import block_standard_error
@@ -109,6 +110,7 @@ class ExponentLearning:
         return self.drive.value * self.n_beams
 
 
+@checked
 def learn_exponent(
     model: RangeMixtureModel | LikelihoodFieldModel,
     log: SensorLog,

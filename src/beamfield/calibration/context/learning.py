@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from beamfield.arguments import require
+from beamfield.arguments import checked, require
 from beamfield.calibration.context.evidence import BeamEvidence, Evidence, FieldEvidence
 from beamfield.calibration.context.exponent import EXPONENTS, LEVEL, score_exponents, suited_exponent
 from beamfield.calibration.context.posterior_judge import LOWEST, PosteriorScores, relative_weights
@@ -76,6 +76,7 @@ class ContextLearning:
     held_out: tuple[ContextScore, ...]
 
 
+@checked
 def learn_in_context(
     model: RangeMixtureModel | LikelihoodFieldModel,
     log: SensorLog,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import require
+from beamfield.arguments import checked, require
 from beamfield.calibration.context.exponent import (
     LEVEL,
     ExponentLearning,
@@ -145,6 +145,7 @@ class FieldLearning:
         save_field(self, path)
 
 
+@checked
 def learn_field_parameters(
     log: SensorLog,
     grid: OccupancyGrid,

@@ -253,7 +253,7 @@ def checked_beams(
 def _column(name: str, values: ArrayLike, least: float = 0.0, *, may_be_nan: bool = False) -> FloatArray:
     column = as_floats(values, name)
     if column.ndim != 1:
-        raise InvalidInputError(f"{name}: expected one dimension, got shape {column.shape}")
+        raise InvalidInputError(f"{name}: expected one dimension, got shape {column.shape}; .ravel() makes one")
     # NaN fails the comparison too. One pass without a mask for the usual case: 10^7 beams are not rare.
     if column.size and not column.min() >= least:
         wrong = column < least if may_be_nan else ~(column >= least)

@@ -174,6 +174,7 @@ export class Panels {
   listWorst() {
     const { page } = this, curve = this.curve();
     page.worst.replaceChildren();
+    if (page.line.hidden) page.worst.textContent = "No curve: no scan was judged. That takes reference poses, and is left out with --no-fit or fit=False.";
     if (!curve) return;
     const order = [...curve.values.entries()].filter(([, value]) => value !== null).sort((a, b) => a[1] - b[1]);
     if (curve.isDifference) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
 import zlib
@@ -109,7 +110,8 @@ def _decode(path: Path, stream: io.BufferedIOBase, limit: int | None) -> Iterato
             raise FormatError(
                 path, f"expected text, got binary data: {raw[max(0, nul - 12) : nul + 12]!r}", line=number
             )
-        yield number, raw.decode("latin-1")
+        # Spreadsheets begin a text with a byte order mark.
+        yield number, (raw.removeprefix(codecs.BOM_UTF8) if number == 1 else raw).decode("latin-1")
 
 
 class Line(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from beamfield.errors import FormatError
 from beamfield.geometry import FloatArray
 from beamfield.io.files.text_lines import Line, word_lines
 from beamfield.io.files.text_rows import is_id
+from beamfield.sensors.range_finder import TURN_TOLERANCE
 
 COLUMNS = ("stamp", "x", "y", "theta", "id", "range", "bearing")
 
@@ -28,8 +30,9 @@ def read_sightings(path: str | Path) -> DetectionLog:
     Raises
     ------
     FormatError
-        If the header is another, a row has another length, a value is no finite number, an id is no whole number >= 0
-        or -1, a row has neither range nor bearing, a stamp steps back, or rows with one stamp have different poses.
+        If the header is another, a row has another length, a value is no finite number, a bearing is more than a full
+        turn (degrees), an id is no whole number >= 0 or -1, a row has neither range nor bearing, a stamp steps back, or
+        rows with one stamp have different poses.
     OSError
         As the file system says.
     """
@@ -64,6 +67,8 @@ def _numbers(row: Line) -> FloatArray:
         empty_is_fine = name in ("id", "range", "bearing") and not word
         if not np.isfinite(number) and not empty_is_fine:
             raise row.error(f"expected a finite number, got {word[:40]!r}", name)
+    if abs(numbers[-1]) > 2.0 * math.pi + TURN_TOLERANCE:
+        raise row.error(f"expected radians, at most a full turn, got {row.words[-1][:40]!r}: degrees?", "bearing")
     return numbers
 
 

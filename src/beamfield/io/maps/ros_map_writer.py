@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beamfield.arguments import require
+from beamfield.arguments import checked, require
 from beamfield.errors import InvalidInputError
 from beamfield.io.files.atomic import atomic_files
 from beamfield.io.files.yaml_file import read_yaml
@@ -22,6 +22,7 @@ _FREE_GREY, _OCCUPIED_GREY = 254, 0
 _RAW_UNKNOWN = 255
 
 
+@checked
 def write_map(grid: OccupancyGrid, path: str | os.PathLike[str], *, mode: str | None = None) -> None:
     """Save a grid as a map_server map: a YAML file and a PGM picture of the same name, both or none.
 

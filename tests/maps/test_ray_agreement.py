@@ -1,0 +1,46 @@
+"""Scans compared with the map along their beams, counted by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamfield.maps.occupancy import OccupancyGrid
+from beamfield.maps.ray_agreement import ray_agreement, scan_agreement
+from beamfield.sensors import RangeFinder, SensorLog
+
+# Four walls, 5 m from the robot in the middle.
+FINDER = RangeFinder.from_bearings(np.radians([0.0, 90.0, 180.0, -90.0]), 8.0)
+MIDDLE = np.zeros((1, 3))
+
+
+def room(resolution: float, half: float = 5.0) -> OccupancyGrid:
+    n = round(2.0 * half / resolution) + 2
+    cells = np.zeros((n, n))
+    cells[[0, -1]] = cells[:, [0, -1]] = 1.0
+    corner = -half - resolution
+    return OccupancyGrid(cells, resolution, (corner, corner, 0.0))
+
+
+def log_of(ranges: list[float]) -> SensorLog:
+    return SensorLog(FINDER, np.zeros(1), np.array([ranges]), MIDDLE, MIDDLE)
+
+
+# 0.25 m, or three cells, and 2% of 5 m.
+@pytest.mark.parametrize(("resolution", "tolerance"), [(0.05, 0.35), (0.1, 0.4), (0.2, 0.7)])
+def test_a_reading_agrees_within_a_length_and_a_share_of_it(resolution, tolerance):
+    less, more = tolerance - 0.01, tolerance + 0.01
+    shares = scan_agreement(log_of([5.0 + less, 5.0 - less, 5.0 + more, 5.0 - more]), room(resolution), MIDDLE)
+    assert shares.tolist() == [0.5]
+    found = ray_agreement(log_of([5.0 + less, 5.0 + more, np.inf, 5.0 - more]), room(resolution), MIDDLE, np.array([0]))
+    assert found == (0.25, 0.5)
+
+
+def test_beams_count_that_hit_something_or_should():
+    grid = room(0.05)
+    assert scan_agreement(log_of([5.0, np.inf, np.nan, np.nan]), grid, MIDDLE).tolist() == [0.5]
+    assert np.isnan(scan_agreement(log_of([np.nan] * 4), grid, MIDDLE)).all()
+    far = room(0.05, half=9.0)
+    assert scan_agreement(log_of([7.9, 6.0, np.inf, 3.0]), far, MIDDLE).tolist() == [1 / 3]
+    assert np.isnan(scan_agreement(log_of([np.inf] * 4), far, MIDDLE)).all()
+    assert ray_agreement(log_of([7.9, 6.0, np.inf, 3.0]), far, MIDDLE, np.array([0])) == (0.0, 1.0)

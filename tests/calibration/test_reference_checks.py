@@ -73,6 +73,21 @@ def test_a_scale_must_surely_be_wrong_by_more_than_a_percent():
     measured = OppositeBeams(35_000, 0.09, 1.0135, 0.0027, 0.03, 0.01)
     assert [one.name for one in map_findings(measured, 0.03)] == ["walls-too-thick"]
     assert [one.name for one in map_findings(replace(measured, scale_se=0.001), 0.03)] == ["map-scale"]
+    # And by four standard errors.
+    for scale_se, found in ((0.0085, ["map-scale"]), (0.0095, [])):
+        unsure = replace(measured, scale=1.035, scale_se=scale_se, median_difference=0.0)
+        assert [one.name for one in map_findings(unsure, 0.03)] == found
+
+
+@pytest.mark.parametrize(("resolution", "least"), [(0.1, 0.15), (0.03, 0.06)])
+def test_walls_are_too_thick_or_too_thin_by_more_than_cells_and_noise_make(resolution, least):
+    measured = OppositeBeams(35_000, 0.0, 1.0, 0.001, 0.03, 0.01)
+    for difference, name in ((least + 0.001, "walls-too-thick"), (-least - 0.001, "walls-too-thin")):
+        (finding,) = map_findings(replace(measured, median_difference=difference), resolution)
+        assert finding.name == name
+        assert ("less between" in finding.text) is (difference < 0.0)
+    for difference in (least - 0.001, 0.001 - least):
+        assert not list(map_findings(replace(measured, median_difference=difference), resolution))
 
 
 def test_people_beside_the_robot_do_not_move_the_estimate(rng):
